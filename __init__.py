@@ -1,4 +1,5 @@
-"""SVR-GS for Blender: imports, shows, prunes and exports 3D Gaussian splats. The code is in operators/ and panels/."""
+"""SVR-GS for Blender: imports, shows, prunes and exports 3D Gaussian splats. The code is in operators/ and
+panels/."""
 
 
 def register():

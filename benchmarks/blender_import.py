@@ -1,4 +1,5 @@
-"""The time that Blender takes to import and export a splat: `python benchmarks/blender_import.py [GAUSSIANS]`, with the bpy of this Python.
+"""The time that Blender takes to import and export a splat: `python benchmarks/blender_import.py
+[GAUSSIANS]`, with the bpy of this Python.
 
 Blender installs the extension from dist/ (made by `make zip`) into a temporary user folder.
 """
@@ -26,12 +27,17 @@ def main():
 def measure(folder: Path, count: int):
     import bpy
 
-    bpy.ops.extensions.package_install_files(filepath=str(extension_zip()), repo="user_default", enable_on_install=True)
+    bpy.ops.extensions.package_install_files(
+        filepath=str(extension_zip()), repo="user_default", enable_on_install=True
+    )
     write_scene(folder / "in.ply", count)
     for _ in range(RUNS):
         imported = seconds(lambda: bpy.ops.svrgs.import_ply(filepath=str(folder / "in.ply")))
         exported = seconds(lambda: bpy.ops.svrgs.export_ply(filepath=str(folder / "out.ply")))
-        print(f"Blender {bpy.app.version_string}: {count:,} Gaussians of degree 3: import {imported:.2f} s, export {exported:.2f} s")
+        print(
+            f"Blender {bpy.app.version_string}: {count:,} Gaussians of degree 3: import {imported:.2f} s,"
+            f" export {exported:.2f} s"
+        )
         bpy.data.objects.remove(bpy.context.object)
         bpy.data.orphans_purge()
 
@@ -51,7 +57,10 @@ def write_scene(path: Path, count: int):
     from svrgs_addon.scene.gaussians import Scene
 
     rng = np.random.default_rng(0)
-    arrays = [rng.standard_normal(shape, np.float32) for shape in ((count, 3), (count, 3), (count, 4), (count,), (count, 16, 3))]
+    arrays = [
+        rng.standard_normal(shape, np.float32)
+        for shape in ((count, 3), (count, 3), (count, 4), (count,), (count, 16, 3))
+    ]
     write_ply(path, Scene(*arrays))
 
 

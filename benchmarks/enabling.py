@@ -1,7 +1,9 @@
-"""The time that enabling the extension takes: `python benchmarks/enabling.py [PYTHON]`, PYTHON being one with bpy (this one).
+"""The time that enabling the extension takes: `python benchmarks/enabling.py [PYTHON]`, PYTHON being one with
+bpy (this one).
 
-Blender installs the extension from dist/ (made by `make zip`) into a temporary user folder. The first start compiles the Python files; the
-later ones find them compiled. Blender's own unpacking of the wheels, which happens once, is shown apart.
+Blender installs the extension from dist/ (made by `make zip`) into a temporary user folder. The first start
+compiles the Python files; the later ones find them compiled. Blender's own unpacking of the wheels, which
+happens once, is shown apart.
 """
 
 from __future__ import annotations
@@ -31,7 +33,9 @@ def main():
 def install():
     import bpy
 
-    bpy.ops.extensions.package_install_files(filepath=str(extension_zip()), repo="user_default", enable_on_install=False)
+    bpy.ops.extensions.package_install_files(
+        filepath=str(extension_zip()), repo="user_default", enable_on_install=False
+    )
 
 
 def start():
@@ -45,7 +49,10 @@ def start():
         sys.exit("the extension cannot be enabled")
     enabled = time.perf_counter()
     heavy = [name for name in HEAVY if name in sys.modules]
-    print(f"Blender {bpy.app.version_string}: wheels {unpacked - before:.3f} s, enabled in {enabled - unpacked:.3f} s, heavy modules: {heavy or 'none'}")
+    print(
+        f"Blender {bpy.app.version_string}: wheels {unpacked - before:.3f} s, enabled in"
+        f" {enabled - unpacked:.3f} s, heavy modules: {heavy or 'none'}"
+    )
 
 
 if __name__ == "__main__":

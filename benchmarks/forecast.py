@@ -1,16 +1,20 @@
-"""How near the quality that Estimate foresees comes to what runs reach: adds rows to docs/results/forecast.jsonl, or makes docs/forecast.md of them.
+"""How near the quality that Estimate foresees comes to what runs reach: adds rows to
+docs/results/forecast.jsonl, or makes docs/forecast.md of them.
 
-    .venv/bin/python benchmarks/forecast.py --scene demo=DIR --scene lund=DIR ... [--shrink 2]    # first: benchmarks/methods.py --study pareto
+    .venv/bin/python benchmarks/forecast.py --scene demo=DIR --scene lund=DIR ... [--shrink 2]    # first: benchmarks/methods.py
+                                                                                                  --study
+                                                                                                  pareto
     .venv/bin/python benchmarks/forecast.py --scene demo=DIR --trained FILE.ply --only strengths
     .venv/bin/python benchmarks/forecast.py --show docs/forecast.md                               # from the rows; runs nothing
 
-    targets    the methods of METHODS at the counts of benchmarks/methods.py --study pareto; what the runs reached is taken from its rows
+    targets    the methods of METHODS at the counts of benchmarks/methods.py --study pareto; what the runs
+               reached is taken from its rows
     strengths  the default method with lambda_F as the goals Light, Balanced and Small
     steps      the default method and `svr` at one count with several --schedule
 
-A scene is trained as the row 3DGS of benchmarks/methods.py with a tenth of the schedule, if --work does not hold it; --trained names
-another file. Runs of strengths and steps are kept as --work/NAME/RUN.json. Estimate may take its time here, so that a busy machine does not
-change its figures.
+A scene is trained as the row 3DGS of benchmarks/methods.py with a tenth of the schedule, if --work does not
+hold it; --trained names another file. Runs of strengths and steps are kept as --work/NAME/RUN.json. Estimate
+may take its time here, so that a busy machine does not change its figures.
 """
 
 from __future__ import annotations
@@ -29,7 +33,8 @@ from methods import ROOT, TABLE, TARGETS, command, read_rows
 
 METHODS = ("removal", "svr", "maskgs")
 SCHEDULE = 0.3  # of the rows of study pareto, and of the runs here where it is not varied
-STRENGTHS = {"Light": 1e-5, "Balanced": 1e-4, "Small": 1e-3}  # lambda_F of the goals of the panel (operators/goals.py)
+# lambda_F of the goals of the panel (operators/goals.py)
+STRENGTHS = {"Light": 1e-5, "Balanced": 1e-4, "Small": 1e-3}
 STEPS = {"removal": ("0.08", (0.1, 0.3, 1.0)), "svr": ("0.17", (0.1, 1.0))}
 ESTIMATE = """
 import sys
@@ -61,23 +66,50 @@ def row(options: argparse.Namespace, name: str, data: list[str], trained: Path, 
     if kind == "targets":
         measured = published(name, label, schedule)
     else:
-        measured = reached(trained, data, options.work.resolve() / name / f"{label}.json", method, words, schedule)
+        measured = reached(
+            trained, data, options.work.resolve() / name / f"{label}.json", method, words, schedule
+        )
     if measured is None:
         return None
-    found = foreseen(trained, data, {"method": method, **words, "iterations": round(3_000 * schedule), "recovery": round(5_000 * schedule)})
+    found = foreseen(
+        trained,
+        data,
+        {
+            "method": method,
+            **words,
+            "iterations": round(3_000 * schedule),
+            "recovery": round(5_000 * schedule),
+        },
+    )
     keys = ("count", "kept", "psnr_before", "psnr_removed", "psnr_after")
     steps = round(8_000 * schedule)
-    return {"kind": kind, "scene": name, "run": label, "method": method, "steps": steps, "foreseen": {key: found[key] for key in keys}, "measured": measured}
+    return {
+        "kind": kind,
+        "scene": name,
+        "run": label,
+        "method": method,
+        "steps": steps,
+        "foreseen": {key: found[key] for key in keys},
+        "measured": measured,
+    }
 
 
 def published(name: str, label: str, schedule: float) -> dict | None:
     """Means over the seeds of the rows of study pareto."""
-    rows = [r for r in read_rows(ROOT / "docs/results/rows.jsonl") if (r["study"], r["scene"], r["run"], r["schedule"]) == ("pareto", name, label, schedule)]
+    rows = [
+        r
+        for r in read_rows(ROOT / "docs/results/rows.jsonl")
+        if (r["study"], r["scene"], r["run"], r["schedule"]) == ("pareto", name, label, schedule)
+    ]
     return outcome(rows) if rows else None
 
 
 def outcome(rows: list[dict]) -> dict:
-    means = {"count": [r["count"] for r in rows], "before": [r["before"]["psnr"] for r in rows], "after": [r["psnr"] for r in rows]}
+    means = {
+        "count": [r["count"] for r in rows],
+        "before": [r["before"]["psnr"] for r in rows],
+        "after": [r["psnr"] for r in rows],
+    }
     return {"runs": len(rows), **{key: fmean(values) for key, values in means.items()}}
 
 
@@ -85,7 +117,19 @@ def reached(trained: Path, data: list[str], kept: Path, method: str, words: dict
     """The outcome of a run of `svrgs prune`, or of the same run before."""
     if not kept.exists():
         flags = [word for key, value in words.items() for word in (f"--{key.replace('_', '-')}", value)]
-        call = [sys.executable, "-m", "svrgs_addon", "prune", trained, "--out", kept.with_suffix(".ply"), "--method", method, *flags, *data]
+        call = [
+            sys.executable,
+            "-m",
+            "svrgs_addon",
+            "prune",
+            trained,
+            "--out",
+            kept.with_suffix(".ply"),
+            "--method",
+            method,
+            *flags,
+            *data,
+        ]
         kept.write_text(run([*call, "--schedule", schedule, "--json", "--quiet"]))
     return outcome([json.loads(kept.read_text())])
 
@@ -93,7 +137,12 @@ def reached(trained: Path, data: list[str], kept: Path, method: str, words: dict
 def foreseen(trained: Path, data: list[str], words: dict) -> dict:
     """The estimate of a job with these options."""
     places = dict(zip(("colmap", "images"), data[1::2], strict=False))
-    return json.loads(run([sys.executable, "-c", ESTIMATE], json.dumps({"scene": str(trained), "options": {**words, **places}})))
+    return json.loads(
+        run(
+            [sys.executable, "-c", ESTIMATE],
+            json.dumps({"scene": str(trained), "options": {**words, **places}}),
+        )
+    )
 
 
 def run(call: list, text: str | None = None) -> str:
@@ -114,7 +163,14 @@ def add_rows(options: argparse.Namespace):
         if not trained.exists():
             if options.trained:
                 sys.exit(f"{options.trained}: does not exist")
-            request = {"study": "table", "run": "3DGS", "flags": TABLE["3DGS"], "seed": 0, "schedule": 0.1, "trained": 0.1}
+            request = {
+                "study": "table",
+                "run": "3DGS",
+                "flags": TABLE["3DGS"],
+                "seed": 0,
+                "schedule": 0.1,
+                "trained": 0.1,
+            }
             run(command(request, data, work.resolve()))
         for case in cases(options):
             if (case[0], name, case[1]) in done or (found := row(options, name, data, trained, case)) is None:
@@ -122,19 +178,35 @@ def add_rows(options: argparse.Namespace):
             with options.rows.open("a") as file:
                 file.write(json.dumps(found) + "\n")
             figures = found["foreseen"], found["measured"]
-            print(f"{name}, {case[1]}: foreseen {figures[0]['psnr_after']:.2f} dB, reached {figures[1]['after']:.2f} dB", flush=True)
+            print(
+                f"{name}, {case[1]}: foreseen {figures[0]['psnr_after']:.2f} dB, reached"
+                f" {figures[1]['after']:.2f} dB",
+                flush=True,
+            )
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scene", action="append", default=[], metavar="NAME=DIR", help="name and folder of a COLMAP dataset")
-    parser.add_argument("--shrink", type=int, default=1, help="reduction of the photographs per side (default: 1)")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--scene", action="append", default=[], metavar="NAME=DIR", help="name and folder of a COLMAP dataset"
+    )
+    parser.add_argument(
+        "--shrink", type=int, default=1, help="reduction of the photographs per side (default: 1)"
+    )
     parser.add_argument("--trained", type=Path, metavar="FILE", help="the trained splat of the scene")
-    parser.add_argument("--schedule", type=float, default=SCHEDULE, help="--schedule of the runs of strengths (default: 0.3)")
-    parser.add_argument("--only", action="append", choices=("targets", "strengths", "steps"), help="default: all")
+    parser.add_argument(
+        "--schedule", type=float, default=SCHEDULE, help="--schedule of the runs of strengths (default: 0.3)"
+    )
+    parser.add_argument(
+        "--only", action="append", choices=("targets", "strengths", "steps"), help="default: all"
+    )
     parser.add_argument("--rows", type=Path, default=ROOT / "docs" / "results" / "forecast.jsonl")
     parser.add_argument("--work", type=Path, default=ROOT / "build" / "methods")
-    parser.add_argument("--show", type=Path, metavar="FILE", help="write the page to this file, and run nothing")
+    parser.add_argument(
+        "--show", type=Path, metavar="FILE", help="write the page to this file, and run nothing"
+    )
     options = parser.parse_args()
     options.only = options.only or ["targets", "strengths", "steps"]
     if options.show:

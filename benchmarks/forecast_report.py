@@ -1,4 +1,5 @@
-"""Makes docs/forecast.md from the rows of benchmarks/forecast.py: the fit, and how far the forecast was from what runs reached."""
+"""Makes docs/forecast.md from the rows of benchmarks/forecast.py: the fit, and how far the forecast was from
+what runs reached."""
 
 from __future__ import annotations
 
@@ -72,7 +73,9 @@ def page(rows: list[dict]) -> str:
 def change(row: dict, halved: float) -> float:
     """The foreseen change of PSNR in dB, by the law with this number."""
     found = row["foreseen"]
-    return psnr_after(found["psnr_before"], found["psnr_removed"], row["steps"], halved) - found["psnr_before"]
+    return (
+        psnr_after(found["psnr_before"], found["psnr_removed"], row["steps"], halved) - found["psnr_before"]
+    )
 
 
 def difference(row: dict, halved: float | None = None) -> float:
@@ -92,7 +95,10 @@ def as_now(row: dict) -> float:
 
 def fit(rows: list[dict]) -> float:
     """The number H with the least sum of absolute differences."""
-    return min((10 ** (k / 100) for k in range(250)), key=lambda halved: sum(abs(difference(row, halved)) for row in rows))
+    return min(
+        (10 ** (k / 100) for k in range(250)),
+        key=lambda halved: sum(abs(difference(row, halved)) for row in rows),
+    )
 
 
 def fit_table(rows: list[dict]) -> str:
@@ -103,9 +109,31 @@ def fit_table(rows: list[dict]) -> str:
         for on in ("fit", "test"):
             part = [row for row in own if (row["scene"] in FITTED) == (on == "fit")]
             scenes = " and ".join(dict.fromkeys(row["scene"] for row in part))
-            figures = [text for values in (map(difference, part), map(as_now, part)) for text in spread_of(values)]
-            lines.append([f"`{method}`", f"{HALVED[method]:g} ({fitted:.1f})", f"{on}: {scenes}", str(len(part)), *figures])
-    return table(["method", "H in use (fitted)", "scenes", "counts", "median", "least to largest", '"as now": median', "least to largest"], lines)
+            figures = [
+                text for values in (map(difference, part), map(as_now, part)) for text in spread_of(values)
+            ]
+            lines.append(
+                [
+                    f"`{method}`",
+                    f"{HALVED[method]:g} ({fitted:.1f})",
+                    f"{on}: {scenes}",
+                    str(len(part)),
+                    *figures,
+                ]
+            )
+    return table(
+        [
+            "method",
+            "H in use (fitted)",
+            "scenes",
+            "counts",
+            "median",
+            "least to largest",
+            '"as now": median',
+            "least to largest",
+        ],
+        lines,
+    )
 
 
 def spread_of(values: Iterable[float]) -> tuple[str, str]:
@@ -121,12 +149,36 @@ def run_table(rows: list[dict]) -> str:
         after = psnr_after(found["psnr_before"], found["psnr_removed"], row["steps"], HALVED[row["method"]])
         counts = [f"{found['count']:,}", f"{found['kept']:,}", f"{measured['count']:,.0f}"]
         figures = [found["psnr_before"], found["psnr_removed"], after, measured["after"]]
-        lines.append([row["scene"], row["run"], f"{row['steps']:,}", *counts, *(f"{value:.2f}" for value in figures), f"{difference(row):+.2f}"])
+        lines.append(
+            [
+                row["scene"],
+                row["run"],
+                f"{row['steps']:,}",
+                *counts,
+                *(f"{value:.2f}" for value in figures),
+                f"{difference(row):+.2f}",
+            ]
+        )
     if not lines:
         return "Not measured yet with the methods of today.\n"
-    said = [f"median {middle} dB, {both} dB" for middle, both in (spread_of(map(difference, rows)), spread_of(map(as_now, rows)))]
+    said = [
+        f"median {middle} dB, {both} dB"
+        for middle, both in (spread_of(map(difference, rows)), spread_of(map(as_now, rows)))
+    ]
     text = f'Difference: {said[0]}. Of the forecast "as now": {said[1]}.\n\n'
-    head = ["scene", "run", "steps", "Gaussians", "foreseen to stay", "stayed", "PSNR now", "removed only", "foreseen", "reached", "difference"]
+    head = [
+        "scene",
+        "run",
+        "steps",
+        "Gaussians",
+        "foreseen to stay",
+        "stayed",
+        "PSNR now",
+        "removed only",
+        "foreseen",
+        "reached",
+        "difference",
+    ]
     return text + table(head, lines)
 
 
@@ -136,7 +188,9 @@ def target_table(rows: list[dict]) -> str:
     lines = []
     for scene, target in places:
         cells = [found.get((scene, target, method)) for method in HALVED]
-        texts = [f"{change(row, HALVED[row['method']]):+.2f}, {reached(row):+.2f}" if row else "" for row in cells]
+        texts = [
+            f"{change(row, HALVED[row['method']]):+.2f}, {reached(row):+.2f}" if row else "" for row in cells
+        ]
         lines.append([scene, f"{float(target):.0%}", *texts])
     return table(["scene", "Gaussians", *(f"`{method}`" for method in HALVED)], lines)
 

@@ -1,9 +1,11 @@
-"""How long large files take to convert, and how much memory: copies of a splat side by side, no two Gaussians alike.
+"""How long large files take to convert, and how much memory: copies of a splat side by side, no two Gaussians
+alike.
 
 python benchmarks/large_files.py SPLAT [--count 1000000] [--to .compressed.ply .spz .sog lod-meta.json]
 
-Written: seconds of `svrgs convert` from a PLY, reading included, and its largest anonymous memory (what is not a file's). Read: seconds from the file to
-arrays in memory, in a process that has read a file before. Medians of REPEATS. The copies are N(0, 0.01) apart in SH, so no palette holds them.
+Written: seconds of `svrgs convert` from a PLY, reading included, and its largest anonymous memory (what is
+not a file's). Read: seconds from the file to arrays in memory, in a process that has read a file before.
+Medians of REPEATS. The copies are N(0, 0.01) apart in SH, so no palette holds them.
 """
 
 from __future__ import annotations
@@ -38,7 +40,13 @@ def copies(scene: Scene, count: int) -> Iterator[Scene]:
     for number, start in enumerate(range(0, count, scene.count)):
         part = scene.select(np.arange(min(scene.count, count - start)))
         place = np.array([APART * (number % ROW), 0, APART * (number // ROW)], np.float32)
-        yield replace(part, means=part.means + place, sh=part.sh + NOISE * chance.standard_normal(part.sh.shape, np.float32), attributes={}, property_order=())
+        yield replace(
+            part,
+            means=part.means + place,
+            sh=part.sh + NOISE * chance.standard_normal(part.sh.shape, np.float32),
+            attributes={},
+            property_order=(),
+        )
 
 
 def converted(source: Path, out: Path) -> tuple[float, int]:
@@ -46,7 +54,9 @@ def converted(source: Path, out: Path) -> tuple[float, int]:
     out.unlink(missing_ok=True)
     started, most = time.perf_counter(), 0
     command = [sys.executable, "-m", "svrgs_addon", "convert", str(source), str(out)]
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL, cwd=Path(__file__).resolve().parents[1]) as child:
+    with subprocess.Popen(
+        command, stdout=subprocess.DEVNULL, cwd=Path(__file__).resolve().parents[1]
+    ) as child:
         while child.poll() is None:
             most = max(most, anonymous(child.pid))
             time.sleep(POLL)
@@ -86,13 +96,24 @@ def main() -> int:
         with spooled(copies(load_scene(words.splat).scene, words.count), source) as scene:
             degree = scene.sh_degree
             write_scene(source, scene)
-        print(f"{words.count:,} Gaussians, SH degree {degree}, a PLY of {source.stat().st_size / 1e6:,.0f} MB\n\n{HEAD}", flush=True)
+        print(
+            f"{words.count:,} Gaussians, SH degree {degree}, a PLY of {source.stat().st_size / 1e6:,.0f}"
+            f" MB\n\n{HEAD}",
+            flush=True,
+        )
         for suffix in words.to:
-            out, repeats = Path(folder) / (f"out{suffix}" if suffix.startswith(".") else f"out/{suffix}"), 1 if large else REPEATS
+            out, repeats = (
+                Path(folder) / (f"out{suffix}" if suffix.startswith(".") else f"out/{suffix}"),
+                1 if large else REPEATS,
+            )
             runs = [converted(source, out) for _ in range(repeats)]
             reading = median([seconds_to_read(out, large) for _ in range(repeats + 1)][1:])
             seconds, memory = median(run[0] for run in runs), max(run[1] for run in runs)
-            print(f"| {suffix} | {size_on_disk(out) / 1e6:,.1f} | {seconds:.2f} | {memory / 1e6:,.0f} | {reading:.2f} |", flush=True)
+            print(
+                f"| {suffix} | {size_on_disk(out) / 1e6:,.1f} | {seconds:.2f} | {memory / 1e6:,.0f} |"
+                f" {reading:.2f} |",
+                flush=True,
+            )
     return 0
 
 

@@ -1,10 +1,13 @@
-"""A generated town through `svrgs large`: seconds of each step, memory, and what the number of blocks changes.
+"""A generated town through `svrgs large`: seconds of each step, memory, and what the number of blocks
+changes.
 
-python benchmarks/large_scene.py [--count 5000000] [--blocks 1 4 16] [--views 72] [--target 0.25] [--to .ply] [--folder DIR]
+python benchmarks/large_scene.py [--count 5000000] [--blocks 1 4 16] [--views 72] [--target 0.25] [--to .ply]
+[--folder DIR]
 
-The town is a square of nine rooms (bench/scenes.py), SH degree 3. Three quarters of the views are within rooms, the others look down on them from above
-their roofs; every eighth is held out and measured. Memory: the most anonymous memory of a step, without what the system can drop again (files that are
-mapped). Space in DIR: about three times the size of the PLY, which has 248 bytes for each Gaussian.
+The town is a square of nine rooms (bench/scenes.py), SH degree 3. Three quarters of the views are within
+rooms, the others look down on them from above their roofs; every eighth is held out and measured. Memory: the
+most anonymous memory of a step, without what the system can drop again (files that are mapped). Space in DIR:
+about three times the size of the PLY, which has 248 bytes for each Gaussian.
 """
 
 from __future__ import annotations
@@ -70,7 +73,13 @@ def run(words: list[str]) -> tuple[float, int, dict]:
     """Runs `svrgs large`. Seconds, the largest anonymous memory in bytes, and its result."""
     started, most = time.perf_counter(), 0
     command = [sys.executable, "-m", "svrgs_addon", "large", *words, "--json"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, cwd=Path(__file__).resolve().parents[1]) as child:
+    with subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+        cwd=Path(__file__).resolve().parents[1],
+    ) as child:
         while child.poll() is None:
             most = max(most, anonymous(child.pid))
             time.sleep(POLL)
@@ -129,11 +138,20 @@ def main() -> int:
         with spooled(town(words.count), source) as scene:
             write_scene(source, scene)
         write_cameras_json(folder / "cameras.json", views(words.views))
-        print(f"{words.count:,} Gaussians, SH degree 3, a PLY of {source.stat().st_size / 1e6:,.0f} MB, {words.views} views of {WIDTH} x {HEIGHT} pixels\n")
-        print(f"| blocks | {', s | '.join(STEPS)}, s | memory, GB | sums (SHA-256) | MB | merged, dB | tuned, dB | share of tuned |")
+        print(
+            f"{words.count:,} Gaussians, SH degree 3, a PLY of {source.stat().st_size / 1e6:,.0f} MB,"
+            f" {words.views} views of {WIDTH} x {HEIGHT} pixels\n"
+        )
+        print(
+            f"| blocks | {', s | '.join(STEPS)}, s | memory, GB | sums (SHA-256) | MB | merged, dB | tuned,"
+            " dB | share of tuned |"
+        )
         print(f"|{'---:|' * (len(STEPS) + 7)}", flush=True)
         for blocks in words.blocks:
-            print(f"| {' | '.join(measure(source, folder, math.ceil(words.count / blocks), words.target, words.to))} |", flush=True)
+            print(
+                f"| {' | '.join(measure(source, folder, math.ceil(words.count / blocks), words.target, words.to))} |",
+                flush=True,
+            )
     return 0
 
 

@@ -1,10 +1,12 @@
 """Pruning on photographs in memory and by blocks, side by side, on the photographs that are held out.
 
-python benchmarks/learned_by_blocks.py SPLAT:DATASET... [--method removal svr] [--target 0.4 | --lambda-f 1e-3 | --max-drop 0.5]
+python benchmarks/learned_by_blocks.py SPLAT:DATASET... [--method removal svr] [--target 0.4 | --lambda-f 1e-3
+| --max-drop 0.5]
     [--iterations 300] [--recovery 500] [--blocks 1 4] [--seeds 0 1 2]
 
-Prints a row for each splat, method and seed: mean PSNR in dB of the splat; and of pruning in memory, and with each number of blocks: Gaussians that are left,
-mean PSNR in dB, and seconds. With --lambda-f or --max-drop, the method decides how many are left.
+Prints a row for each splat, method and seed: mean PSNR in dB of the splat; and of pruning in memory, and with
+each number of blocks: Gaussians that are left, mean PSNR in dB, and seconds. With --lambda-f or --max-drop,
+the method decides how many are left.
 """
 
 from __future__ import annotations
@@ -40,7 +42,11 @@ def main():
     words.add_argument("--blocks", type=int, nargs="+", default=[1, 4])
     words.add_argument("--seeds", nargs="+", default=["0", "1", "2"])
     given = words.parse_args()
-    print("| scene | method | seed | before, dB | in memory: Gaussians, dB (s) |", *(f"{n} blocks |" for n in given.blocks), flush=True)
+    print(
+        "| scene | method | seed | before, dB | in memory: Gaussians, dB (s) |",
+        *(f"{n} blocks |" for n in given.blocks),
+        flush=True,
+    )
     print("|---|---|---:|---:|---:|" + "---:|" * len(given.blocks), flush=True)
     others = {"--lambda-f": given.lambda_f, "--max-drop": given.max_drop}
     goal = next(([name, value] for name, value in others.items() if value), ["--target", given.target])
@@ -53,7 +59,9 @@ def main():
                 same = ["--colmap", folder, "--method", method, *goal, "--seed", seed]
                 same += ["--iterations", given.iterations, "--recovery", given.recovery]
                 ways = [["prune", splat, *same, "--visible-mask", "--quiet"]]
-                ways += [["large", "prune", splat, *same, "--block", math.ceil(whole / n)] for n in given.blocks]
+                ways += [
+                    ["large", "prune", splat, *same, "--block", math.ceil(whole / n)] for n in given.blocks
+                ]
                 results = [run(way, dataset) for way in ways]
                 cells = [f"{count:,}, {psnr:.2f} ({seconds:.0f}) |" for count, psnr, seconds in results]
                 print(f"| {splat.stem} | {method} | {seed} | {before:.2f} |", *cells, flush=True)
@@ -63,7 +71,12 @@ def run(words: list, dataset: Dataset) -> tuple[int, float, float]:
     """Gaussians, PSNR in dB and seconds of a command."""
     with tempfile.TemporaryDirectory() as folder:
         out, started = Path(folder) / "out.ply", time.perf_counter()
-        subprocess.run([sys.executable, "-m", "svrgs_addon", *map(str, words), "--out", str(out)], check=True, capture_output=True, cwd=ROOT)
+        subprocess.run(
+            [sys.executable, "-m", "svrgs_addon", *map(str, words), "--out", str(out)],
+            check=True,
+            capture_output=True,
+            cwd=ROOT,
+        )
         return *quality(out, dataset), time.perf_counter() - started
 
 

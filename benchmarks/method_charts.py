@@ -7,19 +7,32 @@ from pathlib import Path
 import matplotlib
 
 matplotlib.use("svg")
-matplotlib.rcParams |= {"svg.hashsalt": "svrgs", "svg.fonttype": "none", "font.size": 9, "axes.grid": True, "grid.color": "#e3e1dc"}
+matplotlib.rcParams |= {
+    "svg.hashsalt": "svrgs",
+    "svg.fonttype": "none",
+    "font.size": 9,
+    "axes.grid": True,
+    "grid.color": "#e3e1dc",
+}
 import matplotlib.pyplot as plt  # noqa: E402  (after the choice of the backend)
 
 MARKERS = "osD^v<>PX*hd"
 
 
-def pareto_chart(curves: dict[str, list[tuple[int, float]]], before: tuple[int, float], title: str, path: Path):
-    """PSNR over the number of Gaussians. curves: points (Gaussians, dB) of each method, by rising count; before: the point of the scene
-    that was pruned. `removal` is black; this project's methods and the svr methods have thick lines."""
+def pareto_chart(
+    curves: dict[str, list[tuple[int, float]]], before: tuple[int, float], title: str, path: Path
+):
+    """PSNR over the number of Gaussians. curves: points (Gaussians, dB) of each method, by rising count;
+    before: the point of the scene that was pruned. `removal` is black; this project's methods and the svr
+    methods have thick lines."""
     figure, axes = plt.subplots(figsize=(8.5, 5))
     for k, (method, points) in enumerate(sorted(curves.items())):
         ours = method.startswith(("svr", "removal", "saliency"))
-        style = {"linewidth": 2 if ours else 1, "markersize": 4, "color": "black" if method == "removal" else plt.cm.tab20(k % 20)}
+        style = {
+            "linewidth": 2 if ours else 1,
+            "markersize": 4,
+            "color": "black" if method == "removal" else plt.cm.tab20(k % 20),
+        }
         axes.plot(*zip(*points, strict=True), MARKERS[k % len(MARKERS)] + "-", label=method, **style)
     axes.plot(*before, "k+", markersize=10, label="before")
     axes.set_xscale("log")
@@ -31,11 +44,16 @@ def pareto_chart(curves: dict[str, list[tuple[int, float]]], before: tuple[int, 
 
 
 def curve_chart(runs: list[tuple[str, dict]], title: str, path: Path):
-    """Number of Gaussians and PSNR over iterations. runs: label and curves (lists iteration, count, psnr) of each run."""
+    """Number of Gaussians and PSNR over iterations. runs: label and curves (lists iteration, count, psnr) of
+    each run."""
     figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4))
     for label, curves in runs:
         left.plot(curves["iteration"], curves["count"], label=label)
-        right.plot(curves["iteration"], [value if value is not None else float("nan") for value in curves["psnr"]], label=label)
+        right.plot(
+            curves["iteration"],
+            [value if value is not None else float("nan") for value in curves["psnr"]],
+            label=label,
+        )
     left.set_ylabel("Gaussians")
     left.set_ylim(bottom=0)
     right.set_ylabel("PSNR, dB")
@@ -47,11 +65,18 @@ def curve_chart(runs: list[tuple[str, dict]], title: str, path: Path):
 
 
 def time_chart(curves: dict[str, list[tuple[float, float]]], before: float, title: str, path: Path):
-    """PSNR over the seconds that jobs took. curves: points (seconds, dB) of each method, by rising time; before: dB of the scene that was pruned."""
+    """PSNR over the seconds that jobs took. curves: points (seconds, dB) of each method, by rising time;
+    before: dB of the scene that was pruned."""
     figure, axes = plt.subplots(figsize=(8.5, 5))
     for k, (method, points) in enumerate(sorted(curves.items())):
-        style = {"color": "black", "linewidth": 2} if method == "removal" else {"color": plt.cm.tab10(k % 10), "linewidth": 1}
-        axes.plot(*zip(*points, strict=True), MARKERS[k % len(MARKERS)] + "-", markersize=4, label=method, **style)
+        style = (
+            {"color": "black", "linewidth": 2}
+            if method == "removal"
+            else {"color": plt.cm.tab10(k % 10), "linewidth": 1}
+        )
+        axes.plot(
+            *zip(*points, strict=True), MARKERS[k % len(MARKERS)] + "-", markersize=4, label=method, **style
+        )
     axes.axhline(before, color="black", linewidth=1, linestyle=":", label="before")
     axes.set_xscale("log")
     axes.set_xlabel("seconds of the whole job")

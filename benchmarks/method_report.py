@@ -1,6 +1,7 @@
 """Writes results.md from the rows of benchmarks/methods.py.
 
-The page is docs/results/page.md, written by hand, in which a line {name} stands for a part that is made here from the rows.
+The page is docs/results/page.md, written by hand, in which a line {name} stands for a part that is made here
+from the rows.
 """
 
 from __future__ import annotations
@@ -29,7 +30,9 @@ def write_report(rows: list[dict], folder: Path):
     charts = folder / "results"
     page = (charts / "page.md").read_text().splitlines()
     made = {f"{{{name}}}": part for name, part in PARTS.items()}
-    (folder / "results.md").write_text("".join((made[line](rows, charts) if line in made else line) + "\n" for line in page))
+    (folder / "results.md").write_text(
+        "".join((made[line](rows, charts) if line in made else line) + "\n" for line in page)
+    )
 
 
 def commands(rows: list[dict], charts: Path) -> str:
@@ -39,9 +42,14 @@ def commands(rows: list[dict], charts: Path) -> str:
         kinds[row["study"], row["schedule"], row["trained"], row["start"], row["shrink"]].add(row["scene"])
     lines = []
     for (study, schedule, trained, start, shrink), scenes in sorted(kinds.items()):
-        named = " ".join(f"--scene {scene}" if scene in GENERATED else f"--scene {scene}=DIR" for scene in sorted(scenes))
+        named = " ".join(
+            f"--scene {scene}" if scene in GENERATED else f"--scene {scene}=DIR" for scene in sorted(scenes)
+        )
         pruned = f" --trained {trained:g} --start {start}" if study in PRUNES else ""
-        lines.append(f"    .venv/bin/python benchmarks/methods.py --study {study} --schedule {schedule:g}{pruned} --shrink {shrink} {named}")
+        lines.append(
+            f"    .venv/bin/python benchmarks/methods.py --study {study} --schedule {schedule:g}{pruned}"
+            f" --shrink {shrink} {named}"
+        )
     return "\n".join(lines)
 
 
@@ -54,22 +62,38 @@ def groups(rows: Iterable[dict], *names: str) -> dict[tuple, list[dict]]:
 
 
 def averaged(rows: Iterable[dict]) -> list[dict]:
-    """One row per run: the mean figures of its seeds, curves of the first seed, and `spread`, half the range of PSNR."""
+    """One row per run: the mean figures of its seeds, curves of the first seed, and `spread`, half the range
+    of PSNR."""
     means = []
     for group in groups(rows, "study", "scene", "run", "schedule", "trained", "start", "shrink").values():
         psnr = [row["psnr"] for row in group]
         figures = {name: mean(group, name) for name in FIGURES} | {"count": round(mean(group, "count"))}
-        means.append({**group[0], **figures, "before": before_of(group), "spread": half_range(psnr), "seeds": len(group)})
+        means.append(
+            {
+                **group[0],
+                **figures,
+                "before": before_of(group),
+                "spread": half_range(psnr),
+                "seeds": len(group),
+            }
+        )
     return means
 
 
 def before_of(rows: list[dict]) -> dict | None:
-    """Of the scenes that were pruned, one a seed: mean count and PSNR, and half the range of PSNR. None if nothing was pruned."""
+    """Of the scenes that were pruned, one a seed: mean count and PSNR, and half the range of PSNR. None if
+    nothing was pruned."""
     scenes = [row["before"] for row in rows if row.get("before")]
     if not scenes:
         return None
     psnr = [scene["psnr"] for scene in scenes]
-    return {**scenes[0], "count": round(fmean(scene["count"] for scene in scenes)), "psnr": fmean(psnr), "spread": half_range(psnr), "seeds": len(set(psnr))}
+    return {
+        **scenes[0],
+        "count": round(fmean(scene["count"] for scene in scenes)),
+        "psnr": fmean(psnr),
+        "spread": half_range(psnr),
+        "seeds": len(set(psnr)),
+    }
 
 
 def half_range(values: list[float]) -> float:
@@ -98,50 +122,92 @@ def case(row: dict) -> str:
 
 
 def pruned(rows: list[dict], study: str) -> list[dict]:
-    """The rows of a study that prunes, with the keys `method` and `share`: the share of the target, 1 without one."""
+    """The rows of a study that prunes, with the keys `method` and `share`: the share of the target, 1 without
+    one."""
     found = ((row, row["run"].split()) for row in rows if row["study"] == study)
-    return [{**row, "method": words[0], "share": float(words[1]) if len(words) > 1 else 1.0} for row, words in found]
+    return [
+        {**row, "method": words[0], "share": float(words[1]) if len(words) > 1 else 1.0}
+        for row, words in found
+    ]
 
 
 def pruning(rows: list[dict], charts: Path) -> str:
-    """The default and the best of the others at equal counts: one table of all scenes, and a chart with every method for each."""
+    """The default and the best of the others at equal counts: one table of all scenes, and a chart with every
+    method for each."""
     lines, pictures = [], []
     for those in groups(pruned(rows, "pareto"), "scene", "schedule", "shrink", "trained", "start").values():
         first, before = those[0], max(those, key=lambda row: row["seeds"])["before"]
         name = f"pareto-{first['scene']}-{first['shrink']}-{first['schedule']:g}-{first['start']}-{first['trained']:g}"
-        curves = {method: sorted((row["count"], row["psnr"]) for row in group) for (method,), group in groups(those, "method").items()}
+        curves = {
+            method: sorted((row["count"], row["psnr"]) for row in group)
+            for (method,), group in groups(those, "method").items()
+        }
         pareto_chart(curves, (before["count"], before["psnr"]), case(first), charts / f"{name}.svg")
         pictures.append(f"![{case(first)}](results/{name}.svg)\n")
         lines += standings(those)
-    head = ["scene: Gaussians and PSNR before", "as many further steps", "kept", DEFAULT, "the best of the others", "others measured"]
+    head = [
+        "scene: Gaussians and PSNR before",
+        "as many further steps",
+        "kept",
+        DEFAULT,
+        "the best of the others",
+        "others measured",
+    ]
     return table(head, lines) + "\n" + "\n".join(pictures)
 
 
 def standings(rows: list[dict]) -> Iterable[list[str]]:
     """One scene: a line per share with the default, the best others, and how many others there are."""
-    before, further = max(rows, key=lambda row: row["seeds"])["before"], [psnr_of(row) for row in rows if row["share"] == 1]
-    for (share,), those in sorted(groups((row for row in rows if row["share"] < 1), "share").items(), reverse=True):
+    before, further = (
+        max(rows, key=lambda row: row["seeds"])["before"],
+        [psnr_of(row) for row in rows if row["share"] == 1],
+    )
+    for (share,), those in sorted(
+        groups((row for row in rows if row["share"] < 1), "share").items(), reverse=True
+    ):
         others = sorted((row for row in those if row["method"] != DEFAULT), key=lambda row: -row["psnr"])
         best = [f"{psnr_of(row)} `{row['method']}`" for row in others[:BEST]]
         ours = [psnr_of(row) for row in those if row["method"] == DEFAULT]
         place = f"{case(rows[0])}: {before['count']:,}, {psnr_of(before)} dB"
-        yield [place, *(further or [""]), f"{100 * share:g} %", *(ours or [""]), ", ".join(best), str(len(others))]
+        yield [
+            place,
+            *(further or [""]),
+            f"{100 * share:g} %",
+            *(ours or [""]),
+            ", ".join(best),
+            str(len(others)),
+        ]
 
 
 def few(rows: list[dict], charts: Path) -> str:
     """PSNR of the default and its nearest rivals at few Gaussians, for several schedules."""
     rows = pruned(rows, "schedules")
-    columns = sorted(groups(rows, "schedule", "method"), key=lambda column: (column[0], column[1] != DEFAULT, column[1]))
+    columns = sorted(
+        groups(rows, "schedule", "method"), key=lambda column: (column[0], column[1] != DEFAULT, column[1])
+    )
     lines = []
     for scene, share in sorted(groups(rows, "scene", "share"), key=lambda place: (place[0], -place[1])):
-        found = {(row["schedule"], row["method"]): row for row in rows if (row["scene"], row["share"]) == (scene, share)}
+        found = {
+            (row["schedule"], row["method"]): row
+            for row in rows
+            if (row["scene"], row["share"]) == (scene, share)
+        }
         before = next(iter(found.values()))["before"]["psnr"]
-        lines.append([f"{scene} ({before:.2f})", f"{100 * share:g} %", *(psnr_of(found[column]) if column in found else "" for column in columns)])
-    return table(["scene (PSNR before)", "kept", *(f"{method}, {schedule:g}" for schedule, method in columns)], lines)
+        lines.append(
+            [
+                f"{scene} ({before:.2f})",
+                f"{100 * share:g} %",
+                *(psnr_of(found[column]) if column in found else "" for column in columns),
+            ]
+        )
+    return table(
+        ["scene (PSNR before)", "kept", *(f"{method}, {schedule:g}" for schedule, method in columns)], lines
+    )
 
 
 def other_figures(rows: list[dict], charts: Path) -> str:
-    """PSNR, SSIM and FLIP of the default at each share, and of the same number of further steps without pruning."""
+    """PSNR, SSIM and FLIP of the default at each share, and of the same number of further steps without
+    pruning."""
     lines = []
     for those in groups(pruned(rows, "pareto"), "scene", "schedule", "shrink", "trained", "start").values():
         base = [row for row in those if row["share"] == 1]
@@ -153,7 +219,8 @@ def other_figures(rows: list[dict], charts: Path) -> str:
 
 
 def points(rows: list[dict], charts: Path) -> str:
-    """From the sparse points: PSNR and number of Gaussians of every method, a column per scene and schedule."""
+    """From the sparse points: PSNR and number of Gaussians of every method, a column per scene and
+    schedule."""
     rows = [row for row in rows if row["study"] == "table"]
     columns = groups(rows, "scene", "shrink", "schedule")
     lines = []
@@ -168,20 +235,34 @@ def counted(row: dict) -> str:
 
 
 def paper(rows: list[dict], charts: Path) -> str:
-    """The paper's Tables 1 and 2 under both losses: Gaussians and PSNR of its methods and scenarios, and what SVR-GS saves."""
+    """The paper's Tables 1 and 2 under both losses: Gaussians and PSNR of its methods and scenarios, and what
+    SVR-GS saves."""
     lines = []
     for (*_, loss), those in by_loss(rows, ("table", "printed")).items():
         found = {row["run"]: row for row in those}
         if len(found) < 2 or PAPER not in found:
             continue
         saved = [saving(found[PAPER], found[other]) if other in found else "" for other in (RIVAL, BASE)]
-        lines.append([f"{case(those[0])}", loss, *(counted(found[run]) if run in found else "" for run in PAPER_RUNS), *saved])
+        lines.append(
+            [
+                f"{case(those[0])}",
+                loss,
+                *(counted(found[run]) if run in found else "" for run in PAPER_RUNS),
+                *saved,
+            ]
+        )
     return table(["scene", "loss", *PAPER_RUNS, f"fewer than {RIVAL}", f"fewer than {BASE}"], lines)
 
 
 def by_loss(rows: list[dict], studies: Iterable[str]) -> dict[tuple, list[dict]]:
     """The rows of these studies by scene, schedule, shrink and loss."""
-    found = groups(({**row, "image_loss": LOSSES[row["study"]]} for row in rows if row["study"] in studies), "scene", "schedule", "shrink", "image_loss")
+    found = groups(
+        ({**row, "image_loss": LOSSES[row["study"]]} for row in rows if row["study"] in studies),
+        "scene",
+        "schedule",
+        "shrink",
+        "image_loss",
+    )
     return {key: found[key] for key in sorted(found, key=lambda key: (-key[1], key[0], key[3] == "printed"))}
 
 
@@ -199,9 +280,19 @@ def sweep(rows: list[dict], charts: Path) -> str:
         found = {row["run"]: row for row in those}
         lines.append([case(those[0]), loss, *(counted(found[run]) if run in found else "" for run in names)])
         name = f"lambda-{scene}-{shrink}-{schedule:g}-{loss}"
-        curve_chart([(run.replace("lambda_F", "λ_F"), found[run]["curves"]) for run in names if run in found], case(those[0]), charts / f"{name}.svg")
+        curve_chart(
+            [(run.replace("lambda_F", "λ_F"), found[run]["curves"]) for run in names if run in found],
+            case(those[0]),
+            charts / f"{name}.svg",
+        )
         pictures.append(f"![{case(those[0])}, {loss} loss](results/{name}.svg)\n")
-    return table(["scene", "loss", *(run.replace("lambda_F", "λ_F") for run in names)], lines) + "\n" + "\n".join(pictures)
+    return (
+        table(["scene", "loss", *(run.replace("lambda_F", "λ_F") for run in names)], lines)
+        + "\n"
+        + "\n".join(pictures)
+    )
 
 
-PARTS: dict[str, Callable[[list[dict], Path], str]] = {part.__name__: part for part in (commands, pruning, few, in_time, other_figures, points, paper, sweep)}
+PARTS: dict[str, Callable[[list[dict], Path], str]] = {
+    part.__name__: part for part in (commands, pruning, few, in_time, other_figures, points, paper, sweep)
+}

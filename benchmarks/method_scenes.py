@@ -9,17 +9,27 @@ from pathlib import Path
 import OpenImageIO as oiio
 
 ROOT = Path(__file__).resolve().parents[1]
-GENERATED = {"demo": "plaza", "room": "room", "portrait": "portrait", "row": "row"}  # name of a dataset: scene of tests/demo_scene
+# name of a dataset: scene of tests/demo_scene
+GENERATED = {"demo": "plaza", "room": "room", "portrait": "portrait", "row": "row"}
 
 
 def prepared(name: str, folder: Path | None, work: Path, shrink: int) -> list[str]:
-    """The flags --colmap and --images of a scene. folder None: one of GENERATED, which is made in `work`. shrink: reduction per side."""
+    """The flags --colmap and --images of a scene. folder None: one of GENERATED, which is made in `work`.
+    shrink: reduction per side."""
     work.mkdir(parents=True, exist_ok=True)
     if folder is None:
         if name not in GENERATED:
-            sys.exit(f"scene '{name}' has no folder: give --scene {name}=DIR, or one of the generated scenes: {', '.join(GENERATED)}")
+            sys.exit(
+                f"scene '{name}' has no folder: give --scene {name}=DIR, or one of the generated scenes:"
+                f" {', '.join(GENERATED)}"
+            )
         folder = work / "dataset"
-        subprocess.run([sys.executable, "-m", "tests.demo_scene", str(folder), "--scene", GENERATED[name]], cwd=ROOT, check=True, stdout=sys.stderr)
+        subprocess.run(
+            [sys.executable, "-m", "tests.demo_scene", str(folder), "--scene", GENERATED[name]],
+            cwd=ROOT,
+            check=True,
+            stdout=sys.stderr,
+        )
     if shrink == 1:
         return ["--colmap", str(folder)]
     images = work / f"images_{shrink}"

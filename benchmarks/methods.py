@@ -1,20 +1,28 @@
 """Every method in the same trainer: scenes x methods x seeds, one row of figures per run.
 
-    .venv/bin/python benchmarks/methods.py --scene NAME=DIR ... [--study NAME ...] [--schedule 0.1] [--shrink 2] [--seeds 1]
+    .venv/bin/python benchmarks/methods.py --scene NAME=DIR ... [--study NAME ...] [--schedule 0.1] [--shrink
+    2] [--seeds 1]
     .venv/bin/python benchmarks/methods.py --scene demo=build/demo/scene            # a folder that exists
-    .venv/bin/python benchmarks/methods.py --scene demo --scene room --scene portrait --scene row   # the generated scenes, made if missing
-    .venv/bin/python benchmarks/methods.py --show docs                              # writes docs/results.md and its charts from the rows
+    .venv/bin/python benchmarks/methods.py --scene demo --scene room --scene portrait --scene row   # the generated scenes, made
+                                                                                                    if missing
+    .venv/bin/python benchmarks/methods.py --show docs                              # writes docs/results.md and
+                                                                                    its charts from the rows
 
-Rows are added to --rows (default docs/results/rows.jsonl), one JSON object per line. A run whose row exists is not run again, so a
-stopped experiment can be continued. --work (default build/methods) holds the scenes that later runs need.
+Rows are added to --rows (default docs/results/rows.jsonl), one JSON object per line. A run whose row exists
+is not run again, so a stopped experiment can be continued. --work (default build/methods) holds the scenes
+that later runs need.
 
-    table     `svrgs train` with each method from sparse points, all with the published schedule times --schedule
+    table     `svrgs train` with each method from sparse points, all with the published schedule times
+              --schedule
     lambda    the sweep of lambda_F of the paper, from sparse points
-    printed   the runs of the paper's tables and its sweep, with the weights of the image loss that it prints: L1 + (1 - SSIM)
-    pareto    `svrgs prune` of the scene of `table` that --start names (trained with the schedule --trained), every method at several counts
+    printed   the runs of the paper's tables and its sweep, with the weights of the image loss that it prints:
+              L1 + (1 - SSIM)
+    pareto    `svrgs prune` of the scene of `table` that --start names (trained with the schedule --trained),
+              every method at several counts
     ablation  the same with method `removal`, with one part of it changed at a time
     schedules the same with the default and its nearest rivals, down to 2 %; to be run with several --schedule
-    time      the same to 10 %, where each method has the same seconds (`--time`); to be run on a quiet machine. --only 10 runs one limit
+    time      the same to 10 %, where each method has the same seconds (`--time`); to be run on a quiet
+              machine. --only 10 runs one limit
 """
 
 from __future__ import annotations
@@ -32,7 +40,21 @@ from method_scenes import GENERATED, prepared
 from svrgs_addon.finetune.methods import METHODS
 
 ROOT = Path(__file__).resolve().parents[1]
-KEPT = ("psnr", "ssim", "lpips", "flip", "count", "bytes", "seconds", "ms_per_frame", "iterations", "before", "curves", "peak_memory_bytes", "time")
+KEPT = (
+    "psnr",
+    "ssim",
+    "lpips",
+    "flip",
+    "count",
+    "bytes",
+    "seconds",
+    "ms_per_frame",
+    "iterations",
+    "before",
+    "curves",
+    "peak_memory_bytes",
+    "time",
+)
 ITERATIONS, RECOVERY = 30_000, 5_000
 
 TABLE = {
@@ -53,8 +75,14 @@ TABLE = {
 }
 STARTS = ("3DGS", "MCMC")  # runs of `table` whose scenes are pruned
 PAPER = ("3DGS", "MaskGS alpha", "SVR-GS", "Scenario A", "Scenario B")  # the runs of its tables
-SWEEP = {f"lambda_F {value}": ["--method", "svr", "--lambda-f", value] for value in ("1e-4", "1.25e-4", "1.6e-4", "2e-4")}
-PRINTED = "from svrgs_addon.finetune.methods import METHODS; [setattr(m, 'image_weights', (1.0, 1.0)) for m in METHODS.values()]"
+SWEEP = {
+    f"lambda_F {value}": ["--method", "svr", "--lambda-f", value]
+    for value in ("1e-4", "1.25e-4", "1.6e-4", "2e-4")
+}
+PRINTED = (
+    "from svrgs_addon.finetune.methods import METHODS; [setattr(m, 'image_weights', (1.0, 1.0)) for m in"
+    " METHODS.values()]"
+)
 DEEP = ("0.25", "0.1", "0.05", "0.02")
 TARGETS = ("0.5", "0.25", "0.1", "0.05")
 RIVALS = (
@@ -64,7 +92,8 @@ RIVALS = (
 LIMITS = (10, 30, 60, 120)  # seconds
 IN_TIME = ("removal", "maskgs", "gns", "speedy")
 OURS = ("svr", "svr-self", "svr-even", "saliency", "removal")
-AS_MANY_STEPS = ["--recovery", "8000"]  # for methods that only recover: 3 000 + 5 000, as many steps as the others
+# for methods that only recover: 3 000 + 5 000, as many steps as the others
+AS_MANY_STEPS = ["--recovery", "8000"]
 
 
 def pareto() -> dict[str, list[str]]:
@@ -92,9 +121,21 @@ STUDIES = {
     "printed": {run: TABLE[run] for run in PAPER} | SWEEP,
     "lambda": SWEEP,
     "pareto": pareto(),
-    "ablation": {f"{label} {target}": ["--method", "removal", "--target", target] for target in ("0.17", "0.05") for label in ABLATION},
-    "schedules": {f"{method} {target}": ["--method", method, "--target", target] for target in DEEP for method in ("removal", "maskgs", "gns")},
-    "time": {f"{method} {limit} s": ["--method", method, "--target", "0.1", "--time", str(limit)] for limit in LIMITS for method in IN_TIME},
+    "ablation": {
+        f"{label} {target}": ["--method", "removal", "--target", target]
+        for target in ("0.17", "0.05")
+        for label in ABLATION
+    },
+    "schedules": {
+        f"{method} {target}": ["--method", method, "--target", target]
+        for target in DEEP
+        for method in ("removal", "maskgs", "gns")
+    },
+    "time": {
+        f"{method} {limit} s": ["--method", method, "--target", "0.1", "--time", str(limit)]
+        for limit in LIMITS
+        for method in IN_TIME
+    },
 }
 PRUNED = ("pareto", "ablation", "schedules", "time")  # studies that prune the 3DGS scene of `table`
 
@@ -105,7 +146,9 @@ def requests(options: argparse.Namespace) -> Iterator[dict]:
         for seed in range(options.seeds):
             for study in options.study:
                 for label, flags in STUDIES[study].items():
-                    if options.only and not any(word == label or word in label.split() for word in options.only):
+                    if options.only and not any(
+                        word == label or word in label.split() for word in options.only
+                    ):
                         continue
                     yield {
                         "study": study, "scene": scene.partition("=")[0], "run": label, "flags": flags, "seed": seed,
@@ -118,11 +161,19 @@ def command(request: dict, data: list[str], work: Path) -> list[str]:
     """The svrgs command of a run. data: its flags --colmap and --images."""
     out = work / f"{request['study']}.ply"
     kept = request["study"] == "table" and request["run"] in STARTS
-    trained = work / f"{request['run'] if kept else request['start']}-{request['seed']}-{request['trained']}.ply"
+    trained = (
+        work / f"{request['run'] if kept else request['start']}-{request['seed']}-{request['trained']}.ply"
+    )
     schedule = [] if request["study"] == "time" else ["--schedule", str(request["schedule"])]
     common = [*request["flags"], *data, "--seed", str(request["seed"]), *schedule, "--json", "--quiet"]
-    change = {"ablation": ABLATION.get(request["run"].rpartition(" ")[0]), "printed": PRINTED}.get(request["study"])
-    program = [sys.executable, "-c", f"import sys; {change or 'pass'}\nfrom svrgs_addon.cli.main import main\nsys.exit(main())"]
+    change = {"ablation": ABLATION.get(request["run"].rpartition(" ")[0]), "printed": PRINTED}.get(
+        request["study"]
+    )
+    program = [
+        sys.executable,
+        "-c",
+        f"import sys; {change or 'pass'}\nfrom svrgs_addon.cli.main import main\nsys.exit(main())",
+    ]
     if request["study"] in PRUNED:
         return [*program, "prune", str(trained), "--out", str(out), *common]
     return [*program, "train", "--out", str(trained if kept else out), *common]
@@ -135,11 +186,20 @@ def measured(request: dict, data: list[str], work: Path) -> dict:
     if done.returncode:
         return {**request, "error": (done.stderr.strip().splitlines() or ["no message"])[-1]}
     result = json.loads(done.stdout)
-    return {**request, "wall_seconds": time.time() - started, **{key: result[key] for key in KEPT if key in result}}
+    return {
+        **request,
+        "wall_seconds": time.time() - started,
+        **{key: result[key] for key in KEPT if key in result},
+    }
 
 
 def key(row: dict) -> str:
-    return json.dumps([row[name] for name in ("study", "scene", "run", "flags", "seed", "schedule", "trained", "start", "shrink")])
+    return json.dumps(
+        [
+            row[name]
+            for name in ("study", "scene", "run", "flags", "seed", "schedule", "trained", "start", "shrink")
+        ]
+    )
 
 
 def read_rows(path: Path) -> list[dict]:
@@ -157,34 +217,72 @@ def run(options: argparse.Namespace):
         row = measured(request, data, work)
         with options.rows.open("a") as file:
             file.write(json.dumps(row) + "\n")
-        figures = row.get("error") or f"{row['count']:,} Gaussians, {row['psnr']:.2f} dB, {row['wall_seconds']:.0f} s"
+        figures = (
+            row.get("error")
+            or f"{row['count']:,} Gaussians, {row['psnr']:.2f} dB, {row['wall_seconds']:.0f} s"
+        )
         print(f"{row['scene']}, {row['study']}, {row['run']}, seed {row['seed']}: {figures}", flush=True)
 
 
 def folder_of(options: argparse.Namespace, scene: str) -> Path | None:
     """The folder of a scene's dataset; None for a generated scene, unless a folder is given."""
-    return next((Path(folder) for name, _, folder in (given.partition("=") for given in options.scene) if name == scene and folder), None)
+    return next(
+        (
+            Path(folder)
+            for name, _, folder in (given.partition("=") for given in options.scene)
+            if name == scene and folder
+        ),
+        None,
+    )
 
 
 def parsed() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument(
         "--scene",
         action="append",
         default=[],
         metavar="NAME=DIR",
-        help=f"name and folder of a COLMAP dataset; without a folder: a generated scene ({', '.join(GENERATED)})",
+        help=(
+            "name and folder of a COLMAP dataset; without a folder: a generated scene"
+            f" ({', '.join(GENERATED)})"
+        ),
     )
     parser.add_argument("--study", action="append", choices=list(STUDIES), help="default: all")
-    parser.add_argument("--only", action="append", metavar="WORD", help="only runs of this name, or with this word in it")
-    parser.add_argument("--schedule", type=float, default=0.1, help="share of the published 30 000 + 5 000 iterations (default: 0.1)")
-    parser.add_argument("--trained", type=float, help=f"with {', '.join(PRUNED)}: the schedule of the scene that is pruned (default: --schedule)")
-    parser.add_argument("--start", choices=STARTS, default="3DGS", help="with these studies: the run of `table` whose scene is pruned (default: 3DGS)")
-    parser.add_argument("--shrink", type=int, default=1, help="reduction of the photographs per side (default: 1)")
+    parser.add_argument(
+        "--only", action="append", metavar="WORD", help="only runs of this name, or with this word in it"
+    )
+    parser.add_argument(
+        "--schedule",
+        type=float,
+        default=0.1,
+        help="share of the published 30 000 + 5 000 iterations (default: 0.1)",
+    )
+    parser.add_argument(
+        "--trained",
+        type=float,
+        help=f"with {', '.join(PRUNED)}: the schedule of the scene that is pruned (default: --schedule)",
+    )
+    parser.add_argument(
+        "--start",
+        choices=STARTS,
+        default="3DGS",
+        help="with these studies: the run of `table` whose scene is pruned (default: 3DGS)",
+    )
+    parser.add_argument(
+        "--shrink", type=int, default=1, help="reduction of the photographs per side (default: 1)"
+    )
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--rows", type=Path, default=ROOT / "docs" / "results" / "rows.jsonl")
     parser.add_argument("--work", type=Path, default=ROOT / "build" / "methods")
-    parser.add_argument("--show", type=Path, metavar="DIR", help="write results.md and results/*.svg to this folder, and run nothing")
+    parser.add_argument(
+        "--show",
+        type=Path,
+        metavar="DIR",
+        help="write results.md and results/*.svg to this folder, and run nothing",
+    )
     options = parser.parse_args()
     options.study = options.study or list(STUDIES)
     return options

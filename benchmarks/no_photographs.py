@@ -1,9 +1,12 @@
-"""How good and how quick pruning without photographs is: measures against the original on unseen views, by share of the Gaussians.
+"""How good and how quick pruning without photographs is: measures against the original on unseen views, by
+share of the Gaussians.
 
-python benchmarks/no_photographs.py ORIGINAL.ply [OTHER.ply ...] [--shares 0.5,0.25] [--ways quick,tuned] [--out TABLE.md]
+python benchmarks/no_photographs.py ORIGINAL.ply [OTHER.ply ...] [--shares 0.5,0.25] [--ways quick,tuned]
+[--out TABLE.md]
 
-OTHER: reductions of the original by other programs, measured on the same views. Each row of the table: PSNR in dB, SSIM and FLIP as means of
-50 views from above, at 1.55 half diagonals from the middle, none of which a job has used; seconds and peak memory of the whole command. With
+OTHER: reductions of the original by other programs, measured on the same views. Each row of the table: PSNR
+in dB, SSIM and FLIP as means of 50 views from above, at 1.55 half diagonals from the middle, none of which a
+job has used; seconds and peak memory of the whole command. With
 --cameras, the views are those of a cameras.json or transforms.json instead.
 """
 
@@ -45,7 +48,8 @@ WAYS = {  # name: (what the table calls it, options of svrgs prune)
 
 
 def views_from_above(scene: Scene) -> list[Camera]:
-    """VIEWS cameras on the upper half of the sphere, y down, nearer than those of the quick way and turned against them."""
+    """VIEWS cameras on the upper half of the sphere, y down, nearer than those of the quick way and turned
+    against them."""
     middle, _ = middle_and_radius(scene)
     cameras = cameras_around(scene, 2 * VIEWS, SIDE, turn=2.0, nearer=0.97)
     return [camera for camera in cameras if camera.position[1] < middle[1]]
@@ -55,7 +59,9 @@ def measures(scene: Scene, original: Scene, cameras: list[Camera]) -> tuple[floa
     """PSNR, SSIM and FLIP against the original, means over the views."""
     rasterizer, options, rows = Rasterizer(), render_options(original), []
     for camera in cameras:
-        images = [rounded_to_8_bits(rasterizer.forward(some, camera, options)["rgb"]) for some in (scene, original)]
+        images = [
+            rounded_to_8_bits(rasterizer.forward(some, camera, options)["rgb"]) for some in (scene, original)
+        ]
         rows.append((psnr(*images), ssim(*images), flip(*images)))
     found = [fmean(column) for column in zip(*rows, strict=True)]
     return found[0], found[1], found[2]
@@ -64,7 +70,11 @@ def measures(scene: Scene, original: Scene, cameras: list[Camera]) -> tuple[floa
 def run(*words: object) -> tuple[float, float]:
     """Runs `svrgs`. Seconds and peak memory in bytes of the command."""
     started = time.perf_counter()
-    child = subprocess.Popen([sys.executable, "-m", "svrgs_addon", *map(str, words)], stdout=subprocess.DEVNULL, cwd=Path(__file__).resolve().parents[1])
+    child = subprocess.Popen(
+        [sys.executable, "-m", "svrgs_addon", *map(str, words)],
+        stdout=subprocess.DEVNULL,
+        cwd=Path(__file__).resolve().parents[1],
+    )
     _, status, usage = os.wait4(child.pid, 0)
     child.returncode = os.waitstatus_to_exitcode(status)
     if child.returncode:
@@ -78,9 +88,20 @@ def pruned(way: str, path: Path, share: float, folder: Path) -> tuple[Scene, flo
     if way == "once":
         rig = folder / "rig.json"
         placed = run("rig", path, "--out", rig)
-        seconds, memory = run("select", path, "--cameras", rig, "--lowest-removal-error", 1 - share, "--invert", "--out", out)
+        seconds, memory = run(
+            "select", path, "--cameras", rig, "--lowest-removal-error", 1 - share, "--invert", "--out", out
+        )
         return load_scene(out).scene, placed[0] + seconds, max(placed[1], memory)
-    seconds, memory = run("prune", path, *WAYS[way][1], "--target", share, "--out", out, *(() if way == "quick" else ("--quiet",)))
+    seconds, memory = run(
+        "prune",
+        path,
+        *WAYS[way][1],
+        "--target",
+        share,
+        "--out",
+        out,
+        *(() if way == "quick" else ("--quiet",)),
+    )
     return load_scene(out).scene, seconds, memory
 
 
@@ -91,8 +112,18 @@ def rows(path: Path, words: argparse.Namespace) -> list[str]:
         for way in words.ways:
             for share in words.shares:
                 small, seconds, memory = pruned(way, path, share, Path(folder))
-                lines.append(line(f"{WAYS[way][0]}, {share:.1%}", small, original, cameras, f"{seconds:.1f} | {memory / 1e9:.2f}"))
-    return lines + [line(other.name, load_scene(other).scene, original, cameras, " | ") for other in words.others]
+                lines.append(
+                    line(
+                        f"{WAYS[way][0]}, {share:.1%}",
+                        small,
+                        original,
+                        cameras,
+                        f"{seconds:.1f} | {memory / 1e9:.2f}",
+                    )
+                )
+    return lines + [
+        line(other.name, load_scene(other).scene, original, cameras, " | ") for other in words.others
+    ]
 
 
 def line(name: str, small: Scene, original: Scene, cameras: list[Camera], cost: str) -> str:
@@ -107,13 +138,18 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("original", type=Path)
     parser.add_argument("others", type=Path, nargs="*")
-    parser.add_argument("--shares", type=lambda text: [float(part) for part in text.split(",")], default=SHARES)
+    parser.add_argument(
+        "--shares", type=lambda text: [float(part) for part in text.split(",")], default=SHARES
+    )
     parser.add_argument("--ways", type=lambda text: text.split(","), default=list(WAYS))
     parser.add_argument("--cameras", type=Path, help="views to measure on")
     parser.add_argument("--out", type=Path, help="file to append the table to")
     words = parser.parse_args()
     found = "\n".join(rows(words.original, words))
-    table = f"## {words.original.stem}\n\n| what | Gaussians | PSNR, dB | SSIM | FLIP | seconds | GB |\n|---|---:|---:|---:|---:|---:|---:|\n{found}\n"
+    table = (
+        f"## {words.original.stem}\n\n| what | Gaussians | PSNR, dB | SSIM | FLIP | seconds | GB"
+        f" |\n|---|---:|---:|---:|---:|---:|---:|\n{found}\n"
+    )
     if words.out:
         with open(words.out, "a", encoding="utf-8") as file:
             file.write("\n" + table)

@@ -1,7 +1,9 @@
-"""Runs one train or prune job and measures where its time and memory go. It reads a request from stdin and writes an answer to stdout, as JSON.
+"""Runs one train or prune job and measures where its time and memory go. It reads a request from stdin and
+writes an answer to stdout, as JSON.
 
-Request: colmap, out, kind ("train" or "prune"), iterations, recovery, seed, profile (bool); scene (prune only); settings to change:
-"phase", by name those of the first phase (settings.Phase), and "run", by name those of the run (settings.Settings).
+Request: colmap, out, kind ("train" or "prune"), iterations, recovery, seed, profile (bool); scene (prune
+only); settings to change: "phase", by name those of the first phase (settings.Phase), and "run", by name
+those of the run (settings.Settings).
 """
 
 from __future__ import annotations
@@ -40,12 +42,14 @@ def time_native_calls() -> dict[str, float]:
 
 
 def stages(profile: cProfile.Profile) -> dict[str, float]:
-    """Seconds of each function of the package, without native calls: its own time, and its share of the time of other packages that it
-    calls."""
-    found = pstats.Stats(profile).stats  # (file, line, name): calls, primitive calls, own time, time with callees, {caller: the same four}
+    """Seconds of each function of the package, without native calls: its own time, and its share of the time
+    of other packages that it calls."""
+    # (file, line, name): calls, primitive calls, own time, time with callees, {caller: the same four}
+    found = pstats.Stats(profile).stats
     ours = {key for key in found if key[0].startswith(PACKAGE)}
     native = {key for key in found if key[2] in ("timed_native_call", "call_library")}
-    below: dict[tuple, dict[tuple, float]] = {key: {} for key in found}  # caller: {function of another package: the caller's share of its time}
+    # caller: {function of another package: the caller's share of its time}
+    below: dict[tuple, dict[tuple, float]] = {key: {} for key in found}
     for key in found.keys() - ours - native:
         callers = found[key][4]
         total = sum(times[3] for times in callers.values()) or 1.0
@@ -54,9 +58,14 @@ def stages(profile: cProfile.Profile) -> dict[str, float]:
 
     @functools.cache
     def seconds(key: tuple, depth: int) -> float:
-        return found[key][2] + sum(share * seconds(child, depth - 1) for child, share in below[key].items() if depth)
+        return found[key][2] + sum(
+            share * seconds(child, depth - 1) for child, share in below[key].items() if depth
+        )
 
-    named = {f"{Path(file).stem}.{name}": seconds((file, line, name), LIBRARY_DEPTH) for file, line, name in ours - native}
+    named = {
+        f"{Path(file).stem}.{name}": seconds((file, line, name), LIBRARY_DEPTH)
+        for file, line, name in ours - native
+    }
     return dict(sorted(named.items(), key=lambda item: -item[1])[:STAGES_SHOWN])
 
 
@@ -68,7 +77,13 @@ def settings_of(request: dict):
 
     iterations, recovery, seed = request["iterations"], request["recovery"], request["seed"]
     if request["kind"] == "train":
-        settings = train_plan(method_named("3dgs"), iterations, recovery, seed=seed, densify=Densify(until=int(0.6 * iterations)))
+        settings = train_plan(
+            method_named("3dgs"),
+            iterations,
+            recovery,
+            seed=seed,
+            densify=Densify(until=int(0.6 * iterations)),
+        )
     else:
         settings = prune_plan(method_named("svr"), iterations, recovery, seed=seed, min_contribution=0.02)
     first, *rest = settings.phases
@@ -84,7 +99,9 @@ def run_job(request: dict) -> dict:
     native = time_native_calls()
     dataset = load_dataset(Path(request["colmap"]), need_points=request["kind"] == "train")
     base, counts = peak(), [0]
-    options = train_and_prune.JobContext(Path(request["out"]), observe=lambda progress: counts.append(progress.count))
+    options = train_and_prune.JobContext(
+        Path(request["out"]), observe=lambda progress: counts.append(progress.count)
+    )
     profile = cProfile.Profile()
     if request["profile"]:
         profile.enable()

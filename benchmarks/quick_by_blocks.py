@@ -2,7 +2,8 @@
 
 python benchmarks/quick_by_blocks.py SPLAT... [--target 0.25] [--max-drop DB]
 
-Prints a row for each splat: Gaussians, seconds, and the mean PSNR in dB against the original on views that svrgs rig places with three other seeds.
+Prints a row for each splat: Gaussians, seconds, and the mean PSNR in dB against the original on views that
+svrgs rig places with three other seeds.
 """
 
 from __future__ import annotations
@@ -38,23 +39,36 @@ def main():
     words.add_argument("--max-drop", type=float, default=0.0, metavar="DB", help="instead of --target")
     given = words.parse_args()
     goal = {"max_drop": given.max_drop} if given.max_drop else {"target": given.target}
-    print("| scene | way | Gaussians | s |", *(f"dB, {side}×{side} |" for side in SIDES), "\n|---|---|---:|---:|" + "---:|" * len(SIDES))
+    print(
+        "| scene | way | Gaussians | s |",
+        *(f"dB, {side}×{side} |" for side in SIDES),
+        "\n|---|---|---:|---:|" + "---:|" * len(SIDES),
+    )
     for splat in given.splats:
         scene = load_scene(splat).scene
         rigs = [place_rig(scene, seed=seed).held_out for seed in SEEDS]
         with tempfile.TemporaryDirectory() as folder:
             options = PruneOptions(scene=splat, out=Path(folder) / "out.ply", quick=True, quiet=True, **goal)
-            for way, job in {"in memory": prune_scene, "by blocks": lambda o: prune_large(o, JobContext(o.out), "asked for")}.items():
+            for way, job in {
+                "in memory": prune_scene,
+                "by blocks": lambda o: prune_large(o, JobContext(o.out), "asked for"),
+            }.items():
                 result = job(options)
                 small = load_scene(options.out).scene
                 values = [fmean(likeness(scene, small, rig, side) for rig in rigs) for side in SIDES]
-                print(f"| {splat.stem} | {way} | {result['count']:,} | {result['seconds']:.0f} |", *(f"{value:.2f} |" for value in values), flush=True)
+                print(
+                    f"| {splat.stem} | {way} | {result['count']:,} | {result['seconds']:.0f} |",
+                    *(f"{value:.2f} |" for value in values),
+                    flush=True,
+                )
 
 
 def likeness(scene: Scene, small: Scene, views: Sequence[Camera], side: int) -> float:
     """Mean PSNR in dB of the pictures of `small`, side x side pixels."""
     rasterizer, settings = Rasterizer(), render_options(scene)
-    picture = lambda one, view: rounded_to_8_bits(rasterizer.forward(one, view.resized(side, side), settings)["rgb"])  # noqa: E731
+    picture = lambda one, view: rounded_to_8_bits(
+        rasterizer.forward(one, view.resized(side, side), settings)["rgb"]
+    )
     return fmean(psnr(picture(small, view), picture(scene, view)) for view in views)
 
 

@@ -1,4 +1,5 @@
-"""A picture of a splat before and after pruning, from a view of its dataset, with the spatial masks F of both: for README.
+"""A picture of a splat before and after pruning, from a view of its dataset, with the spatial masks F of
+both: for README.
 
 python -m benchmarks.side_by_side BEFORE.ply AFTER.ply DATASET OUT.jpg [--view N] [--height PIXELS]
 """
@@ -35,12 +36,16 @@ def main():
     columns = []
     for name, path in (("Original", given.before), ("Pruned", given.after)):
         scene = load_scene(path).scene
-        images = Rasterizer().forward(scene, camera, render_options(scene, mask_kind="svr"), outputs=("rgb", "mask"))
+        images = Rasterizer().forward(
+            scene, camera, render_options(scene, mask_kind="svr"), outputs=("rgb", "mask")
+        )
         columns.append((f"{name}: {scene.count:,} Gaussians, {path.stat().st_size / 1e6:.1f} MB", images))
     top = max(images["mask"].max() for _, images in columns)
     rows = [[labelled(to_uint8(images["rgb"]), text) for text, images in columns]]
     masks = [to_uint8(color_maps.colored(images["mask"], top)) for _, images in columns]
-    rows.append([labelled(mask, "Spatial mask F" + ", same scale" * number) for number, mask in enumerate(masks)])
+    rows.append(
+        [labelled(mask, "Spatial mask F" + ", same scale" * number) for number, mask in enumerate(masks)]
+    )
     write(given.out, np.concatenate([line(row) for row in rows]))
 
 
@@ -55,7 +60,9 @@ def labelled(image: np.ndarray, text: str) -> np.ndarray:
     """The image with white text, black edged, in its lower left corner."""
     picture = oiio.ImageBuf(np.ascontiguousarray(image))
     size = max(12, image.shape[0] // 22)
-    oiio.ImageBufAlgo.render_text(picture, MARGIN, image.shape[0] - MARGIN, text, size, "", (1, 1, 1), shadow=2)
+    oiio.ImageBufAlgo.render_text(
+        picture, MARGIN, image.shape[0] - MARGIN, text, size, "", (1, 1, 1), shadow=2
+    )
     return picture.get_pixels(oiio.UINT8)
 
 

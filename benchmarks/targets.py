@@ -1,13 +1,16 @@
-"""How close methods come to a target: the Gaussians that masks alone would leave against a share, or the dB lost against an allowed drop.
+"""How close methods come to a target: the Gaussians that masks alone would leave against a share, or the dB
+lost against an allowed drop.
 
-    .venv/bin/python benchmarks/targets.py --colmap DIR --scene TRAINED.ply [--methods svr,maskgs] [--shares 0.5,0.25] [--json]
-    .venv/bin/python benchmarks/targets.py --colmap DIR --scene TRAINED.ply --methods removal,svr --drops 0.2,0.5,1 [--recovery N]
+    .venv/bin/python benchmarks/targets.py --colmap DIR --scene TRAINED.ply [--methods svr,maskgs] [--shares
+    0.5,0.25] [--json]
+    .venv/bin/python benchmarks/targets.py --colmap DIR --scene TRAINED.ply --methods removal,svr --drops
+    0.2,0.5,1 [--recovery N]
 
 Further options (--images DIR, --schedule 0.3) are passed to `svrgs prune`.
 
-`make demo` makes a dataset and a trained scene: build/demo/scene and build/demo/trained.ply. It prints one row, of JSON or of a table, per
-method and share or drop. The error of a share is relative, that of a drop is in dB. The final ranking, which meets a share exactly, is not
-part of the figure.
+`make demo` makes a dataset and a trained scene: build/demo/scene and build/demo/trained.ply. It prints one
+row, of JSON or of a table, per method and share or drop. The error of a share is relative, that of a drop is
+in dB. The final ranking, which meets a share exactly, is not part of the figure.
 """
 
 from __future__ import annotations
@@ -25,8 +28,18 @@ COLUMNS = ("method", "asked", "target", "reached", "error", "strength", "psnr be
 
 
 def row(options: argparse.Namespace, method: str, flag: str, asked: float, folder: Path) -> dict:
-    """The figures of one run. flag: --target or --max-drop; asked: its value. It ends the program if the run fails."""
-    words = ["--iterations", options.iterations, "--recovery", options.recovery, "--out", folder / f"{method}.ply", "--quiet", "--json"]
+    """The figures of one run. flag: --target or --max-drop; asked: its value. It ends the program if the run
+    fails."""
+    words = [
+        "--iterations",
+        options.iterations,
+        "--recovery",
+        options.recovery,
+        "--out",
+        folder / f"{method}.ply",
+        "--quiet",
+        "--json",
+    ]
     command = [
         sys.executable,
         "-m",
@@ -53,7 +66,11 @@ def row(options: argparse.Namespace, method: str, flag: str, asked: float, folde
     elif result["reached"] is None:
         sys.exit(f"{method} learns no masks, so there is nothing to compare")
     else:
-        figures |= {"target": result["target"], "reached": result["reached"], "error": result["reached"] / result["target"] - 1}
+        figures |= {
+            "target": result["target"],
+            "reached": result["reached"],
+            "error": result["reached"] / result["target"] - 1,
+        }
     return {"method": method, "asked": f"{flag} {asked}", **figures, "psnr before": result["before"]["psnr"]}
 
 
@@ -62,11 +79,13 @@ def as_text(value) -> str:
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--colmap", type=Path, required=True)
     parser.add_argument("--scene", type=Path, required=True)
     parser.add_argument("--methods", default="svr,maskgs", type=lambda text: text.split(","))
-    numbers = lambda text: [float(part) for part in text.split(",")]  # noqa: E731
+    numbers = lambda text: [float(part) for part in text.split(",")]
     parser.add_argument("--shares", default="0.5,0.25", type=numbers)
     parser.add_argument("--drops", type=numbers, help="allowed drops in dB, instead of shares")
     parser.add_argument("--iterations", type=int, default=3_000)
@@ -82,7 +101,12 @@ def main():
         for method in options.methods:
             for asked in values:
                 found = row(options, method, flag, asked, Path(folder))
-                print(json.dumps(found) if options.json else "| " + " | ".join(as_text(found[name]) for name in COLUMNS) + " |", flush=True)
+                print(
+                    json.dumps(found)
+                    if options.json
+                    else "| " + " | ".join(as_text(found[name]) for name in COLUMNS) + " |",
+                    flush=True,
+                )
 
 
 if __name__ == "__main__":

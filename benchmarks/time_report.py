@@ -16,16 +16,33 @@ def in_time(rows: list[dict], charts: Path) -> str:
         if row["study"] == "time":
             by_scene[row["scene"]].append({**row, "method": row["run"].split()[0]})
     parts = [part for scene, those in by_scene.items() for part in of_scene(scene, those, charts)]
-    return "\n".join([*parts, nearness([row for those in by_scene.values() for row in those])]) if parts else ""
+    return (
+        "\n".join([*parts, nearness([row for those in by_scene.values() for row in those])]) if parts else ""
+    )
 
 
 def of_scene(scene: str, rows: list[dict], charts: Path) -> list[str]:
     """The lines of one scene: its chart, and PSNR and share of the schedule of each method in each time."""
-    methods, limits = sorted({row["method"] for row in rows}, key=lambda name: (name != "removal", name)), sorted({row["time"]["asked"] for row in rows})
-    curves = {name: sorted((row["time"]["used"], row["psnr"]) for row in rows if row["method"] == name) for name in methods}
+    methods, limits = (
+        sorted({row["method"] for row in rows}, key=lambda name: (name != "removal", name)),
+        sorted({row["time"]["asked"] for row in rows}),
+    )
+    curves = {
+        name: sorted((row["time"]["used"], row["psnr"]) for row in rows if row["method"] == name)
+        for name in methods
+    }
     before = rows[0]["before"]
-    time_chart(curves, before["psnr"], f"{scene}, 10 % of {before['count']:,} Gaussians", charts / f"time-{scene}.svg")
-    lines = [f"![PSNR over seconds](results/time-{scene}.svg)", "", f"| {scene} (PSNR before {before['psnr']:.2f}) | {' | '.join(methods)} |"]
+    time_chart(
+        curves,
+        before["psnr"],
+        f"{scene}, 10 % of {before['count']:,} Gaussians",
+        charts / f"time-{scene}.svg",
+    )
+    lines = [
+        f"![PSNR over seconds](results/time-{scene}.svg)",
+        "",
+        f"| {scene} (PSNR before {before['psnr']:.2f}) | {' | '.join(methods)} |",
+    ]
     lines.append("|---" * (1 + len(methods)) + "|")
     for limit in limits:
         found = {row["method"]: row for row in rows if row["time"]["asked"] == limit}
@@ -43,6 +60,6 @@ def nearness(rows: list[dict]) -> str:
     errors = [row["time"]["used"] / row["time"]["foreseen"] - 1 for row in rows]
     over = sum(row["time"]["used"] > row["time"]["asked"] for row in rows)
     return (
-        f"The seconds used differed from those foreseen by {fmean(map(abs, errors)):.0%} in the mean, {min(errors):+.0%} to {max(errors):+.0%}; "
-        f"{over} of {len(rows)} jobs took longer than asked.\n"
+        f"The seconds used differed from those foreseen by {fmean(map(abs, errors)):.0%} in the mean,"
+        f" {min(errors):+.0%} to {max(errors):+.0%}; {over} of {len(rows)} jobs took longer than asked.\n"
     )

@@ -18,7 +18,8 @@ scene, dataset, rasterizer = load_scene(splat).scene, load_dataset(folder), Rast
 options = render_options(scene, dataset.background)
 cameras = [dataset.cameras[i] for i in dataset.train_indices]
 
-score = removal_errors(scene, cameras, rasterizer, options)  # (N,): growth of the squared error without each Gaussian
+# (N,): growth of the squared error without each Gaussian
+score = removal_errors(scene, cameras, rasterizer, options)
 half = scene.select(top(score, scene.count // 2))
 write_scene(out, half)
 

@@ -1,4 +1,5 @@
-"""When the camera of a photograph becomes the scene's camera, the scene gets the image size and the pixel aspect of the photograph.
+"""When the camera of a photograph becomes the scene's camera, the scene gets the image size and the pixel
+aspect of the photograph.
 
 This happens once per change of the camera. A user who sets another size afterwards keeps it.
 """

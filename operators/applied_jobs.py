@@ -1,7 +1,8 @@
 """The files of a job are deleted when the .blend file is saved and its result, applied or trained, is in it.
 
-Until then they stay, so that a crash loses nothing. An undo of Apply needs no files: marks and ranks are in the scene. After it, the
-job belongs to its original again. If the file is never saved, the job list shows the job as finished.
+Until then they stay, so that a crash loses nothing. An undo of Apply needs no files: marks and ranks are in
+the scene. After it, the job belongs to its original again. If the file is never saved, the job list shows the
+job as finished.
 """
 
 from __future__ import annotations
@@ -25,13 +26,18 @@ def note(original: bpy.types.Object | None, pruned: bpy.types.Object):
 
 
 def is_applied(folder: str) -> bool:
-    """Whether the result of the job in this folder is in the file, and its files are deleted when that is saved."""
+    """Whether the result of the job in this folder is in the file, and its files are deleted when that is
+    saved."""
     return any(in_file.get(obj.session_uid) == folder for obj in _applied())
 
 
 def _applied() -> list[bpy.types.Object]:
     """The applied and the trained splats in the file that still have a job."""
-    return [obj for obj in bpy.data.objects if obj.session_uid in in_file and obj.users_collection and not job_result.undecided(obj)]
+    return [
+        obj
+        for obj in bpy.data.objects
+        if obj.session_uid in in_file and obj.users_collection and not job_result.undecided(obj)
+    ]
 
 
 @persistent

@@ -1,7 +1,8 @@
 """Apply and Discard: the two ways to end the comparison of an original with its pruned splat.
 
-Apply keeps the Gaussians that are shown, including those of the original that the slider Keep brought back. The original stays,
-hidden, until it is discarded. Both are ordinary splats from then on. The job's files go when the file is saved (applied_jobs.py).
+Apply keeps the Gaussians that are shown, including those of the original that the slider Keep brought back.
+The original stays, hidden, until it is discarded. Both are ordinary splats from then on. The job's files go
+when the file is saved (applied_jobs.py).
 """
 
 from __future__ import annotations
@@ -20,8 +21,8 @@ class SVRGS_OT_apply(bpy.types.Operator):
     bl_idname = "svrgs.apply"
     bl_label = "Apply"
     bl_description = (
-        "Keep the Gaussians that are shown and delete the others from the pruned splat. The original stays, hidden. "
-        "The files of the job are deleted when the .blend file is saved"
+        "Keep the Gaussians that are shown and delete the others from the pruned splat. The original stays,"
+        " hidden. The files of the job are deleted when the .blend file is saved"
     )
     bl_options = {"REGISTER", "UNDO"}
 
@@ -29,7 +30,11 @@ class SVRGS_OT_apply(bpy.types.Operator):
     def poll(cls, context):
         _, pruned = job_result.pair_of(context.object)
         undecided = job_result.undecided(pruned)
-        problem = edit_guard.problem(context, pruned) if undecided else tr("Select a pruned splat that was not applied yet")
+        problem = (
+            edit_guard.problem(context, pruned)
+            if undecided
+            else tr("Select a pruned splat that was not applied yet")
+        )
         if problem:
             cls.poll_message_set(problem)
         return not problem
@@ -48,7 +53,11 @@ class SVRGS_OT_apply(bpy.types.Operator):
         job_result.settle(original, pruned)
         applied_jobs.note(original, pruned)
         select(context, [pruned])
-        text = tr("Kept {kept:,} Gaussians, {size}") if original is None else tr("Kept {kept:,} of {count:,} Gaussians, {size}")
+        text = (
+            tr("Kept {kept:,} Gaussians, {size}")
+            if original is None
+            else tr("Kept {kept:,} of {count:,} Gaussians, {size}")
+        )
         total = bridge.count(original) if original is not None else 0
         self.report({"INFO"}, text.format(kept=scene.count, count=total, size=size_text(pruned, scene.count)))
         return {"FINISHED"}
@@ -80,7 +89,9 @@ class SVRGS_OT_discard(bpy.types.Operator):
         original, pruned = job_result.pair_of(context.object)
         assert original is not None and pruned is not None  # see poll
         job = job_of(original)
-        problem = tr("Apply the result first: it still needs the original") if job_result.undecided(pruned) else ""
+        problem = (
+            tr("Apply the result first: it still needs the original") if job_result.undecided(pruned) else ""
+        )
         if not problem and job is not None and is_busy(job):
             problem = tr("A job is running on '{name}': stop it first").format(name=original.name)
         if self.what == "ORIGINAL" and problem:

@@ -1,12 +1,17 @@
-"""Blender's objects <-> Scene of svrgs_addon: splats, and the empties above them. Cameras are in bridge_cameras.py.
+"""Blender's objects <-> Scene of svrgs_addon: splats, and the empties above them. Cameras are in
+bridge_cameras.py.
 
-A splat is a point cloud, or a mesh of points in Blender 4.2, which has no point clouds. Its attributes are those of Blender 5.3's own
-splats (svrgs_addon/scene/attribute_layout.py):
+A splat is a point cloud, or a mesh of points in Blender 4.2, which has no point clouds. Its attributes are
+those of Blender 5.3's own splats (svrgs_addon/scene/attribute_layout.py):
 
-- The numbers are those of the file. The matrix of the object, or of its root, turns them into Blender's coordinates.
-- `scale` and opacity are activated and `rotation` is normalised. The raw values lie in attributes `svrgs:...`; one is used as long as
-  its activation equals the attribute. After an edit, and in splats of Blender's own import, the activation is inverted.
-- Each further column of a file is an attribute of its own. Types and order of the columns, and the file's comments, are a property
+- The numbers are those of the file. The matrix of the object, or of its root, turns them into Blender's
+  coordinates.
+- `scale` and opacity are activated and `rotation` is normalised. The raw values lie in attributes
+  `svrgs:...`; one is used as long as
+  its activation equals the attribute. After an edit, and in splats of Blender's own import, the activation is
+  inverted.
+- Each further column of a file is an attribute of its own. Types and order of the columns, and the file's
+  comments, are a property
   of the data-block.
 """
 
@@ -21,22 +26,47 @@ import numpy as np
 from bpy.app.translations import pgettext_iface as tr
 from mathutils import Matrix
 
-from ..svrgs_addon.scene.attribute_layout import BASE, POSITION, RAW_POSITION, REQUIRED, SH, from_attributes, notes_of, to_attributes
+from ..svrgs_addon.scene.attribute_layout import (
+    BASE,
+    POSITION,
+    RAW_POSITION,
+    REQUIRED,
+    SH,
+    from_attributes,
+    notes_of,
+    to_attributes,
+)
 from ..svrgs_addon.scene.gaussians import Scene
 from ..svrgs_addon.scene.moved_points import moved_parts
 from ..svrgs_addon.system.errors import SceneError, SplatError
 
 NOTES = "svrgs"  # property of a splat's data-block: types and order of further columns, comments
-Y_DOWN = "svrgs_y_down"  # property of a splat without a root: whether its import has turned it from y down to z up; default True
+# property of a splat without a root: whether its import has turned it from y down to z up; default True
+Y_DOWN = "svrgs_y_down"
 SAME_PLACE = 1e-6  # difference between matrices in float32 that means nothing
 ROOT = "svrgs_root"  # property of an empty: its children share the coordinates of the files
-DATASET, IMAGES = "svrgs_dataset", "svrgs_images"  # properties of a root: folder of its dataset, name of the image folder in it
+# properties of a root: folder of its dataset, name of the image folder in it
+DATASET, IMAGES = "svrgs_dataset", "svrgs_images"
 POINTS = "svrgs_points"  # property of a root: number of sparse points in its dataset
 TYPES = ("MESH", "POINTCLOUD")
-AXES = Matrix(((1, 0, 0, 0), (0, 0, 1, 0), (0, -1, 0, 0), (0, 0, 0, 1)))  # 3DGS files have y down, Blender has z up
-VALUE = {"FLOAT_VECTOR": "vector", "FLOAT2": "vector", "FLOAT4": "vector", "FLOAT_COLOR": "color"}  # name of the values; other types: value
-COPIED = ("FLOAT", "INT", "BOOLEAN", "INT8", "FLOAT_VECTOR", "FLOAT_COLOR", "FLOAT4", "QUATERNION", "INT32_2D")  # data types that can be copied
-WIDTH = {"FLOAT_VECTOR": 3, "FLOAT_COLOR": 4, "FLOAT4": 4, "QUATERNION": 4, "INT32_2D": 2}  # numbers per value; other types: 1
+# 3DGS files have y down, Blender has z up
+AXES = Matrix(((1, 0, 0, 0), (0, 0, 1, 0), (0, -1, 0, 0), (0, 0, 0, 1)))
+# name of the values; other types: value
+VALUE = {"FLOAT_VECTOR": "vector", "FLOAT2": "vector", "FLOAT4": "vector", "FLOAT_COLOR": "color"}
+# data types that can be copied
+COPIED = (
+    "FLOAT",
+    "INT",
+    "BOOLEAN",
+    "INT8",
+    "FLOAT_VECTOR",
+    "FLOAT_COLOR",
+    "FLOAT4",
+    "QUATERNION",
+    "INT32_2D",
+)
+# numbers per value; other types: 1
+WIDTH = {"FLOAT_VECTOR": 3, "FLOAT_COLOR": 4, "FLOAT4": 4, "QUATERNION": 4, "INT32_2D": 2}
 
 
 # --- splats
@@ -54,11 +84,15 @@ def count(obj: bpy.types.Object) -> int:
 
 def sh_degree(obj: bpy.types.Object) -> int:
     """SH degree that a file of the splat would have: up to the first band that is not complete."""
-    bands = (all(_attribute(obj.data, f"{SH}{k}") for k in range(n * n - 1, (n + 1) ** 2 - 1)) for n in (1, 2, 3))
+    bands = (
+        all(_attribute(obj.data, f"{SH}{k}") for k in range(n * n - 1, (n + 1) ** 2 - 1)) for n in (1, 2, 3)
+    )
     return len(list(itertools.takewhile(bool, bands)))
 
 
-def object_from_scene(name: str, scene: Scene, collection: bpy.types.Collection, matrix: Matrix = AXES) -> bpy.types.Object:
+def object_from_scene(
+    name: str, scene: Scene, collection: bpy.types.Collection, matrix: Matrix = AXES
+) -> bpy.types.Object:
     """A new splat in the collection. matrix: from the scene's coordinates to Blender's world."""
     obj = bpy.data.objects.new(name, _mesh(name, scene))
     if "POINTCLOUD" in bpy.ops.object.convert.get_rna_type().properties["target"].enum_items:  # from 4.5 on
@@ -71,14 +105,17 @@ def object_from_scene(name: str, scene: Scene, collection: bpy.types.Collection,
 def scene_from_object(obj: bpy.types.Object) -> Scene:
     """The Gaussians of a splat in its local coordinates, which are those of the file. Raises SceneError."""
     if not is_splat(obj):
-        raise SceneError(tr("'{name}' is not a Gaussian splat").format(name=obj.name) if obj else tr("there is no object"))
+        raise SceneError(
+            tr("'{name}' is not a Gaussian splat").format(name=obj.name) if obj else tr("there is no object")
+        )
     with _current_data(obj) as data:
         numbers = [a.name for a in data.attributes if a.domain == "POINT" and a.data_type == "FLOAT"]
         return from_attributes(lambda name: _get(data, name), numbers, obj.data.get(NOTES, ""))
 
 
 def sample_scene(obj: bpy.types.Object) -> Scene:
-    """A scene of one Gaussian with the columns, comments and order of a splat, which is not read: all values are 1."""
+    """A scene of one Gaussian with the columns, comments and order of a splat, which is not read: all values
+    are 1."""
     numbers = [a.name for a in obj.data.attributes if a.domain == "POINT" and a.data_type == "FLOAT"]
     return from_attributes(lambda name: _ones(obj.data, name), numbers, obj.data.get(NOTES, ""))
 
@@ -89,10 +126,14 @@ def values(obj: bpy.types.Object, name: str) -> np.ndarray | None:
 
 
 def stored_values(obj: bpy.types.Object, name: str) -> np.ndarray:
-    """As values(), of an attribute that this extension has added. Raises SplatError if it was deleted since."""
+    """As values(), of an attribute that this extension has added. Raises SplatError if it was deleted
+    since."""
     found = values(obj, name)
     if found is None:
-        text = tr("'{name}' has lost its attribute '{attribute}': undo its deletion, or discard the result and prune again")
+        text = tr(
+            "'{name}' has lost its attribute '{attribute}': undo its deletion, or discard the result and"
+            " prune again"
+        )
         raise SplatError(text.format(name=obj.name, attribute=name))
     return found
 
@@ -111,13 +152,19 @@ def remove_values(obj: bpy.types.Object, *names: str):
 
 
 def further_values(obj: bpy.types.Object) -> list[tuple[str, str, np.ndarray]]:
-    """Name, Blender's data type and values of the attributes that have one value per Gaussian, apart from those that Blender hides."""
-    kinds = {a.name: a.data_type for a in obj.data.attributes if a.domain == "POINT" and not a.name.startswith(".") and a.data_type in COPIED}
+    """Name, Blender's data type and values of the attributes that have one value per Gaussian, apart from
+    those that Blender hides."""
+    kinds = {
+        a.name: a.data_type
+        for a in obj.data.attributes
+        if a.domain == "POINT" and not a.name.startswith(".") and a.data_type in COPIED
+    }
     return [(name, kind, stored_values(obj, name)) for name, kind in kinds.items()]
 
 
 def replace_gaussians(obj: bpy.types.Object, scene: Scene):
-    """Gives the splat other Gaussians. Object, materials and properties stay. Objects that share its data keep the former Gaussians."""
+    """Gives the splat other Gaussians. Object, materials and properties stay. Objects that share its data
+    keep the former Gaussians."""
     old, name = obj.data, obj.data.name
     new = _mesh(name, scene) if obj.type == "MESH" else _point_cloud(name, scene)
     for material in old.materials:
@@ -131,7 +178,8 @@ def replace_gaussians(obj: bpy.types.Object, scene: Scene):
 
 
 def copy_with(obj: bpy.types.Object, name: str, scene: Scene) -> bpy.types.Object:
-    """A copy of the splat with other Gaussians, in the same collection: with its place, modifiers and constraints, not its properties."""
+    """A copy of the splat with other Gaussians, in the same collection: with its place, modifiers and
+    constraints, not its properties."""
     copy = obj.copy()
     copy.name = name
     for key in [key for key in copy.keys() if key.startswith("svrgs_") and key != Y_DOWN]:
@@ -149,7 +197,8 @@ def write_gaussians(obj: bpy.types.Object, scene: Scene):
 
 
 def record_positions(obj: bpy.types.Object) -> bool:
-    """Stores where the points of a splat are now, if that was never stored. Returns whether it was stored now."""
+    """Stores where the points of a splat are now, if that was never stored. Returns whether it was stored
+    now."""
     if _attribute(obj.data, RAW_POSITION):
         return False
     _set(obj.data, RAW_POSITION, "FLOAT_VECTOR", stored_values(obj, POSITION))
@@ -197,7 +246,8 @@ def _current_data(obj: bpy.types.Object):
 
 
 def _to_point_cloud(obj: bpy.types.Object):
-    """Converts the mesh object to a point cloud, in a temporary scene: the user's selection and mode do not change."""
+    """Converts the mesh object to a point cloud, in a temporary scene: the user's selection and mode do not
+    change."""
     mesh, name = obj.data, obj.data.name
     temp_scene = bpy.data.scenes.new("svrgs")
     try:
@@ -205,7 +255,12 @@ def _to_point_cloud(obj: bpy.types.Object):
         layer = temp_scene.view_layers[0]
         layer.objects.active = obj
         obj.select_set(True, view_layer=layer)
-        override = {"active_object": obj, "object": obj, "selected_objects": [obj], "selected_editable_objects": [obj]}
+        override = {
+            "active_object": obj,
+            "object": obj,
+            "selected_objects": [obj],
+            "selected_editable_objects": [obj],
+        }
         with bpy.context.temp_override(scene=temp_scene, view_layer=layer, **override):
             bpy.ops.object.convert(target="POINTCLOUD")
         temp_scene.collection.objects.unlink(obj)
@@ -263,22 +318,27 @@ def _attribute(data, name: str):
 
 
 def between(source: bpy.types.Object, target: bpy.types.Object) -> np.ndarray:
-    """(4, 4) float64 from the local coordinates of one object to those of another. Objects in the same place give exactly the identity."""
+    """(4, 4) float64 from the local coordinates of one object to those of another. Objects in the same place
+    give exactly the identity."""
     return _relative(target.matrix_world, source.matrix_world)
 
 
 def to_file(obj: bpy.types.Object, matrix: Matrix) -> np.ndarray:
-    """(4, 4) float64 from local coordinates to those of the file that the splat was imported from, or of its dataset.
+    """(4, 4) float64 from local coordinates to those of the file that the splat was imported from, or of its
+    dataset.
 
-    matrix: from local coordinates to Blender's world. Whatever the user has moved since is part of the result; if nothing was moved, it
-    is exactly the identity.
+    matrix: from local coordinates to Blender's world. Whatever the user has moved since is part of the
+    result; if nothing was moved, it is exactly the identity.
     """
     root = root_of(obj)
-    return _relative(root.matrix_world if root is not None else AXES if obj.get(Y_DOWN, True) else Matrix(), matrix)
+    return _relative(
+        root.matrix_world if root is not None else AXES if obj.get(Y_DOWN, True) else Matrix(), matrix
+    )
 
 
 def move_below(obj: bpy.types.Object, root: bpy.types.Object | None):
-    """Puts a splat below a root, or below nothing, where its file's coordinates are those of the root, or y down as after an import."""
+    """Puts a splat below a root, or below nothing, where its file's coordinates are those of the root, or y
+    down as after an import."""
     place = Matrix(to_file(obj, obj.matrix_world))
     if root is not None:
         parent_to_root(obj, root)
@@ -289,25 +349,33 @@ def move_below(obj: bpy.types.Object, root: bpy.types.Object | None):
 
 
 def to_world(matrix: Matrix, y_down: bool) -> np.ndarray:
-    """(4, 4) float64 from local coordinates to Blender's world, or to the same world with y down. matrix: from them to Blender's world."""
+    """(4, 4) float64 from local coordinates to Blender's world, or to the same world with y down. matrix:
+    from them to Blender's world."""
     return _relative(AXES if y_down else Matrix(), matrix)
 
 
 def in_local(obj: bpy.types.Object, matrix: Matrix) -> np.ndarray:
-    """(4, 4) float64 from the coordinates of an instance of the object to those of the object. matrix: from them to Blender's world."""
+    """(4, 4) float64 from the coordinates of an instance of the object to those of the object. matrix: from
+    them to Blender's world."""
     return _relative(obj.matrix_world, matrix)
 
 
 def _relative(target: Matrix, source: Matrix) -> np.ndarray:
     """target⁻¹ · source; the identity where only rounding is between them."""
     matrix = np.linalg.solve(np.array(target, np.float64), np.array(source, np.float64))
-    return np.eye(4) if np.abs(matrix - np.eye(4)).max() < SAME_PLACE * max(1.0, np.abs(matrix[:3, 3]).max()) else matrix
+    return (
+        np.eye(4)
+        if np.abs(matrix - np.eye(4)).max() < SAME_PLACE * max(1.0, np.abs(matrix[:3, 3]).max())
+        else matrix
+    )
 
 
 # --- roots: empties whose children share the coordinates of the files
 
 
-def points_object(name: str, points: np.ndarray, colors: np.ndarray, collection: bpy.types.Collection) -> bpy.types.Object:
+def points_object(
+    name: str, points: np.ndarray, colors: np.ndarray, collection: bpy.types.Collection
+) -> bpy.types.Object:
     """A mesh of points (P, 3) float32 with colours (P, 3) uint8, display sRGB."""
     mesh = bpy.data.meshes.new(name)
     mesh.vertices.add(len(points))

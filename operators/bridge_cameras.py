@@ -20,31 +20,44 @@ CLIP_END = 100  # in extents of all cameras
 FLIP = np.diag((1.0, -1.0, -1.0, 1.0))  # Blender's cameras look along -z with y up, ours along z with y down
 
 
-def camera_from_object(obj: bpy.types.Object, scene: bpy.types.Scene, size: tuple[int, int] | None = None) -> Camera:
+def camera_from_object(
+    obj: bpy.types.Object, scene: bpy.types.Scene, size: tuple[int, int] | None = None
+) -> Camera:
     """The view of a camera object, in Blender's world.
 
-    size: (width, height) in pixels, with the scene's pixel aspect. Default: the size and aspect of the photograph, or of the scene's
-    render if the camera has no photograph. obj: an evaluated object if animation matters. Raises SceneError if the object is not a
-    camera (Blender accepts any object as the scene's camera), and if the camera is neither perspective nor orthographic.
+    size: (width, height) in pixels, with the scene's pixel aspect. Default: the size and aspect of the
+    photograph, or of the scene's render if the camera has no photograph. obj: an evaluated object if
+    animation matters. Raises SceneError if the object is not a camera (Blender accepts any object as the
+    scene's camera), and if the camera is neither perspective nor orthographic.
     """
     if obj.type != "CAMERA":
-        raise SceneError(tr("'{name}' is no camera: choose a camera as the scene's camera").format(name=obj.name))
+        raise SceneError(
+            tr("'{name}' is no camera: choose a camera as the scene's camera").format(name=obj.name)
+        )
     data, render = obj.data, scene.render
     if data.type not in ("PERSP", "ORTHO"):
-        text = tr("camera '{name}' is neither perspective nor orthographic: splats cannot be drawn from other cameras")
+        text = tr(
+            "camera '{name}' is neither perspective nor orthographic: splats cannot be drawn from other"
+            " cameras"
+        )
         raise SceneError(text.format(name=obj.name))
     aspect = (render.pixel_aspect_x, render.pixel_aspect_y)
     if size is None:
-        size, aspect = (tuple(data[SIZE]), tuple(data[ASPECT])) if SIZE in data else (render_size(scene), aspect)
+        size, aspect = (
+            (tuple(data[SIZE]), tuple(data[ASPECT])) if SIZE in data else (render_size(scene), aspect)
+        )
     sensor, orthographic = (data.sensor_width, data.sensor_height), data.type == "ORTHO"
     ortho_scale = data.ortho_scale if orthographic else None
-    lens = lenses.Lens(*size, data.lens, (data.shift_x, data.shift_y), aspect, sensor, data.sensor_fit, ortho_scale)
+    lens = lenses.Lens(
+        *size, data.lens, (data.shift_x, data.shift_y), aspect, sensor, data.sensor_fit, ortho_scale
+    )
     viewmat = FLIP @ np.linalg.inv(_without_scale(obj.matrix_world))
     return Camera(viewmat, lenses.intrinsics(lens), *size, data.get(IMAGE, obj.name), orthographic)
 
 
 def camera_to_object(camera: Camera, obj: bpy.types.Object):
-    """Gives the camera object the lens, the image size and the pose of a view, in the coordinates of the object's parent."""
+    """Gives the camera object the lens, the image size and the pose of a view, in the coordinates of the
+    object's parent."""
     data, lens = obj.data, lenses.lens_of(camera)
     data.type, data.sensor_fit = "PERSP", lens.fit
     data.sensor_width, data.sensor_height = lens.sensor
@@ -56,7 +69,8 @@ def camera_to_object(camera: Camera, obj: bpy.types.Object):
 
 
 def new_camera(camera: Camera, extent: float, collection: bpy.types.Collection) -> bpy.types.Object:
-    """A camera object with a view. extent: of all cameras that belong together, in the view's unit of length."""
+    """A camera object with a view. extent: of all cameras that belong together, in the view's unit of
+    length."""
     data = bpy.data.cameras.new(camera.name)
     obj = bpy.data.objects.new(camera.name, data)
     camera_to_object(camera, obj)
@@ -69,7 +83,10 @@ def new_camera(camera: Camera, extent: float, collection: bpy.types.Collection) 
 def render_size(scene: bpy.types.Scene) -> tuple[int, int]:
     """(width, height) of a render in pixels."""
     render = scene.render
-    return tuple(max(1, side * render.resolution_percentage // 100) for side in (render.resolution_x, render.resolution_y))
+    return tuple(
+        max(1, side * render.resolution_percentage // 100)
+        for side in (render.resolution_x, render.resolution_y)
+    )
 
 
 def apply_camera_size(scene: bpy.types.Scene):

@@ -22,14 +22,22 @@ NEARER = 0.8  # distance of a view over the distance of the camera whose photogr
 SAID = 0.5  # degrees: a smaller turn is not worth a word
 
 
-def photographed_view(obj: bpy.types.Object, scene: bpy.types.Scene, objects: list[bpy.types.Object]) -> tuple[Vector, float, Quaternion] | None:
-    """Centre, distance and rotation of a view that shows what the camera `obj` shows of the objects, with the horizon level.
+def photographed_view(
+    obj: bpy.types.Object, scene: bpy.types.Scene, objects: list[bpy.types.Object]
+) -> tuple[Vector, float, Quaternion] | None:
+    """Centre, distance and rotation of a view that shows what the camera `obj` shows of the objects, with the
+    horizon level.
 
-    Its eye is a little in front of the camera, so that the camera itself is not in the picture. None if the camera shows none of them.
+    Its eye is a little in front of the camera, so that the camera itself is not in the picture. None if the
+    camera shows none of them.
     """
     camera = bridge_cameras.camera_from_object(obj, scene)
     parts = list(_points(objects))
-    depth = bounds.median_depth(camera, *(np.concatenate(arrays) for arrays in zip(*parts, strict=True))) if parts else None
+    depth = (
+        bounds.median_depth(camera, *(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+        if parts
+        else None
+    )
     if depth is None:
         return None
     forward = Vector(camera.viewmat[2, :3])
@@ -37,14 +45,17 @@ def photographed_view(obj: bpy.types.Object, scene: bpy.types.Scene, objects: li
 
 
 def sphere_of(objects: list[bpy.types.Object]) -> tuple[Vector, float] | None:
-    """Centre and radius, in Blender's world, of the mass of the splats among the objects; without a splat, of their cameras and points.
+    """Centre and radius, in Blender's world, of the mass of the splats among the objects; without a splat, of
+    their cameras and points.
 
     None if there is nothing of the kind.
     """
     boxes = (bounds.robust_box(points, weights) for points, weights in _points(objects))
     found = [bounds.corners(box, np.eye(4)) for box in boxes if box is not None]
     if not any(map(bridge.is_splat, objects)):
-        found += [np.array([obj.matrix_world.translation], np.float64) for obj in objects if obj.type == "CAMERA"]
+        found += [
+            np.array([obj.matrix_world.translation], np.float64) for obj in objects if obj.type == "CAMERA"
+        ]
     if not found:
         return None
     centre, radius = bounds.sphere_around(np.concatenate(found))
@@ -52,14 +63,17 @@ def sphere_of(objects: list[bpy.types.Object]) -> tuple[Vector, float] | None:
 
 
 def viewing_distance(radius: float, lens: float, width: int, height: int) -> float:
-    """The view distance at which a sphere fits into a viewport of width x height pixels. lens: its focal length in millimetres."""
+    """The view distance at which a sphere fits into a viewport of width x height pixels. lens: its focal
+    length in millimetres."""
     return bounds.viewing_distance(radius, lens, width, height, SENSOR)
 
 
 def level(root: bpy.types.Object, cameras: list[Camera]) -> str:
-    """Turns a root, and all below it, so that the photographs of the cameras stand upright. Returns what was done, in words.
+    """Turns a root, and all below it, so that the photographs of the cameras stand upright. Returns what was
+    done, in words.
 
-    Only a root that stands as an import puts it is turned: else the user has placed it, or it is level already.
+    Only a root that stands as an import puts it is turned: else the user has placed it, or it is level
+    already.
     """
     matrix = np.array(root.matrix_world, np.float64)
     if min(np.abs(matrix - np.array(start)).max() for start in (bridge.AXES, np.eye(4))) > UNTURNED:
@@ -73,14 +87,18 @@ def level(root: bpy.types.Object, cameras: list[Camera]) -> str:
 
 
 def _points(objects: list[bpy.types.Object]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Means (N, 3) in Blender's world and opacities (N,) of each splat; without a splat, the points of each mesh, and ones.
+    """Means (N, 3) in Blender's world and opacities (N,) of each splat; without a splat, the points of each
+    mesh, and ones.
 
     Gaussians marked as removed have the opacity 0.
     """
     splats = [obj for obj in objects if bridge.is_splat(obj)]
     for obj in splats:
         opacities, removed = bridge.stored_values(obj, BASE)[:, 3], bridge.values(obj, REMOVED)
-        yield _in_world(obj, bridge.stored_values(obj, POSITION)), opacities if removed is None else opacities * ~removed
+        yield (
+            _in_world(obj, bridge.stored_values(obj, POSITION)),
+            opacities if removed is None else opacities * ~removed,
+        )
     for obj in () if splats else objects:
         if obj.type == "MESH":
             points = np.empty(3 * len(obj.data.vertices), np.float32)

@@ -1,4 +1,5 @@
-"""Drawing with the graphics card: one quad per Gaussian, blended in display sRGB as in training; and textures over the viewport."""
+"""Drawing with the graphics card: one quad per Gaussian, blended in display sRGB as in training; and textures
+over the viewport."""
 
 from __future__ import annotations
 
@@ -9,13 +10,17 @@ from gpu_extras.batch import batch_for_shader
 from ..svrgs_addon.native.library import thresholds
 
 WIDTH = 4096  # texels in a row of a texture that stores a list
-CONSTANTS = {  # push constants of the quads beside the matrix modelview, as vectors of 4: smaller ones would be padded
+# push constants of the quads beside the matrix modelview, as vectors of 4: smaller ones would be padded
+CONSTANTS = {
     "lens": "focal lengths and centre, in pixels",
     "view": "width and height in pixels, nearest distance, factor on covariances",
-    "mode": "1 for parallel rays, 1 for an antialiased scene, scale and shift from -z to the depth buffer times w",
+    "mode": (
+        "1 for parallel rays, 1 for an antialiased scene, scale and shift from -z to the depth buffer times w"
+    ),
 }
 
-# Ellipse and alpha of a Gaussian are computed as in native/src/kernels/. Names in capitals: thresholds of the native library.
+# Ellipse and alpha of a Gaussian are computed as in native/src/kernels/. Names in capitals: thresholds of the
+# native library.
 VERTEX = """
 ivec2 place(int k) { return ivec2(k % WIDTH, k / WIDTH); }
 
@@ -68,7 +73,8 @@ void main() {
 
 PICTURE_VERTEX = "void main() { uv = 0.5 * pos + 0.5; gl_Position = vec4(pos, 0.0, 1.0); }"
 
-# From display sRGB times alpha to linear times alpha: Blender encodes the viewport for the display afterwards.
+# From display sRGB times alpha to linear times alpha: Blender encodes the viewport for the display
+# afterwards.
 PICTURE_FRAGMENT = """
 void main() {
   vec4 c = texture(image, uv);
@@ -82,7 +88,10 @@ void main() {
 def defines() -> dict[str, float]:
     """The thresholds of the native library, by their names in the shaders."""
     found = thresholds()
-    return {name.upper(): getattr(found, name) for name in ("alpha_cut", "alpha_max", "blur", "frustum_margin", "compensation_floor")}
+    return {
+        name.upper(): getattr(found, name)
+        for name in ("alpha_cut", "alpha_max", "blur", "frustum_margin", "compensation_floor")
+    }
 
 
 class Shaders:
@@ -98,7 +107,8 @@ class Shaders:
         passed.smooth("VEC2", "corner")
         passed.flat("VEC3", "color")
         passed.flat("FLOAT", "opacity")
-        info.push_constant("MAT4", "modelview")  # 112 bytes of push constants in all; every graphics card has 128
+        # 112 bytes of push constants in all; every graphics card has 128
+        info.push_constant("MAT4", "modelview")
         for name in CONSTANTS:
             info.push_constant("VEC4", name)
         for slot, name in enumerate(("order", "geometry", "colors", "hidden")):
@@ -125,7 +135,8 @@ class Shaders:
 
 
 class Target:
-    """The texture that quads are drawn into. (Creating a GPUOffScreen instead would unbind the viewport that is being drawn.)"""
+    """The texture that quads are drawn into. (Creating a GPUOffScreen instead would unbind the viewport that
+    is being drawn.)"""
 
     def __init__(self, width: int, height: int):
         self.width, self.height = width, height
@@ -140,11 +151,14 @@ def texture(rows: np.ndarray, form: str) -> gpu.types.GPUTexture:
     height = max(1, -(-count // WIDTH))
     padded = np.zeros((height * WIDTH, channels), np.float32)
     padded[:count, : rows.shape[1]] = rows
-    return gpu.types.GPUTexture((WIDTH, height), format=form, data=gpu.types.Buffer("FLOAT", padded.size, padded.reshape(-1)))
+    return gpu.types.GPUTexture(
+        (WIDTH, height), format=form, data=gpu.types.Buffer("FLOAT", padded.size, padded.reshape(-1))
+    )
 
 
 def scene_depth(width: int, height: int) -> np.ndarray | None:
-    """The viewport's depth buffer (H, W), in [0, 1], rows from the top. None if Blender draws in another size, as for a render of the viewport."""
+    """The viewport's depth buffer (H, W), in [0, 1], rows from the top. None if Blender draws in another
+    size, as for a render of the viewport."""
     frame = gpu.state.active_framebuffer_get()
     if tuple(frame.viewport_get()) != (0, 0, width, height):
         return None
@@ -154,26 +168,35 @@ def scene_depth(width: int, height: int) -> np.ndarray | None:
 
 
 def depth_texture(depth: np.ndarray, reduction: int) -> gpu.types.GPUTexture:
-    """A depth buffer (H, W), rows from the top, as a texture whose pixels are the largest depths of blocks of reduction x reduction pixels.
+    """A depth buffer (H, W), rows from the top, as a texture whose pixels are the largest depths of blocks of
+    reduction x reduction pixels.
 
-    So a line of one pixel, as those of the grid, hides nothing in a reduced picture. With one pixel of the block it would show as dots.
+    So a line of one pixel, as those of the grid, hides nothing in a reduced picture. With one pixel of the
+    block it would show as dots.
     """
     rows, columns = (min(reduction, side) for side in depth.shape)
     height, width = depth.shape[0] // rows, depth.shape[1] // columns
     blocks = depth[::-1][: height * rows, : width * columns].reshape(height, rows, width, columns)
     values = np.ascontiguousarray(blocks.max(axis=(1, 3)), np.float32).reshape(-1)
-    return gpu.types.GPUTexture((width, height), format="R32F", data=gpu.types.Buffer("FLOAT", values.size, values))
+    return gpu.types.GPUTexture(
+        (width, height), format="R32F", data=gpu.types.Buffer("FLOAT", values.size, values)
+    )
 
 
 def picture_texture(rgba: np.ndarray) -> gpu.types.GPUTexture:
     """(H, W, 4) float32, rows from the top."""
     height, width, _ = rgba.shape
     pixels = np.ascontiguousarray(rgba[::-1]).reshape(-1)
-    return gpu.types.GPUTexture((width, height), format="RGBA16F", data=gpu.types.Buffer("FLOAT", pixels.size, pixels))
+    return gpu.types.GPUTexture(
+        (width, height), format="RGBA16F", data=gpu.types.Buffer("FLOAT", pixels.size, pixels)
+    )
 
 
-def draw_quads(shaders: Shaders, target: Target, lists: dict, hidden: gpu.types.GPUTexture, constants: dict, count: int):
-    """Blends `count` quads into the target. lists: textures order, geometry, colors; constants: modelview and CONSTANTS by name."""
+def draw_quads(
+    shaders: Shaders, target: Target, lists: dict, hidden: gpu.types.GPUTexture, constants: dict, count: int
+):
+    """Blends `count` quads into the target. lists: textures order, geometry, colors; constants: modelview and
+    CONSTANTS by name."""
     with target.frame.bind():
         target.frame.clear(color=(0.0, 0.0, 0.0, 0.0))
         gpu.state.blend_set("ALPHA_PREMULT")
@@ -189,8 +212,11 @@ def draw_quads(shaders: Shaders, target: Target, lists: dict, hidden: gpu.types.
         gpu.state.blend_set("NONE")
 
 
-def draw_over_viewport(shaders: Shaders, image: gpu.types.GPUTexture, columns: tuple[float, float] = (0.0, 1.0)):
-    """Draws a texture of display sRGB times alpha over the viewport. columns: only from this to this share of its width."""
+def draw_over_viewport(
+    shaders: Shaders, image: gpu.types.GPUTexture, columns: tuple[float, float] = (0.0, 1.0)
+):
+    """Draws a texture of display sRGB times alpha over the viewport. columns: only from this to this share of
+    its width."""
     gpu.state.blend_set("ALPHA_PREMULT")
     gpu.state.depth_test_set("NONE")
     shaders.picture.bind()
@@ -199,13 +225,18 @@ def draw_over_viewport(shaders: Shaders, image: gpu.types.GPUTexture, columns: t
     gpu.state.blend_set("NONE")
 
 
-def draw_linear(image: gpu.types.GPUTexture, width: int, height: int, columns: tuple[float, float] = (0.0, 1.0)):
-    """Draws a texture of linear colours times alpha over a region of a render engine. columns: as in draw_over_viewport."""
+def draw_linear(
+    image: gpu.types.GPUTexture, width: int, height: int, columns: tuple[float, float] = (0.0, 1.0)
+):
+    """Draws a texture of linear colours times alpha over a region of a render engine. columns: as in
+    draw_over_viewport."""
     shader, share = gpu.shader.from_builtin("IMAGE"), 0.5 * np.array(_corners(*columns), np.float32) + 0.5
     gpu.state.blend_set("ALPHA_PREMULT")
     shader.bind()
     shader.uniform_sampler("image", image)
-    batch_for_shader(shader, "TRIS", {"pos": (share * (width, height)).astype(np.float32), "texCoord": share}).draw(shader)
+    batch_for_shader(
+        shader, "TRIS", {"pos": (share * (width, height)).astype(np.float32), "texCoord": share}
+    ).draw(shader)
     gpu.state.blend_set("NONE")
 
 

@@ -1,7 +1,7 @@
 """Blender's dependency graph -> the Gaussians of all splats, and cameras.
 
-One splat alone is drawn in its own coordinates, by a camera that is moved there. Several splats, or one that is stretched or
-mirrored, are transformed into world coordinates.
+One splat alone is drawn in its own coordinates, by a camera that is moved there. Several splats, or one that
+is stretched or mirrored, are transformed into world coordinates.
 """
 
 from __future__ import annotations
@@ -53,13 +53,15 @@ class PlacedScene:
         return camera.moved(self.matrix)
 
     def hidden_by(self, triangles: Triangles, camera: Camera) -> Surface | None:
-        """The triangles as the camera (in Blender's world) sees them; depths in units of the scene. None if there are none."""
+        """The triangles as the camera (in Blender's world) sees them; depths in units of the scene. None if
+        there are none."""
         found = surface(triangles, camera)
         return found and found.scaled(1 / self.unit)
 
 
 def visible_scene(obj: bpy.types.Object) -> Scene:
-    """The Gaussians of a splat that are not marked as removed; of a quick result, those that the slider Keep shows."""
+    """The Gaussians of a splat that are not marked as removed; of a quick result, those that the slider Keep
+    shows."""
     return bridge_order.shown(obj.original) or bridge.scene_from_object(obj).select(visible_rows(obj))
 
 
@@ -79,18 +81,25 @@ def splats(depsgraph: bpy.types.Depsgraph, read: Read = visible_scene) -> Placed
 
 
 def placed_splats(depsgraph: bpy.types.Depsgraph) -> Iterator[tuple[bpy.types.Object, Matrix]]:
-    """Every evaluated splat that the graph shows, with its matrix. Blender frees these objects soon: use them at once."""
+    """Every evaluated splat that the graph shows, with its matrix. Blender frees these objects soon: use them
+    at once."""
     return ((i.object, i.matrix_world.copy()) for i in _instances(depsgraph) if bridge.is_splat(i.object))
 
 
 def shown_by(depsgraph: bpy.types.Depsgraph, obj: bpy.types.Object) -> list[tuple[Scene, Matrix]]:
-    """What the graph shows of a splat: it and its instances, with modifiers and without removed Gaussians, and their matrices to the world."""
-    mine = (i for i in _instances(depsgraph) if obj in (i.object.original, i.parent.original if i.is_instance and i.parent else None))
+    """What the graph shows of a splat: it and its instances, with modifiers and without removed Gaussians,
+    and their matrices to the world."""
+    mine = (
+        i
+        for i in _instances(depsgraph)
+        if obj in (i.object.original, i.parent.original if i.is_instance and i.parent else None)
+    )
     return [(visible_scene(i.object), i.matrix_world.copy()) for i in mine if bridge.is_splat(i.object)]
 
 
 def splats_in_view(context: bpy.types.Context) -> Iterator[tuple[bpy.types.Object, Matrix]]:
-    """Every evaluated splat that a viewport shows, with its matrix; also instances. Blender frees these objects soon: use them at once."""
+    """Every evaluated splat that a viewport shows, with its matrix; also instances. Blender frees these
+    objects soon: use them at once."""
     graph, space = context.view_layer.depsgraph, context.space_data
     for obj in context.view_layer.objects:
         if bridge.is_splat(obj) and obj.visible_get(viewport=space):
@@ -99,17 +108,25 @@ def splats_in_view(context: bpy.types.Context) -> Iterator[tuple[bpy.types.Objec
                 yield evaluated, obj.matrix_world.copy()
     if any(_may_instance(obj) for obj in bpy.data.objects):  # the loop over all instances is slow
         for i in graph.object_instances:
-            if i.is_instance and i.show_self and bridge.is_splat(i.object) and i.parent.original.visible_get(viewport=space):
+            if (
+                i.is_instance
+                and i.show_self
+                and bridge.is_splat(i.object)
+                and i.parent.original.visible_get(viewport=space)
+            ):
                 yield i.object, i.matrix_world.copy()
 
 
 def _may_instance(obj: bpy.types.Object) -> bool:
     """Whether the object can show other objects or geometry in several places."""
-    return obj.instance_type != "NONE" or any(modifier.type == "NODES" and modifier.name != HIDE_MODIFIER for modifier in obj.modifiers)
+    return obj.instance_type != "NONE" or any(
+        modifier.type == "NODES" and modifier.name != HIDE_MODIFIER for modifier in obj.modifiers
+    )
 
 
 def placed(scenes: list[tuple[Scene, Matrix]]) -> PlacedScene:
-    """One picture of scenes with their matrices to Blender's world; see the top of this file. Raises SceneError."""
+    """One picture of scenes with their matrices to Blender's world; see the top of this file. Raises
+    SceneError."""
     scene, matrix = scenes[0]
     if len(scenes) == 1 and matrix.determinant() > 0 and stretch(matrix) - 1 <= UNIFORM:
         return PlacedScene(scene, matrix)
@@ -120,13 +137,20 @@ def camera(depsgraph: bpy.types.Depsgraph, override: bpy.types.Object | None = N
     """The evaluated camera of the render. Raises SceneError."""
     obj = override or depsgraph.scene.camera
     if obj is None:
-        raise SceneError(tr("the scene has no camera: add one, or make one the scene's camera (Ctrl Numpad 0)"))
+        raise SceneError(
+            tr("the scene has no camera: add one, or make one the scene's camera (Ctrl Numpad 0)")
+        )
     return obj.evaluated_get(depsgraph)
 
 
 def region_camera(region: bpy.types.Region, view: bpy.types.RegionView3D) -> Camera:
     """The view of a 3D viewport, in Blender's world."""
-    return camera_of_projection(view.window_matrix, bridge_cameras.FLIP @ np.array(view.view_matrix, np.float64), region.width, region.height)
+    return camera_of_projection(
+        view.window_matrix,
+        bridge_cameras.FLIP @ np.array(view.view_matrix, np.float64),
+        region.width,
+        region.height,
+    )
 
 
 def _instances(depsgraph: bpy.types.Depsgraph) -> Iterator:

@@ -13,10 +13,14 @@ _written: set[str] = set()  # names of images that were written since the file w
 PREVIEW = 512  # pixels on the longer side: a wide sidebar shows that many
 
 
-def write_image(name: str, pixels: np.ndarray, preview: np.ndarray | None = None, data: bool = False) -> bpy.types.Image:
-    """Writes `pixels` (H, W, 3), float or uint8, rows from the top, into the image of that name, which is created if needed.
+def write_image(
+    name: str, pixels: np.ndarray, preview: np.ndarray | None = None, data: bool = False
+) -> bpy.types.Image:
+    """Writes `pixels` (H, W, 3), float or uint8, rows from the top, into the image of that name, which is
+    created if needed.
 
-    data: 32-bit numbers in the colour space Non-Color; else 8 bits in display sRGB. preview: (h, w, 3) display sRGB; default: pixels.
+    data: 32-bit numbers in the colour space Non-Color; else 8 bits in display sRGB. preview: (h, w, 3)
+    display sRGB; default: pixels.
     """
     height, width, _ = pixels.shape
     image = bpy.data.images.get(name)
@@ -35,7 +39,8 @@ def write_image(name: str, pixels: np.ndarray, preview: np.ndarray | None = None
 
 
 def read_image(image: bpy.types.Image) -> np.ndarray | None:
-    """(H, W, 3) float32 display sRGB, rows from the top, composited over black; None if the image's file is missing."""
+    """(H, W, 3) float32 display sRGB, rows from the top, composited over black; None if the image's file is
+    missing."""
     width, height = image.size
     if not width or not height:
         return None
@@ -48,7 +53,8 @@ def read_image(image: bpy.types.Image) -> np.ndarray | None:
 
 
 def is_lost(name: str) -> bool:
-    """After a file was opened: whether the image is missing or empty. Blender saves pixels with a file only if the image is packed."""
+    """After a file was opened: whether the image is missing or empty. Blender saves pixels with a file only
+    if the image is packed."""
     image = bpy.data.images.get(name)
     return image is None or (image.source == "GENERATED" and image.packed_file is None)
 
@@ -61,7 +67,8 @@ def pack_written():
             image.use_fake_user = True  # else Blender drops images that nothing shows
             values = np.empty(len(image.pixels), np.float32)
             image.pixels.foreach_get(values)
-            image.pixels.foreach_set(values)  # an image that the user has packed, and that was not written since, would lose its pixels
+            # an image that the user has packed, and that was not written since, would lose its pixels
+            image.pixels.foreach_set(values)
             image.pack()
     _written.clear()
 
@@ -72,12 +79,14 @@ def forget_written():
 
 
 def _is_ours(image: bpy.types.Image) -> bool:
-    """Whether the image is generated, or was and has been packed: not a file that the user has opened in its place."""
+    """Whether the image is generated, or was and has been packed: not a file that the user has opened in its
+    place."""
     return image.source == "GENERATED" or (image.packed_file is not None and not image.filepath)
 
 
 def flattened(pixels: np.ndarray) -> np.ndarray:
-    """(H, W) or (H, W, channels) with rows from the top -> float32 numbers in Blender's order, rows from the bottom."""
+    """(H, W) or (H, W, channels) with rows from the top -> float32 numbers in Blender's order, rows from the
+    bottom."""
     return np.ascontiguousarray(pixels[::-1], np.float32).reshape(-1)
 
 

@@ -1,7 +1,9 @@
-"""Blender's materials -> the base colour of meshes: a colour, a colour attribute of the mesh, or an image on a UV map.
+"""Blender's materials -> the base colour of meshes: a colour, a colour attribute of the mesh, or an image on
+a UV map.
 
-Read is what feeds "Base Color" (or "Color") of the first shader: an Image Texture, a Color Attribute, or the socket's own colour. If
-other nodes lie between, the first image or attribute among them counts. What cannot be read that way has the viewport's colour.
+Read is what feeds "Base Color" (or "Color") of the first shader: an Image Texture, a Color Attribute, or the
+socket's own colour. If other nodes lie between, the first image or attribute among them counts. What cannot
+be read that way has the viewport's colour.
 """
 
 from __future__ import annotations
@@ -21,7 +23,8 @@ from ..svrgs_addon.render.textures import Texture, texture
 PLAIN = (0.8, 0.8, 0.8)  # linear colour of a mesh without a material
 WHITE = (1.0, 1.0, 1.0)
 COLOR_SOCKETS = ("Base Color", "Color")  # of shaders
-ATTRIBUTES = {"VERTEX_COLOR": "layer_name", "ATTRIBUTE": "attribute_name"}  # type of a node -> property with the name of its attribute
+# type of a node -> property with the name of its attribute
+ATTRIBUTES = {"VERTEX_COLOR": "layer_name", "ATTRIBUTE": "attribute_name"}
 
 
 @dataclass(frozen=True)
@@ -85,14 +88,25 @@ def _source(node: bpy.types.Node) -> BaseColor | None:
 
 
 def _image_color(node: bpy.types.Node) -> BaseColor | None:
-    """The image of a node on its UV map; its mean colour if it does not lie on a UV map. None if its file is missing."""
+    """The image of a node on its UV map; its mean colour if it does not lie on a UV map. None if its file is
+    missing."""
     picture = _texture(node.image, node.extension == "REPEAT")
     if picture is None:
         return None
     vector = node.inputs["Vector"]
     coordinates = list(_before(vector))
-    maps = [feeding.uv_map if feeding.type == "UVMAP" else feeding.attribute_name for feeding in coordinates if feeding.type in ("UVMAP", "ATTRIBUTE")]
-    on_uv = not vector.is_linked or maps or any(socket.is_linked and socket.name == "UV" for feeding in coordinates for socket in feeding.outputs)
+    maps = [
+        feeding.uv_map if feeding.type == "UVMAP" else feeding.attribute_name
+        for feeding in coordinates
+        if feeding.type in ("UVMAP", "ATTRIBUTE")
+    ]
+    on_uv = (
+        not vector.is_linked
+        or maps
+        or any(
+            socket.is_linked and socket.name == "UV" for feeding in coordinates for socket in feeding.outputs
+        )
+    )
     if node.projection != "FLAT" or not on_uv:
         return BaseColor(tuple(picture.mean))
     mapping = next((_matrix(feeding) for feeding in coordinates if feeding.type == "MAPPING"), None)
@@ -101,7 +115,10 @@ def _image_color(node: bpy.types.Node) -> BaseColor | None:
 
 def _matrix(node: bpy.types.Node) -> Matrix:
     """What a Mapping node of type Point or Texture does."""
-    location, rotation, scale = (node.inputs[name].default_value if name in node.inputs else (0, 0, 0) for name in ("Location", "Rotation", "Scale"))
+    location, rotation, scale = (
+        node.inputs[name].default_value if name in node.inputs else (0, 0, 0)
+        for name in ("Location", "Rotation", "Scale")
+    )
     matrix = Matrix.LocRotScale(location, Euler(rotation), scale)
     return matrix.inverted_safe() if node.vector_type == "TEXTURE" else matrix
 
@@ -109,7 +126,8 @@ def _matrix(node: bpy.types.Node) -> Matrix:
 # --- images
 
 
-_textures: dict[tuple, tuple[tuple, Texture]] = {}  # (session_uid of an image, repeat) -> what its pixels depend on, and its texture
+# (session_uid of an image, repeat) -> what its pixels depend on, and its texture
+_textures: dict[tuple, tuple[tuple, Texture]] = {}
 
 
 def _texture(image: bpy.types.Image, repeat: bool) -> Texture | None:
@@ -133,7 +151,13 @@ def _version(image: bpy.types.Image) -> tuple:
     except (OSError, ValueError):
         status = None
     file = (status.st_mtime_ns, status.st_size) if status is not None else ()
-    return tuple(image.size), image.colorspace_settings.name, path, file, image.packed_file.size if image.packed_file is not None else 0
+    return (
+        tuple(image.size),
+        image.colorspace_settings.name,
+        path,
+        file,
+        image.packed_file.size if image.packed_file is not None else 0,
+    )
 
 
 def _read(image: bpy.types.Image, repeat: bool) -> Texture | None:

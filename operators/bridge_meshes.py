@@ -1,7 +1,7 @@
 """Blender's meshes -> triangles with normals, base colours and textures.
 
-What an object is in a picture, by its own settings: invisible to the camera (Ray Visibility), a holdout (by itself or by its
-collection), a shadow catcher, or opaque.
+What an object is in a picture, by its own settings: invisible to the camera (Ray Visibility), a holdout (by
+itself or by its collection), a shadow catcher, or opaque.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ from .bridge_materials import BaseColor, base_color
 
 SURFACES = {"MESH", "CURVE", "SURFACE", "FONT", "META"}
 
-Arrays = dict[str, np.ndarray]  # corners, normals (M, 3, 3), colors (M, 3, 3), uvs (M, 3, 2), texture (M,) of one object
+# corners, normals (M, 3, 3), colors (M, 3, 3), uvs (M, 3, 2), texture (M,) of one object
+Arrays = dict[str, np.ndarray]
 
 
 class _Read:
@@ -40,7 +41,10 @@ class _Read:
         """The triangles of an evaluated object in its own coordinates; None if it has none."""
         if obj.type != "MESH":
             return _triangles(obj, self)
-        key = obj.data.as_pointer(), *(slot.material.as_pointer() if slot.material else 0 for slot in obj.material_slots)
+        key = (
+            obj.data.as_pointer(),
+            *(slot.material.as_pointer() if slot.material else 0 for slot in obj.material_slots),
+        )
         if key not in self.meshes:
             self.meshes[key] = _triangles(obj, self)
         return self.meshes[key]
@@ -49,28 +53,41 @@ class _Read:
 def triangles(depsgraph: bpy.types.Depsgraph, cut: bool = False, catchers: bool = False) -> Triangles:
     """All objects that render as surfaces, without splats, in Blender's world.
 
-    cut: all as holdouts. catchers: only shadow catchers; without it, shadow catchers are left out: they show nothing and hide nothing.
+    cut: all as holdouts. catchers: only shadow catchers; without it, shadow catchers are left out: they show
+    nothing and hide nothing.
     """
     parts, read = [], _Read()
     for instance in depsgraph.object_instances:
         obj = instance.object
-        if not instance.show_self or obj.type not in SURFACES or bridge.is_splat(obj) or not obj.visible_camera or obj.is_shadow_catcher != catchers:
+        if (
+            not instance.show_self
+            or obj.type not in SURFACES
+            or bridge.is_splat(obj)
+            or not obj.visible_camera
+            or obj.is_shadow_catcher != catchers
+        ):
             continue
         arrays = read.triangles(obj)
         if arrays is not None:
-            parts.append(_placed(arrays, np.array(instance.matrix_world), cut or _is_holdout(instance, depsgraph)))
+            parts.append(
+                _placed(arrays, np.array(instance.matrix_world), cut or _is_holdout(instance, depsgraph))
+            )
     return _joined(parts, tuple(picture for _, picture in read.textures.values()))
 
 
 def _is_holdout(instance: bpy.types.DepsgraphObjectInstance, depsgraph: bpy.types.Depsgraph) -> bool:
-    """Whether the object or its collection is a holdout, in the view layer or in that of the background set."""
+    """Whether the object or its collection is a holdout, in the view layer or in that of the background
+    set."""
     if instance.object.is_holdout:
         return True
     base = (instance.parent if instance.is_instance else instance.object).original
     scenes = [depsgraph.scene.original]
     while scenes[-1].background_set is not None:
         scenes.append(scenes[-1].background_set.original)
-    layers = [scenes[0].view_layers[depsgraph.view_layer.name], *(scene.view_layers[0] for scene in scenes[1:])]
+    layers = [
+        scenes[0].view_layers[depsgraph.view_layer.name],
+        *(scene.view_layers[0] for scene in scenes[1:]),
+    ]
     return any(base.holdout_get(view_layer=layer) for layer in layers)
 
 
@@ -81,7 +98,10 @@ def _triangles(obj: bpy.types.Object, read: _Read) -> Arrays | None:
     mesh.calc_loop_triangles()
     count = len(mesh.loop_triangles)
     points, vertices = _get(mesh.vertices, "co", 3), _get(mesh.loop_triangles, "vertices", 3, np.int32)
-    corners, slots = _get(mesh.loop_triangles, "loops", 3, np.int32), _get(mesh.loop_triangles, "material_index", 1, np.int32)[:, 0]
+    corners, slots = (
+        _get(mesh.loop_triangles, "loops", 3, np.int32),
+        _get(mesh.loop_triangles, "material_index", 1, np.int32)[:, 0],
+    )
     materials = [read.base_color(slot.material) for slot in obj.material_slots] or [read.base_color(None)]
     slots = np.clip(slots, 0, len(materials) - 1)
     arrays = {
@@ -97,18 +117,35 @@ def _triangles(obj: bpy.types.Object, read: _Read) -> Arrays | None:
     return arrays
 
 
-def _paint(arrays: Arrays, rows: np.ndarray, mesh: bpy.types.Mesh, material: BaseColor, vertices: np.ndarray, corners: np.ndarray, read: _Read):
-    """Gives some triangles the colours of an attribute (black if the mesh has none of that name, as in Blender) or a texture."""
+def _paint(
+    arrays: Arrays,
+    rows: np.ndarray,
+    mesh: bpy.types.Mesh,
+    material: BaseColor,
+    vertices: np.ndarray,
+    corners: np.ndarray,
+    read: _Read,
+):
+    """Gives some triangles the colours of an attribute (black if the mesh has none of that name, as in
+    Blender) or a texture."""
     if material.attribute is not None:
-        attribute = mesh.color_attributes.get(material.attribute) if material.attribute else _render_colors(mesh)
+        attribute = (
+            mesh.color_attributes.get(material.attribute) if material.attribute else _render_colors(mesh)
+        )
         if attribute is None:
             arrays["colors"][rows] = 0
         else:
-            arrays["colors"][rows] = _get(attribute.data, "color", 4)[vertices if attribute.domain == "POINT" else corners][..., :3]
+            arrays["colors"][rows] = _get(attribute.data, "color", 4)[
+                vertices if attribute.domain == "POINT" else corners
+            ][..., :3]
     if material.texture is None:
         return
     layers = mesh.uv_layers
-    layer = layers.get(material.uv_map) if material.uv_map else next((layer for layer in layers if layer.active_render), None)
+    layer = (
+        layers.get(material.uv_map)
+        if material.uv_map
+        else next((layer for layer in layers if layer.active_render), None)
+    )
     if layer is None:
         arrays["colors"][rows] = material.texture.mean
         return
@@ -128,19 +165,33 @@ def _render_colors(mesh: bpy.types.Mesh) -> bpy.types.Attribute | None:
 def _placed(arrays: Arrays, matrix: np.ndarray, holdout: bool) -> Arrays:
     """The triangles of an object in Blender's world."""
     linear = matrix[:3, :3]
-    normals = arrays["normals"] @ np.linalg.inv(linear) if abs(np.linalg.det(linear)) > 0 else arrays["normals"]
+    normals = (
+        arrays["normals"] @ np.linalg.inv(linear) if abs(np.linalg.det(linear)) > 0 else arrays["normals"]
+    )
     normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-30)
     placed = arrays | {"corners": arrays["corners"] @ linear.T + matrix[:3, 3], "normals": normals}
     if np.linalg.det(linear) < 0:  # mirrored: corners in the order that fits the normals
-        placed = {name: values[:, [0, 2, 1]] if values.ndim == 3 else values for name, values in placed.items()}
+        placed = {
+            name: values[:, [0, 2, 1]] if values.ndim == 3 else values for name, values in placed.items()
+        }
     return placed | {"holdout": np.full(len(placed["corners"]), holdout)}
 
 
 def _joined(parts: list[Arrays], textures: tuple[Texture, ...]) -> Triangles:
     shapes = {"corners": (0, 3, 3), "normals": (0, 3, 3), "colors": (0, 3, 3), "uvs": (0, 3, 2)}
-    floats = {name: np.concatenate([np.empty(shape, np.float32), *(part[name] for part in parts)]).astype(np.float32) for name, shape in shapes.items()}
+    floats = {
+        name: (
+            np.concatenate([np.empty(shape, np.float32), *(part[name] for part in parts)]).astype(np.float32)
+        )
+        for name, shape in shapes.items()
+    }
     texture = np.concatenate([np.empty(0, np.int32), *(part["texture"] for part in parts)])
-    return Triangles(**floats, texture=texture, holdout=np.concatenate([np.empty(0, bool), *(part["holdout"] for part in parts)]), textures=textures)
+    return Triangles(
+        **floats,
+        texture=texture,
+        holdout=np.concatenate([np.empty(0, bool), *(part["holdout"] for part in parts)]),
+        textures=textures,
+    )
 
 
 def _get(items, name: str, width: int, dtype=np.float32) -> np.ndarray:

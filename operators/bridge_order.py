@@ -1,6 +1,8 @@
-"""Other numbers of Gaussians of a quick result than its job left: the job has kept the order of its removals and merges (finetune/decimate/saved_order.py).
+"""Other numbers of Gaussians of a quick result than its job left: the job has kept the order of its removals
+and merges (finetune/decimate/saved_order.py).
 
-The data of the splat stay those of the job. What is drawn, compared, exported and applied has the number that the slider Keep shows.
+The data of the splat stay those of the job. What is drawn, compared, exported and applied has the number that
+the slider Keep shows.
 """
 
 from __future__ import annotations
@@ -22,9 +24,12 @@ from ..svrgs_addon.scene.moved_points import common_motion
 from ..svrgs_addon.system.errors import SceneError, SplatError
 from . import bridge, job_paths, pairs
 
-SHOWN = "svrgs_shown"  # property of a pruned splat: the number of Gaussians that is shown instead of the job's own
-JOB = "svrgs_order"  # property of a pruned splat: name of the folder of its job. After an undo its original may have another job
-MOST_AHEAD = 1_000_000  # Gaussians of the original up to which an order is read before it is needed: it takes memory
+# property of a pruned splat: the number of Gaussians that is shown instead of the job's own
+SHOWN = "svrgs_shown"
+# property of a pruned splat: name of the folder of its job. After an undo its original may have another job
+JOB = "svrgs_order"
+# Gaussians of the original up to which an order is read before it is needed: it takes memory
+MOST_AHEAD = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -42,7 +47,8 @@ _problems: dict[str, str] = {}  # by folder: why its order cannot be read
 
 
 def read_ahead(folder: JobFolder):
-    """Begins to read the order of a job, if it has kept one, in a thread: the first position of the slider need not wait for it."""
+    """Begins to read the order of a job, if it has kept one, in a thread: the first position of the slider
+    need not wait for it."""
     if bpy.app.background or not os.path.isfile(folder / ORDER) or folder.request()["count"] > MOST_AHEAD:
         return
     _forget()
@@ -58,15 +64,19 @@ def available(pruned: bpy.types.Object) -> bool:
 
 
 def problem(pruned: bpy.types.Object) -> str:
-    """Why other numbers cannot be shown although the job has kept an order; empty if they can, or if it has kept none."""
+    """Why other numbers cannot be shown although the job has kept an order; empty if they can, or if it has
+    kept none."""
     folder = _folder(pruned)
     if folder and pruned.modifiers:
-        return tr("Remove the modifiers of '{name}' to show other numbers of Gaussians").format(name=pruned.name)
+        return tr("Remove the modifiers of '{name}' to show other numbers of Gaussians").format(
+            name=pruned.name
+        )
     return _problems.get(folder, "")
 
 
 def show(pruned: bpy.types.Object, count: int, own: int):
-    """Shows `count` Gaussians, or as many as there can be. own: those of the job, which are shown as it left them."""
+    """Shows `count` Gaussians, or as many as there can be. own: those of the job, which are shown as it left
+    them."""
     if abs(count - own) <= 1 + own // 2**22:  # a percentage is a float32
         pruned.pop(SHOWN, None)
     elif available(pruned):
@@ -96,7 +106,11 @@ def shown(pruned: bpy.types.Object) -> Scene | None:
 def _folder(pruned: bpy.types.Object) -> str:
     """The folder of the splat's job, if it has kept an order; else empty."""
     folder = job_paths.folder_of(pairs.original_of(pruned))
-    return folder if os.path.basename(folder) == pruned.get(JOB) and os.path.isfile(os.path.join(folder, ORDER)) else ""
+    return (
+        folder
+        if os.path.basename(folder) == pruned.get(JOB) and os.path.isfile(os.path.join(folder, ORDER))
+        else ""
+    )
 
 
 def _order(pruned: bpy.types.Object) -> SavedOrder:
@@ -110,14 +124,19 @@ def _order(pruned: bpy.types.Object) -> SavedOrder:
     means, order = reading.result() if reading else _files(folder)
     motion = common_motion(means, positions) if means.shape == positions.shape else None
     if motion is None:
-        raise SceneError(tr("points of '{name}' were edited, so other numbers of Gaussians cannot be shown").format(name=pruned.name))
+        raise SceneError(
+            tr("points of '{name}' were edited, so other numbers of Gaussians cannot be shown").format(
+                name=pruned.name
+            )
+        )
     order = order.moved(motion)
     _last.append(_Read(str(folder.path), positions, order))
     return order
 
 
 def _files(folder: JobFolder) -> tuple[np.ndarray, SavedOrder]:
-    """The positions (N, 3) of the job's result, and its order; both as in the files. Raises FormatError, SceneError."""
+    """The positions (N, 3) of the job's result, and its order; both as in the files. Raises FormatError,
+    SceneError."""
     return read_scene(folder / "pruned.ply").means, read_order(folder.path, read_scene(folder / "scene.ply"))
 
 

@@ -1,6 +1,8 @@
-"""The selection of a splat: a mask of its Gaussians as an attribute, and the objects that bound a box or a sphere.
+"""The selection of a splat: a mask of its Gaussians as an attribute, and the objects that bound a box or a
+sphere.
 
-Blender's own selection in Edit Mode, of a point cloud or of the vertices of a mesh, is written together with the attribute.
+Blender's own selection in Edit Mode, of a point cloud or of the vertices of a mesh, is written together with
+the attribute.
 """
 
 from __future__ import annotations
@@ -28,13 +30,17 @@ COMBINED = {
     "INTERSECT": lambda before, mask: before & mask,
 }
 
-Views = Callable[[bridge_graph.PlacedScene, str], list[Camera]]  # the views of a splat, in its coordinates; the word as in prune/selection/select.py
+# the views of a splat, in its coordinates; the word as in prune/selection/select.py
+Views = Callable[[bridge_graph.PlacedScene, str], list[Camera]]
 
 
-def find(obj: bpy.types.Object, wanted: Criteria, views: Views, volume: bpy.types.Object | None) -> np.ndarray:
+def find(
+    obj: bpy.types.Object, wanted: Criteria, views: Views, volume: bpy.types.Object | None
+) -> np.ndarray:
     """(N,) bool: the Gaussians of the splat that fulfil the criteria and are not marked as removed.
 
-    wanted: lengths in Blender's units; its box or sphere is UNIT_BOX or UNIT_SPHERE, which `volume` places. Raises SplatError, NativeError.
+    wanted: lengths in Blender's units; its box or sphere is UNIT_BOX or UNIT_SPHERE, which `volume` places.
+    Raises SplatError, NativeError.
     """
     rows = bridge_graph.visible_rows(obj)
     placed = bridge_graph.placed([(bridge.scene_from_object(obj).select(rows), obj.matrix_world.copy())])
@@ -57,7 +63,8 @@ def found_in_edit_mode(obj: bpy.types.Object) -> np.ndarray:
 
 
 def change(obj: bpy.types.Object, mask: np.ndarray, mode: str, invert: bool = False) -> int:
-    """Combines a mask (N,) with the selection of the splat, as COMBINED defines. Returns the number of selected Gaussians.
+    """Combines a mask (N,) with the selection of the splat, as COMBINED defines. Returns the number of
+    selected Gaussians.
 
     invert: what the mask does not mark and pruning has not marked as removed is taken instead.
     """
@@ -92,7 +99,8 @@ def clear(obj: bpy.types.Object):
 
 
 def delete(obj: bpy.types.Object, others: bool):
-    """Deletes the selected Gaussians, or all others, and clears the selection. Raises SceneError if none would be left."""
+    """Deletes the selected Gaussians, or all others, and clears the selection. Raises SceneError if none
+    would be left."""
     left = read(obj) if others else ~read(obj)
     if not left.any():
         raise SceneError(tr("no Gaussian would be left: keep more"))
@@ -105,12 +113,20 @@ def delete(obj: bpy.types.Object, others: bool):
 
 
 def _volume(obj: bpy.types.Object) -> np.ndarray:
-    """(4, 4) float64, from the cube of -1 to 1 to Blender's world: the bounding box of an object, or the size of an empty."""
-    low, high = (np.array([function(corner[k] for corner in obj.bound_box) for k in range(3)]) for function in (min, max))
+    """(4, 4) float64, from the cube of -1 to 1 to Blender's world: the bounding box of an object, or the size
+    of an empty."""
+    low, high = (
+        np.array([function(corner[k] for corner in obj.bound_box) for k in range(3)])
+        for function in (min, max)
+    )
     if obj.type == "EMPTY":
         low, high = np.full(3, -obj.empty_display_size), np.full(3, obj.empty_display_size)
     place = Matrix.Translation(Vector((low + high) / 2)) @ Matrix.Diagonal((*(high - low) / 2, 1.0))
     matrix = np.array(obj.matrix_world @ place, np.float64)
     if not abs(np.linalg.det(matrix)) > 0:
-        raise SceneError(tr("'{name}' has no volume: choose an empty, or an object with a height, a width and a depth").format(name=obj.name))
+        raise SceneError(
+            tr(
+                "'{name}' has no volume: choose an empty, or an object with a height, a width and a depth"
+            ).format(name=obj.name)
+        )
     return matrix

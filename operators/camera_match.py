@@ -1,6 +1,7 @@
 """Which cameras a splat is pruned with: whether they belong to it, and Use Cameras and Part From Cameras.
 
-The check renders a few of the dataset's views, small, in a thread. It starts when the panel is drawn for a splat with photographs.
+The check renders a few of the dataset's views, small, in a thread. It starts when the panel is drawn for a
+splat with photographs.
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ _threads: list[threading.Thread] = []  # at most one
 
 
 def sentence(context) -> str:
-    """What is wrong between the active splat and its photographs; empty if nothing is, or if it is not known yet."""
+    """What is wrong between the active splat and its photographs; empty if nothing is, or if it is not known
+    yet."""
     key = _key(context)
     if key is None:
         return ""
@@ -51,7 +53,11 @@ def check(context) -> str:
 def _key(context) -> tuple | None:
     """What the check depends on; None without a splat or a dataset that is there."""
     obj, (folder, images) = context.object, dataset_of(context)
-    return (obj.data.session_uid, bridge.count(obj), folder, images) if bridge.is_splat(obj) and os.path.exists(folder) else None
+    return (
+        (obj.data.session_uid, bridge.count(obj), folder, images)
+        if bridge.is_splat(obj) and os.path.exists(folder)
+        else None
+    )
 
 
 def _work() -> float | None:
@@ -63,7 +69,9 @@ def _work() -> float | None:
         key = _wanted.pop()
         obj = bpy.context.object
         if key not in _found and key == _key(bpy.context):
-            _threads.append(threading.Thread(target=_check, args=(key, bridge.scene_from_object(obj)), daemon=True))
+            _threads.append(
+                threading.Thread(target=_check, args=(key, bridge.scene_from_object(obj)), daemon=True)
+            )
             _threads[0].start()
     return INTERVAL if _threads or _wanted else None
 
@@ -102,11 +110,15 @@ class SVRGS_OT_use_cameras(bpy.types.Operator):
     bl_description = "Join the selected splats to these cameras, in the coordinates of their dataset"
     bl_options = {"REGISTER", "UNDO"}
 
-    root: StringProperty(name="Cameras", description="Name of the empty above the cameras", options={"HIDDEN"})
+    root: StringProperty(
+        name="Cameras", description="Name of the empty above the cameras", options={"HIDDEN"}
+    )
 
     @classmethod
     def poll(cls, context):
-        problem = next(filter(None, (edit_guard.problem(context, obj) for obj in selected_splats(context))), "")
+        problem = next(
+            filter(None, (edit_guard.problem(context, obj) for obj in selected_splats(context))), ""
+        )
         if not selected_splats(context):
             problem = tr("Select a Gaussian splat first")
         if problem:
@@ -116,14 +128,19 @@ class SVRGS_OT_use_cameras(bpy.types.Operator):
     def execute(self, context):
         root = context.scene.objects.get(self.root)
         if root is None or bridge.ROOT not in root:
-            self.report({"ERROR"}, tr("'{name}' has no imported cameras: choose the empty above them").format(name=self.root))
+            self.report(
+                {"ERROR"},
+                tr("'{name}' has no imported cameras: choose the empty above them").format(name=self.root),
+            )
             return {"CANCELLED"}
         splats = selected_splats(context)
         for obj in splats:
             bridge.move_below(obj, root)
         context.view_layer.update()
         problem = "" if bpy.app.background else sentence(context)
-        done = tr("Joined to the cameras of '{name}'. Splats: {count}").format(name=root.name, count=len(splats))
+        done = tr("Joined to the cameras of '{name}'. Splats: {count}").format(
+            name=root.name, count=len(splats)
+        )
         self.report({"WARNING" if problem else "INFO"}, problem or done)
         return {"FINISHED"}
 
@@ -131,7 +148,10 @@ class SVRGS_OT_use_cameras(bpy.types.Operator):
 class SVRGS_OT_part_from_cameras(bpy.types.Operator):
     bl_idname = "svrgs.part_from_cameras"
     bl_label = "Part From Cameras"
-    bl_description = "Take the selected splats away from their cameras, for instance because those belong to another capture"
+    bl_description = (
+        "Take the selected splats away from their cameras, for instance because those belong to another"
+        " capture"
+    )
     bl_options = {"REGISTER", "UNDO"}
 
     @classmethod

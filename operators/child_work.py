@@ -1,4 +1,5 @@
-"""Short work of a child process that a thread waits for, so that Blender stays usable. A timer then goes on in the main thread."""
+"""Short work of a child process that a thread waits for, so that Blender stays usable. A timer then goes on
+in the main thread."""
 
 from __future__ import annotations
 
@@ -11,11 +12,13 @@ INTERVAL = 0.1  # seconds between two looks whether it is done
 
 
 class ChildWork:
-    """The threads of one kind of work. They must not use bpy. done: called in the main thread after one or several of them have ended."""
+    """The threads of one kind of work. They must not use bpy. done: called in the main thread after one or
+    several of them have ended."""
 
     def __init__(self, done: Callable[[], None]):
         self._done, self._threads = done, list[threading.Thread]()
-        self._timer = self._tick  # Blender knows a timer by its object, and self._tick is another one each time
+        # Blender knows a timer by its object, and self._tick is another one each time
+        self._timer = self._tick
 
     def start(self, work: Callable, *words):
         """Calls work(*words) in a thread. In background mode, it returns after done()."""
@@ -26,7 +29,8 @@ class ChildWork:
             thread.join()
             self._tick()
         elif not bpy.app.timers.is_registered(self._timer):
-            bpy.app.timers.register(self._timer, first_interval=INTERVAL, persistent=True)  # another file may be opened meanwhile
+            # another file may be opened meanwhile
+            bpy.app.timers.register(self._timer, first_interval=INTERVAL, persistent=True)
 
     def close(self):
         """Waits for all threads, without calling done()."""

@@ -39,30 +39,39 @@ class ComparedSplats:
         library.set_threads(threads(context))
 
     def render(self, camera: Camera, background) -> tuple:
-        """(original, pruned): images (H, W, 3) in display sRGB, rounded to 8 bits; camera: in Blender's world."""
+        """(original, pruned): images (H, W, 3) in display sRGB, rounded to 8 bits; camera: in Blender's
+        world."""
         views = [(part.scene, part.seen_by(camera)) for part in self.placed]
-        original, pruned = (rounded_to_8_bits(self.rasterizer.forward(scene, view, picture_options(scene, background))["rgb"]) for scene, view in views)
+        original, pruned = (
+            rounded_to_8_bits(self.rasterizer.forward(scene, view, picture_options(scene, background))["rgb"])
+            for scene, view in views
+        )
         return original, pruned
 
 
 def chosen_pair(context: bpy.types.Context) -> tuple[bpy.types.Object, bpy.types.Object]:
-    """(original, pruned): those chosen in the panel, or those that belong to the active object. Raises SceneError if one is missing."""
+    """(original, pruned): those chosen in the panel, or those that belong to the active object. Raises
+    SceneError if one is missing."""
     settings = context.scene.svrgs_looking
     original = settings.original or job_result.pair_of(context.object)[0] or context.object
     if not bridge.is_splat(original):
-        raise SceneError(tr("there is nothing to compare: choose the original splat, or make it the active object"))
+        raise SceneError(
+            tr("there is nothing to compare: choose the original splat, or make it the active object")
+        )
     return original, settings.pruned or pruned_of(original)
 
 
 def shown_scene(pruned: bpy.types.Object) -> Scene:
-    """Of a job's result: what Apply would keep. Of any other splat: the Gaussians that are not marked as removed."""
+    """Of a job's result: what Apply would keep. Of any other splat: the Gaussians that are not marked as
+    removed."""
     if job_result.KEPT in pruned and job_result.undecided(pruned):
         return job_result.shown_gaussians(pruned)
     return bridge_graph.visible_scene(pruned)
 
 
 def pruned_of(original: bpy.types.Object) -> bpy.types.Object:
-    """The pruned splat: a job's result, or the object 'NAME pruned', or the splat itself if some Gaussians are marked. Raises SceneError."""
+    """The pruned splat: a job's result, or the object 'NAME pruned', or the splat itself if some Gaussians
+    are marked. Raises SceneError."""
     result = job_result.pruned_of(original)
     if result is not None:
         return result
@@ -71,13 +80,20 @@ def pruned_of(original: bpy.types.Object) -> bpy.types.Object:
         return named
     if bridge.values(original, bridge_graph.REMOVED) is not None:
         return original
-    raise SceneError(tr("there is nothing to compare '{name}' with: prune it, or choose the pruned splat").format(name=original.name))
+    raise SceneError(
+        tr("there is nothing to compare '{name}' with: prune it, or choose the pruned splat").format(
+            name=original.name
+        )
+    )
 
 
 class SVRGS_OT_compare(bpy.types.Operator):
     bl_idname = "svrgs.compare"
     bl_label = "Compare"
-    bl_description = "Render original and pruned splat from the camera, side by side. Measure both against its photograph, if it has one"
+    bl_description = (
+        "Render original and pruned splat from the camera, side by side. Measure both against its photograph,"
+        " if it has one"
+    )
     bl_options = {"REGISTER"}
 
     @classmethod
@@ -100,7 +116,9 @@ class SVRGS_OT_compare(bpy.types.Operator):
         comparison_images.show(original, pruned, settings.wipe)
         show_in_editors(context, bpy.data.images[comparison_images.WIPE])
         rows = [measure(*both, photo) for both in zip(splats.scenes, pictures, strict=True)]
-        settings.compare_result = json.dumps({"camera": obj.name, "original": rows[0], "pruned": rows[1], "between": psnr(*pictures)})
+        settings.compare_result = json.dumps(
+            {"camera": obj.name, "original": rows[0], "pruned": rows[1], "between": psnr(*pictures)}
+        )
         self.report({"INFO"}, summary(rows, psnr(*pictures)))
         return {"FINISHED"}
 
@@ -108,7 +126,9 @@ class SVRGS_OT_compare(bpy.types.Operator):
 class SVRGS_OT_contact_sheet(bpy.types.Operator):
     bl_idname = "svrgs.contact_sheet"
     bl_label = "Render All Cameras"
-    bl_description = "Draw original, pruned splat and their difference from every camera, as small pictures in one image"
+    bl_description = (
+        "Draw original, pruned splat and their difference from every camera, as small pictures in one image"
+    )
     bl_options = {"REGISTER"}
 
     @classmethod
@@ -134,7 +154,10 @@ class SVRGS_OT_contact_sheet(bpy.types.Operator):
             manager.progress_end()
         columns = max(1, round((len(rows) / 3) ** 0.5))
         show_in_editors(context, bridge_images.write_image(SHEET, contact_sheet(rows, columns)))
-        text = tr("{count:,} cameras in '{image}': original, pruned, difference; lowest PSNR between them: {worst:.1f} dB")
+        text = tr(
+            "{count:,} cameras in '{image}': original, pruned, difference; lowest PSNR between them:"
+            " {worst:.1f} dB"
+        )
         self.report({"INFO"}, text.format(count=len(rows), image=SHEET, worst=worst))
         return {"FINISHED"}
 
@@ -148,7 +171,16 @@ def photograph(obj: bpy.types.Object):
 def measure(scene, picture, photo) -> dict:
     """Count and bytes of the splat; with a photograph also PSNR, SSIM and FLIP."""
     row = {"count": scene.count, "bytes": file_size(scene)}
-    return row if photo is None else row | {"psnr": psnr(picture, photo), "ssim": float(ssim(picture, photo)), "flip": float(flip(picture, photo))}
+    return (
+        row
+        if photo is None
+        else row
+        | {
+            "psnr": psnr(picture, photo),
+            "ssim": float(ssim(picture, photo)),
+            "flip": float(flip(picture, photo)),
+        }
+    )
 
 
 def summary(rows: list[dict], between: float) -> str:
@@ -159,7 +191,11 @@ def summary(rows: list[dict], between: float) -> str:
         tr("between them {psnr:.1f} dB").format(psnr=between),
     ]
     if "psnr" in a:
-        texts.append(tr("against the photograph {before:.2f} to {after:.2f} dB").format(before=a["psnr"], after=b["psnr"]))
+        texts.append(
+            tr("against the photograph {before:.2f} to {after:.2f} dB").format(
+                before=a["psnr"], after=b["psnr"]
+            )
+        )
     return "; ".join(texts)
 
 
@@ -173,7 +209,10 @@ def _has_camera(cls, context) -> bool:
 @persistent
 def _forget_lost_images(*_):
     """Images may have been deleted. Their figures are removed, too."""
-    if any(bridge_images.is_lost(name) for name in (comparison_images.ORIGINAL, comparison_images.PRUNED, comparison_images.WIPE)):
+    if any(
+        bridge_images.is_lost(name)
+        for name in (comparison_images.ORIGINAL, comparison_images.PRUNED, comparison_images.WIPE)
+    ):
         for scene in bpy.data.scenes:
             scene.svrgs_looking.compare_result = ""
 

@@ -7,7 +7,9 @@ import bpy
 from ..svrgs_addon.prune.report.pictures import difference_image, wipe
 from . import bridge_images
 
-ORIGINAL, PRUNED, DIFFERENCE, WIPE = (f"SVR-GS {name}" for name in ("Original", "Pruned", "Difference", "Wipe"))
+ORIGINAL, PRUNED, DIFFERENCE, WIPE = (
+    f"SVR-GS {name}" for name in ("Original", "Pruned", "Difference", "Wipe")
+)
 
 
 def show(original, pruned, share: float):

@@ -1,14 +1,17 @@
-"""The compositor's nodes that put a picture of splats around a render: Gaussians in front, over the render, over Gaussians behind.
+"""The compositor's nodes that put a picture of splats around a render: Gaussians in front, over the render,
+over Gaussians behind.
 
-They stand behind the Image of the render's own Render Layers node: what used that image before uses the result. Colours are blended in
-display sRGB, as Gaussians are in training. Blender 5.0 has another place for a scene's nodes, and other names of sockets.
+They stand behind the Image of the render's own Render Layers node: what used that image before uses the
+result. Colours are blended in display sRGB, as Gaussians are in training. Blender 5.0 has another place for a
+scene's nodes, and other names of sockets.
 """
 
 from __future__ import annotations
 
 import bpy
 
-SPLATS, AROUND = "SVR-GS Splats", "SVR-GS Around Render"  # names of the two nodes; also of the second one's group
+# names of the two nodes; also of the second one's group
+SPLATS, AROUND = "SVR-GS Splats", "SVR-GS Around Render"
 RENDER, BEHIND, FRONT = "Render", "Behind", "In Front"  # inputs of the group
 HAS_GROUPS = bpy.app.version >= (5, 0, 0)  # the nodes of a scene are a node group; else a tree of its own
 DISPLAY = "sRGB"  # colour space in which colours are blended
@@ -20,11 +23,18 @@ def insert(scene: bpy.types.Scene, layer: bpy.types.Scene):
     tree = _tree(scene) or _new_tree(scene)
     render = _render_node(tree, scene)
     users = [link.to_socket for link in render.outputs["Image"].links if link.to_node.name != AROUND]
-    splats, around = (_node(tree, name, kind) for name, kind in ((SPLATS, "CompositorNodeRLayers"), (AROUND, "CompositorNodeGroup")))
+    splats, around = (
+        _node(tree, name, kind)
+        for name, kind in ((SPLATS, "CompositorNodeRLayers"), (AROUND, "CompositorNodeGroup"))
+    )
     splats.scene = layer
     splats.layer = layer.view_layers[0].name
     around.node_tree = _group()
-    sources = {RENDER: render.outputs["Image"], BEHIND: splats.outputs["Behind"], FRONT: splats.outputs["Image"]}
+    sources = {
+        RENDER: render.outputs["Image"],
+        BEHIND: splats.outputs["Behind"],
+        FRONT: splats.outputs["Image"],
+    }
     for name, source in sources.items():
         tree.links.new(source, around.inputs[name])
     for user in users:
@@ -55,12 +65,26 @@ def remove(scene: bpy.types.Scene):
 def are_complete(scene: bpy.types.Scene, layer: bpy.types.Scene) -> bool:
     """Whether a render of the scene puts the splats of the layer around it."""
     tree = _tree(scene)
-    if tree is None or not scene.render.use_compositing or any(name not in tree.nodes for name in (SPLATS, AROUND)):
+    if (
+        tree is None
+        or not scene.render.use_compositing
+        or any(name not in tree.nodes for name in (SPLATS, AROUND))
+    ):
         return False
     splats, around = tree.nodes[SPLATS], tree.nodes[AROUND]
-    if splats.mute or around.mute or splats.scene != layer or around.node_tree is None or not around.outputs[0].links:
+    if (
+        splats.mute
+        or around.mute
+        or splats.scene != layer
+        or around.node_tree is None
+        or not around.outputs[0].links
+    ):
         return False
-    sources = {name: around.inputs[name].links[0].from_node for name in (RENDER, BEHIND, FRONT) if name in around.inputs and around.inputs[name].is_linked}
+    sources = {
+        name: around.inputs[name].links[0].from_node
+        for name in (RENDER, BEHIND, FRONT)
+        if name in around.inputs and around.inputs[name].is_linked
+    }
     return len(sources) == 3 and sources[BEHIND] == sources[FRONT] == splats
 
 
@@ -74,13 +98,20 @@ def _new_tree(scene: bpy.types.Scene) -> bpy.types.NodeTree:
     if not HAS_GROUPS:
         scene.use_nodes = True  # Blender makes a tree with a Render Layers and a Composite node
         return scene.node_tree
-    tree = scene.compositing_node_group = bpy.data.node_groups.new(f"{scene.name} Compositing", "CompositorNodeTree")
+    tree = scene.compositing_node_group = bpy.data.node_groups.new(
+        f"{scene.name} Compositing", "CompositorNodeTree"
+    )
     return tree
 
 
 def _render_node(tree: bpy.types.NodeTree, scene: bpy.types.Scene) -> bpy.types.Node:
-    """The Render Layers node of the scene itself, best one whose image is used; a new one if there is none."""
-    own = [node for node in tree.nodes if node.type == "R_LAYERS" and node.name != SPLATS and node.scene in (scene, None)]
+    """The Render Layers node of the scene itself, best one whose image is used; a new one if there is
+    none."""
+    own = [
+        node
+        for node in tree.nodes
+        if node.type == "R_LAYERS" and node.name != SPLATS and node.scene in (scene, None)
+    ]
     if own:
         return max(own, key=lambda node: bool(node.outputs["Image"].links))
     node = tree.nodes.new("CompositorNodeRLayers")
@@ -90,8 +121,12 @@ def _render_node(tree: bpy.types.NodeTree, scene: bpy.types.Scene) -> bpy.types.
 
 def _output(tree: bpy.types.NodeTree) -> bpy.types.Node:
     """The node whose first input is the result."""
-    kind, name = ("GROUP_OUTPUT", "NodeGroupOutput") if HAS_GROUPS else ("COMPOSITE", "CompositorNodeComposite")
-    if HAS_GROUPS and not any(item.item_type == "SOCKET" and item.in_out == "OUTPUT" for item in tree.interface.items_tree):
+    kind, name = (
+        ("GROUP_OUTPUT", "NodeGroupOutput") if HAS_GROUPS else ("COMPOSITE", "CompositorNodeComposite")
+    )
+    if HAS_GROUPS and not any(
+        item.item_type == "SOCKET" and item.in_out == "OUTPUT" for item in tree.interface.items_tree
+    ):
         tree.interface.new_socket("Image", in_out="OUTPUT", socket_type="NodeSocketColor")
     node = next((node for node in tree.nodes if node.type == kind), None)
     if node is None:
@@ -122,7 +157,10 @@ def _group() -> bpy.types.NodeTree:
         group.interface.new_socket(name, in_out="INPUT", socket_type="NodeSocketColor")
     group.interface.new_socket("Image", in_out="OUTPUT", socket_type="NodeSocketColor")
     into = group.nodes.new("NodeGroupInput")
-    render, behind, front = (_converted(group, into.outputs[name], True, 200, -220 * row) for row, name in enumerate((RENDER, BEHIND, FRONT)))
+    render, behind, front = (
+        _converted(group, into.outputs[name], True, 200, -220 * row)
+        for row, name in enumerate((RENDER, BEHIND, FRONT))
+    )
     under, over = (group.nodes.new("CompositorNodeAlphaOver") for _ in range(2))
     under.location, over.location = (800, -100), (1000, -100)
     for node, images in ((under, (behind, render)), (over, (under.outputs[0], front))):
@@ -135,16 +173,21 @@ def _group() -> bpy.types.NodeTree:
     return group
 
 
-def _converted(group: bpy.types.NodeTree, image: bpy.types.NodeSocket, to_display: bool, x: float, y: float) -> bpy.types.NodeSocket:
+def _converted(
+    group: bpy.types.NodeTree, image: bpy.types.NodeSocket, to_display: bool, x: float, y: float
+) -> bpy.types.NodeSocket:
     """An image times alpha, converted from the scene's linear colours to display sRGB, or back."""
-    straight, convert, multiplied = (group.nodes.new(f"CompositorNode{kind}") for kind in ("PremulKey", "ConvertColorSpace", "PremulKey"))
+    straight, convert, multiplied = (
+        group.nodes.new(f"CompositorNode{kind}") for kind in ("PremulKey", "ConvertColorSpace", "PremulKey")
+    )
     for node, to in ((straight, "straight"), (multiplied, "premultiplied")):
         if "Type" in node.inputs:
             node.inputs["Type"].default_value = f"To {to.title()}"
         else:
             node.mapping = "PREMUL_TO_STRAIGHT" if to == "straight" else "STRAIGHT_TO_PREMUL"
     side = "to_color_space" if to_display else "from_color_space"  # the other one is scene linear by default
-    if DISPLAY in convert.bl_rna.properties[side].enum_items:  # else another colour configuration is in use: colours are blended linear
+    # else another colour configuration is in use: colours are blended linear
+    if DISPLAY in convert.bl_rna.properties[side].enum_items:
         setattr(convert, side, DISPLAY)
     for place, node in enumerate((straight, convert, multiplied)):
         node.location = (x + 180 * place, y)

@@ -1,4 +1,5 @@
-"""Writes the attribute "contribution" of a splat: for each Gaussian, the sum of its weights αT over all pixels of the cameras."""
+"""Writes the attribute "contribution" of a splat: for each Gaussian, the sum of its weights αT over all
+pixels of the cameras."""
 
 from __future__ import annotations
 
@@ -33,14 +34,21 @@ def cameras_property():
 class SVRGS_OT_contribution(bpy.types.Operator):
     bl_idname = "svrgs.contribution"
     bl_label = "Show Contribution"
-    bl_description = "Sum for each Gaussian what it adds to the images of the cameras, and store it as the attribute 'contribution'"
+    bl_description = (
+        "Sum for each Gaussian what it adds to the images of the cameras, and store it as the attribute"
+        " 'contribution'"
+    )
     bl_options = {"REGISTER", "UNDO"}
 
     cameras: cameras_property()
 
     @classmethod
     def poll(cls, context):
-        problem = edit_guard.problem(context, context.object) if bridge.is_splat(context.object) else tr("Make a splat the active object first")
+        problem = (
+            edit_guard.problem(context, context.object)
+            if bridge.is_splat(context.object)
+            else tr("Make a splat the active object first")
+        )
         if problem:
             cls.poll_message_set(problem)
         return not problem
@@ -58,7 +66,9 @@ class SVRGS_OT_contribution(bpy.types.Operator):
             return {"CANCELLED"}
         bridge.set_values(obj, ATTRIBUTE, "FLOAT", sums.astype("float32"))
         text = tr("{unseen:,} of {count:,} Gaussians add nothing to {images:,} images")
-        self.report({"INFO"}, text.format(unseen=int((hits == 0).sum()), count=scene.count, images=len(cameras)))
+        self.report(
+            {"INFO"}, text.format(unseen=int((hits == 0).sum()), count=scene.count, images=len(cameras))
+        )
         return {"FINISHED"}
 
 
@@ -73,11 +83,14 @@ def chosen_cameras(context, which: str = "PHOTOGRAPHS") -> list[bpy.types.Object
 
 
 def views(context, cameras: list[bpy.types.Object], placed: bridge_graph.PlacedScene) -> list[Camera]:
-    """The views of camera objects, reduced, in the coordinates of the scene. Raises SceneError, also if there are none."""
+    """The views of camera objects, reduced, in the coordinates of the scene. Raises SceneError, also if there
+    are none."""
     if not cameras:
         raise SceneError(tr("there is no such camera: import the cameras of the dataset, or choose others"))
     found = [bridge_cameras.camera_from_object(obj, context.scene) for obj in cameras]
-    return [placed.seen_by(view.reduced(max(1, max(view.width, view.height) // LONGER_SIDE))) for view in found]
+    return [
+        placed.seen_by(view.reduced(max(1, max(view.width, view.height) // LONGER_SIDE))) for view in found
+    ]
 
 
 def register():

@@ -1,8 +1,9 @@
 """Where the dataset of a splat is, how its path is stored, and how it is found again.
 
-Paths are stored as Blender stores those of images: relative to the .blend file ("//…") where that is possible, unless the preference
-Relative Paths is off. Blender adjusts its own paths when a file is saved in another folder, but not properties of add-ons. So this is
-done here: of the datasets of roots and of the prune panel, of job folders, and of the folder that was chosen for new jobs.
+Paths are stored as Blender stores those of images: relative to the .blend file ("//…") where that is
+possible, unless the preference Relative Paths is off. Blender adjusts its own paths when a file is saved in
+another folder, but not properties of add-ons. So this is done here: of the datasets of roots and of the prune
+panel, of job folders, and of the folder that was chosen for new jobs.
 """
 
 from __future__ import annotations
@@ -25,21 +26,28 @@ from .option_properties import RELATIVE
 
 UNDISTORTED = "images_undistorted"  # folder of undistorted copies in a dataset
 
-Place = tuple[Callable[[str], object], str, Callable[[str, str], str]]  # (writes the path, the absolute path, from it and a folder to what is stored)
+# (writes the path, the absolute path, from it and a folder to what is stored)
+Place = tuple[Callable[[str], object], str, Callable[[str, str], str]]
 
 _saved: list[Place] = []  # between save_pre and save_post
 
 
 def dataset_of(context) -> tuple[str, str]:
-    """(dataset, name of its image folder) to prune with: the chosen one, or that of the cameras imported with the splat. Absolute; '': none."""
+    """(dataset, name of its image folder) to prune with: the chosen one, or that of the cameras imported with
+    the splat. Absolute; '': none."""
     settings, root = context.scene.svrgs_prune, bridge.root_of(context.object)
     if settings.colmap:
         return absolute(settings.colmap), settings.images
-    return (dataset_of_root(root), settings.images or root.get(bridge.IMAGES, "")) if root is not None else ("", settings.images)
+    return (
+        (dataset_of_root(root), settings.images or root.get(bridge.IMAGES, ""))
+        if root is not None
+        else ("", settings.images)
+    )
 
 
 def dataset_of_job(context, splat: bpy.types.Object | None) -> str:
-    """Where the dataset of the splat's job may be now, if it was moved: that of its cameras, or the chosen one; '' for a job without its splat.
+    """Where the dataset of the splat's job may be now, if it was moved: that of its cameras, or the chosen
+    one; '' for a job without its splat.
 
     Not the dataset of the active object, which may be of another scene.
     """
@@ -58,20 +66,26 @@ def problem(context) -> str:
     if os.path.exists(folder):
         return ""
     return (
-        tr("There is no dataset {folder}: choose it again").format(folder=folder) if context.scene.svrgs_prune.colmap else lost(bridge.root_of(context.object))
+        tr("There is no dataset {folder}: choose it again").format(folder=folder)
+        if context.scene.svrgs_prune.colmap
+        else lost(bridge.root_of(context.object))
     )
 
 
 def lost(root: bpy.types.Object | None) -> str:
-    """That the dataset of the imported cameras is not where it was, in a sentence; '' if it is there, or if there is none."""
+    """That the dataset of the imported cameras is not where it was, in a sentence; '' if it is there, or if
+    there is none."""
     folder = dataset_of_root(root) if root is not None else ""
     if root is None or not folder or os.path.exists(folder):
         return ""
-    return tr("The photographs of '{name}' are not in {folder} any more: press Find Dataset in step 1").format(name=root.name, folder=folder)
+    return tr(
+        "The photographs of '{name}' are not in {folder} any more: press Find Dataset in step 1"
+    ).format(name=root.name, folder=folder)
 
 
 def absolute(path: str, library: bpy.types.Library | None = None) -> str:
-    """The path without '//', '..' and a slash at its end; '' for ''. library: the file to which '//' refers, if not the open one."""
+    """The path without '//', '..' and a slash at its end; '' for ''. library: the file to which '//' refers,
+    if not the open one."""
     return os.path.normpath(bpy.path.abspath(path, library=library)) if path else ""
 
 
@@ -99,13 +113,19 @@ def stored(path: str, start: str = "") -> str:
 
 
 def _stored_below(path: str, start: str) -> str:
-    """A job's folder: relative only below the .blend file. Others, such as those in the extension's folder, do not move with it."""
+    """A job's folder: relative only below the .blend file. Others, such as those in the extension's folder,
+    do not move with it."""
     return stored(path, start) if Path(path).is_relative_to(start) else path
 
 
 def _places() -> Iterator[Place]:
-    """The paths that are stored in the file. In a file without a name, '//' means nothing yet: such paths are left as they are."""
-    return ((write, absolute(path), keep) for write, path, keep in _all_paths() if path and (bpy.data.filepath or not path.startswith("//")))
+    """The paths that are stored in the file. In a file without a name, '//' means nothing yet: such paths are
+    left as they are."""
+    return (
+        (write, absolute(path), keep)
+        for write, path, keep in _all_paths()
+        if path and (bpy.data.filepath or not path.startswith("//"))
+    )
 
 
 def _all_paths() -> Iterator[Place]:
@@ -116,7 +136,11 @@ def _all_paths() -> Iterator[Place]:
     for scene in (scene for scene in bpy.data.scenes if not scene.library):
         settings = scene.svrgs_prune
         yield partial(setattr, settings, "colmap"), settings.colmap, stored
-        yield partial(setattr, settings, "folder"), settings.folder if settings.folder.startswith("//") else "", stored
+        yield (
+            partial(setattr, settings, "folder"),
+            settings.folder if settings.folder.startswith("//") else "",
+            stored,
+        )
 
 
 @persistent
@@ -142,11 +166,17 @@ def _after_save(*_):
 class SVRGS_OT_find_dataset(bpy.types.Operator):
     bl_idname = "svrgs.find_dataset"
     bl_label = "Find Dataset"
-    bl_description = "Choose the folder in which the dataset of these cameras is now. Their photographs are found again by their file names"
+    bl_description = (
+        "Choose the folder in which the dataset of these cameras is now. Their photographs are found again by"
+        " their file names"
+    )
     bl_options = {"REGISTER", "UNDO"}
 
     directory: StringProperty(
-        name="Dataset", subtype="DIR_PATH", description="Folder of the dataset. It holds the photographs and their poses", options=RELATIVE
+        name="Dataset",
+        subtype="DIR_PATH",
+        description="Folder of the dataset. It holds the photographs and their poses",
+        options=RELATIVE,
     )
     filter_folder: BoolProperty(default=True, options={"HIDDEN", "SKIP_SAVE"})
 
@@ -172,7 +202,9 @@ class SVRGS_OT_find_dataset(bpy.types.Operator):
         if settings.colmap and not os.path.exists(absolute(settings.colmap)):
             settings.colmap = stored(folder)
         text = tr("Found {found:,} of {count:,} photographs in {folder}")
-        self.report({"INFO"} if found == shown else {"WARNING"}, text.format(found=found, count=shown, folder=folder))
+        self.report(
+            {"INFO"} if found == shown else {"WARNING"}, text.format(found=found, count=shown, folder=folder)
+        )
         return {"FINISHED"}
 
     def invoke(self, context, event):
@@ -183,7 +215,8 @@ class SVRGS_OT_find_dataset(bpy.types.Operator):
 def find_photographs(root: bpy.types.Object, folder: str) -> tuple[int, int]:
     """Gives the cameras below the root the photographs in another folder of the dataset, by their file names.
 
-    Returns the number of photographs and how many were found. Raises SplatError if there are some and none was found.
+    Returns the number of photographs and how many were found. Raises SplatError if there are some and none
+    was found.
     """
     images = {}  # by image: its new file
     for camera in (obj for obj in root.children_recursive if obj.type == "CAMERA"):
@@ -192,7 +225,10 @@ def find_photographs(root: bpy.types.Object, folder: str) -> tuple[int, int]:
                 images[image] = _file_of(image, camera, root, folder)
     found = {image: file for image, file in images.items() if file}
     if images and not found:
-        text = tr("{folder}: holds none of the {count:,} photographs of '{name}'; choose the folder with its photographs and their poses")
+        text = tr(
+            "{folder}: holds none of the {count:,} photographs of '{name}'; choose the folder with its"
+            " photographs and their poses"
+        )
         raise SplatError(text.format(folder=folder, count=len(images), name=root.name))
     for image, file in found.items():
         image.filepath = stored(file)
@@ -200,11 +236,23 @@ def find_photographs(root: bpy.types.Object, folder: str) -> tuple[int, int]:
 
 
 def _file_of(image: bpy.types.Image, camera: bpy.types.Object, root: bpy.types.Object, folder: str) -> str:
-    """The file of the image in the folder of the dataset: the first that exists of several; all have the name that it had. '': none."""
+    """The file of the image in the folder of the dataset: the first that exists of several; all have the name
+    that it had. '': none."""
     old, name = absolute(image.filepath), camera.data.get(bridge_cameras.IMAGE, "")
-    tries = [_beside(old, dataset_of_root(root)), f"{root.get(bridge.IMAGES) or 'images'}/{name}", f"{UNDISTORTED}/{name}.png"]
-    tries += [os.path.join(os.path.basename(os.path.dirname(old)), os.path.basename(old)), os.path.basename(old)]
-    files = (os.path.normpath(os.path.join(folder, path)) for path in tries if path and os.path.basename(path) == os.path.basename(old))
+    tries = [
+        _beside(old, dataset_of_root(root)),
+        f"{root.get(bridge.IMAGES) or 'images'}/{name}",
+        f"{UNDISTORTED}/{name}.png",
+    ]
+    tries += [
+        os.path.join(os.path.basename(os.path.dirname(old)), os.path.basename(old)),
+        os.path.basename(old),
+    ]
+    files = (
+        os.path.normpath(os.path.join(folder, path))
+        for path in tries
+        if path and os.path.basename(path) == os.path.basename(old)
+    )
     return next((file for file in files if os.path.isfile(file)), "")
 
 

@@ -1,4 +1,5 @@
-"""How thoroughly a splat is pruned: at once, by training on its own pictures, or by training on photographs. Chosen in the prune panel."""
+"""How thoroughly a splat is pruned: at once, by training on its own pictures, or by training on photographs.
+Chosen in the prune panel."""
 
 from __future__ import annotations
 
@@ -10,22 +11,39 @@ from . import dataset_paths
 
 QUICK, TUNED, PHOTOGRAPHS = "QUICK", "TUNED", "PHOTOGRAPHS"
 ITEMS = [  # the numbers are stored in .blend files
-    (QUICK, "Quick", "Remove and merge Gaussians within seconds, by what each changes in the splat's own pictures", "NONE", 1),
+    (
+        QUICK,
+        "Quick",
+        "Remove and merge Gaussians within seconds, by what each changes in the splat's own pictures",
+        "NONE",
+        1,
+    ),
     (
         TUNED,
         "Fine-Tuned",
-        "Train what is left on pictures of the splat itself. Cameras are placed around or within it. No photographs are needed",
+        (
+            "Train what is left on pictures of the splat itself. Cameras are placed around or within it. No"
+            " photographs are needed"
+        ),
         "NONE",
         2,
     ),
-    (PHOTOGRAPHS, "Fine-Tuned on Photographs", "Train what is left on the photographs of the dataset", "NONE", 3),
+    (
+        PHOTOGRAPHS,
+        "Fine-Tuned on Photographs",
+        "Train what is left on the photographs of the dataset",
+        "NONE",
+        3,
+    ),
 ]
 NUMBERS = {number: name for name, _, _, _, number in ITEMS}
 
 
 def chosen(context) -> str:
     """The choice; if none was made: photographs where there are any, else quick."""
-    return NUMBERS.get(context.scene.svrgs_prune.depth_number) or (PHOTOGRAPHS if dataset_paths.dataset_of(context)[0] else QUICK)
+    return NUMBERS.get(context.scene.svrgs_prune.depth_number) or (
+        PHOTOGRAPHS if dataset_paths.dataset_of(context)[0] else QUICK
+    )
 
 
 def number_of(settings) -> int:
@@ -39,7 +57,8 @@ def choose(settings, number: int):
 
 
 def merges(context) -> bool:
-    """Whether Gaussians are merged: in the quick way; and without photographs, where the method was not chosen and the goal is a number."""
+    """Whether Gaussians are merged: in the quick way; and without photographs, where the method was not
+    chosen and the goal is a number."""
     settings = context.scene.svrgs_prune
     if chosen(context) == TUNED:
         return settings.method == DEFAULT and settings.goal not in ("DROP", "LAMBDA")
@@ -51,5 +70,7 @@ def problem(context) -> str:
     if chosen(context) == PHOTOGRAPHS:
         return dataset_paths.problem(context)
     if chosen(context) == QUICK and context.scene.svrgs_prune.goal == "LAMBDA":
-        return tr("Quick needs a number of Gaussians: choose another goal, such as a percentage, or Fine-Tuned")
+        return tr(
+            "Quick needs a number of Gaussians: choose another goal, such as a percentage, or Fine-Tuned"
+        )
     return ""

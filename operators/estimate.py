@@ -1,4 +1,5 @@
-"""Estimates how many Gaussians would stay, how good the result would be and how long pruning takes. A child process does the work; Blender stays usable."""
+"""Estimates how many Gaussians would stay, how good the result would be and how long pruning takes. A child
+process does the work; Blender stays usable."""
 
 from __future__ import annotations
 
@@ -24,7 +25,8 @@ _child_work = ChildWork(done=redraw_panels)
 
 
 def of(obj: bpy.types.Object | None) -> dict:
-    """The last estimate of the active object: the result of jobs/estimate.py; {"busy": True}; or {"error": sentence, "status": exit status}.
+    """The last estimate of the active object: the result of jobs/estimate.py; {"busy": True}; or {"error":
+    sentence, "status": exit status}.
 
     {} if there is none, or if the settings or the splat have changed since.
     """
@@ -35,8 +37,14 @@ def of(obj: bpy.types.Object | None) -> dict:
 
 
 def _inputs_now(obj: bpy.types.Object) -> dict:
-    """What an estimate depends on: the settings, and the identity and size of the splat's data. Where cameras of the file stand is left out."""
-    return {**options_of(bpy.context, obj), "views": bpy.context.scene.svrgs_prune.views, "data": obj.data.session_uid, "splat": bridge.count(obj)}
+    """What an estimate depends on: the settings, and the identity and size of the splat's data. Where cameras
+    of the file stand is left out."""
+    return {
+        **options_of(bpy.context, obj),
+        "views": bpy.context.scene.svrgs_prune.views,
+        "data": obj.data.session_uid,
+        "splat": bridge.count(obj),
+    }
 
 
 def sentences(obj: bpy.types.Object) -> list[str]:
@@ -45,11 +53,22 @@ def sentences(obj: bpy.types.Object) -> list[str]:
     if "error" in found:
         return [found["error"] or tr("the estimate ended with status {status}").format(**found)]
     kept, count = found["kept"], found["count"]
-    stay = tr("At most {kept:,} of {count:,} would stay ({share:.0%})") if found["at_most"] else tr("About {kept:,} of {count:,} would stay ({share:.0%})")
+    stay = (
+        tr("At most {kept:,} of {count:,} would stay ({share:.0%})")
+        if found["at_most"]
+        else tr("About {kept:,} of {count:,} would stay ({share:.0%})")
+    )
     seen = tr("{invisible:,} invisible, {unseen:,} outside the {views} sampled views")
     if found["faint"]:
-        seen = tr("{invisible:,} invisible, {unseen:,} outside the {views} sampled views, {faint:,} dropped first as too faint")
-    time = tr("About {minutes:.0f} min for {steps:,} steps") if found["seconds"] >= 120 else tr("About {seconds:.0f} s for {steps:,} steps")
+        seen = tr(
+            "{invisible:,} invisible, {unseen:,} outside the {views} sampled views, {faint:,} dropped first"
+            " as too faint"
+        )
+    time = (
+        tr("About {minutes:.0f} min for {steps:,} steps")
+        if found["seconds"] >= 120
+        else tr("About {seconds:.0f} s for {steps:,} steps")
+    )
     return [
         stay.format(kept=kept, count=count, share=kept / count),
         tr("{before} → about {after}").format(before=size_text(obj, count), after=size_text(obj, kept)),
@@ -63,21 +82,38 @@ def sentences(obj: bpy.types.Object) -> list[str]:
 def quality(found: dict) -> str:
     """The PSNRs of an estimate in words."""
     if found["psnr_before"] is None:
-        text = tr("PSNR about {psnr_after:.1f} dB or more against the splat's own pictures (without recovery about {psnr_removed:.1f} dB)")
-        return text.format(**found) if found["psnr_after"] is not None else tr("The quality is not foreseen for this method or goal")
+        text = tr(
+            "PSNR about {psnr_after:.1f} dB or more against the splat's own pictures (without recovery about"
+            " {psnr_removed:.1f} dB)"
+        )
+        return (
+            text.format(**found)
+            if found["psnr_after"] is not None
+            else tr("The quality is not foreseen for this method or goal")
+        )
     if found["psnr_after"] is None:
-        return tr("PSNR now {psnr_before:.1f} dB; after pruning: not foreseen for this method or goal").format(**found)
-    return tr("PSNR about {psnr_after:.1f} dB or more after pruning (now {psnr_before:.1f} dB; without recovery about {psnr_removed:.1f} dB)").format(**found)
+        return tr(
+            "PSNR now {psnr_before:.1f} dB; after pruning: not foreseen for this method or goal"
+        ).format(**found)
+    return tr(
+        "PSNR about {psnr_after:.1f} dB or more after pruning (now {psnr_before:.1f} dB; without recovery"
+        " about {psnr_removed:.1f} dB)"
+    ).format(**found)
 
 
 class SVRGS_OT_estimate(JobOperator):
     bl_idname = "svrgs.estimate"
     bl_label = "Estimate"
-    bl_description = "Estimate within seconds how many Gaussians would stay, how good the result would be and how long pruning would take"
+    bl_description = (
+        "Estimate within seconds how many Gaussians would stay, how good the result would be and how long"
+        " pruning would take"
+    )
 
     @classmethod
     def poll(cls, context):
-        problem = tr("An estimate is being made") if of(context.object).get("busy") else start_problem(context)
+        problem = (
+            tr("An estimate is being made") if of(context.object).get("busy") else start_problem(context)
+        )
         if problem:
             cls.poll_message_set(problem)
         return not problem
@@ -88,12 +124,18 @@ class SVRGS_OT_estimate(JobOperator):
         options, cameras = options_of(context, obj), given_views(context, obj)
         write_scene(Path(temp_dir.name) / "scene.ply", bridge.scene_from_object(obj))
         if cameras:
-            from ..svrgs_addon.views.cameras_json import write_cameras_json  # a Blender that only starts does not need it
+            # a Blender that only starts does not need it
+            from ..svrgs_addon.views.cameras_json import write_cameras_json
 
             write_cameras_json(Path(temp_dir.name) / "cameras.json", cameras)
             options["cameras"] = str(Path(temp_dir.name) / "cameras.json")
         _found[obj.session_uid], _inputs[obj.session_uid] = {"busy": True}, _inputs_now(obj)
-        _child_work.start(_work, obj.session_uid, {"scene": str(Path(temp_dir.name) / "scene.ply"), "options": options}, temp_dir)
+        _child_work.start(
+            _work,
+            obj.session_uid,
+            {"scene": str(Path(temp_dir.name) / "scene.ply"), "options": options},
+            temp_dir,
+        )
         if not bpy.app.background:
             return tr("Estimating from some views")
         found = of(obj)

@@ -1,4 +1,5 @@
-"""Export Farm Job: the selected splats and the settings of step 2 as a folder, whose tasks the machines of a farm do (`svrgs farm`)."""
+"""Export Farm Job: the selected splats and the settings of step 2 as a folder, whose tasks the machines of a
+farm do (`svrgs farm`)."""
 
 from __future__ import annotations
 
@@ -11,7 +12,16 @@ from bpy.app.translations import pgettext_iface as tr
 from bpy.props import BoolProperty, StringProperty
 
 from ..svrgs_addon.files.registry import FORMATS, write_scene
-from ..svrgs_addon.jobs.farm.farm_job import CAPTURES, OWN, FarmJob, Task, common_folder, refuse_folder, refuse_same_names, relative
+from ..svrgs_addon.jobs.farm.farm_job import (
+    CAPTURES,
+    OWN,
+    FarmJob,
+    Task,
+    common_folder,
+    refuse_folder,
+    refuse_same_names,
+    relative,
+)
 from ..svrgs_addon.jobs.job_folder import CAMERAS
 from ..svrgs_addon.system import subprocess_python
 from ..svrgs_addon.system.errors import SceneError
@@ -37,8 +47,8 @@ class SVRGS_OT_export_farm_job(JobOperator):
     bl_idname = "svrgs.export_farm_job"
     bl_label = "Export Farm Job"
     bl_description = (
-        "Write the selected splats and the settings of step 2 into a folder, as a job for a farm: for Open Job Description, Deadline Cloud and Flamenco. "
-        "Photographs stay where they are"
+        "Write the selected splats and the settings of step 2 into a folder, as a job for a farm: for Open"
+        " Job Description, Deadline Cloud and Flamenco. Photographs stay where they are"
     )
     bl_options = {"REGISTER"}
 
@@ -61,8 +71,11 @@ class SVRGS_OT_export_farm_job(JobOperator):
         folder = Path(bpy.path.abspath(self.directory))
         refuse_folder(folder)
         if context.scene.svrgs_prune.use_time:
-            raise SceneError(tr("A time limit is for one machine: switch it off under Advanced, and set the steps"))
-        refuse_same_names([bpy.path.clean_name(obj.name) for obj in selected_splats(context)])  # before one is written over another
+            raise SceneError(
+                tr("A time limit is for one machine: switch it off under Advanced, and set the steps")
+            )
+        # before one is written over another
+        refuse_same_names([bpy.path.clean_name(obj.name) for obj in selected_splats(context)])
         tasks = [_task(context, obj, folder / CAPTURES) for obj in selected_splats(context)]
         _job(folder, tasks).write()
         _lines[:] = [tr("Exporting a farm job to {folder} …").format(folder=folder)]
@@ -72,7 +85,8 @@ class SVRGS_OT_export_farm_job(JobOperator):
 
 
 def _task(context, obj: bpy.types.Object, captures: Path) -> Task:
-    """Writes the splat, and the cameras of the file that count, into the folder. Returns the task that prunes it."""
+    """Writes the splat, and the cameras of the file that count, into the folder. Returns the task that prunes
+    it."""
     name, cameras = bpy.path.clean_name(obj.name), given_views(context, obj)
     options = {key: value for key, value in options_of(context, obj).items() if key != "threads"}
     splat, beside = (f"{name}{end}" for end in (FORMATS[0].suffixes[0], f"_{CAMERAS}"))
@@ -84,8 +98,12 @@ def _task(context, obj: bpy.types.Object, captures: Path) -> Task:
 
 
 def _job(folder: Path, tasks: list[Task]) -> FarmJob:
-    """The job, with datasets relative to the folder that holds all of them: that of a worker may have another name."""
-    root = common_folder([Path(task.options["colmap"]) for task in tasks if task.options.get("colmap")]) or folder / CAPTURES
+    """The job, with datasets relative to the folder that holds all of them: that of a worker may have another
+    name."""
+    root = (
+        common_folder([Path(task.options["colmap"]) for task in tasks if task.options.get("colmap")])
+        or folder / CAPTURES
+    )
     return FarmJob(folder, root, tuple(replace(task, options=_within(root, task.options)) for task in tasks))
 
 
@@ -94,7 +112,8 @@ def _within(root: Path, options: dict[str, Any]) -> dict[str, Any]:
 
 
 def _complete(folder: Path):
-    """In a thread, which must not use bpy. The child process reads the datasets, to know what a task needs."""
+    """In a thread, which must not use bpy. The child process reads the datasets, to know what a task
+    needs."""
     _answers.append((folder, *subprocess_python.run(["farm", "files", str(folder), "--json"])))
 
 
@@ -103,7 +122,13 @@ def _finished():
         folder, status, result = _answers.pop()
         failed = result.get("error") or tr("the export ended with status {status}").format(status=status)
         done = tr("Tasks: {count:,}. Memory of each: up to {memory}. Folder: {folder}")
-        _lines[:] = [failed if status else done.format(count=result["tasks"], memory=size_text(result["memory"]), folder=folder)]
+        _lines[:] = [
+            (
+                failed
+                if status
+                else done.format(count=result["tasks"], memory=size_text(result["memory"]), folder=folder)
+            )
+        ]
     redraw_panels()
 
 

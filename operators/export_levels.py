@@ -1,4 +1,5 @@
-"""Export Levels of Detail: writes every selected splat, and smaller ones of each, into a folder. A child process prunes them (`svrgs prune --quick`)."""
+"""Export Levels of Detail: writes every selected splat, and smaller ones of each, into a folder. A child
+process prunes them (`svrgs prune --quick`)."""
 
 from __future__ import annotations
 
@@ -24,11 +25,13 @@ from .preferences import threads
 STREAMED = next(one for one in FORMATS if one.index == "lod-meta.json")
 _running: list[str] = []  # names of the splats whose levels are being made
 _lines: list[str] = []  # what the panel says on the last export
-_answers: list[tuple[str, int, dict]] = []  # name of a splat, exit status and result of `svrgs prune`, which have come since
+# name of a splat, exit status and result of `svrgs prune`, which have come since
+_answers: list[tuple[str, int, dict]] = []
 
 
 def lines() -> list[str]:
-    """The lines of the panel: one for each splat that is being exported now, then one for each splat of the last export."""
+    """The lines of the panel: one for each splat that is being exported now, then one for each splat of the
+    last export."""
     return [tr("Exporting levels of '{name}' …").format(name=name) for name in _running] + _lines
 
 
@@ -36,22 +39,30 @@ class SVRGS_OT_export_levels(JobOperator, ExportSpace):
     bl_idname = "svrgs.export_levels"
     bl_label = "Export Levels of Detail"
     bl_description = (
-        "Write the selected splats into a folder, and smaller ones of each for the web, for headsets and for far away. "
-        "Each is pruned without photographs, and its quality is measured"
+        "Write the selected splats into a folder, and smaller ones of each for the web, for headsets and for"
+        " far away. Each is pruned without photographs, and its quality is measured"
     )
     bl_options = {"REGISTER", "PRESET"}
 
     directory: StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE"})
     filter_folder: BoolProperty(default=True, options={"HIDDEN"})
-    kind: EnumProperty(name="Format", description="Format of the files", items=[*KINDS, (STREAMED.name, STREAMED.label, WHAT_FOR[STREAMED.name])])
+    kind: EnumProperty(
+        name="Format",
+        description="Format of the files",
+        items=[*KINDS, (STREAMED.name, STREAMED.label, WHAT_FOR[STREAMED.name])],
+    )
     shares: StringProperty(
-        name="Levels, %", default="50, 25, 12", description="Shares of the Gaussians of the smaller splats. Empty: only the splats themselves"
+        name="Levels, %",
+        default="50, 25, 12",
+        description="Shares of the Gaussians of the smaller splats. Empty: only the splats themselves",
     )
     overwrite: BoolProperty(name="Overwrite", description="Replace files that are there already")
 
     @classmethod
     def poll(cls, context):
-        problem = native_problem() or ("" if selected_splats(context) else tr("Select a Gaussian splat first"))
+        problem = native_problem() or (
+            "" if selected_splats(context) else tr("Select a Gaussian splat first")
+        )
         if problem or _running:
             cls.poll_message_set(problem or lines()[0])
         return not problem and not _running
@@ -69,9 +80,16 @@ class SVRGS_OT_export_levels(JobOperator, ExportSpace):
     def work(self, context) -> str:
         shares, folder = self.parsed(), Path(bpy.path.abspath(self.directory))
         outs = {obj: self.path_of(folder, obj) for obj in selected_splats(context)}
-        there = [path for out in outs.values() for path in (out, *level_files(out, shares).values()) if path.exists()]
+        there = [
+            path
+            for out in outs.values()
+            for path in (out, *level_files(out, shares).values())
+            if path.exists()
+        ]
         if there and not self.overwrite:
-            raise SceneError(tr("{file} exists already: choose another folder, or Overwrite").format(file=there[0]))
+            raise SceneError(
+                tr("{file} exists already: choose another folder, or Overwrite").format(file=there[0])
+            )
         _lines.clear()
         for obj, out in outs.items():
             scene, _ = self.chosen(context, obj)
@@ -83,7 +101,13 @@ class SVRGS_OT_export_levels(JobOperator, ExportSpace):
             write_scene(Path(temporary.name) / "scene.ply", scene)
             levels = ",".join(f"{share:g}" for share in shares)
             _running.append(obj.name)
-            _child_work.start(_export, obj.name, temporary, out, ["--levels", levels, "--threads", str(threads(context)), "--json", "--quiet"])
+            _child_work.start(
+                _export,
+                obj.name,
+                temporary,
+                out,
+                ["--levels", levels, "--threads", str(threads(context)), "--json", "--quiet"],
+            )
         redraw_panels()
         return "; ".join(lines())
 
@@ -108,7 +132,9 @@ class SVRGS_OT_export_levels(JobOperator, ExportSpace):
 def _export(name: str, temporary: tempfile.TemporaryDirectory, out: Path, words: list[str]):
     """In a thread, which must not use bpy."""
     with temporary:
-        status, result = subprocess_python.run(["prune", str(Path(temporary.name) / "scene.ply"), "--quick", "--out", str(out), *words])
+        status, result = subprocess_python.run(
+            ["prune", str(Path(temporary.name) / "scene.ply"), "--quick", "--out", str(out), *words]
+        )
     _answers.append((name, status, result))
 
 
@@ -118,10 +144,18 @@ def _finished():
         name, status, result = _answers.pop()
         _running.remove(name)
         if status:
-            _lines.append(f"{name}: {result.get('error') or tr('the export ended with status {status}').format(status=status)}")
+            _lines.append(
+                f"{name}:"
+                f" {result.get('error') or tr('the export ended with status {status}').format(status=status)}"
+            )
             continue
         found = [{"share": 1, **result}, *result.get("levels", ())]
-        texts = [tr("{share:g} %: {size}, {psnr:.1f} dB").format(share=100 * one["share"], size=size_text(one["bytes"]), psnr=one["psnr"]) for one in found]
+        texts = [
+            tr("{share:g} %: {size}, {psnr:.1f} dB").format(
+                share=100 * one["share"], size=size_text(one["bytes"]), psnr=one["psnr"]
+            )
+            for one in found
+        ]
         _lines.append(f"{name}: {'; '.join(texts)}")
     redraw_panels()
 

@@ -12,7 +12,15 @@ from bpy.app.translations import pgettext_iface as tr
 from bpy.props import EnumProperty, FloatProperty, StringProperty
 from bpy_extras.io_utils import ExportHelper
 
-from ..svrgs_addon.files.registry import FORMATS, format_to_write, left_out, menu_label, split_name, suffixes, write_scene
+from ..svrgs_addon.files.registry import (
+    FORMATS,
+    format_to_write,
+    left_out,
+    menu_label,
+    split_name,
+    suffixes,
+    write_scene,
+)
 from ..svrgs_addon.files.splat_format import SplatFormat
 from ..svrgs_addon.system.errors import SplatError
 from . import bridge, job_result
@@ -27,7 +35,9 @@ class SVRGS_OT_export_ply(bpy.types.Operator, ExportHelper, ExportSpace):
     bl_options = {"REGISTER", "PRESET"}
 
     filename_ext = suffixes(written=True)[0]
-    kind: EnumProperty(name="Format", description="Format of the file. It gives the name its suffix", items=KINDS)
+    kind: EnumProperty(
+        name="Format", description="Format of the file. It gives the name its suffix", items=KINDS
+    )
     version: EnumProperty(
         name="Version",
         description="Version of the format",
@@ -39,12 +49,17 @@ class SVRGS_OT_export_ply(bpy.types.Operator, ExportHelper, ExportSpace):
     )
     quantise: FloatProperty(
         name="SH Error",
-        description="Factor on the error in colours that depend on the view. Above 1 for smaller files, below 1 for more exact ones",
+        description=(
+            "Factor on the error in colours that depend on the view. Above 1 for smaller files, below 1 for"
+            " more exact ones"
+        ),
         default=1.0,
         min=0.1,
         max=10.0,
     )
-    filter_glob: StringProperty(default=";".join(f"*{suffix}" for suffix in suffixes(written=True)), options={"HIDDEN"})
+    filter_glob: StringProperty(
+        default=";".join(f"*{suffix}" for suffix in suffixes(written=True)), options={"HIDDEN"}
+    )
 
     @classmethod
     def poll(cls, context):
@@ -88,12 +103,19 @@ class SVRGS_OT_export_ply(bpy.types.Operator, ExportHelper, ExportSpace):
         try:
             scene, dropped = self.chosen(context, obj)
             splat_format = format_to_write(path)
-            version, quantise = int(self.version) if splat_format.versions else 0, self.quantise if splat_format.quantises else 1.0
+            version, quantise = (
+                int(self.version) if splat_format.versions else 0,
+                self.quantise if splat_format.quantises else 1.0,
+            )
             write_scene(path, scene, version, quantise)
         except SplatError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        texts = [tr("Exported {count:,} Gaussians to {file}, {size:.1f} MB").format(count=scene.count, file=path.name, size=path.stat().st_size / 1e6)]
+        texts = [
+            tr("Exported {count:,} Gaussians to {file}, {size:.1f} MB").format(
+                count=scene.count, file=path.name, size=path.stat().st_size / 1e6
+            )
+        ]
         lost = left_out(scene, splat_format)
         self.report({"WARNING" if lost else "INFO"}, "; ".join([*texts, *self.left_out(obj, dropped), *lost]))
         return {"FINISHED"}

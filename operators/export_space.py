@@ -1,4 +1,5 @@
-"""What an export writes of a splat, and in which coordinates: properties that the operators of export share."""
+"""What an export writes of a splat, and in which coordinates: properties that the operators of export
+share."""
 
 from __future__ import annotations
 
@@ -22,7 +23,9 @@ WHAT_FOR = {  # by the names of the formats
     "spz": "A tenth of the size. Read by many programs and by web viewers",
     "glb": "Every value as it is, in a scene file. Read by glTF programs that know splats",
     "glb-spz": "A tenth of the size, in a scene file. A draft of a standard, which few programs read yet",
-    "usd": "Every value as it is, in a stage. Read by Blender 5.3, Omniverse and other programs that know splats",
+    "usd": (
+        "Every value as it is, in a stage. Read by Blender 5.3, Omniverse and other programs that know splats"
+    ),
     "sog": "A fifteenth of the size. Read by SuperSplat and PlayCanvas",
     "streamed-sog": "A folder for each splat with all levels, which web viewers load as they need them",
     "splat": "Colours that do not depend on the view. Read by web viewers",
@@ -41,8 +44,19 @@ class ExportSpace:
         name="Gaussians",
         description="Gaussians to write",
         items=[
-            ("SEEN", "As Seen", "What the viewport shows of the splat: with its modifiers and instances, without Gaussians that are hidden as removed"),
-            ("STORED", "All Stored", "All Gaussians of the splat, also those hidden as removed, without modifiers"),
+            (
+                "SEEN",
+                "As Seen",
+                (
+                    "What the viewport shows of the splat: with its modifiers and instances, without"
+                    " Gaussians that are hidden as removed"
+                ),
+            ),
+            (
+                "STORED",
+                "All Stored",
+                "All Gaussians of the splat, also those hidden as removed, without modifiers",
+            ),
         ],
     )
     space: EnumProperty(
@@ -50,12 +64,23 @@ class ExportSpace:
         translation_context=OWN,
         description="Coordinates of the file",
         items=[
-            ("FILE", "Imported File", "Those of the imported file or of the dataset. What was moved, rotated or scaled since then is moved in the file"),
+            (
+                "FILE",
+                "Imported File",
+                (
+                    "Those of the imported file or of the dataset. What was moved, rotated or scaled since"
+                    " then is moved in the file"
+                ),
+            ),
             ("LOCAL", "Local", "Those of the object. Its location, rotation and scale are left out"),
             ("WORLD", "World", "Those of Blender's world"),
         ],
     )
-    y_down: BoolProperty(name="Y-Down File", default=True, description="World coordinates with y down, as in 3DGS files. Off: z up, as in Blender")
+    y_down: BoolProperty(
+        name="Y-Down File",
+        default=True,
+        description="World coordinates with y down, as in 3DGS files. Off: z up, as in Blender",
+    )
 
     def draw_space(self, layout):
         layout.prop(self, "what")
@@ -65,7 +90,8 @@ class ExportSpace:
         row.prop(self, "y_down")
 
     def chosen(self, context, obj: bpy.types.Object) -> tuple[Scene, int]:
-        """The Gaussians in the coordinates of the file, and how many with values that are not finite were left out. Raises SplatError."""
+        """The Gaussians in the coordinates of the file, and how many with values that are not finite were
+        left out. Raises SplatError."""
         parts = gaussians(context, obj, self.what == "SEEN")
         matrices = [self.to_space(obj, matrix) for _, matrix in parts]
         if any(stretch(matrix) - 1 > 10 * UNIFORM for matrix in matrices):
@@ -83,18 +109,28 @@ class ExportSpace:
         """What the file does not hold, in words."""
         hidden = job_result.marked_count(obj) if self.what == "SEEN" else 0
         texts = [tr("without {count:,} hidden as removed").format(count=hidden)] if hidden else []
-        return [*texts, tr("without {count:,} with values that are not finite").format(count=dropped)] if dropped else texts
+        return (
+            [*texts, tr("without {count:,} with values that are not finite").format(count=dropped)]
+            if dropped
+            else texts
+        )
 
 
 def gaussians(context, obj: bpy.types.Object, seen: bool) -> list:
-    """[(Scene, matrix to Blender's world)] of a splat: what the viewport shows of it, or all that is stored. Raises SceneError."""
+    """[(Scene, matrix to Blender's world)] of a splat: what the viewport shows of it, or all that is stored.
+    Raises SceneError."""
     if not seen:
         return [(bridge.scene_from_object(obj), obj.matrix_world)]
     parts = bridge_graph.shown_by(context.evaluated_depsgraph_get(), obj) if obj.mode != "EDIT" else []
     if parts:
         return parts
-    if any(modifier.show_viewport and modifier.name != bridge_graph.HIDE_MODIFIER for modifier in obj.modifiers):
-        text = tr("Blender does not apply the modifiers of '{name}' in Edit Mode or while it is hidden: show it, or export All Stored")
+    if any(
+        modifier.show_viewport and modifier.name != bridge_graph.HIDE_MODIFIER for modifier in obj.modifiers
+    ):
+        text = tr(
+            "Blender does not apply the modifiers of '{name}' in Edit Mode or while it is hidden: show it, or"
+            " export All Stored"
+        )
         raise SceneError(text.format(name=obj.name))
     scene = bridge.scene_from_object(obj) if obj.mode == "EDIT" else bridge_graph.visible_scene(obj)
     return [(scene, obj.matrix_world)]

@@ -1,8 +1,9 @@
 """Files of an earlier version: says once what their pruning method is called now, and keeps their goal.
 
-A .blend file stores the method as a number of the menu. Every method has kept its number, so an old file keeps its method; only names
-have changed. `method_schema` of the scene's settings says which names were in use when the method was chosen: 0 is before the change.
-Before schema 2 the default goal was the strength λ_F. A file that stores a method or a strength, but no goal, keeps it.
+A .blend file stores the method as a number of the menu. Every method has kept its number, so an old file
+keeps its method; only names have changed. `method_schema` of the scene's settings says which names were in
+use when the method was chosen: 0 is before the change. Before schema 2 the default goal was the strength λ_F.
+A file that stores a method or a strength, but no goal, keeps it.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ _renamed: dict[int, str] = {}  # by session_uid of a scene whose method is calle
 
 
 def sentence_of(scene: bpy.types.Scene) -> str:
-    """What the scene's method is called now, until another method is chosen; empty where its name is the same."""
+    """What the scene's method is called now, until another method is chosen; empty where its name is the
+    same."""
     return renaming(_renamed.get(scene.session_uid, ""))
 
 
@@ -31,7 +33,8 @@ def method_chosen(settings, context):
 
 
 def renaming(name: str) -> str:
-    """The sentence for a file in which method `name` was chosen under its former name; empty where the name is the same."""
+    """The sentence for a file in which method `name` was chosen under its former name; empty where the name
+    is the same."""
     former = FORMER_NAME.get(name)
     if former is None:
         return ""
@@ -46,7 +49,11 @@ def _after_load(*_):
     for scene in (scene for scene in bpy.data.scenes if not scene.library):
         settings = scene.svrgs_prune
         before, has_method = settings.method_schema, settings.is_property_set("method")
-        if before < SCHEMA and not settings.is_property_set("goal") and (has_method or settings.is_property_set("strength")):
+        if (
+            before < SCHEMA
+            and not settings.is_property_set("goal")
+            and (has_method or settings.is_property_set("strength"))
+        ):
             settings.goal = "LAMBDA"
         if before >= SCHEMA or not has_method:
             continue

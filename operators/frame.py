@@ -1,7 +1,7 @@
 """Frame Splat: turns the 3D viewports to a splat. Blender's own Home shows the box around every last floater.
 
-A splat with cameras is seen as in the scene's photograph, or the first: from outside, the sky and the walls would hide it. A splat
-without cameras, and cameras without a splat, are seen as a whole, outliers left out.
+A splat with cameras is seen as in the scene's photograph, or the first: from outside, the sky and the walls
+would hide it. A splat without cameras, and cameras without a splat, are seen as a whole, outliers left out.
 """
 
 from __future__ import annotations
@@ -19,7 +19,10 @@ from .bridge_framing import photographed_view, sphere_of, viewing_distance
 class SVRGS_OT_frame(bpy.types.Operator):
     bl_idname = "svrgs.frame"
     bl_label = "Frame Splat"
-    bl_description = "Show the active splat in the 3D viewports, as in its photograph if it has cameras. Gaussians far outside are not counted"
+    bl_description = (
+        "Show the active splat in the 3D viewports, as in its photograph if it has cameras. Gaussians far"
+        " outside are not counted"
+    )
 
     @classmethod
     def poll(cls, context):
@@ -33,7 +36,8 @@ class SVRGS_OT_frame(bpy.types.Operator):
 
 
 def frame(context, objects: list[bpy.types.Object], through_cameras: bool = False) -> bool:
-    """Shows the objects (splats, or parts of datasets) in every 3D viewport. Returns whether there is anything to show.
+    """Shows the objects (splats, or parts of datasets) in every 3D viewport. Returns whether there is
+    anything to show.
 
     through_cameras: whether viewports that look through a camera leave it.
     """
@@ -53,7 +57,10 @@ def frame(context, objects: list[bpy.types.Object], through_cameras: bool = Fals
         if seen and view.view_perspective == "PERSP":
             view.view_location, view.view_distance, view.view_rotation = seen
         else:
-            view.view_location, view.view_distance = sphere[0], viewing_distance(sphere[1], space.lens, region.width, region.height)
+            view.view_location, view.view_distance = (
+                sphere[0],
+                viewing_distance(sphere[1], space.lens, region.width, region.height),
+            )
         space.clip_start, space.clip_end = clipping(view.view_distance, space.clip_start, space.clip_end)
     return True
 
@@ -65,8 +72,13 @@ def _family(objects: list[bpy.types.Object]) -> list[bpy.types.Object]:
 
 
 def _first_camera(scene: bpy.types.Scene, family: list[bpy.types.Object]) -> bpy.types.Object | None:
-    """The scene's camera, if it is among the objects; else the first of their photographs' cameras; None if there is none."""
-    cameras = [obj for obj in family if obj.type == "CAMERA" and obj.data.type == "PERSP" and bridge_cameras.SIZE in obj.data]
+    """The scene's camera, if it is among the objects; else the first of their photographs' cameras; None if
+    there is none."""
+    cameras = [
+        obj
+        for obj in family
+        if obj.type == "CAMERA" and obj.data.type == "PERSP" and bridge_cameras.SIZE in obj.data
+    ]
     cameras.sort(key=lambda obj: obj.data[bridge_cameras.IMAGE])
     return scene.camera if scene.camera in cameras else next(iter(cameras), None)
 

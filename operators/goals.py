@@ -1,7 +1,7 @@
 """The goals of the prune panel: what decides how many Gaussians stay, as options of a job.
 
-Light, Balanced and Small multiply the method's default λ_F. Methods without λ_F keep a share of the Gaussians. What the three give on four
-scenes: docs/figures.md, "Light, Balanced and Small".
+Light, Balanced and Small multiply the method's default λ_F. Methods without λ_F keep a share of the
+Gaussians. What the three give on four scenes: docs/figures.md, "Light, Balanced and Small".
 """
 
 from __future__ import annotations
@@ -46,17 +46,23 @@ ITEMS = [  # the numbers are stored in .blend files
 
 
 def options(settings, obj: bpy.types.Object, merges: bool = False) -> dict:
-    """The goal of the panel's settings for a splat, as options of a job. merges: Gaussians are merged, to a number."""
+    """The goal of the panel's settings for a splat, as options of a job. merges: Gaussians are merged, to a
+    number."""
     method, total, goal = METHODS[settings.method], bridge.count(obj), settings.goal
     if goal == "DROP":
         return {"max_drop": round(settings.drop, 4)}
     if goal == "LAMBDA":
-        return {"lambda_f": float(f"{settings.lambda_f:.6g}")} if method.lambda_f else {}  # Blender stores 32 bits
+        # Blender stores 32 bits
+        return {"lambda_f": float(f"{settings.lambda_f:.6g}")} if method.lambda_f else {}
     if goal == "BALANCED" and not (merges or _needs_share(method)):
         return {}
     if goal in PRESETS:
         preset = PRESETS[goal]
-        return {"lambda_f": method.lambda_f * preset.strength} if method.lambda_f and not merges else {"target_count": max(1, round(preset.share * total))}
+        return (
+            {"lambda_f": method.lambda_f * preset.strength}
+            if method.lambda_f and not merges
+            else {"target_count": max(1, round(preset.share * total))}
+        )
     wanted = {
         "SHARE": settings.share / 100 * total,
         "COUNT": settings.count,
@@ -67,11 +73,14 @@ def options(settings, obj: bpy.types.Object, merges: bool = False) -> dict:
 
 
 def sentence(settings, merges: bool = False) -> str:
-    """What the goal means for the chosen method; empty where its property says it all. merges: as for options()."""
+    """What the goal means for the chosen method; empty where its property says it all. merges: as for
+    options()."""
     method, goal = METHODS[settings.method], settings.goal
     preset = PRESETS.get(goal)
     if goal == "DEVICE":
-        return tr("Keeps {count:,} Gaussians, or all if there are fewer").format(count=DEVICES[settings.device].gaussians)
+        return tr("Keeps {count:,} Gaussians, or all if there are fewer").format(
+            count=DEVICES[settings.device].gaussians
+        )
     if merges and preset is not None:
         return _share_sentence(preset.share)
     if preset is None:
@@ -79,9 +88,17 @@ def sentence(settings, merges: bool = False) -> str:
     if method.name == DEFAULT:
         return tr(preset.sentence)
     if method.lambda_f:
-        text = tr("The default λ_F of this method") if preset.strength == 1 else tr("{times:g} times the default λ_F of this method")
+        text = (
+            tr("The default λ_F of this method")
+            if preset.strength == 1
+            else tr("{times:g} times the default λ_F of this method")
+        )
         return text.format(times=preset.strength)
-    return _own_amount(method) if goal == "BALANCED" and not _needs_share(method) else _share_sentence(preset.share)
+    return (
+        _own_amount(method)
+        if goal == "BALANCED" and not _needs_share(method)
+        else _share_sentence(preset.share)
+    )
 
 
 def strength_sentence(settings) -> str:
@@ -93,9 +110,17 @@ def strength_sentence(settings) -> str:
     if 0.999 < times < 1.001:
         text = tr("λ_F = {value}, the default: {meaning}")
     else:
-        text = tr("λ_F = {value}, {times:.3g} times the default: {meaning}") if times > 1 else tr("λ_F = {value}, 1/{times:.3g} of the default: {meaning}")
+        text = (
+            tr("λ_F = {value}, {times:.3g} times the default: {meaning}")
+            if times > 1
+            else tr("λ_F = {value}, 1/{times:.3g} of the default: {meaning}")
+        )
     mantissa, exponent = f"{settings.lambda_f:.2e}".split("e")
-    return text.format(value=f"{float(mantissa):g}e{int(exponent)}", times=max(times, 1 / times), meaning=tr(method.lambda_f_help))
+    return text.format(
+        value=f"{float(mantissa):g}e{int(exponent)}",
+        times=max(times, 1 / times),
+        meaning=tr(method.lambda_f_help),
+    )
 
 
 def problem(settings) -> str:
@@ -104,11 +129,15 @@ def problem(settings) -> str:
     if settings.depth == "QUICK":  # its own problems: depths.py
         return ""
     if settings.goal == "LAMBDA" and method.ranks and not method.share:
-        return tr("'{method}' only ranks the Gaussians: choose another goal, such as a percentage or a size").format(method=tr(method.label))
+        return tr(
+            "'{method}' only ranks the Gaussians: choose another goal, such as a percentage or a size"
+        ).format(method=tr(method.label))
     if settings.goal != "DROP" or (method.supports_max_drop and learns):
         return ""
     if learns:
-        return tr("'{method}' cannot prune to a loss in dB: choose another goal or method").format(method=tr(method.label))
+        return tr("'{method}' cannot prune to a loss in dB: choose another goal or method").format(
+            method=tr(method.label)
+        )
     return tr("A loss as the goal needs iterations: set more than 0")
 
 

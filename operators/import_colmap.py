@@ -1,10 +1,11 @@
 """File > Import > Cameras and Photographs: cameras with their photographs, and the sparse points.
 
-Cameras and points become children of an empty, the root, together with the splat that is active. The root takes the place of the
-splat, so moving the root moves all. It is turned until the photographs stand upright; the numbers of splat and cameras stay.
+Cameras and points become children of an empty, the root, together with the splat that is active. The root
+takes the place of the splat, so moving the root moves all. It is turned until the photographs stand upright;
+the numbers of splat and cameras stay.
 
-A camera stores the size and the pixel aspect of its photograph and gives them to the scene when it becomes the scene's camera
-(active_camera.py).
+A camera stores the size and the pixel aspect of its photograph and gives them to the scene when it becomes
+the scene's camera (active_camera.py).
 """
 
 from __future__ import annotations
@@ -27,28 +28,50 @@ from .translation import OWN
 class SVRGS_OT_import_colmap(bpy.types.Operator):
     bl_idname = "svrgs.import_colmap"
     bl_label = "Import Cameras"
-    bl_description = "Import the cameras, photographs and sparse points of a dataset of COLMAP or transforms.json. They are placed with the active splat"
+    bl_description = (
+        "Import the cameras, photographs and sparse points of a dataset of COLMAP or transforms.json. They"
+        " are placed with the active splat"
+    )
     bl_options = {"REGISTER", "UNDO", "PRESET"}
 
     directory: StringProperty(
-        name="Dataset", subtype="DIR_PATH", description="Folder of the dataset. It holds the photographs, and a COLMAP model or transforms.json"
+        name="Dataset",
+        subtype="DIR_PATH",
+        description="Folder of the dataset. It holds the photographs, and a COLMAP model or transforms.json",
     )
     filter_folder: BoolProperty(default=True, options={"HIDDEN", "SKIP_SAVE"})
-    images: StringProperty(name="Images", description="Name of the image folder in the dataset, such as images_4. Empty: images")
-    photographs: BoolProperty(name="Photographs", default=True, description="Show each photograph as the background of its camera")
+    images: StringProperty(
+        name="Images", description="Name of the image folder in the dataset, such as images_4. Empty: images"
+    )
+    photographs: BoolProperty(
+        name="Photographs", default=True, description="Show each photograph as the background of its camera"
+    )
     undistorted: StringProperty(
         name="Undistorted",
-        description="Folder for undistorted copies of photographs with lens distortion. Empty: images_undistorted in the dataset",
+        description=(
+            "Folder for undistorted copies of photographs with lens distortion. Empty: images_undistorted in"
+            " the dataset"
+        ),
     )
-    points: BoolProperty(name="Sparse Points", default=True, description="Import the sparse points as a mesh. It is hidden at first")
+    points: BoolProperty(
+        name="Sparse Points",
+        default=True,
+        description="Import the sparse points as a mesh. It is hidden at first",
+    )
     level: BoolProperty(
         name="Level",
         translation_context=OWN,
         default=True,
-        description="Turn cameras and splat upright, as the photographs say. What you have moved already stays as it is",
+        description=(
+            "Turn cameras and splat upright, as the photographs say. What you have moved already stays as"
+            " it is"
+        ),
     )
     frame: BoolProperty(
-        name="Frame", translation_context=OWN, default=True, description="Turn the 3D viewports to the splat, or to the cameras if there is none"
+        name="Frame",
+        translation_context=OWN,
+        default=True,
+        description="Turn the 3D viewports to the splat, or to the cameras if there is none",
     )
 
     def execute(self, context):
@@ -70,28 +93,53 @@ class SVRGS_OT_import_colmap(bpy.types.Operator):
             self.show_photographs(folder, cameras, photos)
         if problems := undistort.problems():
             self.report({"WARNING"}, problems)
-        self.report({"INFO"}, "; ".join(filter(None, [*self.done(context, cameras, photos), joined(active, splat), levelled])))
+        self.report(
+            {"INFO"},
+            "; ".join(filter(None, [*self.done(context, cameras, photos), joined(active, splat), levelled])),
+        )
         return {"FINISHED"}
 
     def done(self, context, cameras: list[bpy.types.Object], photos: PosedPhotos) -> list[str]:
         """What was imported, in words."""
         shown, (done, total) = sum(bool(obj.data.background_images) for obj in cameras), undistort.progress()
-        parts = [tr("Imported {cameras:,} cameras and {photographs:,} photographs").format(cameras=len(cameras), photographs=shown)]
-        parts += [tr("{count:,} photographs are being undistorted first").format(count=total - done)] if total > done else []
-        parts += [tr("{count:,} sparse points, hidden").format(count=len(photos.points))] if self.points else []
+        parts = [
+            tr("Imported {cameras:,} cameras and {photographs:,} photographs").format(
+                cameras=len(cameras), photographs=shown
+            )
+        ]
+        parts += (
+            [tr("{count:,} photographs are being undistorted first").format(count=total - done)]
+            if total > done
+            else []
+        )
+        parts += (
+            [tr("{count:,} sparse points, hidden").format(count=len(photos.points))] if self.points else []
+        )
         render, text = context.scene.render, tr("the scene's camera is now '{name}', {width} x {height}")
-        return [*parts, text.format(name=context.scene.camera.name, width=render.resolution_x, height=render.resolution_y)]
+        return [
+            *parts,
+            text.format(
+                name=context.scene.camera.name, width=render.resolution_x, height=render.resolution_y
+            ),
+        ]
 
     def show_photographs(self, folder: Path, cameras: list[bpy.types.Object], photos: PosedPhotos):
         """Gives cameras their photographs as backgrounds; starts undistorting where that is needed."""
         for obj, file in zip(cameras, photos.files, strict=True):
             undistort.show(obj, file)
         if photos.distorted:
-            undistorted = Path(bpy.path.abspath(self.undistorted)) if self.undistorted else folder / dataset_paths.UNDISTORTED
+            undistorted = (
+                Path(bpy.path.abspath(self.undistorted))
+                if self.undistorted
+                else folder / dataset_paths.UNDISTORTED
+            )
             undistort.start(cameras, folder, self.images, undistorted, photos.distorted)
 
-    def add_objects(self, context, folder: Path, photos: PosedPhotos) -> tuple[bpy.types.Object, list[bpy.types.Object]]:
-        """Adds points and cameras below a root. Returns root and cameras; the first becomes the scene's camera."""
+    def add_objects(
+        self, context, folder: Path, photos: PosedPhotos
+    ) -> tuple[bpy.types.Object, list[bpy.types.Object]]:
+        """Adds points and cameras below a root. Returns root and cameras; the first becomes the scene's
+        camera."""
         name = folder.name
         collection = bpy.data.collections.new(name)
         context.collection.children.link(collection)
@@ -99,8 +147,12 @@ class SVRGS_OT_import_colmap(bpy.types.Operator):
         root[bridge.DATASET], root[bridge.IMAGES] = dataset_paths.stored(str(folder)), self.images
         root[bridge.POINTS] = len(photos.points)
         if self.points and len(photos.points):
-            points.append(bridge.points_object(f"{name} points", photos.points, photos.point_colors, collection))
-        cameras = [bridge_cameras.new_camera(camera, photos.extent or 1.0, collection) for camera in photos.cameras]
+            points.append(
+                bridge.points_object(f"{name} points", photos.points, photos.point_colors, collection)
+            )
+        cameras = [
+            bridge_cameras.new_camera(camera, photos.extent or 1.0, collection) for camera in photos.cameras
+        ]
         for obj in points + cameras:
             obj.parent = root
         context.scene.camera = cameras[0]
@@ -119,12 +171,18 @@ def joined(active: bpy.types.Object | None, splat: bpy.types.Object | None) -> s
     """What became of the active splat, in words. splat: the one that the cameras were joined to."""
     if splat is not None:
         return tr("joined to '{name}'").format(name=splat.name)
-    return tr("'{name}' keeps the cameras of another dataset").format(name=active.name) if active is not None else ""
+    return (
+        tr("'{name}' keeps the cameras of another dataset").format(name=active.name)
+        if active is not None
+        else ""
+    )
 
 
-def root_for(obj: bpy.types.Object | None, folder: Path, collection: bpy.types.Collection) -> bpy.types.Object:
-    """The root above the object, if it has no cameras of another dataset; a new root in its place if it is a splat without one; else a
-    new root with z up."""
+def root_for(
+    obj: bpy.types.Object | None, folder: Path, collection: bpy.types.Collection
+) -> bpy.types.Object:
+    """The root above the object, if it has no cameras of another dataset; a new root in its place if it is a
+    splat without one; else a new root with z up."""
     root = bridge.root_of(obj)
     if root is not None and dataset_paths.dataset_of_root(root) in ("", dataset_paths.absolute(str(folder))):
         return root
@@ -136,7 +194,9 @@ def root_for(obj: bpy.types.Object | None, folder: Path, collection: bpy.types.C
 
 
 def menu(self, context):
-    self.layout.operator(SVRGS_OT_import_colmap.bl_idname, text="Cameras and Photographs (COLMAP, transforms.json)")
+    self.layout.operator(
+        SVRGS_OT_import_colmap.bl_idname, text="Cameras and Photographs (COLMAP, transforms.json)"
+    )
 
 
 def register():

@@ -26,14 +26,21 @@ class SVRGS_OT_import_ply(bpy.types.Operator, ImportHelper):
     bl_options = {"REGISTER", "UNDO", "PRESET"}
 
     filename_ext = suffixes()[0]
-    filter_glob: StringProperty(default=";".join([*(f"*{suffix}" for suffix in suffixes()), *INDEXES]), options={"HIDDEN"})
+    filter_glob: StringProperty(
+        default=";".join([*(f"*{suffix}" for suffix in suffixes()), *INDEXES]), options={"HIDDEN"}
+    )
     directory: StringProperty(subtype="DIR_PATH", options={"HIDDEN", "SKIP_SAVE"})
     files: CollectionProperty(type=bpy.types.OperatorFileListElement, options={"HIDDEN", "SKIP_SAVE"})
     y_down: BoolProperty(
-        name="Turn Upright (Y-Down File)", default=True, description="The file's y axis points down, as in 3DGS files. The object is turned upright"
+        name="Turn Upright (Y-Down File)",
+        default=True,
+        description="The file's y axis points down, as in 3DGS files. The object is turned upright",
     )
     frame: BoolProperty(
-        name="Frame", translation_context=OWN, default=True, description="Turn the 3D viewports to the splat. Gaussians far outside are not counted"
+        name="Frame",
+        translation_context=OWN,
+        default=True,
+        description="Turn the 3D viewports to the splat. Gaussians far outside are not counted",
     )
 
     def execute(self, context):
@@ -47,10 +54,18 @@ class SVRGS_OT_import_ply(bpy.types.Operator, ImportHelper):
                 continue
             objects.append(self.add(context, split_name(path)[0], scene))
             root = bridge.root_of(objects[-1])
-            texts.append(tr("{file}: {count:,} Gaussians").format(file="".join(split_name(path)), count=scene.count))
-            texts += [tr("{count:,} with values that are not finite were left out").format(count=dropped)] if dropped else []
+            texts.append(
+                tr("{file}: {count:,} Gaussians").format(file="".join(split_name(path)), count=scene.count)
+            )
+            texts += (
+                [tr("{count:,} with values that are not finite were left out").format(count=dropped)]
+                if dropped
+                else []
+            )
             texts += [tr("3D filter of Mip-Splatting baked in")] if filtered else []
-            texts += [tr("joined to the cameras of '{name}'").format(name=root.name)] if root is not None else []
+            texts += (
+                [tr("joined to the cameras of '{name}'").format(name=root.name)] if root is not None else []
+            )
         if not objects:
             return {"CANCELLED"}
         select(context, objects)
@@ -60,8 +75,11 @@ class SVRGS_OT_import_ply(bpy.types.Operator, ImportHelper):
         return {"FINISHED"}
 
     def add(self, context, name, scene) -> bpy.types.Object:
-        """Adds the splat as an object; with the cameras below one root if the active object belongs to a dataset."""
-        obj = bridge.object_from_scene(name, scene, context.collection, bridge.AXES if self.y_down else Matrix())
+        """Adds the splat as an object; with the cameras below one root if the active object belongs to a
+        dataset."""
+        obj = bridge.object_from_scene(
+            name, scene, context.collection, bridge.AXES if self.y_down else Matrix()
+        )
         obj[bridge.Y_DOWN] = self.y_down
         root = bridge.root_of(context.object)
         if root is not None and self.y_down:
@@ -70,7 +88,9 @@ class SVRGS_OT_import_ply(bpy.types.Operator, ImportHelper):
 
     def paths(self) -> list[Path]:
         folder = Path(bpy.path.abspath(self.directory))
-        return [folder / file.name for file in self.files if file.name] or [Path(bpy.path.abspath(self.filepath))]
+        return [folder / file.name for file in self.files if file.name] or [
+            Path(bpy.path.abspath(self.filepath))
+        ]
 
     def invoke(self, context, event):
         """Opens the file browser; for dropped files a dialog, or an error if one of them is not a splat."""
@@ -85,7 +105,8 @@ class SVRGS_OT_import_ply(bpy.types.Operator, ImportHelper):
 
 
 class SVRGS_FH_ply(bpy.types.FileHandler):
-    """Drag and drop. Blender has a handler for .ply of its own, so it asks whether to import a mesh or a splat."""
+    """Drag and drop. Blender has a handler for .ply of its own, so it asks whether to import a mesh or a
+    splat."""
 
     bl_idname = "SVRGS_FH_ply"
     bl_label = "3D Gaussian Splat"

@@ -1,4 +1,5 @@
-"""The job of the active splat: start, stop, resume, discard, load the result. job_watch.py follows the jobs; job_list.py lists them all."""
+"""The job of the active splat: start, stop, resume, discard, load the result. job_watch.py follows the jobs;
+job_list.py lists them all."""
 
 from __future__ import annotations
 
@@ -23,14 +24,18 @@ from .native_check import native_problem
 from .preferences import PACKAGE, threads
 
 SMALLEST = 0.1  # share of a nested result down to which smaller numbers of Gaussians are trained
-STOP_NOW = n_("End the process at once, without waiting for a checkpoint. What was learned since the last one is lost")
+STOP_NOW = n_(
+    "End the process at once, without waiting for a checkpoint. What was learned since the last one is lost"
+)
 
 
 def options_of(context, obj: bpy.types.Object) -> dict:
     """The settings of the panel as the options of a job."""
     s, depth = context.scene.svrgs_prune, depths.chosen(context)
     if depth == depths.QUICK:
-        return {"quick": True, "seed": s.seed, "threads": threads(context)} | goals.options(s, obj, merges=True)
+        return {"quick": True, "seed": s.seed, "threads": threads(context)} | goals.options(
+            s, obj, merges=True
+        )
     colmap, images = dataset_paths.dataset_of(context) if depth == depths.PHOTOGRAPHS else ("", "")
     options = {
         "colmap": colmap, "images": images, "method": "merge" if depths.merges(context) else s.method, "seed": s.seed, "threads": threads(context),
@@ -73,14 +78,16 @@ def start_problem(context) -> str:
 
 
 def new_folder(context, name: str) -> Path:
-    """The folder of a new job: in the chosen folder, or next to the .blend file, or in the extension's folder."""
+    """The folder of a new job: in the chosen folder, or next to the .blend file, or in the extension's
+    folder."""
     parent = Path(job_folders(context)[0])
     stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S-%f")
     return parent / f"{re.sub('[^0-9A-Za-z_-]+', '_', name)[:40]}-{stamp}"
 
 
 def job_folders(context) -> list[str]:
-    """The folders in which jobs are made: the chosen one, that next to the .blend file, that of the extension. The first is for new jobs."""
+    """The folders in which jobs are made: the chosen one, that next to the .blend file, that of the
+    extension. The first is for new jobs."""
     chosen = bpy.path.abspath(context.scene.svrgs_prune.folder)
     beside = bpy.path.abspath(JOBS_FOLDER) if bpy.data.filepath else ""
     own = bpy.utils.extension_path_user(PACKAGE, path="jobs", create=False)
@@ -103,8 +110,11 @@ class JobOperator(bpy.types.Operator):
 class SVRGS_OT_job_start(JobOperator):
     bl_idname = "svrgs.job_start"
     bl_label = "Prune"
-    bl_description = "Prune the active splat in the background with the settings of the panel. The original stays"
-    bl_options = {"REGISTER", "UNDO"}  # with a step of undo: after undo back to it, the splat still knows its job
+    bl_description = (
+        "Prune the active splat in the background with the settings of the panel. The original stays"
+    )
+    # with a step of undo: after undo back to it, the splat still knows its job
+    bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
     def poll(cls, context):
@@ -115,7 +125,11 @@ class SVRGS_OT_job_start(JobOperator):
 
     def work(self, context) -> str:
         obj = context.object
-        scene, options, cameras = bridge.scene_from_object(obj), options_of(context, obj), given_views(context, obj)
+        scene, options, cameras = (
+            bridge.scene_from_object(obj),
+            options_of(context, obj),
+            given_views(context, obj),
+        )
         folder = JobFolder.create(new_folder(context, obj.name), scene, options, obj.name, cameras)
         link(obj, str(folder.path))
         waits = job_queue.start(Job(folder))
@@ -129,7 +143,14 @@ class SVRGS_OT_set_lambda(bpy.types.Operator):
     bl_description = "Set λ_F to one of the values in the SVR-GS paper"
     bl_options = {"REGISTER", "UNDO"}
 
-    value: bpy.props.FloatProperty(name="λ_F", min=1e-7, max=1, default=1e-4, precision=6, description="A higher λ_F keeps fewer Gaussians")
+    value: bpy.props.FloatProperty(
+        name="λ_F",
+        min=1e-7,
+        max=1,
+        default=1e-4,
+        precision=6,
+        description="A higher λ_F keeps fewer Gaussians",
+    )
 
     def execute(self, context):
         context.scene.svrgs_prune.lambda_f = self.value
@@ -162,7 +183,10 @@ class CurrentJobOperator(JobOperator):
 class SVRGS_OT_job_stop(CurrentJobOperator):
     bl_idname = "svrgs.job_stop"
     bl_label = "Stop"
-    bl_description = "Finish the present step, save what was learned as a checkpoint, and stop. Resume continues there. Nothing is lost"
+    bl_description = (
+        "Finish the present step, save what was learned as a checkpoint, and stop. Resume continues there."
+        " Nothing is lost"
+    )
 
     now: bpy.props.BoolProperty(name="Now", options={"SKIP_SAVE"}, description=STOP_NOW)
 
@@ -194,7 +218,10 @@ class SVRGS_OT_job_resume(CurrentJobOperator):
 class SVRGS_OT_job_discard(CurrentJobOperator):
     bl_idname = "svrgs.job_discard"
     bl_label = "Discard"
-    bl_description = "Delete the job's files: what it has learned, and its result if it has ended. Splat and cameras stay. This cannot be undone"
+    bl_description = (
+        "Delete the job's files: what it has learned, and its result if it has ended. Splat and cameras stay."
+        " This cannot be undone"
+    )
 
     @classmethod
     def problem(cls, context, obj: bpy.types.Object, job: Job) -> str:
@@ -219,7 +246,9 @@ class SVRGS_OT_job_load(CurrentJobOperator):
         loaded = load_result(context, obj, job)
         if not bridge.is_splat(obj):
             return tr("Loaded {count:,} Gaussians").format(count=bridge.count(loaded))
-        return tr("Loaded {kept:,} of {count:,} Gaussians").format(kept=bridge.count(loaded), count=bridge.count(obj))
+        return tr("Loaded {kept:,} of {count:,} Gaussians").format(
+            kept=bridge.count(loaded), count=bridge.count(obj)
+        )
 
 
 # --- what the buttons of the panel and of the list do
@@ -233,7 +262,8 @@ def stop_problem(job: Job) -> str:
 
 
 def stop(job: Job, now: bool = False) -> str:
-    """Stops the job, or takes it out of the queue. now: without a checkpoint. Returns what was done, in a sentence."""
+    """Stops the job, or takes it out of the queue. now: without a checkpoint. Returns what was done, in a
+    sentence."""
     if job_queue.is_queued(job):
         job_queue.leave(job)
         return tr("'{name}' does not wait any more: Resume starts it").format(name=job.name)
@@ -245,16 +275,24 @@ def stop(job: Job, now: bool = False) -> str:
 
 
 def resume(job: Job, dataset: str = "") -> str:
-    """Continues the job, or lets it wait. dataset: another place to look for its dataset. Returns a sentence. Raises SplatError, OSError."""
+    """Continues the job, or lets it wait. dataset: another place to look for its dataset. Returns a sentence.
+    Raises SplatError, OSError."""
     colmap = job.folder.request()["options"].get("colmap", "")
     if colmap and not os.path.exists(colmap):
         if not os.path.exists(dataset):
-            text = tr("{folder}: the dataset of this job is not there: with its splat active, find it in step 1 or choose it in step 2, then resume")
+            text = tr(
+                "{folder}: the dataset of this job is not there: with its splat active, find it in step 1 or"
+                " choose it in step 2, then resume"
+            )
             raise SplatError(text.format(folder=colmap))
         job.folder.set_dataset(dataset)
     waits = job_queue.start(job)
     start_timer()
-    text = tr("Training of '{name}' continues") if job.folder.kind == TRAIN else tr("Pruning of '{name}' continues")
+    text = (
+        tr("Training of '{name}' continues")
+        if job.folder.kind == TRAIN
+        else tr("Pruning of '{name}' continues")
+    )
     return ". ".join(filter(None, (waits or text.format(name=job.name), job.renamed)))
 
 

@@ -1,9 +1,12 @@
-"""The list of all jobs that this Blender knows: those of the open file, and those in the folders in which jobs are made.
+"""The list of all jobs that this Blender knows: those of the open file, and those in the folders in which
+jobs are made.
 
-The owner of a job is the splat that it prunes, or the root of the cameras from which it trains one. A job without its owner in the
-file is an orphan. It can be stopped, continued and opened like the others (orphan_jobs.py: if its splat comes back).
+The owner of a job is the splat that it prunes, or the root of the cameras from which it trains one. A job
+without its owner in the file is an orphan. It can be stopped, continued and opened like the others
+(orphan_jobs.py: if its splat comes back).
 
-The folders are read again every SCAN_EVERY seconds while a panel asks. Panels know window_manager.svrgs_job_list by name.
+The folders are read again every SCAN_EVERY seconds while a panel asks. Panels know
+window_manager.svrgs_job_list by name.
 """
 
 from __future__ import annotations
@@ -39,7 +42,8 @@ STATES = {  # state -> its words, and those with a progress
     "running": (n_("Running"), n_("Running at {share:.0%}")), "stopping": (n_("Stopping"), n_("Stopping at {share:.0%}")),
 }  # fmt: skip
 UNKNOWN = n_("In an unknown state"), n_("In an unknown state")
-ICONS = {"done": "CHECKMARK", "failed": "ERROR", "interrupted": "ERROR"}  # others: PAUSE, or PLAY while it runs
+# others: PAUSE, or PLAY while it runs
+ICONS = {"done": "CHECKMARK", "failed": "ERROR", "interrupted": "ERROR"}
 
 _read: dict[str, Job] = {}  # by folder: jobs that were found in a folder and have no splat in the file
 _sizes: dict[str, int] = {}  # by folder: bytes on disk
@@ -69,7 +73,11 @@ def _scan(context):
     folders = {folder_of(obj) for obj in bpy.data.objects} - {""} | jobs.keys()
     for parent in job_folders(context):
         with contextlib.suppress(OSError), os.scandir(parent) as entries:  # mostly there is none yet
-            folders |= {entry.path for entry in entries if entry.is_dir() and os.path.isfile(os.path.join(entry.path, "job.json"))}
+            folders |= {
+                entry.path
+                for entry in entries
+                if entry.is_dir() and os.path.isfile(os.path.join(entry.path, "job.json"))
+            }
     _sizes.clear()
     _sizes.update({folder: JobFolder(folder).size() for folder in folders})
     for folder in _read.keys() - folders:
@@ -101,19 +109,37 @@ def owners() -> dict[str, bpy.types.Object]:
 
 
 def row(job: Job, splat: bpy.types.Object | None) -> dict:
-    """Of a job and its owner in the file: folder, name of the splat, the state in words, size and what is missing, icon, and the buttons that fit."""
+    """Of a job and its owner in the file: folder, name of the splat, the state in words, size and what is
+    missing, icon, and the buttons that fit."""
     folder = str(job.folder.path)
     applied = applied_jobs.is_applied(folder)
     buttons = ["stop"] if is_busy(job) and not stop_problem(job) else ["resume"] if is_resumable(job) else []
     buttons += ["open"] * (job.state == "done" and not applied and not _is_loaded(splat))
     buttons += ["delete"] * (not is_busy(job))
-    missing = tr("its cameras are not in this file") if job.kind == TRAIN else tr("its splat is not in this file")
+    missing = (
+        tr("its cameras are not in this file") if job.kind == TRAIN else tr("its splat is not in this file")
+    )
     where = "" if splat is not None or applied else missing
-    icon = ("PLAY" if not job_queue.is_queued(job) else "SORTTIME") if is_busy(job) else ICONS.get(job.state, "PAUSE")
+    icon = (
+        ("PLAY" if not job_queue.is_queued(job) else "SORTTIME")
+        if is_busy(job)
+        else ICONS.get(job.state, "PAUSE")
+    )
     loaded = tr("its result is in this file") if _is_loaded(splat) else ""
-    state = tr("Finished: its files are deleted when the file is saved") if applied else ", ".join(filter(None, (state_text(job), loaded)))
+    state = (
+        tr("Finished: its files are deleted when the file is saved")
+        if applied
+        else ", ".join(filter(None, (state_text(job), loaded)))
+    )
     size = ", ".join(filter(None, (size_text(_sizes[folder]) if _sizes.get(folder) else "", where)))
-    return {"folder": folder, "name": splat.name if splat is not None else job.name, "state": state, "size": size, "icon": icon, "buttons": buttons}
+    return {
+        "folder": folder,
+        "name": splat.name if splat is not None else job.name,
+        "state": state,
+        "size": size,
+        "icon": icon,
+        "buttons": buttons,
+    }
 
 
 def state_text(job: Job) -> str:
@@ -179,14 +205,23 @@ class SVRGS_OT_listed_job_resume(ListedJobOperator):
 class SVRGS_OT_listed_job_open(ListedJobOperator):
     bl_idname = "svrgs.listed_job_open"
     bl_label = "Open Result"
-    bl_description = "Load the result of this job: beside its splat, or as a new splat if that is not in the file. Of a training: beside its cameras"
+    bl_description = (
+        "Load the result of this job: beside its splat, or as a new splat if that is not in the file. Of a"
+        " training: beside its cameras"
+    )
     bl_options = {"REGISTER", "UNDO"}
 
     def work_on(self, context, job: Job) -> str:
         if job.state != "done":
             raise SplatError(tr("'{name}' has no result yet").format(name=job.name))
         splat = owners().get(str(job.folder.path))
-        problem = edit_guard.problem(context, splat) if splat is not None else tr("Leave Edit Mode first") if context.mode != "OBJECT" else ""
+        problem = (
+            edit_guard.problem(context, splat)
+            if splat is not None
+            else tr("Leave Edit Mode first")
+            if context.mode != "OBJECT"
+            else ""
+        )
         if problem:
             raise SplatError(problem)
         if splat is not None:
@@ -195,7 +230,9 @@ class SVRGS_OT_listed_job_open(ListedJobOperator):
             name = f"{job.name} {'splat' if job.kind == TRAIN else 'pruned'}"
             loaded = bridge.object_from_scene(name, read_scene(job.folder.output), context.collection)
         select(context, [loaded])
-        return tr("Loaded '{name}' with {count:,} Gaussians").format(name=loaded.name, count=bridge.count(loaded))
+        return tr("Loaded '{name}' with {count:,} Gaussians").format(
+            name=loaded.name, count=bridge.count(loaded)
+        )
 
 
 class ConfirmedDeletion(JobOperator):
@@ -208,7 +245,10 @@ class ConfirmedDeletion(JobOperator):
 class SVRGS_OT_listed_job_delete(ListedJobOperator, ConfirmedDeletion):
     bl_idname = "svrgs.listed_job_delete"
     bl_label = "Delete Job"
-    bl_description = "Delete the files of this job: what it has learned, and its result if it has ended. Splats in the file stay. This cannot be undone"
+    bl_description = (
+        "Delete the files of this job: what it has learned, and its result if it has ended. Splats in the"
+        " file stay. This cannot be undone"
+    )
 
     def work_on(self, context, job: Job) -> str:
         if is_busy(job):
@@ -221,8 +261,8 @@ class SVRGS_OT_delete_finished_jobs(ConfirmedDeletion):
     bl_idname = "svrgs.delete_finished_jobs"
     bl_label = "Delete Finished Jobs"
     bl_description = (
-        "Delete the files of all finished jobs, except those whose result still has to be loaded, or saved after Apply. "
-        "Results that are in no .blend file are lost. This cannot be undone"
+        "Delete the files of all finished jobs, except those whose result still has to be loaded, or saved"
+        " after Apply. Results that are in no .blend file are lost. This cannot be undone"
     )
 
     def work(self, context) -> str:
@@ -237,7 +277,11 @@ def finished_jobs(context) -> tuple[list[Job], int]:
     """The jobs that svrgs.delete_finished_jobs deletes, and their bytes on disk."""
     known = owners()
     done = ((job, str(job.folder.path)) for job in all_jobs(context) if job.state == "done")
-    found = [job for job, folder in done if _is_loaded(known.get(folder), orphan=True) and not applied_jobs.is_applied(folder)]
+    found = [
+        job
+        for job, folder in done
+        if _is_loaded(known.get(folder), orphan=True) and not applied_jobs.is_applied(folder)
+    ]
     return found, sum(_sizes.get(str(job.folder.path), 0) for job in found)
 
 
@@ -251,12 +295,17 @@ def _rows(_) -> str:
 
 def _finished(_) -> str:
     found, size = finished_jobs(bpy.context)
-    return tr("Delete {count:,} Finished, {size}").format(count=len(found), size=size_text(size)) if found else ""
+    return (
+        tr("Delete {count:,} Finished, {size}").format(count=len(found), size=size_text(size))
+        if found
+        else ""
+    )
 
 
 class SVRGS_PG_job_list(bpy.types.PropertyGroup):
     rows: StringProperty(get=_rows)  # JSON: a list of row()
-    finished: StringProperty(get=_finished)  # text of the button that deletes the finished jobs; empty: there are none
+    # text of the button that deletes the finished jobs; empty: there are none
+    finished: StringProperty(get=_finished)
 
 
 CLASSES = (

@@ -1,4 +1,5 @@
-"""Icons for the panel of a running job: a plot of its metrics, and its newest preview image. They are not saved with the file."""
+"""Icons for the panel of a running job: a plot of its metrics, and its newest preview image. They are not
+saved with the file."""
 
 from __future__ import annotations
 
@@ -28,7 +29,8 @@ def redraw(folder: JobFolder):
             del _pictures[0][_shown[key]]
         _shown[key] = str(newest)
         preview = _pictures[0].load(str(newest), str(newest), "IMAGE", force_reload=True)
-        _ = preview.image_size[:], preview.icon_size[:]  # reads the file now; else Blender would show a waiting symbol first
+        # reads the file now; else Blender would show a waiting symbol first
+        _ = preview.image_size[:], preview.icon_size[:]
 
 
 def plot_icon(folder: JobFolder) -> int:

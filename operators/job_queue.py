@@ -1,4 +1,5 @@
-"""The jobs that this Blender knows, and the queue: one job runs at a time, others wait in the order in which they were started.
+"""The jobs that this Blender knows, and the queue: one job runs at a time, others wait in the order in which
+they were started.
 
 Each Blender has a queue of its own. A job that waits when Blender ends is found again as "not started yet".
 """
@@ -15,7 +16,8 @@ _queue: list[Job] = []
 
 
 def start(job: Job) -> str:
-    """Starts or continues the job, or lets it wait for others. Returns what it waits for, in a sentence, or ''. Raises SplatError, OSError."""
+    """Starts or continues the job, or lets it wait for others. Returns what it waits for, in a sentence, or
+    ''. Raises SplatError, OSError."""
     jobs[str(job.folder.path)] = job
     if not job.running and not is_queued(job):
         if running() is None:

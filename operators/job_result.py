@@ -1,11 +1,12 @@
-"""The result of a finished job in the scene: the original, with its removed Gaussians marked, and the pruned splat beside it.
+"""The result of a finished job in the scene: the original, with its removed Gaussians marked, and the pruned
+splat beside it.
 
-Both store how the job ranked each Gaussian, so the slider Keep can show fewer or more at once. svrgs.apply deletes Gaussians of the
-pruned splat; only svrgs.discard deletes the original.
+Both store how the job ranked each Gaussian, so the slider Keep can show fewer or more at once. svrgs.apply
+deletes Gaussians of the pruned splat; only svrgs.discard deletes the original.
 
-Original and pruned splat know each other by object properties. After every change of the scene, the properties that name a deleted
-partner are removed, and the original of a deleted result is shown again. Its ranking stays, so an undo can join both again. A copy
-of either one stands alone.
+Original and pruned splat know each other by object properties. After every change of the scene, the
+properties that name a deleted partner are removed, and the original of a deleted result is shown again. Its
+ranking stays, so an undo can join both again. A copy of either one stands alone.
 """
 
 from __future__ import annotations
@@ -35,17 +36,23 @@ NOTES = "svrgs_result_notes"  # property of the pruned splat until Apply: senten
 
 
 def load(context, obj: bpy.types.Object, folder: JobFolder) -> bpy.types.Object:
-    """Adds the pruned splat beside `obj`, marks in `obj` what the job removed, and hides it. Raises SceneError, FormatError."""
+    """Adds the pruned splat beside `obj`, marks in `obj` what the job removed, and hides it. Raises
+    SceneError, FormatError."""
     recovered, total = read_scene(folder / "pruned.ply"), folder.request()["count"]
     if bridge.count(obj) != total:
-        text = tr("'{name}' has {now:,} Gaussians, but {before:,} when the job began: undo the edit, then load the result")
+        text = tr(
+            "'{name}' has {now:,} Gaussians, but {before:,} when the job began: undo the edit, then load the"
+            " result"
+        )
         raise SceneError(text.format(name=obj.name, now=bridge.count(obj), before=total))
     if folder.merged:
         return _load_merged(obj, recovered, folder)
     kept, score = folder.arrays()
     probability = folder.probability()
     if recovered.count != kept.sum():
-        raise SceneError(tr("{file}: does not belong to this job's other files").format(file=folder / "pruned.ply"))
+        raise SceneError(
+            tr("{file}: does not belong to this job's other files").format(file=folder / "pruned.ply")
+        )
     pruned = _beside(obj, recovered, folder)
     rows = numbered(len(kept))
     for target, chosen in ((obj, slice(None)), (pruned, kept)):
@@ -61,7 +68,8 @@ def load(context, obj: bpy.types.Object, folder: JobFolder) -> bpy.types.Object:
 
 
 def _load_merged(obj: bpy.types.Object, recovered: Scene, folder: JobFolder) -> bpy.types.Object:
-    """As load(), of a job that merged Gaussians: they have no place in a ranking of the original's, so nothing is marked in it."""
+    """As load(), of a job that merged Gaussians: they have no place in a ranking of the original's, so
+    nothing is marked in it."""
     pruned = _beside(obj, recovered, folder)
     join(obj, pruned)
     pruned[KEPT], pruned[MERGED], pruned[bridge_order.JOB] = recovered.count, True, folder.path.name
@@ -72,17 +80,23 @@ def _load_merged(obj: bpy.types.Object, recovered: Scene, folder: JobFolder) -> 
 
 
 def _beside(obj: bpy.types.Object, recovered: Scene, folder: JobFolder) -> bpy.types.Object:
-    """A copy of `obj` with the recovered Gaussians, moved as its points were since the job began. Raises SceneError."""
+    """A copy of `obj` with the recovered Gaussians, moved as its points were since the job began. Raises
+    SceneError."""
     motion = common_motion(read_scene(folder / "scene.ply").means, bridge.stored_values(obj, "position"))
     if motion is None:
-        raise SceneError(tr("points of '{name}' were moved since the job began: undo the edit, then load the result").format(name=obj.name))
+        raise SceneError(
+            tr(
+                "points of '{name}' were moved since the job began: undo the edit, then load the result"
+            ).format(name=obj.name)
+        )
     recovered = transformed(recovered, motion)
     _make_room(obj)
     return bridge.copy_with(obj, f"{obj.name} pruned", recovered)
 
 
 def _make_room(original: bpy.types.Object):
-    """For a new result: an earlier one that was applied becomes a splat of its own, hidden; any other is deleted."""
+    """For a new result: an earlier one that was applied becomes a splat of its own, hidden; any other is
+    deleted."""
     former = pruned_of(original)
     if undecided(former):
         discard_result(original)
@@ -90,7 +104,8 @@ def _make_room(original: bpy.types.Object):
         former.pop(ORIGINAL, None)
         original.pop(PRUNED, None)
         set_hidden(former, True)
-    original.pop(KEPT, None)  # earlier versions left it when a result was applied; with it, the original would look undecided
+    # earlier versions left it when a result was applied; with it, the original would look undecided
+    original.pop(KEPT, None)
 
 
 def settle(original: bpy.types.Object | None, pruned: bpy.types.Object):
@@ -103,7 +118,8 @@ def settle(original: bpy.types.Object | None, pruned: bpy.types.Object):
 
 
 def pair_of(obj: bpy.types.Object | None) -> tuple[bpy.types.Object | None, bpy.types.Object | None]:
-    """(original, pruned) if the object is one of a pair; None for a missing one. If it is one of two pairs: that with an undecided result."""
+    """(original, pruned) if the object is one of a pair; None for a missing one. If it is one of two pairs:
+    that with an undecided result."""
     if obj is None:
         return None, None
     pruned, original = pruned_of(obj), original_of(obj)
@@ -114,11 +130,16 @@ def pair_of(obj: bpy.types.Object | None) -> tuple[bpy.types.Object | None, bpy.
 
 def undecided(pruned: bpy.types.Object | None) -> bool:
     """Whether the splat is a result that was not applied yet."""
-    return pruned is not None and KEPT in pruned and (REMOVED in pruned.data.attributes or pruned.get(MERGED, False))
+    return (
+        pruned is not None
+        and KEPT in pruned
+        and (REMOVED in pruned.data.attributes or pruned.get(MERGED, False))
+    )
 
 
 def ranked(pruned: bpy.types.Object) -> bool:
-    """Whether the result has a ranking of the original's Gaussians, so that fewer or more can be shown. One with merged Gaussians has none."""
+    """Whether the result has a ranking of the original's Gaussians, so that fewer or more can be shown. One
+    with merged Gaussians has none."""
     return not pruned.get(MERGED, False)
 
 
@@ -128,8 +149,9 @@ def has_slider(pruned: bpy.types.Object) -> bool:
 
 
 def show(pruned: bpy.types.Object, count: int):
-    """Shows the `count` Gaussians with the highest rank and marks all others. Gaussians that the job had removed look as in the original. A result
-    without a ranking shows so many of its order, or all of its own."""
+    """Shows the `count` Gaussians with the highest rank and marks all others. Gaussians that the job had
+    removed look as in the original. A result without a ranking shows so many of its order, or all of its
+    own."""
     if not ranked(pruned):
         bridge_order.show(pruned, count, pruned[KEPT])
         return
@@ -160,7 +182,8 @@ def shown_count(pruned: bpy.types.Object) -> int:
 
 
 def shown_gaussians(pruned: bpy.types.Object) -> Scene:
-    """The Gaussians that are not marked, in the original's order: recovered, or as in the original if the job had removed them."""
+    """The Gaussians that are not marked, in the original's order: recovered, or as in the original if the job
+    had removed them."""
     if not ranked(pruned):
         return bridge_order.shown(pruned) or bridge.scene_from_object(pruned)
     original, scene = original_of(pruned), bridge.scene_from_object(pruned)
@@ -197,7 +220,8 @@ def discard_result(original: bpy.types.Object):
 
 
 def discard_original(original: bpy.types.Object, pruned: bpy.types.Object):
-    """Deletes the original of an applied result. If it was itself pruned from another splat, that one becomes the original."""
+    """Deletes the original of an applied result. If it was itself pruned from another splat, that one becomes
+    the original."""
     first = original_of(original)
     delete_object(original)
     if first is not None:
@@ -214,7 +238,9 @@ def delete_object(obj: bpy.types.Object):
 
 def _hide_removed(obj: bpy.types.Object):
     if HIDE_MODIFIER not in obj.modifiers:
-        obj.modifiers.new(HIDE_MODIFIER, "NODES").node_group = bpy.data.node_groups.get(HIDE_MODIFIER) or _hide_nodes()
+        obj.modifiers.new(HIDE_MODIFIER, "NODES").node_group = (
+            bpy.data.node_groups.get(HIDE_MODIFIER) or _hide_nodes()
+        )
 
 
 def _hide_nodes() -> bpy.types.NodeTree:
@@ -224,7 +250,13 @@ def _hide_nodes() -> bpy.types.NodeTree:
         group.interface.new_socket("Geometry", in_out=direction, socket_type="NodeSocketGeometry")
     nodes = group.nodes
     given, marked, delete, out = (
-        nodes.new(kind) for kind in ("NodeGroupInput", "GeometryNodeInputNamedAttribute", "GeometryNodeDeleteGeometry", "NodeGroupOutput")
+        nodes.new(kind)
+        for kind in (
+            "NodeGroupInput",
+            "GeometryNodeInputNamedAttribute",
+            "GeometryNodeDeleteGeometry",
+            "NodeGroupOutput",
+        )
     )
     marked.data_type, delete.domain = "BOOLEAN", "POINT"
     marked.inputs["Name"].default_value = REMOVED
@@ -270,7 +302,8 @@ def _check_pruned(obj: bpy.types.Object):
 
 
 def _free_original(original: bpy.types.Object, shared=None):
-    """Makes the original independent and shows it. Its ranking stays, for an undo. shared: data whose marks another object needs."""
+    """Makes the original independent and shows it. Its ranking stays, for an undo. shared: data whose marks
+    another object needs."""
     del original[PRUNED]
     if original.data != shared:
         bridge.remove_values(original, REMOVED)

@@ -1,8 +1,8 @@
 """Which job belongs to which splat, and a timer that follows the jobs that run.
 
-The .blend file stores only the path of a job's folder, as a property of its splat. Undo may remove this property, and a copy of the
-splat has it too. So `links` remembers which splat has which folder: after an undo the property is put back, and it is removed from a
-copy. Undo takes no job away; a copy of a splat has no job.
+The .blend file stores only the path of a job's folder, as a property of its splat. Undo may remove this
+property, and a copy of the splat has it too. So `links` remembers which splat has which folder: after an undo
+the property is put back, and it is removed from a copy. Undo takes no job away; a copy of a splat has no job.
 
 An error with one job fails that job alone; the timer goes on with the others.
 """
@@ -23,11 +23,13 @@ from .job_queue import jobs
 from .select import in_view_layer
 
 INTERVAL = 0.2  # seconds between two calls of the timer
-RESUMABLE = ("queued", "stopped", "paused", "cancelled", "interrupted", "failed")  # states in which a job can be resumed, unless it is in the queue
+# states in which a job can be resumed, unless it is in the queue
+RESUMABLE = ("queued", "stopped", "paused", "cancelled", "interrupted", "failed")
 BUSY = ("new", "starting", "running")
 
 links: dict[int, str] = {}  # by session_uid of a splat, which undo does not change: the folder of its job
-in_file: dict[int, str] = {}  # by session_uid of a splat: the folder of the finished job whose result it is; see applied_jobs.py
+# by session_uid of a splat: the folder of the finished job whose result it is; see applied_jobs.py
+in_file: dict[int, str] = {}
 
 
 # --- the job of a splat
@@ -55,13 +57,16 @@ def job_of(obj: bpy.types.Object | None) -> Job | None:
 
 
 def current(context) -> tuple[bpy.types.Object, Job] | None:
-    """(splat, its job): of the active object, or of the original it was pruned from. If no splat is active: the first job that is not done.
+    """(splat, its job): of the active object, or of the original it was pruned from. If no splat is active:
+    the first job that is not done.
 
     None if there is no such job.
     """
     original, pruned = job_result.pair_of(context.object)
     for obj in (context.object, original if job_result.undecided(pruned) else None):
-        if (job := job_of(obj)) is not None and (job.state != "done" or not job_result.undecided(job_result.pruned_of(obj))):
+        if (job := job_of(obj)) is not None and (
+            job.state != "done" or not job_result.undecided(job_result.pruned_of(obj))
+        ):
             return obj, job
     if bridge.is_splat(context.object):
         return None
@@ -86,7 +91,8 @@ def unlink(obj: bpy.types.Object):
 
 
 def delete_job(job: Job):
-    """Deletes the files of a job that has ended or waits, and takes it from its splat or its cameras. Raises OSError."""
+    """Deletes the files of a job that has ended or waits, and takes it from its splat or its cameras. Raises
+    OSError."""
     job_queue.leave(job)
     with contextlib.suppress(FormatError):  # the files are gone already
         job.folder.discard()
@@ -107,7 +113,8 @@ def _after_undo(*_):
 
 @persistent
 def _after_update(scene, *_):
-    """Takes the job away from a copy of a splat. A splat that was loaded or appended with its job keeps it."""
+    """Takes the job away from a copy of a splat. A splat that was loaded or appended with its job keeps
+    it."""
     for obj in scene.objects:
         folder = folder_of(obj)
         if folder and not obj.library and links.get(obj.session_uid) != folder:
@@ -119,18 +126,23 @@ def _after_update(scene, *_):
 
 def owner_of(folder: str) -> bpy.types.Object | None:
     """The splat in the file that is known to have the job in this folder."""
-    return next((obj for obj in bpy.data.objects if links.get(obj.session_uid) == folder and obj.users_collection), None)
+    return next(
+        (obj for obj in bpy.data.objects if links.get(obj.session_uid) == folder and obj.users_collection),
+        None,
+    )
 
 
 # --- the timer
 
 
 def tick() -> float | None:
-    """Reads the messages of every running job, and starts the next one of the queue. Returns the seconds until the next call; None if no job is left."""
+    """Reads the messages of every running job, and starts the next one of the queue. Returns the seconds
+    until the next call; None if no job is left."""
     for job in [job for job in jobs.values() if job.running]:
         try:
             _update(job)
-        except Exception as error:  # any error: Blender removes a timer that raises, and then no job would be followed
+        # any error: Blender removes a timer that raises, and then no job would be followed
+        except Exception as error:
             job.abort(str(error) or type(error).__name__)
             redraw_panels()
     return INTERVAL if job_queue.advance() else None
@@ -152,7 +164,9 @@ def start_timer():
 
 def _load_if_possible(job: Job):
     """Loads the result if its splat is there and can be changed. If not, the panel offers Load Result."""
-    splats = [obj for obj in bpy.data.objects if obj.users_collection and folder_of(obj) == str(job.folder.path)]
+    splats = [
+        obj for obj in bpy.data.objects if obj.users_collection and folder_of(obj) == str(job.folder.path)
+    ]
     if not splats or edit_guard.problem(bpy.context, splats[0]):
         return
     with contextlib.suppress(SplatError, OSError):  # the button Load Result reports the error
@@ -162,7 +176,8 @@ def _load_if_possible(job: Job):
 
 
 def load_result(context, obj: bpy.types.Object, job: Job) -> bpy.types.Object:
-    """Adds the result of a finished job to the scene. obj: the splat that was pruned, or the root of the cameras that a splat was trained from."""
+    """Adds the result of a finished job to the scene. obj: the splat that was pruned, or the root of the
+    cameras that a splat was trained from."""
     if job.folder.kind == TRAIN:
         trained = train_result.load(context, obj, job.folder)
         in_file[trained.session_uid] = str(job.folder.path)
@@ -194,13 +209,19 @@ def redraw_panels():
 
 @persistent
 def _after_load(*_):
-    """Another file has been opened: only the jobs that run or wait in this Blender stay. All links go, because the splats are others."""
+    """Another file has been opened: only the jobs that run or wait in this Blender stay. All links go,
+    because the splats are others."""
     links.clear()
     in_file.clear()
     job_queue.forget_ended()
 
 
-HANDLERS = {"load_post": _after_load, "undo_post": _after_undo, "redo_post": _after_undo, "depsgraph_update_post": _after_update}
+HANDLERS = {
+    "load_post": _after_load,
+    "undo_post": _after_undo,
+    "redo_post": _after_undo,
+    "depsgraph_update_post": _after_update,
+}
 
 
 def register():

@@ -1,4 +1,5 @@
-"""Draws the spatial mask F of the scene's camera into an image and a texture, both called NAME, in colours or as numbers."""
+"""Draws the spatial mask F of the scene's camera into an image and a texture, both called NAME, in colours or
+as numbers."""
 
 from __future__ import annotations
 
@@ -25,7 +26,8 @@ _masks: dict = {}  # session_uid of a scene -> its last mask (H, W)
 
 
 def refresh(context: bpy.types.Context) -> dict:
-    """Draws the mask of all visible splats. Returns camera, mean and largest value. Raises SplatError, NativeError."""
+    """Draws the mask of all visible splats. Returns camera, mean and largest value. Raises SplatError,
+    NativeError."""
     started = time.perf_counter()
     scene, depsgraph = context.scene, context.evaluated_depsgraph_get()
     _inputs[scene.session_uid] = _inputs_now(depsgraph)
@@ -33,7 +35,9 @@ def refresh(context: bpy.types.Context) -> dict:
     if placed is None:
         raise SceneError(tr("there is no visible splat: import one"))
     obj = bridge_graph.camera(depsgraph)
-    camera = placed.seen_by(_sized(bridge_cameras.camera_from_object(obj, scene), scene.svrgs_looking.mask_size))
+    camera = placed.seen_by(
+        _sized(bridge_cameras.camera_from_object(obj, scene), scene.svrgs_looking.mask_size)
+    )
     library.set_threads(threads(context))
     if not _rasterizer:
         _rasterizer.append(Rasterizer())
@@ -42,7 +46,9 @@ def refresh(context: bpy.types.Context) -> dict:
     _masks[scene.session_uid] = mask
     result = {"camera": obj.name, "mean": float(mask.mean()), "largest": float(mask.max(initial=0))}
     _write(scene, result)
-    scene.svrgs_looking.mask_result = json.dumps({**result, "milliseconds": round(1e3 * (time.perf_counter() - started))})
+    scene.svrgs_looking.mask_result = json.dumps(
+        {**result, "milliseconds": round(1e3 * (time.perf_counter() - started))}
+    )
     return result
 
 
@@ -54,7 +60,10 @@ def is_stale(context: bpy.types.Context) -> bool:
 def _inputs_now(depsgraph: bpy.types.Depsgraph) -> tuple:
     """Everything that a mask depends on."""
     camera = bridge_cameras.camera_from_object(bridge_graph.camera(depsgraph), depsgraph.scene)
-    places = [(scene_cache.number(obj), tuple(map(tuple, matrix))) for obj, matrix in bridge_graph.placed_splats(depsgraph)]
+    places = [
+        (scene_cache.number(obj), tuple(map(tuple, matrix)))
+        for obj, matrix in bridge_graph.placed_splats(depsgraph)
+    ]
     return camera.key, depsgraph.scene.svrgs_looking.mask_size, *places
 
 
@@ -76,7 +85,8 @@ def _sized(camera, longer: int):
 
 
 def _write(scene: bpy.types.Scene, result: dict):
-    """Writes image, preview and texture. Blender shows a Non-Color image as if its numbers were linear, so colours are stored linear."""
+    """Writes image, preview and texture. Blender shows a Non-Color image as if its numbers were linear, so
+    colours are stored linear."""
     settings, mask = scene.svrgs_looking, _masks[scene.session_uid]
     top = settings.mask_top or result["largest"]
     name = settings.mask_colors if settings.mask_colors in color_maps.NAMES else "grey"

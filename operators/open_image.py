@@ -28,7 +28,10 @@ class SVRGS_OT_open_image(bpy.types.Operator):
             return {"CANCELLED"}
         known = set(context.window_manager.windows)
         bpy.ops.wm.window_new()
-        area = max((window for window in context.window_manager.windows if window not in known), key=lambda window: window.width).screen.areas[0]
+        area = max(
+            (window for window in context.window_manager.windows if window not in known),
+            key=lambda window: window.width,
+        ).screen.areas[0]
         area.ui_type = "IMAGE_EDITOR"
         area.spaces.active.image = image
         return {"FINISHED"}

@@ -1,6 +1,8 @@
-"""Jobs whose splat came back, for example because its file was imported again: the splat can take its job over.
+"""Jobs whose splat came back, for example because its file was imported again: the splat can take its job
+over.
 
-A job stores a digest of the Gaussians of which it was made. So a splat is known again whatever its name and its file are.
+A job stores a digest of the Gaussians of which it was made. So a splat is known again whatever its name and
+its file are.
 """
 
 from __future__ import annotations
@@ -39,7 +41,9 @@ def orphan_of(context, obj: bpy.types.Object | None) -> Job | None:
 def sentence(context) -> str:
     """That a job of the active splat was found; '' if none was."""
     job = orphan_of(context, context.object)
-    return tr("A job of this splat was found: {state}").format(state=state_text(job)) if job is not None else ""
+    return (
+        tr("A job of this splat was found: {state}").format(state=state_text(job)) if job is not None else ""
+    )
 
 
 def _made_of(job: Job) -> tuple[int, str]:
@@ -83,7 +87,10 @@ def _forget_all(*_):
 class SVRGS_OT_adopt_job(JobOperator):
     bl_idname = "svrgs.adopt_job"
     bl_label = "Take Over Job"
-    bl_description = "Give this splat the job that was made of the same Gaussians. Then it can be stopped, resumed or loaded here"
+    bl_description = (
+        "Give this splat the job that was made of the same Gaussians. Then it can be stopped, resumed or"
+        " loaded here"
+    )
     bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
@@ -105,7 +112,12 @@ class SVRGS_OT_adopt_job(JobOperator):
         return tr("'{name}' has its job again: {state}").format(name=obj.name, state=state_text(job))
 
 
-HANDLERS = {"depsgraph_update_post": _after_update, "undo_post": _forget_all, "redo_post": _forget_all, "load_post": _forget_all}
+HANDLERS = {
+    "depsgraph_update_post": _after_update,
+    "undo_post": _forget_all,
+    "redo_post": _forget_all,
+    "load_post": _forget_all,
+}
 
 
 def register():

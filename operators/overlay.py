@@ -1,10 +1,12 @@
 """Splats in Solid and Material Preview viewports.
 
-While the view moves, the graphics card draws quads of some Gaussians, sorted by depth. If a frame takes more than 0.12 s, the next one
-has fewer quads and pixels. When the view is at rest, a thread draws the picture with the native library, first every 2nd pixel and then
-all, which is then drawn over the viewport. If the Gaussians change and the view does not, the last picture stays until the new one is there.
+While the view moves, the graphics card draws quads of some Gaussians, sorted by depth. If a frame takes more
+than 0.12 s, the next one has fewer quads and pixels. When the view is at rest, a thread draws the picture
+with the native library, first every 2nd pixel and then all, which is then drawn over the viewport. If the
+Gaussians change and the view does not, the last picture stays until the new one is there.
 
-Blender draws the points of a splat itself, and they would hide the Gaussians. So splats have the display type BOUNDS here.
+Blender draws the points of a splat itself, and they would hide the Gaussians. So splats have the display type
+BOUNDS here.
 """
 
 from __future__ import annotations
@@ -36,7 +38,8 @@ SHADING = {"SOLID", "MATERIAL"}
 REST_SECONDS = 0.2  # without movement; then the view is at rest
 WAIT_SECONDS = 0.02  # between two looks whether a better picture is there
 COARSE = 2  # a pixel of the first picture at rest covers 2 x 2 pixels
-SLOW_FRAME, FAST_FRAME = 0.12, 0.03  # seconds; after a slower frame there are fewer quads and pixels, after a faster one more
+# seconds; after a slower frame there are fewer quads and pixels, after a faster one more
+SLOW_FRAME, FAST_FRAME = 0.12, 0.03
 LEVELS = 5  # each has half the quads of the one before, and half its pixels per side, down to a quarter
 LARGEST_SCALE = 4.0  # of the size of a Gaussian that is drawn in place of others
 
@@ -51,7 +54,8 @@ class DrawRequest:
 
 
 def draw_at_rest(rasterizer, request: DrawRequest, reduction: int) -> tuple:
-    """(H, W, 4) display sRGB times alpha; with all pixels also the colours (n, 3) of the quads from this view, if there are quads; else None."""
+    """(H, W, 4) display sRGB times alpha; with all pixels also the colours (n, 3) of the quads from this
+    view, if there are quads; else None."""
     scene, quads_made, camera = request.cloud.scene, request.cloud.quads, request.camera.reduced(reduction)
     hidden = request.hidden[: camera.height * reduction : reduction, : camera.width * reduction : reduction]
     rgba = overlay_rgba(rasterizer, scene, camera, hidden)
@@ -59,7 +63,8 @@ def draw_at_rest(rasterizer, request: DrawRequest, reduction: int) -> tuple:
 
 
 class Cloud:
-    """The visible splats as one scene. Once the view moves: the quads of some of its Gaussians on the graphics card."""
+    """The visible splats as one scene. Once the view moves: the quads of some of its Gaussians on the
+    graphics card."""
 
     def __init__(self, key: tuple, placed: bridge_graph.PlacedScene, scene: Scene, count: int):
         self.key, self.placed, self.scene, self.count = key, placed, scene, count
@@ -110,7 +115,8 @@ class Overlay:
         self._shaders: bridge_gpu.Shaders | None = None
         self.views: dict[tuple[int, str], View] = {}  # by region and side
         self.clouds: dict[str, Cloud] = {}  # by side
-        self.changes = 0  # number of changes in the scene: an exact picture depends on the meshes that hide splats
+        # number of changes in the scene: an exact picture depends on the meshes that hide splats
+        self.changes = 0
         self.handle = bpy.types.SpaceView3D.draw_handler_add(self.draw, (), "WINDOW", "POST_VIEW")
 
     def close(self):
@@ -124,14 +130,26 @@ class Overlay:
             return
         try:
             camera = bridge_graph.region_camera(context.region, context.region_data)
-            sides = viewport_wipe.sides(context.scene, viewport_wipe.shown(bridge_graph.splats_in_view(context), settings.overlay_shown))
+            sides = viewport_wipe.sides(
+                context.scene,
+                viewport_wipe.shown(bridge_graph.splats_in_view(context), settings.overlay_shown),
+            )
             self.clouds = {side.name: self.cloud_of(side, settings) for side in sides if side.shown}
             self.close_views(context.region)
-            depth = bridge_gpu.scene_depth(context.region.width, context.region.height) if self.clouds else None
+            depth = (
+                bridge_gpu.scene_depth(context.region.width, context.region.height) if self.clouds else None
+            )
             if depth is not None:
                 library.set_threads(threads(context))
                 for side in sides:
-                    self.draw_cloud(context, self.clouds[side.name], self.view_of(context.region, side.name), camera, depth, side.columns)
+                    self.draw_cloud(
+                        context,
+                        self.clouds[side.name],
+                        self.view_of(context.region, side.name),
+                        camera,
+                        depth,
+                        side.columns,
+                    )
         except (SplatError, NativeError):  # an object of scale 0, or no native library: the panels report it
             return
 
@@ -166,26 +184,51 @@ class Overlay:
         """Removes the views of closed regions, and those of sides that this region no longer has."""
         if not [key for key in self.views if key[0] != region.as_pointer() or key[1] not in self.clouds]:
             return
-        open_now = {r.as_pointer() for w in bpy.context.window_manager.windows for area in w.screen.areas for r in area.regions}
+        open_now = {
+            r.as_pointer()
+            for w in bpy.context.window_manager.windows
+            for area in w.screen.areas
+            for r in area.regions
+        }
         for key in list(self.views):
             if key[0] not in open_now or (key[0] == region.as_pointer() and key[1] not in self.clouds):
                 self.views.pop(key).live.close()
 
-    def draw_cloud(self, context, cloud: Cloud, view: View, camera: Camera, depth, columns: tuple[float, float]):
+    def draw_cloud(
+        self, context, cloud: Cloud, view: View, camera: Camera, depth, columns: tuple[float, float]
+    ):
         """Draws in some columns of the viewport. depth: its depth buffer (H, W)."""
         space, local = context.space_data, cloud.placed.seen_by(camera)
         if view.is_at_rest(local.key):
-            key = local.key, cloud.key, self.changes, space.shading.type, space.shading.show_xray, space.overlay.show_overlays
-            view.live.request(key, DrawRequest(cloud, local, depth_of_projection(context.region_data.window_matrix, depth) / cloud.placed.unit))
+            key = (
+                local.key,
+                cloud.key,
+                self.changes,
+                space.shading.type,
+                space.shading.show_xray,
+                space.overlay.show_overlays,
+            )
+            view.live.request(
+                key,
+                DrawRequest(
+                    cloud,
+                    local,
+                    depth_of_projection(context.region_data.window_matrix, depth) / cloud.placed.unit,
+                ),
+            )
             picture = view.live.picture()
             if picture is not None and picture.key[0] == local.key and picture.error is None:
-                bridge_gpu.draw_over_viewport(self.shaders, self.texture_at_rest(view, cloud, picture), columns)
+                bridge_gpu.draw_over_viewport(
+                    self.shaders, self.texture_at_rest(view, cloud, picture), columns
+                )
                 if view.live.busy:
                     _redraw_in(WAIT_SECONDS)
                 return
         _redraw_in(REST_SECONDS / 2)
         started = time.perf_counter()
-        bridge_gpu.draw_over_viewport(self.shaders, self.draw_quads(context, view, cloud, camera, depth), columns)
+        bridge_gpu.draw_over_viewport(
+            self.shaders, self.draw_quads(context, view, cloud, camera, depth), columns
+        )
         view.adapt(time.perf_counter() - started)
 
     def texture_at_rest(self, view: View, cloud: Cloud, picture: Picture) -> gpu.types.GPUTexture:
@@ -205,13 +248,22 @@ class Overlay:
         if view.target is None or (view.target.width, view.target.height) != (width, height):
             view.target = bridge_gpu.Target(width, height)
         small, P = camera.resized(width, height), context.region_data.window_matrix
-        near, enlarge = thresholds().near * cloud.placed.unit - step_back(P), min(cloud.scene.count / count, LARGEST_SCALE**2)
+        near, enlarge = (
+            thresholds().near * cloud.placed.unit - step_back(P),
+            min(cloud.scene.count / count, LARGEST_SCALE**2),
+        )
         constants = {
             "modelview": modelview, "lens": (small.K[0, 0], small.K[1, 1], small.K[0, 2], small.K[1, 2]), "view": (width, height, near, enlarge),
             "mode": (float(camera.orthographic), float(cloud.scene.antialiased), P[2][2], P[2][3]),
         }  # fmt: skip
-        lists = {"order": bridge_gpu.texture(order, "R32F"), "geometry": cloud.geometry, "colors": cloud.colors}
-        bridge_gpu.draw_quads(self.shaders, view.target, lists, bridge_gpu.depth_texture(depth, reduction), constants, count)
+        lists = {
+            "order": bridge_gpu.texture(order, "R32F"),
+            "geometry": cloud.geometry,
+            "colors": cloud.colors,
+        }
+        bridge_gpu.draw_quads(
+            self.shaders, view.target, lists, bridge_gpu.depth_texture(depth, reduction), constants, count
+        )
         return view.target.texture
 
 
@@ -243,7 +295,8 @@ def _redraw_once():
 
 @persistent
 def _after_update(scene, *_):
-    """Sets the display type of new splats. The exact pictures are drawn again, because the meshes that hide splats may have changed."""
+    """Sets the display type of new splats. The exact pictures are drawn again, because the meshes that hide
+    splats may have changed."""
     for overlay in _overlay:
         overlay.changes += 1
     if not bpy.app.background and scene.svrgs_looking.overlay:

@@ -1,4 +1,5 @@
-"""Place Cameras: adds the cameras to the file from which a job without photographs takes its pictures, to look at, move, add to or delete.
+"""Place Cameras: adds the cameras to the file from which a job without photographs takes its pictures, to
+look at, move, add to or delete.
 
 They are children of the splat. A child process finds the places (`svrgs rig`); Blender stays usable.
 """
@@ -22,7 +23,8 @@ from .job_watch import redraw_panels
 from .native_check import native_problem
 from .preferences import threads
 
-_answers: dict[int, dict | None] = {}  # by session_uid of the splat: the result of `svrgs rig` with its cameras; None until it is there
+# by session_uid of the splat: the result of `svrgs rig` with its cameras; None until it is there
+_answers: dict[int, dict | None] = {}
 _problems: dict[int, str] = {}  # by session_uid of the splat: why no cameras were placed
 
 
@@ -35,14 +37,19 @@ class SVRGS_OT_place_cameras(JobOperator):
     bl_idname = "svrgs.place_cameras"
     bl_label = "Place Cameras"
     bl_description = (
-        "Add the cameras from which a fine-tuned job without photographs takes its pictures, to look at or to change. "
-        "With Only This File's as Views, a job uses what you leave of them. They replace those that were placed for this splat before"
+        "Add the cameras from which a fine-tuned job without photographs takes its pictures, to look at or to"
+        " change. With Only This File's as Views, a job uses what you leave of them. They replace those that"
+        " were placed for this splat before"
     )
     bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
     def poll(cls, context):
-        problem = native_problem() or (edit_guard.problem(context, context.object) if bridge.is_splat(context.object) else tr("Select a Gaussian splat first"))
+        problem = native_problem() or (
+            edit_guard.problem(context, context.object)
+            if bridge.is_splat(context.object)
+            else tr("Select a Gaussian splat first")
+        )
         if not problem and context.object.session_uid in _answers:
             problem = tr("Placing cameras …")
         if problem:
@@ -67,9 +74,15 @@ def _place(uid: int, folder: tempfile.TemporaryDirectory, words: list[str]):
     """In a thread, which must not use bpy."""
     with folder:
         out = Path(folder.name) / "cameras.json"
-        status, result = subprocess_python.run(["rig", str(Path(folder.name) / "scene.ply"), "--out", str(out), *words])
+        status, result = subprocess_python.run(
+            ["rig", str(Path(folder.name) / "scene.ply"), "--out", str(out), *words]
+        )
         try:
-            _answers[uid] = {"error": result.get("error", ""), "status": status} if status else {"cameras": load_cameras(out)}
+            _answers[uid] = (
+                {"error": result.get("error", ""), "status": status}
+                if status
+                else {"cameras": load_cameras(out)}
+            )
         except SplatError as error:
             _answers[uid] = {"error": str(error)}
 
@@ -80,7 +93,9 @@ def _finished():
         del _answers[uid]
         obj = next((obj for obj in bpy.data.objects if obj.session_uid == uid and obj.users_collection), None)
         if "error" in answer:
-            _problems[uid] = answer["error"] or tr("placing cameras ended with status {status}").format(**answer)
+            _problems[uid] = answer["error"] or tr("placing cameras ended with status {status}").format(
+                **answer
+            )
         elif obj is not None:
             _add(obj, answer["cameras"])
     redraw_panels()

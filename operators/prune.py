@@ -1,7 +1,8 @@
 """The operator svrgs.prune, for scripts: runs `svrgs prune` in a child process and waits for it.
 
-With a window the result appears in the scene. Without one (`blender -b`) it is also written into a file: Blender does not save the
-scene. The button Prune of the panel is svrgs.job_start in job.py, which does not wait.
+With a window the result appears in the scene. Without one (`blender -b`) it is also written into a file:
+Blender does not save the scene. The button Prune of the panel is svrgs.job_start in job.py, which does not
+wait.
 """
 
 from __future__ import annotations
@@ -32,27 +33,43 @@ class SVRGS_OT_prune(bpy.types.Operator):
     bl_idname = "svrgs.prune"
     bl_label = "Prune Splat"
     bl_description = (
-        "Remove the Gaussians that the photographs do not need, then recover the quality. Without photographs, the splat's own pictures take their "
-        "place. The original stays, hidden"
+        "Remove the Gaussians that the photographs do not need, then recover the quality. Without"
+        " photographs, the splat's own pictures take their place. The original stays, hidden"
     )
     bl_options = {"REGISTER", "UNDO"}
 
-    scene: StringProperty(name="Scene", subtype="FILE_PATH", options=RELATIVE, description="Splat file to prune. Empty: the active splat")
+    scene: StringProperty(
+        name="Scene",
+        subtype="FILE_PATH",
+        options=RELATIVE,
+        description="Splat file to prune. Empty: the active splat",
+    )
     colmap: option_property(
         "colmap",
         name="Dataset",
         options=RELATIVE,
-        description="Dataset: photographs, and a COLMAP model or transforms.json. Empty: the dataset of the imported cameras",
+        description=(
+            "Dataset: photographs, and a COLMAP model or transforms.json. Empty: the dataset of the imported"
+            " cameras"
+        ),
     )
     images: option_property("images")
     out: StringProperty(
         name="Output",
         subtype="FILE_PATH",
         options=RELATIVE,
-        description="File for the pruned splat, which is also added to the scene. Empty: no file, or NAME_pruned.ply in background mode",
+        description=(
+            "File for the pruned splat, which is also added to the scene. Empty: no file, or NAME_pruned.ply"
+            " in background mode"
+        ),
     )
     overwrite: BoolProperty(name="Overwrite", description="Replace the output if it exists")
-    report_folder: StringProperty(name="Report", subtype="DIR_PATH", options=RELATIVE, description="Folder for an HTML report. Empty: no report")
+    report_folder: StringProperty(
+        name="Report",
+        subtype="DIR_PATH",
+        options=RELATIVE,
+        description="Folder for an HTML report. Empty: no report",
+    )
     method: method_property()
     lambda_f: option_property(
         "lambda_f",
@@ -62,21 +79,43 @@ class SVRGS_OT_prune(bpy.types.Operator):
         precision=5,
         description="Strength of pruning; a higher λ_F keeps fewer Gaussians. 0: the method's default",
     )
-    target: option_property("target", subtype="FACTOR", description="Share of the Gaussians to keep. 0: the method decides")
-    target_count: option_property("target_count", min=0, description="Number of Gaussians to keep. 0: the method decides")
-    max_drop: option_property("max_drop", precision=2, description="PSNR in dB that may be lost, instead of a target. 0: no such limit")
-    time: option_property("time", description="Seconds that the job may take, in place of numbers of steps. 0: no limit")
+    target: option_property(
+        "target", subtype="FACTOR", description="Share of the Gaussians to keep. 0: the method decides"
+    )
+    target_count: option_property(
+        "target_count", min=0, description="Number of Gaussians to keep. 0: the method decides"
+    )
+    max_drop: option_property(
+        "max_drop",
+        precision=2,
+        description="PSNR in dB that may be lost, instead of a target. 0: no such limit",
+    )
+    time: option_property(
+        "time", description="Seconds that the job may take, in place of numbers of steps. 0: no limit"
+    )
     iterations: option_property("iterations")
     recovery: option_property("recovery")
     seed: option_property("seed")
-    quick: option_property("quick", description="Remove and merge within seconds, on the splat's own pictures instead of photographs. It needs a target")
+    quick: option_property(
+        "quick",
+        description=(
+            "Remove and merge within seconds, on the splat's own pictures instead of photographs. It needs a"
+            " target"
+        ),
+    )
     cameras: option_property(
         "cameras",
         subtype="FILE_PATH",
         options=RELATIVE,
-        description="Without photographs, a file of views that matter besides the placed ones: cameras.json of 3DGS, or transforms.json",
+        description=(
+            "Without photographs, a file of views that matter besides the placed ones: cameras.json of 3DGS,"
+            " or transforms.json"
+        ),
     )
-    seen_from_only: option_property("seen_from_only", description="Only what the views of Cameras show counts: what they do not see may be removed")
+    seen_from_only: option_property(
+        "seen_from_only",
+        description="Only what the views of Cameras show counts: what they do not see may be removed",
+    )
 
     @classmethod
     def poll(cls, context):
@@ -103,8 +142,15 @@ class SVRGS_OT_prune(bpy.types.Operator):
             set_hidden(obj, False)
         select(context, [obj])
         before, psnr = result["before"], [figures.get("psnr") for figures in (result["before"], result)]
-        texts = [tr("Kept {kept:,} of {count:,} Gaussians").format(kept=result["count"], count=before["count"])]
-        texts += [tr("PSNR changed by {difference:+.2f} dB").format(difference=psnr[1] - psnr[0])] if None not in psnr else []  # null: identical images
+        texts = [
+            tr("Kept {kept:,} of {count:,} Gaussians").format(kept=result["count"], count=before["count"])
+        ]
+        # null: identical images
+        texts += (
+            [tr("PSNR changed by {difference:+.2f} dB").format(difference=psnr[1] - psnr[0])]
+            if None not in psnr
+            else []
+        )
         self.report({"INFO"}, ". ".join([*texts, *result["notes"]]))
         return {"FINISHED"}
 
@@ -123,14 +169,19 @@ class SVRGS_OT_prune(bpy.types.Operator):
         if source is not None:
             write_scene(scene, gaussians)
         written = out or temp_dir / "pruned.ply"
-        status, result = subprocess_python.run(["prune", scene, "--out", str(written), *self.arguments(source), "--threads", str(threads)])
+        status, result = subprocess_python.run(
+            ["prune", scene, "--out", str(written), *self.arguments(source), "--threads", str(threads)]
+        )
         if status or "count" not in result:
-            raise SplatError(result.get("error", tr("pruning ended with status {status}").format(status=status)))
+            raise SplatError(
+                result.get("error", tr("pruning ended with status {status}").format(status=status))
+            )
         print(json.dumps(result | {"scene": origin or None, "out": str(out) if out else None}), flush=True)
         return result, read_scene(written)
 
     def output(self, source: bpy.types.Object | None) -> Path | None:
-        """The file to write; None: none. Raises SplatError if there is no place for it, and if it exists and may not be replaced."""
+        """The file to write; None: none. Raises SplatError if there is no place for it, and if it exists and
+        may not be replaced."""
         if self.out:
             out = Path(absolute(self.out))
             if out.is_dir():
@@ -143,31 +194,64 @@ class SVRGS_OT_prune(bpy.types.Operator):
         elif bpy.data.filepath:
             out = default_output(Path(bpy.data.filepath).with_name(bpy.path.clean_name(source.name)), "out=")
         else:
-            raise SplatError(tr("name a file for the result with out=: in background mode it lies beside the .blend, and this one has not been saved"))
+            raise SplatError(
+                tr(
+                    "name a file for the result with out=: in background mode it lies beside the .blend, and"
+                    " this one has not been saved"
+                )
+            )
         if out.exists() and not self.overwrite:
-            raise SplatError(tr("{file}: exists; name another output with out=, or replace it with overwrite=True").format(file=out))
+            raise SplatError(
+                tr("{file}: exists; name another output with out=, or replace it with overwrite=True").format(
+                    file=out
+                )
+            )
         return out
 
     def arguments(self, source: bpy.types.Object | None) -> list[str]:
-        """The options of `svrgs prune`: those of the operator, and the dataset that was imported with the splat."""
+        """The options of `svrgs prune`: those of the operator, and the dataset that was imported with the
+        splat."""
         root = bridge.root_of(source) or {}
-        colmap, images = (self.colmap, self.images) if self.colmap else (root.get(bridge.DATASET, ""), self.images or root.get(bridge.IMAGES, ""))
+        colmap, images = (
+            (self.colmap, self.images)
+            if self.colmap
+            else (root.get(bridge.DATASET, ""), self.images or root.get(bridge.IMAGES, ""))
+        )
         given = {
             "--colmap": absolute(colmap), "--images": images, "--report": absolute(self.report_folder),
             "--lambda-f": self.lambda_f, "--target": self.target, "--target-count": self.target_count,
             "--max-drop": self.max_drop, "--time": self.time, "--cameras": absolute(self.cameras),
         }  # fmt: skip
         options = [str(word) for name, value in given.items() if value for word in (name, value)]
-        options += [flag for flag, chosen in (("--quick", self.quick), ("--seen-from-only", self.seen_from_only)) if chosen]
-        more = [name for name in ("iterations", "recovery") if not (self.time or self.quick) or self.properties.is_property_set(name)]
+        options += [
+            flag
+            for flag, chosen in (("--quick", self.quick), ("--seen-from-only", self.seen_from_only))
+            if chosen
+        ]
+        more = [
+            name
+            for name in ("iterations", "recovery")
+            if not (self.time or self.quick) or self.properties.is_property_set(name)
+        ]
         more += ["method"] if colmap or self.properties.is_property_set("method") else []
-        return [*options, *(f"--{name}={getattr(self, name)}" for name in (*more, "seed")), "--quiet", "--json"]
+        return [
+            *options,
+            *(f"--{name}={getattr(self, name)}" for name in (*more, "seed")),
+            "--quiet",
+            "--json",
+        ]
 
 
 def absolute(path: str) -> str:
-    """The absolute path; empty stays empty. Raises SplatError for a path that begins with // while the .blend is not saved."""
+    """The absolute path; empty stays empty. Raises SplatError for a path that begins with // while the .blend
+    is not saved."""
     if path.startswith("//") and not bpy.data.filepath:
-        raise SplatError(tr("{path}: begins at the folder of the .blend, which has not been saved; save it, or give the whole path").format(path=path))
+        raise SplatError(
+            tr(
+                "{path}: begins at the folder of the .blend, which has not been saved; save it, or give the"
+                " whole path"
+            ).format(path=path)
+        )
     return os.path.abspath(bpy.path.abspath(path)) if path else ""
 
 

@@ -18,13 +18,21 @@ GOALS = ("target", "target_count", "max_drop")  # options that say how many Gaus
 class SVRGS_OT_prune_again(JobOperator):
     bl_idname = "svrgs.prune_again"
     bl_label = "Fine-Tune"
-    bl_description = "Prune the original once more, to the number of Gaussians that is shown, with the steps that win quality back. It replaces this result"
+    bl_description = (
+        "Prune the original once more, to the number of Gaussians that is shown, with the steps that win"
+        " quality back. It replaces this result"
+    )
     bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
     def poll(cls, context):
         original, pruned = job_result.pair_of(context.object)
-        if pruned is None or not job_result.undecided(pruned) or not bridge_order.is_shown(pruned) or job_of(original) is None:
+        if (
+            pruned is None
+            or not job_result.undecided(pruned)
+            or not bridge_order.is_shown(pruned)
+            or job_of(original) is None
+        ):
             problem = tr("Choose another number of Gaussians with the slider Keep first")
         else:
             problem = edit_guard.problem(context, original)  # it is there: its job has kept the order
@@ -37,8 +45,12 @@ class SVRGS_OT_prune_again(JobOperator):
         former = job_of(original)
         assert original is not None and pruned is not None and former is not None  # see poll
         count = job_result.shown_count(pruned)
-        options = {name: value for name, value in former.folder.request()["options"].items() if name not in GOALS} | {"target_count": count}
-        folder = JobFolder.create(new_folder(context, original.name), bridge.scene_from_object(original), options, original.name)
+        options = {
+            name: value for name, value in former.folder.request()["options"].items() if name not in GOALS
+        } | {"target_count": count}
+        folder = JobFolder.create(
+            new_folder(context, original.name), bridge.scene_from_object(original), options, original.name
+        )
         job_result.discard_result(original)
         delete_job(former)
         link(original, str(folder.path))

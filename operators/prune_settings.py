@@ -1,4 +1,5 @@
-"""Settings of the prune panel: scene.svrgs_prune, saved with the scene, and Object.svrgs_share, how much of a result is shown."""
+"""Settings of the prune panel: scene.svrgs_prune, saved with the scene, and Object.svrgs_share, how much of a
+result is shown."""
 
 from __future__ import annotations
 
@@ -10,7 +11,14 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, Po
 from ..svrgs_addon.prune.options import MIN_CONTRIBUTION
 from . import bridge, bridge_views, depths, former_methods, goals, job_result
 from .devices import DEVICES
-from .option_properties import RELATIVE, limited_time_property, method_choice_property, method_property, option_property, time_property
+from .option_properties import (
+    RELATIVE,
+    limited_time_property,
+    method_choice_property,
+    method_property,
+    option_property,
+    time_property,
+)
 from .translation import OWN
 
 WEAKEST, STRONGEST = -5.0, -3.0  # ends of the slider Strength: powers of ten of λ_F
@@ -45,19 +53,34 @@ def _share_changed(obj, context):
 
 class SVRGS_PG_prune(bpy.types.PropertyGroup):
     colmap: option_property(
-        "colmap", name="Dataset", description="Dataset: photographs, and a COLMAP model or transforms.json. Empty: the dataset of the imported cameras"
+        "colmap",
+        name="Dataset",
+        description=(
+            "Dataset: photographs, and a COLMAP model or transforms.json. Empty: the dataset of the imported"
+            " cameras"
+        ),
     )
     images: option_property("images")
     depth: EnumProperty(
         name="Depth", items=depths.ITEMS, get=depths.number_of, set=depths.choose,
         description="How thoroughly the splat is pruned. Until you choose: on photographs if the splat has some, else quick",
     )  # fmt: skip
-    views: EnumProperty(name="Views", items=bridge_views.ITEMS, description="From where the splat's own pictures are taken")
+    views: EnumProperty(
+        name="Views", items=bridge_views.ITEMS, description="From where the splat's own pictures are taken"
+    )
     depth_number: IntProperty(options={"HIDDEN"})  # of the item; 0: none was chosen
     device: EnumProperty(
-        name="Device", items=[(key, device.name, device.source) for key, device in DEVICES.items()], description="Where the splat will be shown"
+        name="Device",
+        items=[(key, device.name, device.source) for key, device in DEVICES.items()],
+        description="Where the splat will be shown",
     )
-    goal: EnumProperty(name="Goal", translation_context=OWN, items=goals.ITEMS, default="BALANCED", description="What decides how many Gaussians stay")
+    goal: EnumProperty(
+        name="Goal",
+        translation_context=OWN,
+        items=goals.ITEMS,
+        default="BALANCED",
+        description="What decides how many Gaussians stay",
+    )
     strength: FloatProperty(
         name="Power of λ_F", min=-7, max=0, default=-4, update=_strength_changed,
         description="λ_F as a power of ten: -4 is 1e-4. A higher λ_F keeps fewer Gaussians",
@@ -70,9 +93,23 @@ class SVRGS_PG_prune(bpy.types.PropertyGroup):
         name="Exact λ_F", get=_get_lambda, set=_set_lambda, min=1e-7, max=1, soft_min=1e-5, soft_max=1e-3, precision=6,
         description="The λ_F of the goal Strength, as a number. A higher λ_F keeps fewer Gaussians",
     )  # fmt: skip
-    share: FloatProperty(name="Keep", subtype="PERCENTAGE", min=0.1, max=100, default=25, description="Percentage of the Gaussians to keep")
+    share: FloatProperty(
+        name="Keep",
+        subtype="PERCENTAGE",
+        min=0.1,
+        max=100,
+        default=25,
+        description="Percentage of the Gaussians to keep",
+    )
     count: IntProperty(name="Keep", min=1, default=100_000, description="Number of Gaussians to keep")
-    size: FloatProperty(name="Size in MB", min=0.001, soft_max=500, default=20, precision=1, description="Size of the pruned file in megabytes")
+    size: FloatProperty(
+        name="Size in MB",
+        min=0.001,
+        soft_max=500,
+        default=20,
+        precision=1,
+        description="Size of the pruned file in megabytes",
+    )
     drop: FloatProperty(
         name="Loss in dB", min=0.01, soft_max=3, default=0.3, precision=2,
         description="PSNR in dB that may be lost, measured on some of the photographs that no step trains on. At least 5 % of the Gaussians stay",
@@ -95,8 +132,10 @@ class SVRGS_PG_prune(bpy.types.PropertyGroup):
     visible_mask: option_property("visible_mask", name="Visible Part Only")
     nested: BoolProperty(
         name="Train Smaller Sizes",
-        description="Also train smaller numbers of Gaussians, down to a tenth of the result, so that the slider Keep shows a good picture at every position. "
-        "The result as a whole loses 0.1 to 0.5 dB",
+        description=(
+            "Also train smaller numbers of Gaussians, down to a tenth of the result, so that the slider Keep"
+            " shows a good picture at every position. The result as a whole loses 0.1 to 0.5 dB"
+        ),
     )
     views_by_loss: option_property("views_by_loss", name="Harder Views More Often")
     folder: StringProperty(

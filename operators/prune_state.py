@@ -48,7 +48,8 @@ STOPPED = n_("Stopped"), n_("Stopped at {share:.0%}")
 
 
 def stage(context) -> str:
-    """BROKEN (no native library), BUSY, WAITING or FINISHED (a job), RESULT (a pruned splat, not applied), READY (a splat), NOTHING."""
+    """BROKEN (no native library), BUSY, WAITING or FINISHED (a job), RESULT (a pruned splat, not applied),
+    READY (a splat), NOTHING."""
     if native_problem():
         return "BROKEN"
     if (found := current(context)) is not None:
@@ -69,16 +70,41 @@ def sentences(context) -> list[str]:
     original, pruned = job_result.pair_of(context.object)
     if pruned is not None and job_result.undecided(pruned):
         return _of_result(original, pruned)
-    return _of_ready(context) if bridge.is_splat(context.object) else [tr("Select a splat, or import one in step 1")]
+    return (
+        _of_ready(context)
+        if bridge.is_splat(context.object)
+        else [tr("Select a splat, or import one in step 1")]
+    )
 
 
 def _of_ready(context) -> list[str]:
     found = estimate.of(context.object)
-    texts: list[str] = [tr("Estimating from some views …")] if found.get("busy") else estimate.sentences(context.object) if found else []
-    texts += filter(None, [camera_match.sentence(context), edit_guard.problem(context, context.object), goals.problem(context.scene.svrgs_prune)])
+    texts: list[str] = (
+        [tr("Estimating from some views …")]
+        if found.get("busy")
+        else estimate.sentences(context.object)
+        if found
+        else []
+    )
+    texts += filter(
+        None,
+        [
+            camera_match.sentence(context),
+            edit_guard.problem(context, context.object),
+            goals.problem(context.scene.svrgs_prune),
+        ],
+    )
     return [
         *texts,
-        *filter(None, [depths.problem(context), place_cameras.sentence(context.object), orphan_jobs.sentence(context), _of_applied(context.object)]),
+        *filter(
+            None,
+            [
+                depths.problem(context),
+                place_cameras.sentence(context.object),
+                orphan_jobs.sentence(context),
+                _of_applied(context.object),
+            ],
+        ),
     ]
 
 
@@ -86,34 +112,66 @@ def _of_job(job: Job) -> list[str]:
     if job_queue.is_queued(job):
         return [tr("{waiting}: one job runs at a time").format(waiting=job_queue.waiting_text(job))]
     if is_busy(job):
-        without = [". ".join((tr("Stop Now does not wait for it"), resume_sentence(job)))] if job.stopping else []
-        texts = [tr(job.facts.get("text") or n_("Working")), *_figures(job.facts), *_planned(job.facts), *filter(None, [job.facts.get("note")]), *without]
-        silent = tr("No sign of life for {seconds:.0f} s: Stop ends the job").format(seconds=job.seconds_silent)
+        without = (
+            [". ".join((tr("Stop Now does not wait for it"), resume_sentence(job)))] if job.stopping else []
+        )
+        texts = [
+            tr(job.facts.get("text") or n_("Working")),
+            *_figures(job.facts),
+            *_planned(job.facts),
+            *filter(None, [job.facts.get("note")]),
+            *without,
+        ]
+        silent = tr("No sign of life for {seconds:.0f} s: Stop ends the job").format(
+            seconds=job.seconds_silent
+        )
         return [*texts, silent] if job.seconds_silent > SILENT_SECONDS else texts
     if not is_resumable(job):
         return [tr("A finished job was found: load its result, or discard it and start again")]
     state = tr(STOPPED_TEXT.get(job.state, STOPPED)[job.knows_progress]).format(share=job.progress)
-    return [state, *map(tr, filter(None, [job.facts.get("text")])), resume_sentence(job), *_figures(job.facts)]
+    return [
+        state,
+        *map(tr, filter(None, [job.facts.get("text")])),
+        resume_sentence(job),
+        *_figures(job.facts),
+    ]
 
 
 def _of_result(original: bpy.types.Object | None, pruned: bpy.types.Object) -> list[str]:
     count, kept = job_result.shown_count(pruned), pruned[job_result.KEPT]
     text = tr("{kept:,} of {count:,} Gaussians, {size}") if original else tr("{kept:,} Gaussians, {size}")
-    texts = [text.format(kept=count, count=bridge.count(original) if original else 0, size=size_text(pruned, count))]
+    texts = [
+        text.format(
+            kept=count, count=bridge.count(original) if original else 0, size=size_text(pruned, count)
+        )
+    ]
     if job_result.PSNR in pruned:
         before, after = pruned[job_result.PSNR]
         text = tr("Quality at {kept:,} Gaussians: PSNR {before:.2f} → {after:.2f} dB")
         if count != kept:
-            text = tr("Quality at {kept:,} Gaussians: PSNR {before:.2f} → {after:.2f} dB; not measured at this setting")
+            text = tr(
+                "Quality at {kept:,} Gaussians: PSNR {before:.2f} → {after:.2f} dB; not measured at this"
+                " setting"
+            )
         texts.append(text.format(kept=kept, before=before, after=after))
     if job_result.OWN_PSNR in pruned:
         text = tr("Quality at {kept:,} Gaussians: PSNR {psnr:.2f} dB against the original's own pictures")
         texts.append(text.format(kept=kept, psnr=pruned[job_result.OWN_PSNR]))
     texts += [_capitalised(note) for note in pruned.get(job_result.NOTES, "").splitlines() if note.strip()]
     if bridge_order.is_shown(pruned):
-        return [*texts, tr("This number is not fine-tuned yet: press Fine-Tune for that. Apply keeps what you see")]
+        return [
+            *texts,
+            tr("This number is not fine-tuned yet: press Fine-Tune for that. Apply keeps what you see"),
+        ]
     texts += filter(None, [bridge_order.problem(pruned)])
-    return [*texts, tr("{count:,} more than were recovered: shown as in the original").format(count=count - kept)] if count > kept else texts
+    return (
+        [
+            *texts,
+            tr("{count:,} more than were recovered: shown as in the original").format(count=count - kept),
+        ]
+        if count > kept
+        else texts
+    )
 
 
 def _capitalised(note: str) -> str:
@@ -127,7 +185,11 @@ def _of_applied(obj: bpy.types.Object) -> str:
     if original is None or pruned is None:
         return ""
     other = original if obj == pruned else pruned
-    text = tr("Pruned from '{name}', {count:,} Gaussians") if other == original else tr("Pruned to '{name}', {count:,} Gaussians")
+    text = (
+        tr("Pruned from '{name}', {count:,} Gaussians")
+        if other == original
+        else tr("Pruned to '{name}', {count:,} Gaussians")
+    )
     hidden = tr("which is hidden") if other.hide_get() and other.hide_render else ""
     return ", ".join(filter(None, (text.format(name=other.name, count=bridge.count(other)), hidden)))
 
@@ -143,7 +205,9 @@ def _planned(facts: dict) -> list[str]:
     """Of a job whose time is limited: what was foreseen."""
     if not facts.get("schedule"):
         return []
-    return [tr("Planned for {asked:.0f} s: {schedule:.1%} of the steps, about {foreseen:.0f} s").format(**facts)]
+    return [
+        tr("Planned for {asked:.0f} s: {schedule:.1%} of the steps, about {foreseen:.0f} s").format(**facts)
+    ]
 
 
 def _time_left_text(job: Job) -> str:
@@ -154,7 +218,9 @@ def _time_left_text(job: Job) -> str:
     if "seconds_left" not in job.facts:  # by blocks
         return f"{job.progress:.0%}"
     left = job.facts["seconds_left"]
-    text = tr("{share:.0%}, {minutes:.0f} min left") if left >= 90 else tr("{share:.0%}, {seconds:.0f} s left")
+    text = (
+        tr("{share:.0%}, {minutes:.0f} min left") if left >= 90 else tr("{share:.0%}, {seconds:.0f} s left")
+    )
     return text.format(share=job.progress, minutes=left / 60, seconds=left)
 
 
@@ -281,7 +347,8 @@ class SVRGS_PG_prune_state(bpy.types.PropertyGroup):
     preview: IntProperty(get=_preview)  # icon
     stopping: BoolProperty(get=_stopping)  # the job was asked to stop and has not ended yet
     dataset: StringProperty(get=_dataset)
-    lost_dataset: StringProperty(get=_lost_dataset)  # that the dataset of the imported cameras is not where it was; else empty
+    # that the dataset of the imported cameras is not where it was; else empty
+    lost_dataset: StringProperty(get=_lost_dataset)
     orphan: StringProperty(get=_orphan)  # that a job of the active splat was found; else empty
     original: StringProperty(get=_original)  # name of the original of an applied result; empty: none
     merges: BoolProperty(get=_merges)  # Gaussians will be merged
@@ -292,7 +359,8 @@ class SVRGS_PG_prune_state(bpy.types.PropertyGroup):
     strength_help: StringProperty(get=_strength_help)  # empty: the method has no λ_F
     method_renamed: StringProperty(get=_method_renamed)
     size: StringProperty(get=_size)
-    exported: StringProperty(get=_exported)  # sizes and quality of the levels of detail that were exported last, one splat a line
+    # sizes and quality of the levels of detail that were exported last, one splat a line
+    exported: StringProperty(get=_exported)
     marked: IntProperty(get=_marked)  # Gaussians of the active splat that are marked as removed
 
 

@@ -1,8 +1,12 @@
-"""The render engine "SVR-GS": F12, animations, `blender -b -f` and the Rendered viewport, drawn by the native library.
+"""The render engine "SVR-GS": F12, animations, `blender -b -f` and the Rendered viewport, drawn by the native
+library.
 
-- One splat is drawn in its own coordinates; several splats, or a stretched or mirrored one, in world coordinates (bridge_graph.py).
-- Passes are linear. Dithering is off while rendering. So with the view transform Standard, saved pictures have the training's colours.
-- A border is cut out of the whole picture, because the limits of the projection depend on the image size. So it has the same pixels.
+- One splat is drawn in its own coordinates; several splats, or a stretched or mirrored one, in world
+  coordinates (bridge_graph.py).
+- Passes are linear. Dithering is off while rendering. So with the view transform Standard, saved pictures
+  have the training's colours.
+- A border is cut out of the whole picture, because the limits of the projection depend on the image size. So
+  it has the same pixels.
 """
 
 from __future__ import annotations
@@ -58,7 +62,8 @@ class SVRGS_engine(bpy.types.RenderEngine):
         except (SplatError, NativeError) as error:
             problem = str(error)
         finally:
-            self.hand_in(layers, width, height)  # also after an error: Blender crashes if it saves a render without a result
+            # also after an error: Blender crashes if it saves a render without a result
+            self.hand_in(layers, width, height)
         if problem:
             self.report({"ERROR"}, problem)
 
@@ -68,11 +73,17 @@ class SVRGS_engine(bpy.types.RenderEngine):
         self.show_progress(tr("Reading splats"), 0.0)
         placed = bridge_graph.splats(depsgraph)
         if placed is None:
-            raise SceneError(tr("there is no splat to render: import one, and check that its camera icon in the Outliner is on"))
+            raise SceneError(
+                tr(
+                    "there is no splat to render: import one, and check that its camera icon in the Outliner"
+                    " is on"
+                )
+            )
         view = bridge_panorama.view_of(bridge_graph.camera(depsgraph, self.camera_override), scene)
         self.show_progress(tr("Reading meshes"), 0.1)
         triangles = bridge_meshes.triangles(depsgraph, cut=meshes == "CUT")
-        catchers = bridge_meshes.triangles(depsgraph, catchers=True) if meshes == "SPLIT" else None  # elsewhere they show and hide nothing
+        # elsewhere they show and hide nothing
+        catchers = bridge_meshes.triangles(depsgraph, catchers=True) if meshes == "SPLIT" else None
         self.show_progress(tr("Drawing {count:,} Gaussians").format(count=placed.scene.count), 0.2)
         transparent = scene.render.film_transparent or meshes == "CUT"
         background = None if transparent else tuple(scene.svrgs_looking.background)
@@ -84,8 +95,16 @@ class SVRGS_engine(bpy.types.RenderEngine):
                 return split(rasterizer, placed.scene, local, background, surface, catcher)
             return composite(rasterizer, placed.scene, local, background or (0.0, 0.0, 0.0), surface)
 
-        found = composite_while(lambda: not self.test_break(), Rasterizer(), lambda rasterizer: composite_view(partial(draw, rasterizer), view))
-        return passes(found, transparent or meshes == "SPLIT", placed.unit, working_space()) if found is not None else None
+        found = composite_while(
+            lambda: not self.test_break(),
+            Rasterizer(),
+            lambda rasterizer: composite_view(partial(draw, rasterizer), view),
+        )
+        return (
+            passes(found, transparent or meshes == "SPLIT", placed.unit, working_space())
+            if found is not None
+            else None
+        )
 
     def show_progress(self, text: str, progress: float):
         self.update_stats("", text)
@@ -115,7 +134,9 @@ def region(scene: bpy.types.Scene) -> tuple[slice, slice]:
     if not render.use_border:
         return slice(0, height), slice(0, width)
     low, high = int(render.border_min_y * height), int(render.border_max_y * height)
-    return slice(height - high, height - low), slice(int(render.border_min_x * width), int(render.border_max_x * width))
+    return slice(height - high, height - low), slice(
+        int(render.border_min_x * width), int(render.border_max_x * width)
+    )
 
 
 _dither: dict[int, float] = {}  # session_uid of a scene that is being rendered -> its own dither

@@ -1,4 +1,5 @@
-"""Saves the pixels of the extension's images with the .blend file. Blender saves those of generated images only if they are packed."""
+"""Saves the pixels of the extension's images with the .blend file. Blender saves those of generated images
+only if they are packed."""
 
 from __future__ import annotations
 

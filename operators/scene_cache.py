@@ -21,16 +21,19 @@ class Entry:
     scene: Scene
     rows: Any  # (N,) the row of each Gaussian in the object; None: it has others
     data: int  # session_uid of the object's data
-    values: dict[str, Any] = field(default_factory=dict)  # (N,) of attributes that were asked for, None if there is none
+    # (N,) of attributes that were asked for, None if there is none
+    values: dict[str, Any] = field(default_factory=dict)
     number: int = field(default_factory=itertools.count().__next__)  # every entry has another number
 
 
-# By session_uid of the object, the address of its evaluated data (nodes may show others beside its own), and whether it holds all Gaussians.
+# By session_uid of the object, the address of its evaluated data (nodes may show others beside its own), and
+# whether it holds all Gaussians.
 _entries: dict[tuple[int, int, bool], Entry] = {}
 
 
 def read(obj: bpy.types.Object, whole: bool = False) -> Scene:
-    """bridge_graph.visible_scene(obj) of an evaluated object, sorted: Gaussians close in space are close in memory.
+    """bridge_graph.visible_scene(obj) of an evaluated object, sorted: Gaussians close in space are close in
+    memory.
 
     whole: all Gaussians of the object instead, without modifiers; it need not be evaluated.
     """
@@ -68,7 +71,11 @@ def forget_updated(depsgraph: bpy.types.Depsgraph):
     if not _entries:
         return
     there = {obj.session_uid for obj in bpy.data.objects}
-    changed = {update.id.original.session_uid for update in depsgraph.updates if not isinstance(update.id, bpy.types.Object) or update.is_updated_geometry}
+    changed = {
+        update.id.original.session_uid
+        for update in depsgraph.updates
+        if not isinstance(update.id, bpy.types.Object) or update.is_updated_geometry
+    }
     for key, entry in list(_entries.items()):
         if key[0] not in there or key[0] in changed or entry.data in changed:
             del _entries[key]

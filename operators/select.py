@@ -2,7 +2,8 @@
 
 
 def select(context, objects):
-    """Selects only these objects and makes the last one active. In modes other than Object Mode nothing happens."""
+    """Selects only these objects and makes the last one active. In modes other than Object Mode nothing
+    happens."""
     if context.mode == "OBJECT":
         for obj in context.selected_objects:
             obj.select_set(False)

@@ -22,14 +22,29 @@ from .translation import OWN
 
 MOST_VIEWS = 64  # views that are rendered, evenly spaced in the list
 CRITERIA = [
-    ("BOX", "Box", "Centres inside the bounding box of an object, turned with it; an empty counts as a cube of its size"),
-    ("SPHERE", "Sphere", "Centres inside the sphere or ellipsoid that fills the bounding box of an object; an empty counts as a sphere of its size"),
+    (
+        "BOX",
+        "Box",
+        "Centres inside the bounding box of an object, turned with it; an empty counts as a cube of its size",
+    ),
+    (
+        "SPHERE",
+        "Sphere",
+        (
+            "Centres inside the sphere or ellipsoid that fills the bounding box of an object; an empty counts"
+            " as a sphere of its size"
+        ),
+    ),
     ("OPACITY", "Opacity", "Opacity in a range"),
     ("SIZE", "Size", "Largest standard deviation in a range"),
     ("CONTRIBUTION", "Contribution", "Those that add least to the images of the cameras"),
     ("REMOVAL_ERROR", "Removal Error", "Those whose removal would change the images of the cameras least"),
     ("SEEN", "Seen by Camera", "Those that a camera shows, in front of or through others"),
-    ("FLOATERS", "Floaters", "Small groups apart from all others and, with at least 8 cameras, haze in front of the cameras"),
+    (
+        "FLOATERS",
+        "Floaters",
+        "Small groups apart from all others and, with at least 8 cameras, haze in front of the cameras",
+    ),
     ("EDIT_MODE", "Edit Mode", "The points that are selected in Edit Mode"),
 ]
 MODES = [
@@ -55,7 +70,11 @@ class SplatOperator(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        problem = cls.problem(context) if bridge.is_splat(context.object) else tr("Make a splat the active object first")
+        problem = (
+            cls.problem(context)
+            if bridge.is_splat(context.object)
+            else tr("Make a splat the active object first")
+        )
         if problem:
             cls.poll_message_set(problem)
         return not problem
@@ -72,19 +91,46 @@ class SplatOperator(bpy.types.Operator):
 class SVRGS_OT_select_gaussians(SplatOperator):
     bl_idname = "svrgs.select_gaussians"
     bl_label = "Select Gaussians"
-    bl_description = "Select Gaussians of the active splat by a criterion. The selection is stored as the attribute 'svrgs:selected'"
+    bl_description = (
+        "Select Gaussians of the active splat by a criterion. The selection is stored as the attribute"
+        " 'svrgs:selected'"
+    )
     bl_options = {"REGISTER", "UNDO"}
 
-    criterion: EnumProperty(name="Criterion", items=CRITERIA, default="FLOATERS", description="What decides which Gaussians are selected")
-    mode: EnumProperty(name="Mode", items=MODES, translation_context=OWN, description="What happens with the Gaussians that are selected already")
+    criterion: EnumProperty(
+        name="Criterion",
+        items=CRITERIA,
+        default="FLOATERS",
+        description="What decides which Gaussians are selected",
+    )
+    mode: EnumProperty(
+        name="Mode",
+        items=MODES,
+        translation_context=OWN,
+        description="What happens with the Gaussians that are selected already",
+    )
     invert: BoolProperty(name="Invert", description="Take all Gaussians that do not fulfil the criterion")
-    volume: StringProperty(name="Object", description="The object that bounds the box or sphere. Empty: the other selected object")
+    volume: StringProperty(
+        name="Object",
+        description="The object that bounds the box or sphere. Empty: the other selected object",
+    )
     opacity_low: FloatProperty(name="From", min=0, max=1, subtype="FACTOR", description="Lowest opacity")
-    opacity_high: FloatProperty(name="To", min=0, max=1, default=0.1, subtype="FACTOR", description="Highest opacity")
-    size_low: FloatProperty(name="From", min=0, default=0.1, precision=4, subtype="DISTANCE", description="Smallest size")
-    size_high: FloatProperty(name="To", min=0, precision=4, subtype="DISTANCE", description="Largest size. 0: no limit")
+    opacity_high: FloatProperty(
+        name="To", min=0, max=1, default=0.1, subtype="FACTOR", description="Highest opacity"
+    )
+    size_low: FloatProperty(
+        name="From", min=0, default=0.1, precision=4, subtype="DISTANCE", description="Smallest size"
+    )
+    size_high: FloatProperty(
+        name="To", min=0, precision=4, subtype="DISTANCE", description="Largest size. 0: no limit"
+    )
     share: FloatProperty(
-        name="Lowest", min=0.01, max=100, default=20, subtype="PERCENTAGE", description="Percentage of the Gaussians, those with the lowest values"
+        name="Lowest",
+        min=0.01,
+        max=100,
+        default=20,
+        subtype="PERCENTAGE",
+        description="Percentage of the Gaussians, those with the lowest values",
     )
     cameras: cameras_property()
 
@@ -106,10 +152,14 @@ class SVRGS_OT_select_gaussians(SplatOperator):
             mask = bridge_selection.found_in_edit_mode(obj)
         else:
             volume = self.volume_object(context) if self.criterion in ("BOX", "SPHERE") else None
-            mask = bridge_selection.find(obj, self.criteria(), lambda placed, named: self.views(context, placed, named), volume)
+            mask = bridge_selection.find(
+                obj, self.criteria(), lambda placed, named: self.views(context, placed, named), volume
+            )
         count = bridge_selection.change(obj, mask, self.mode, self.invert)
         show_selection(context, count > 0)
-        return tr("Selected {selected:,} of {count:,} Gaussians").format(selected=count, count=bridge.count(obj))
+        return tr("Selected {selected:,} of {count:,} Gaussians").format(
+            selected=count, count=bridge.count(obj)
+        )
 
     def criteria(self) -> Criteria:
         """The criterion with its numbers."""
@@ -125,16 +175,24 @@ class SVRGS_OT_select_gaussians(SplatOperator):
     def volume_object(self, context) -> bpy.types.Object:
         """The object that bounds the box or sphere. Raises SceneError if none is chosen."""
         others = [obj for obj in context.selected_objects if obj != context.object]
-        found = context.scene.objects.get(self.volume) if self.volume else others[0] if len(others) == 1 else None
+        found = (
+            context.scene.objects.get(self.volume) if self.volume else others[0] if len(others) == 1 else None
+        )
         if found is None:
-            raise SceneError(tr("choose the object that bounds the box or sphere, such as a cube around the Gaussians"))
+            raise SceneError(
+                tr("choose the object that bounds the box or sphere, such as a cube around the Gaussians")
+            )
         self.volume = found.name
         return found
 
     def views(self, context, placed, named: str) -> list:
         """The views of the chosen cameras. named: empty if none is needed. Raises SceneError."""
         cameras = chosen_cameras(context, self.cameras)
-        return views(context, cameras[:: max(1, -(-len(cameras) // MOST_VIEWS))], placed) if named or cameras else []
+        return (
+            views(context, cameras[:: max(1, -(-len(cameras) // MOST_VIEWS))], placed)
+            if named or cameras
+            else []
+        )
 
 
 class SVRGS_OT_delete_gaussians(SplatOperator):
@@ -152,13 +210,19 @@ class SVRGS_OT_delete_gaussians(SplatOperator):
     def problem(cls, context) -> str:
         if problem := change_problem(context, [context.object]):
             return problem
-        return "" if bridge_selection.SELECTED in context.object.data.attributes else tr("Select Gaussians first")
+        return (
+            ""
+            if bridge_selection.SELECTED in context.object.data.attributes
+            else tr("Select Gaussians first")
+        )
 
     def work(self, context, obj: bpy.types.Object) -> str:
         before = bridge.count(obj)
         bridge_selection.delete(obj, self.what == "OTHERS")
         show_selection(context, False)
-        return tr("Deleted {deleted:,} of {count:,} Gaussians").format(deleted=before - bridge.count(obj), count=before)
+        return tr("Deleted {deleted:,} of {count:,} Gaussians").format(
+            deleted=before - bridge.count(obj), count=before
+        )
 
 
 class SVRGS_OT_clear_selection(SplatOperator):
@@ -170,7 +234,11 @@ class SVRGS_OT_clear_selection(SplatOperator):
     @classmethod
     def problem(cls, context) -> str:
         problem = edit_guard.problem(context, context.object)
-        return problem or ("" if bridge_selection.SELECTED in context.object.data.attributes else tr("No Gaussian is selected"))
+        return problem or (
+            ""
+            if bridge_selection.SELECTED in context.object.data.attributes
+            else tr("No Gaussian is selected")
+        )
 
     def work(self, context, obj: bpy.types.Object) -> str:
         bridge_selection.clear(obj)

@@ -1,4 +1,5 @@
-"""Set Up Rendering and Set Up Compositing: what a render needs to show splats, with one click. Use Standard: the colours of the training."""
+"""Set Up Rendering and Set Up Compositing: what a render needs to show splats, with one click. Use Standard:
+the colours of the training."""
 
 from __future__ import annotations
 
@@ -14,7 +15,10 @@ WITHOUT_MATERIALS = ("SVRGS", "BLENDER_WORKBENCH")
 class SVRGS_OT_set_up_rendering(bpy.types.Operator):
     bl_idname = "svrgs.set_up_rendering"
     bl_label = "Set Up Rendering"
-    bl_description = "Render with the engine SVR-GS, in the colours of the training and with the resolution of the camera's photograph"
+    bl_description = (
+        "Render with the engine SVR-GS, in the colours of the training and with the resolution of the"
+        " camera's photograph"
+    )
     bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
@@ -26,7 +30,10 @@ class SVRGS_OT_set_up_rendering(bpy.types.Operator):
         splat_layer.remove(scene, context.evaluated_depsgraph_get())
         scene.render.engine = "SVRGS"
         use_standard(scene)
-        self.report({"INFO"}, ". ".join([tr("The engine is SVR-GS, the view transform Standard"), camera_words(scene)]))
+        self.report(
+            {"INFO"},
+            ". ".join([tr("The engine is SVR-GS, the view transform Standard"), camera_words(scene)]),
+        )
         return {"FINISHED"}
 
 
@@ -45,8 +52,8 @@ class SVRGS_OT_set_up_compositing(bpy.types.Operator):
     bl_idname = "svrgs.set_up_compositing"
     bl_label = "Set Up Compositing"
     bl_description = (
-        "Render meshes with EEVEE or Cycles and splats with SVR-GS, and put both together by depth. Adds a scene for the splats and "
-        "compositing nodes. The film becomes transparent"
+        "Render meshes with EEVEE or Cycles and splats with SVR-GS, and put both together by depth. Adds a"
+        " scene for the splats and compositing nodes. The film becomes transparent"
     )
     bl_options = {"REGISTER", "UNDO"}
 
@@ -63,7 +70,10 @@ class SVRGS_OT_set_up_compositing(bpy.types.Operator):
             scene.render.engine = EEVEE
         layer = splat_layer.add(scene, context.evaluated_depsgraph_get())
         compositor_nodes.insert(scene, layer)
-        text = tr("{engine} renders the meshes with a transparent film, the scene '{scene}' renders the splats. The compositor puts them together")
+        text = tr(
+            "{engine} renders the meshes with a transparent film, the scene '{scene}' renders the splats. The"
+            " compositor puts them together"
+        )
         self.report({"INFO"}, text.format(engine=splat_layer.engine_name(scene), scene=layer.name))
         return {"FINISHED"}
 
@@ -74,21 +84,28 @@ def use_standard(scene: bpy.types.Scene):
 
 
 def camera_words(scene: bpy.types.Scene) -> str:
-    """Gives the scene the resolution of its camera's photograph, if it has one. Returns a sentence about camera and resolution."""
+    """Gives the scene the resolution of its camera's photograph, if it has one. Returns a sentence about
+    camera and resolution."""
     if scene.camera is None:
         return tr("The scene has no camera yet: add one")
     photograph = scene.camera.type == "CAMERA" and bridge_cameras.SIZE in scene.camera.data
     bridge_cameras.apply_camera_size(scene)
     width, height = bridge_cameras.render_size(scene)
     text = tr("The camera is '{name}', the resolution {width} x {height}")
-    text = tr("The camera is '{name}', the resolution {width} x {height}, as its photograph") if photograph else text
+    text = (
+        tr("The camera is '{name}', the resolution {width} x {height}, as its photograph")
+        if photograph
+        else text
+    )
     return text.format(name=scene.camera.name, width=width, height=height)
 
 
 def _is_no_layer(cls, context) -> bool:
     main = context.scene.svrgs_looking.layer_of
     if main is not None:
-        cls.poll_message_set(tr("This scene renders the splats of '{name}': go to that scene").format(name=main.name))
+        cls.poll_message_set(
+            tr("This scene renders the splats of '{name}': go to that scene").format(name=main.name)
+        )
     return main is None
 
 

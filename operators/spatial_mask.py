@@ -1,4 +1,5 @@
-"""Show Spatial Mask: draws the spatial mask F of the scene's camera, once, or after every change if Follow Camera is on."""
+"""Show Spatial Mask: draws the spatial mask F of the scene's camera, once, or after every change if Follow
+Camera is on."""
 
 from __future__ import annotations
 
@@ -15,7 +16,9 @@ DELAY = 0.1  # seconds after the last change
 class SVRGS_OT_spatial_mask(bpy.types.Operator):
     bl_idname = "svrgs.spatial_mask"
     bl_label = "Show Spatial Mask"
-    bl_description = "Draw the spatial mask of the scene's camera into an image, for the Image Editor and for materials"
+    bl_description = (
+        "Draw the spatial mask of the scene's camera into an image, for the Image Editor and for materials"
+    )
     bl_options = {"REGISTER"}
 
     @classmethod
@@ -32,7 +35,9 @@ class SVRGS_OT_spatial_mask(bpy.types.Operator):
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         show_in_editors(context, bpy.data.images[mask_image.NAME])
-        self.report({"INFO"}, tr("Spatial mask of {camera}: mean {mean:.3g}, largest {largest:.3g}").format(**result))
+        self.report(
+            {"INFO"}, tr("Spatial mask of {camera}: mean {mean:.3g}, largest {largest:.3g}").format(**result)
+        )
         return {"FINISHED"}
 
 
@@ -41,12 +46,17 @@ def show_in_editors(context, image: bpy.types.Image):
     for window in context.window_manager.windows:
         for area in window.screen.areas:
             space = area.spaces.active
-            if area.type == "IMAGE_EDITOR" and space.mode == "VIEW" and (space.image is None or space.image.name.startswith("SVR-GS")):
+            if (
+                area.type == "IMAGE_EDITOR"
+                and space.mode == "VIEW"
+                and (space.image is None or space.image.name.startswith("SVR-GS"))
+            ):
                 space.image = image
                 area.tag_redraw()
 
 
-_changed: dict[int, str] = {}  # session_uid of a scene with Follow Camera -> name of the view layer that changed last
+# session_uid of a scene with Follow Camera -> name of the view layer that changed last
+_changed: dict[int, str] = {}
 
 
 @persistent
@@ -70,7 +80,8 @@ def _follow():
 
 
 def _follow_in(context):
-    """Draws the mask if it is out of date. After an error the old mask stays, without a message: the user did not press a button."""
+    """Draws the mask if it is out of date. After an error the old mask stays, without a message: the user did
+    not press a button."""
     try:
         if not mask_image.is_stale(context):  # writing the image is a change of the scene, too
             return
@@ -91,7 +102,11 @@ def _after_load(*_):
             scene.svrgs_looking.mask_result = ""
 
 
-HANDLERS = (("depsgraph_update_post", _after_change), ("frame_change_post", _after_change), ("load_post", _after_load))
+HANDLERS = (
+    ("depsgraph_update_post", _after_change),
+    ("frame_change_post", _after_change),
+    ("load_post", _after_load),
+)
 
 
 def register():

@@ -1,7 +1,8 @@
-"""A scene that renders the splats of another scene, for its compositor: "NAME Splats", with the engine SVR-GS.
+"""A scene that renders the splats of another scene, for its compositor: "NAME Splats", with the engine
+SVR-GS.
 
-It has the other scene as its background set: so it shows the same objects without holding any, also those that come later. Camera,
-resolution and border are those of the other scene at each render.
+It has the other scene as its background set: so it shows the same objects without holding any, also those
+that come later. Camera, resolution and border are those of the other scene at each render.
 """
 
 from __future__ import annotations
@@ -12,8 +13,12 @@ from bpy.app.translations import pgettext_iface as tr
 
 from . import bridge, bridge_graph, compositor_nodes
 
-RAYS = tuple(f"visible_{kind}" for kind in ("camera", "diffuse", "glossy", "transmission", "volume_scatter", "shadow"))  # Ray Visibility
-BUILT_IN = {"BLENDER_EEVEE_NEXT": "EEVEE", "BLENDER_EEVEE": "EEVEE", "BLENDER_WORKBENCH": "Workbench"}  # engines without a class
+# Ray Visibility
+RAYS = tuple(
+    f"visible_{kind}" for kind in ("camera", "diffuse", "glossy", "transmission", "volume_scatter", "shadow")
+)
+# engines without a class
+BUILT_IN = {"BLENDER_EEVEE_NEXT": "EEVEE", "BLENDER_EEVEE": "EEVEE", "BLENDER_WORKBENCH": "Workbench"}
 FOLLOWED = (
     "resolution_x", "resolution_y", "resolution_percentage", "pixel_aspect_x", "pixel_aspect_y", "use_border", "use_crop_to_border",
     "border_min_x", "border_max_x", "border_min_y", "border_max_y",
@@ -28,7 +33,8 @@ def layer_of(scene: bpy.types.Scene) -> bpy.types.Scene | None:
 def add(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> bpy.types.Scene:
     """Makes the layer of a scene, or sets it right. Other engines do not draw the scene's splats any more.
 
-    Afterwards the scene's film is transparent, as its render belongs between Gaussians. If it was not, the layer's background is opaque.
+    Afterwards the scene's film is transparent, as its render belongs between Gaussians. If it was not, the
+    layer's background is opaque.
     """
     layer = layer_of(scene)
     if layer is None:
@@ -54,7 +60,8 @@ def remove(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph):
 
 
 def missing(scene: bpy.types.Scene) -> str:
-    """What keeps renders of the scene from showing its splats, in one sentence; empty if they are shown or if there is none."""
+    """What keeps renders of the scene from showing its splats, in one sentence; empty if they are shown or if
+    there is none."""
     splats = [obj for obj in scene.objects if bridge.is_splat(obj)]
     if not splats or scene.render.engine == "SVRGS" or scene.svrgs_looking.layer_of is not None:
         return ""
@@ -64,18 +71,27 @@ def missing(scene: bpy.types.Scene) -> str:
     if not compositor_nodes.are_complete(scene, layer):
         return tr("The compositing of the splats is not complete: set it up again")
     new = next((obj.name for obj in splats if obj.visible_camera), None)
-    return tr("{engine} renders '{name}' as grey dots: set up compositing again").format(engine=engine, name=new) if new is not None else ""
+    return (
+        tr("{engine} renders '{name}' as grey dots: set up compositing again").format(engine=engine, name=new)
+        if new is not None
+        else ""
+    )
 
 
 def engine_name(scene: bpy.types.Scene) -> str:
     """The name of the scene's engine as Blender shows it."""
     engine = scene.render.engine
-    labels = (cls.bl_label for cls in bpy.types.RenderEngine.__subclasses__() if getattr(cls, "bl_idname", "") == engine)
+    labels = (
+        cls.bl_label
+        for cls in bpy.types.RenderEngine.__subclasses__()
+        if getattr(cls, "bl_idname", "") == engine
+    )
     return BUILT_IN.get(engine) or next(labels, engine)
 
 
 def _show_to_other_engines(scene: bpy.types.Scene, shown: bool, depsgraph: bpy.types.Depsgraph):
-    """Whether EEVEE and Cycles draw the points of the scene's splats. The engine SVR-GS draws splats in any case."""
+    """Whether EEVEE and Cycles draw the points of the scene's splats. The engine SVR-GS draws splats in any
+    case."""
     instanced = {obj.original for obj, _ in bridge_graph.placed_splats(depsgraph)}
     for obj in {obj for obj in scene.objects if bridge.is_splat(obj)} | instanced:
         for name in RAYS:
@@ -83,7 +99,8 @@ def _show_to_other_engines(scene: bpy.types.Scene, shown: bool, depsgraph: bpy.t
 
 
 def _follow(scene: bpy.types.Scene, layer: bpy.types.Scene):
-    """Gives the layer the scene's camera and size. With a transparent film, the render belongs between the Gaussians; else under them."""
+    """Gives the layer the scene's camera and size. With a transparent film, the render belongs between the
+    Gaussians; else under them."""
     for name in FOLLOWED:
         if getattr(layer.render, name) != getattr(scene.render, name):
             setattr(layer.render, name, getattr(scene.render, name))

@@ -1,4 +1,5 @@
-"""The size of the file that a splat would have, from its own columns: a splat without normals, or with further columns, has another size."""
+"""The size of the file that a splat would have, from its own columns: a splat without normals, or with
+further columns, has another size."""
 
 from __future__ import annotations
 
@@ -33,8 +34,8 @@ def count_in(obj: bpy.types.Object, size: float) -> int:
 
 
 def size_in(obj: bpy.types.Object, count: int, kind: str, quantise: float = 1.0) -> str:
-    """What an export says on the size of `count` Gaussians of the splat in the format of this name; '' for a large splat whose values decide.
-    quantise: as of write_scene(), for formats that take it."""
+    """What an export says on the size of `count` Gaussians of the splat in the format of this name; '' for a
+    large splat whose values decide. quantise: as of write_scene(), for formats that take it."""
     splat_format = next(one for one in FORMATS if one.name == kind)
     key = (obj.session_uid, kind, count, quantise if splat_format.quantises else 1.0)
     if key not in _said:
@@ -48,7 +49,9 @@ def _size_in(obj: bpy.types.Object, count: int, splat_format: SplatFormat, quant
     if size is None and count > MOST_READ:
         return ""
     try:
-        size = size or sampled_size(bridge.scene_from_object(obj), splat_format, quantise) * count // max(1, bridge.count(obj))
+        size = size or sampled_size(bridge.scene_from_object(obj), splat_format, quantise) * count // max(
+            1, bridge.count(obj)
+        )
     except SplatError:
         return ""
     return tr("{count:,} Gaussians, about {size:.1f} MB").format(count=count, size=size / 1e6)

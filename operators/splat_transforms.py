@@ -1,7 +1,9 @@
-"""Apply Splat Transforms, Join Splats, and Write Shapes: the points, shapes and colours of splats change together.
+"""Apply Splat Transforms, Join Splats, and Write Shapes: the points, shapes and colours of splats change
+together.
 
-Blender's own Apply and Join move points only. A splat stores where its points were when its shapes were written. So whoever reads it
-gets shapes and colours that have followed the points (svrgs_addon/scene/attribute_layout.py); Write Shapes stores them.
+Blender's own Apply and Join move points only. A splat stores where its points were when its shapes were
+written. So whoever reads it gets shapes and colours that have followed the points
+(svrgs_addon/scene/attribute_layout.py); Write Shapes stores them.
 """
 
 from __future__ import annotations
@@ -35,13 +37,18 @@ def change_problem(context, splats: list[bpy.types.Object]) -> str:
             return tr("Apply or discard the pruning result of '{name}' first").format(name=obj.name)
         job = job_of(obj)
         if job is not None and (is_busy(job) or is_resumable(job)):
-            return tr("A pruning job belongs to '{name}': wait for it, or discard it first").format(name=obj.name)
+            return tr("A pruning job belongs to '{name}': wait for it, or discard it first").format(
+                name=obj.name
+            )
     return ""
 
 
 def stretch_warning(obj: bpy.types.Object) -> str:
     """What is not exact if the splat is written with another scale along each axis."""
-    text = tr("'{name}' is scaled differently along its axes: view-dependent colours are only rotated, and so not exact")
+    text = tr(
+        "'{name}' is scaled differently along its axes: view-dependent colours are only rotated, and so not"
+        " exact"
+    )
     return text.format(name=obj.name)
 
 
@@ -75,13 +82,19 @@ class SplatsOperator(bpy.types.Operator):
 class SVRGS_OT_apply_transforms(SplatsOperator):
     bl_idname = "svrgs.apply_transforms"
     bl_label = "Apply Splat Transforms"
-    bl_description = "Write location, rotation and scale of the selected splats into positions, shapes and view-dependent colours. Nothing seems to move"
+    bl_description = (
+        "Write location, rotation and scale of the selected splats into positions, shapes and view-dependent"
+        " colours. Nothing seems to move"
+    )
     bl_options = {"REGISTER", "UNDO"}
 
     def work(self, context, splats: list[bpy.types.Object]) -> str:
         shared = next((obj for obj in splats if obj.data.users > 1), None)
         if shared is not None:
-            text = tr("other objects share the Gaussians of '{name}': make them single-user first (Object > Relations > Make Single User)")
+            text = tr(
+                "other objects share the Gaussians of '{name}': make them single-user first (Object >"
+                " Relations > Make Single User)"
+            )
             raise SceneError(text.format(name=shared.name))
         for obj in splats:
             stretch(obj.matrix_world)  # raises SceneError if a scale is zero
@@ -97,14 +110,22 @@ class SVRGS_OT_apply_transforms(SplatsOperator):
 class SVRGS_OT_join_splats(SplatsOperator):
     bl_idname = "svrgs.join_splats"
     bl_label = "Join Splats"
-    bl_description = "Join the selected splats into the active one. Positions, shapes and view-dependent colours keep their places in the scene"
+    bl_description = (
+        "Join the selected splats into the active one. Positions, shapes and view-dependent colours keep"
+        " their places in the scene"
+    )
     bl_options = {"REGISTER", "UNDO"}
     least, poll_message = 2, n_("Select two Gaussian splats or more")
 
     def work(self, context, splats: list[bpy.types.Object]) -> str:
         first, *others = splats
         if len({bridge.scene_from_object(obj).antialiased for obj in splats}) > 1:
-            raise SceneError(tr("some of these splats were trained with antialiasing and some were not: joined, one kind would be drawn wrongly"))
+            raise SceneError(
+                tr(
+                    "some of these splats were trained with antialiasing and some were not: joined, one kind"
+                    " would be drawn wrongly"
+                )
+            )
         scenes = []
         for obj in splats:
             matrix = bridge.between(obj, first)
@@ -115,15 +136,17 @@ class SVRGS_OT_join_splats(SplatsOperator):
         for obj in others:
             job_result.delete_object(obj)
         select(context, [first])
-        return tr("Joined {splats} splats: {count:,} Gaussians").format(splats=len(splats), count=result.count)
+        return tr("Joined {splats} splats: {count:,} Gaussians").format(
+            splats=len(splats), count=result.count
+        )
 
 
 class SVRGS_OT_write_shapes(SplatsOperator):
     bl_idname = "svrgs.write_shapes"
     bl_label = "Write Shapes"
     bl_description = (
-        "Blender's Apply or Join has moved the points of this splat and not its shapes. SVR-GS draws, prunes and exports the right shapes;"
-        " this stores them, for Geometry Nodes and other add-ons"
+        "Blender's Apply or Join has moved the points of this splat and not its shapes. SVR-GS draws, prunes"
+        " and exports the right shapes; this stores them, for Geometry Nodes and other add-ons"
     )
     bl_options = {"REGISTER", "UNDO"}
 
@@ -138,11 +161,13 @@ class SVRGS_OT_write_shapes(SplatsOperator):
 
 # --- what Blender has moved
 
-_counts: dict[int, int] = {}  # session_uid of a splat's data -> Gaussians whose points were moved without their shapes
+# session_uid of a splat's data -> Gaussians whose points were moved without their shapes
+_counts: dict[int, int] = {}
 
 
 def moved_count(obj: bpy.types.Object | None) -> int:
-    """Number of Gaussians of the splat whose stored shapes do not belong to their points; 0 for other objects and in Edit Mode."""
+    """Number of Gaussians of the splat whose stored shapes do not belong to their points; 0 for other objects
+    and in Edit Mode."""
     if obj is None or not bridge.is_splat(obj) or obj.mode == "EDIT":
         return 0
     uid = obj.data.session_uid
@@ -153,7 +178,8 @@ def moved_count(obj: bpy.types.Object | None) -> int:
 
 @persistent
 def _after_update(scene, depsgraph=None):
-    """Forgets the counts of data that has changed; stores the positions of splats that this extension has not made."""
+    """Forgets the counts of data that has changed; stores the positions of splats that this extension has not
+    made."""
     for update in depsgraph.updates if depsgraph is not None else ():
         if not isinstance(update.id, bpy.types.Object) or update.is_updated_geometry:
             data = update.id.original.data if isinstance(update.id, bpy.types.Object) else update.id.original
@@ -163,7 +189,13 @@ def _after_update(scene, depsgraph=None):
 
 def _record_positions(scene: bpy.types.Scene):
     for obj in scene.objects:
-        if obj.type in bridge.TYPES and not obj.library and not obj.data.library and obj.mode != "EDIT" and bridge.is_splat(obj):
+        if (
+            obj.type in bridge.TYPES
+            and not obj.library
+            and not obj.data.library
+            and obj.mode != "EDIT"
+            and bridge.is_splat(obj)
+        ):
             bridge.record_positions(obj)
 
 
@@ -188,7 +220,12 @@ def object_menu(self, context):
 
 
 CLASSES = (SVRGS_OT_apply_transforms, SVRGS_OT_join_splats, SVRGS_OT_write_shapes)
-HANDLERS = (("depsgraph_update_post", _after_update), ("load_post", _after_load), ("undo_post", _after_undo), ("redo_post", _after_undo))
+HANDLERS = (
+    ("depsgraph_update_post", _after_update),
+    ("load_post", _after_load),
+    ("undo_post", _after_undo),
+    ("redo_post", _after_undo),
+)
 
 
 def register():

@@ -1,7 +1,7 @@
 """Training of a splat from imported cameras, for a dataset that has none yet: a background job of their root.
 
-Progress, stop and resume are those of every job (job.py); the panel of step 2 shows them. The splat is placed below the root
-(train_result.py).
+Progress, stop and resume are those of every job (job.py); the panel of step 2 shows them. The splat is placed
+below the root (train_result.py).
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ QUICK = 7_000  # steps: a usable splat in a quarter of the time
 
 
 def root_to_train(context) -> bpy.types.Object | None:
-    """The root with a dataset that the active object belongs to, or the only one of the scene; None with a splat or an own object active."""
+    """The root with a dataset that the active object belongs to, or the only one of the scene; None with a
+    splat or an own object active."""
     if bridge.is_splat(context.object):
         return None
     root = bridge.root_of(context.object)
@@ -47,14 +48,20 @@ def problem(context) -> str:
     if context.mode != "OBJECT":
         return tr("Leave Edit Mode first")
     if root.get(bridge.POINTS) == 0:
-        return tr("The dataset has no sparse points to start from: run COLMAP's mapper again, or export the sparse points with the cameras")
+        return tr(
+            "The dataset has no sparse points to start from: run COLMAP's mapper again, or export the sparse"
+            " points with the cameras"
+        )
     return dataset_paths.lost(root) or native_problem()
 
 
 class SVRGS_OT_train(JobOperator):
     bl_idname = "svrgs.train"
     bl_label = "Train Splat"
-    bl_description = "Train a splat in the background from the photographs and the sparse points of the imported cameras. It is placed with the cameras"
+    bl_description = (
+        "Train a splat in the background from the photographs and the sparse points of the imported cameras."
+        " It is placed with the cameras"
+    )
     bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
@@ -75,7 +82,9 @@ class SVRGS_OT_train(JobOperator):
         link(root, str(folder.path))
         waits = job_queue.start(Job(folder))
         start_timer()
-        return waits or tr("Training a splat from the photographs of '{name}' in the background").format(name=root.name)
+        return waits or tr("Training a splat from the photographs of '{name}' in the background").format(
+            name=root.name
+        )
 
 
 def _about(_) -> str:
@@ -83,9 +92,15 @@ def _about(_) -> str:
     job = job_of(root)
     if root is None or (job is not None and (is_busy(job) or is_resumable(job))):
         return ""
-    photographs = sum(obj.type == "CAMERA" and bridge_cameras.SIZE in obj.data for obj in root.children_recursive)
+    photographs = sum(
+        obj.type == "CAMERA" and bridge_cameras.SIZE in obj.data for obj in root.children_recursive
+    )
     points = root.get(bridge.POINTS)
-    text = tr("'{name}': {photographs:,} photographs") if points is None else tr("'{name}': {photographs:,} photographs, {points:,} sparse points")
+    text = (
+        tr("'{name}': {photographs:,} photographs")
+        if points is None
+        else tr("'{name}': {photographs:,} photographs, {points:,} sparse points")
+    )
     return text.format(name=root.name, photographs=photographs, points=points)
 
 
@@ -100,7 +115,8 @@ class SVRGS_PG_train(bpy.types.PropertyGroup):
     )  # fmt: skip
     use_time: limited_time_property()
     time: time_property(default=600)
-    about: StringProperty(get=_about, options={"HIDDEN"})  # what a splat would be trained from; empty if that makes no sense now
+    # what a splat would be trained from; empty if that makes no sense now
+    about: StringProperty(get=_about, options={"HIDDEN"})
     problem: StringProperty(get=_problem, options={"HIDDEN"})
 
 

@@ -11,9 +11,12 @@ from .select import in_view_layer, select
 
 
 def load(context, root: bpy.types.Object, folder: JobFolder) -> bpy.types.Object:
-    """Adds the trained splat, and selects it if something of the dataset is active. Raises SceneError, FormatError."""
+    """Adds the trained splat, and selects it if something of the dataset is active. Raises SceneError,
+    FormatError."""
     family = {root, *root.children_recursive}
-    splat = bridge.object_from_scene(f"{root.name} splat", read_scene(folder.output), _collection(root), root.matrix_world)
+    splat = bridge.object_from_scene(
+        f"{root.name} splat", read_scene(folder.output), _collection(root), root.matrix_world
+    )
     bridge.parent_to_root(splat, root)
     if context.view_layer.objects.active in family and in_view_layer(context, splat):
         select(context, [splat])

@@ -1,4 +1,5 @@
-"""Photographs as backgrounds of their cameras. Photographs with lens distortion are undistorted first, by a child process.
+"""Photographs as backgrounds of their cameras. Photographs with lens distortion are undistorted first, by a
+child process.
 
 status() says what the last import of cameras lacks, and how far undistorting is.
 """
@@ -22,7 +23,8 @@ WAIT = bpy.app.background  # without a window there are no timers, so the operat
 
 
 class UndistortThread(threading.Thread):
-    """Waits for the child process that undistorts. It ends with Blender; the process then still finishes its files."""
+    """Waits for the child process that undistorts. It ends with Blender; the process then still finishes its
+    files."""
 
     def __init__(self, cameras: list[bpy.types.Object], folder: Path, images: str, target: Path, total: int):
         super().__init__(daemon=True)
@@ -55,8 +57,9 @@ def begin(problems: tuple[str, ...], root: bpy.types.Object):
 
 
 def start(cameras: list[bpy.types.Object], folder: Path, images: str, target: Path, total: int):
-    """Undistorts the `total` photographs of the dataset that need it into the folder `target`, then shows each as the background of its
-    camera. With a window it returns at once; status() says how far it is and what went wrong."""
+    """Undistorts the `total` photographs of the dataset that need it into the folder `target`, then shows
+    each as the background of its camera. With a window it returns at once; status() says how far it is and
+    what went wrong."""
     _threads.append(UndistortThread(cameras, folder, images, target, total))
     _threads[-1].start()
     if WAIT:
@@ -72,18 +75,30 @@ def progress() -> tuple[int, int]:
 
 
 def problems() -> str:
-    """What is missing or went wrong since the last import of cameras; mostly empty, and so once they are deleted."""
+    """What is missing or went wrong since the last import of cameras; mostly empty, and so once they are
+    deleted."""
     return ". ".join(_problems) if any(obj.session_uid in _root for obj in bpy.data.objects) else ""
 
 
 def status() -> str:
     """How many photographs are undistorted, and problems(); mostly empty."""
     done, total = progress()
-    return ". ".join(filter(None, [tr("Undistorting photographs: {done:,} of {total:,}").format(done=done, total=total) if _threads else "", problems()]))
+    return ". ".join(
+        filter(
+            None,
+            [
+                tr("Undistorting photographs: {done:,} of {total:,}").format(done=done, total=total)
+                if _threads
+                else "",
+                problems(),
+            ],
+        )
+    )
 
 
 def show(obj: bpy.types.Object, file: Path | None):
-    """Makes the photograph the background of the camera, unless there is no file or the camera has a background."""
+    """Makes the photograph the background of the camera, unless there is no file or the camera has a
+    background."""
     data = obj.data
     if file is None or data.background_images:
         return
@@ -117,7 +132,11 @@ def _finish(thread: UndistortThread):
         obj = objects.get(thread.cameras.get(camera.name))
         if obj is not None:
             show(obj, file)
-    failed = [tr("{error}; the photographs of lenses with distortion are not shown").format(error=thread.error)] if thread.error else []
+    failed = (
+        [tr("{error}; the photographs of lenses with distortion are not shown").format(error=thread.error)]
+        if thread.error
+        else []
+    )
     _problems.extend(problem for problem in (*thread.problems, *failed) if problem not in _problems)
     if thread.photos and not WAIT:
         bpy.ops.ed.undo_push(message="Undistort Photographs")

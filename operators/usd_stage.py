@@ -1,4 +1,5 @@
-"""A USD stage that Blender itself exports keeps its splats: they become splats in it, where Blender writes points."""
+"""A USD stage that Blender itself exports keeps its splats: they become splats in it, where Blender writes
+points."""
 
 from __future__ import annotations
 
@@ -12,7 +13,8 @@ from ..svrgs_addon.scene.gaussians import Scene
 from ..svrgs_addon.system.errors import SceneError
 from . import bridge, bridge_graph
 
-NAME = "userProperties:blender:object_name"  # attribute of prims by which Blenders without a map of prims tell them apart
+# attribute of prims by which Blenders without a map of prims tell them apart
+NAME = "userProperties:blender:object_name"
 HOOK: Any = getattr(bpy.types, "USDHook", object)  # object: Blender was built without OpenUSD
 
 
@@ -41,10 +43,17 @@ def _prims(export_context, stage) -> list[tuple[Any, bpy.types.Object]]:
     if hasattr(export_context, "get_prim_map"):
         blocks = [(path, block) for path, found in export_context.get_prim_map().items() for block in found]
         return [(path, block) for path, block in blocks if isinstance(block, bpy.types.Object)]
-    names = [(prim.GetPath(), prim.GetAttribute(NAME).Get()) for prim in stage.TraverseAll() if prim.HasAttribute(NAME)]
+    names = [
+        (prim.GetPath(), prim.GetAttribute(NAME).Get())
+        for prim in stage.TraverseAll()
+        if prim.HasAttribute(NAME)
+    ]
     if not names:
         raise SceneError(
-            tr("splats are exported as points, because the stage has no names of Blender's objects: switch on Custom Properties and Blender Names")
+            tr(
+                "splats are exported as points, because the stage has no names of Blender's objects: switch"
+                " on Custom Properties and Blender Names"
+            )
         )
     return [(path, bpy.data.objects[name]) for path, name in names if name in bpy.data.objects]
 

@@ -1,7 +1,8 @@
 """The Rendered viewport of the engine SVR-GS.
 
-A thread draws the newest view with the native library: first every 4th pixel, then all pixels (svrgs_addon/render/live_view.py). The
-main thread draws the newest finished picture as a texture and never waits.
+A thread draws the newest view with the native library: first every 4th pixel, then all pixels
+(svrgs_addon/render/live_view.py). The main thread draws the newest finished picture as a texture and never
+waits.
 """
 
 from __future__ import annotations
@@ -46,7 +47,14 @@ def draw_view(rasterizer, request: DrawRequest, reduction: int):
     camera, placed = request.camera.reduced(reduction), request.placed
     background = (0.0, 0.0, 0.0) if request.transparent else request.background
     scene = placed.thinning.draws() if reduction > 1 else placed.scene
-    picture = composite(rasterizer, scene, placed.seen_by(camera), background, placed.hidden_by(request.triangles, camera), passes=())
+    picture = composite(
+        rasterizer,
+        scene,
+        placed.seen_by(camera),
+        background,
+        placed.hidden_by(request.triangles, camera),
+        passes=(),
+    )
     placed.thinning.drew(scene, rasterizer)
     return linear_rgba(picture, request.transparent, request.working_space)
 
@@ -63,7 +71,10 @@ class Pane:
     def place(self, side: viewport_wipe.Side) -> bridge_graph.PlacedScene:
         """The splats of the side as one scene; the last one if nothing has changed. Raises SceneError."""
         if self.placed is None or self.key != side.key:
-            self.key, self.placed = side.key, bridge_graph.placed([(part.scene, part.matrix) for part in side.shown])
+            self.key, self.placed = (
+                side.key,
+                bridge_graph.placed([(part.scene, part.matrix) for part in side.shown]),
+            )
         return self.placed
 
     def draw(self, region: bpy.types.Region, columns: tuple[float, float]):
@@ -101,7 +112,14 @@ class Viewport:
         scene_cache.forget_updated(depsgraph)
         self.version += 1
         try:
-            self.shown, self.problem = [part for found in bridge_graph.placed_splats(depsgraph) for part in viewport_wipe.shown([found])], ""
+            self.shown, self.problem = (
+                [
+                    part
+                    for found in bridge_graph.placed_splats(depsgraph)
+                    for part in viewport_wipe.shown([found])
+                ],
+                "",
+            )
             self.triangles = bridge_meshes.triangles(depsgraph)
         except SplatError as error:
             self.shown, self.problem = [], str(error)
@@ -130,14 +148,18 @@ class Viewport:
         placed, camera = pane.place(side), bridge_graph.region_camera(context.region, context.region_data)
         background, transparent = tuple(scene.svrgs_looking.background), scene.render.film_transparent
         key = self.version, side.key, camera.key, background, transparent
-        pane.live.request(key, DrawRequest(placed, self.triangles, camera, background, transparent, working_space()))
+        pane.live.request(
+            key, DrawRequest(placed, self.triangles, camera, background, transparent, working_space())
+        )
         pane.draw(context.region, side.columns)
         picture = pane.live.picture()
         if picture is None:
             return tr("Drawing")
         if picture.error is not None:
             return str(picture.error)
-        return (tr("{count:,} Gaussians, coarse") if picture.reduction > 1 else tr("{count:,} Gaussians")).format(count=placed.scene.count)
+        return (
+            tr("{count:,} Gaussians, coarse") if picture.reduction > 1 else tr("{count:,} Gaussians")
+        ).format(count=placed.scene.count)
 
 
 def redraw(shading: set[str]):

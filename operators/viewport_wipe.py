@@ -1,7 +1,9 @@
-"""Wipe in Viewport: left of a line a 3D viewport shows the original, right of it the pruned splat, over its whole size.
+"""Wipe in Viewport: left of a line a 3D viewport shows the original, right of it the pruned splat, over its
+whole size.
 
-It works wherever the extension draws splats: in Solid and Material Preview viewports (overlay.py), and in Rendered viewports of the engine
-SVR-GS (viewport.py). They ask sides() what to draw. The line is a gizmo, which the mouse drags; its place is svrgs_looking.wipe.
+It works wherever the extension draws splats: in Solid and Material Preview viewports (overlay.py), and in
+Rendered viewports of the engine SVR-GS (viewport.py). They ask sides() what to draw. The line is a gizmo,
+which the mouse drags; its place is svrgs_looking.wipe.
 """
 
 from __future__ import annotations
@@ -55,22 +57,31 @@ class Side:
 
 
 def shown(found: Iterable[tuple[bpy.types.Object, Matrix]], name: str = "") -> list[Shown]:
-    """Evaluated splats with their matrices, as a viewport shows them. name: of an attribute that their colours show."""
+    """Evaluated splats with their matrices, as a viewport shows them. name: of an attribute that their
+    colours show."""
     parts = []
     for obj, matrix in found:
         values = scene_cache.read_values(obj, name) if name else None
-        parts.append(Shown(obj.original.session_uid, scene_cache.number(obj), scene_cache.read(obj), matrix, values))
+        parts.append(
+            Shown(obj.original.session_uid, scene_cache.number(obj), scene_cache.read(obj), matrix, values)
+        )
     return parts
 
 
 def sides(scene: bpy.types.Scene, found: list[Shown]) -> list[Side]:
-    """The sides of a viewport that shows these splats: one, or two while the wipe is on and the original or the pruned splat is among them."""
+    """The sides of a viewport that shows these splats: one, or two while the wipe is on and the original or
+    the pruned splat is among them."""
     chosen = pair(scene)
     place = next((part.matrix for part in found if chosen and part.uid in _pair), None)
     if chosen is None or place is None:
         return [Side("", (0.0, 1.0), found)]
     original, pruned = chosen
-    whole = Shown(_pair[0], ("whole", scene_cache.number(original, whole=True)), scene_cache.read(original, whole=True), place)
+    whole = Shown(
+        _pair[0],
+        ("whole", scene_cache.number(original, whole=True)),
+        scene_cache.read(original, whole=True),
+        place,
+    )
     key = tuple(scene_cache.number(obj, whole=True) for obj in chosen)
     if key not in _pruned:
         _pruned.clear()
@@ -91,11 +102,16 @@ def pair(scene: bpy.types.Scene) -> tuple[bpy.types.Object, bpy.types.Object] | 
 def draws_splats(context) -> bool:
     """Whether the extension draws the splats of this viewport."""
     shading = context.space_data.shading.type
-    return context.scene.render.engine == "SVRGS" if shading == "RENDERED" else shading != "WIREFRAME" and context.scene.svrgs_looking.overlay
+    return (
+        context.scene.render.engine == "SVRGS"
+        if shading == "RENDERED"
+        else shading != "WIREFRAME" and context.scene.svrgs_looking.overlay
+    )
 
 
 def moved(settings, context):
-    """After the line was moved. The images of a comparison follow when the wipe ends: writing them takes time."""
+    """After the line was moved. The images of a comparison follow when the wipe ends: writing them takes
+    time."""
     if pair(settings.id_data) is None:
         comparison_images.redraw(settings, context)
     redraw_panels()
@@ -104,7 +120,10 @@ def moved(settings, context):
 class SVRGS_OT_viewport_wipe(bpy.types.Operator):
     bl_idname = "svrgs.viewport_wipe"
     bl_label = "Wipe in Viewport"
-    bl_description = "Show the original left of a line and the pruned splat right of it, in the whole 3D viewport. Drag the line; press again to end"
+    bl_description = (
+        "Show the original left of a line and the pruned splat right of it, in the whole 3D viewport. Drag"
+        " the line; press again to end"
+    )
     bl_options = {"REGISTER"}
 
     def execute(self, context):
@@ -119,7 +138,13 @@ class SVRGS_OT_viewport_wipe(bpy.types.Operator):
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         if context.area is not None and context.area.type == "VIEW_3D" and not draws_splats(context):
-            self.report({"WARNING"}, tr("This viewport shows no splats: choose Solid or Material Preview, or Rendered with the engine SVR-GS"))
+            self.report(
+                {"WARNING"},
+                tr(
+                    "This viewport shows no splats: choose Solid or Material Preview, or Rendered with the"
+                    " engine SVR-GS"
+                ),
+            )
         redraw_panels()
         return {"FINISHED"}
 
@@ -145,11 +170,18 @@ class SVRGS_GT_wipe(bpy.types.Gizmo):
         blf.size(0, 12 * scale)
         blf.color(0, *COLOR)
         for text, left in ((tr("Original"), True), (tr("Pruned"), False)):
-            blf.position(0, x - half - blf.dimensions(0, text)[0] - 2 if left else x + half + 2, middle - half / 2, 0)
+            blf.position(
+                0, x - half - blf.dimensions(0, text)[0] - 2 if left else x + half + 2, middle - half / 2, 0
+            )
             blf.draw(0, text)
 
     def test_select(self, context, location):
-        return 0 if abs(location[0] - context.scene.svrgs_looking.wipe * context.region.width) < REACH * context.preferences.system.ui_scale else -1
+        return (
+            0
+            if abs(location[0] - context.scene.svrgs_looking.wipe * context.region.width)
+            < REACH * context.preferences.system.ui_scale
+            else -1
+        )
 
     def invoke(self, context, event):
         self.before = context.scene.svrgs_looking.wipe
@@ -179,12 +211,18 @@ class SVRGS_GGT_wipe(bpy.types.GizmoGroup):
         self.gizmos.new(SVRGS_GT_wipe.bl_idname)
 
 
-def rectangle(shader: gpu.types.GPUShader, bounds: tuple[float, float, float, float], color: tuple[float, float, float, float]):
+def rectangle(
+    shader: gpu.types.GPUShader,
+    bounds: tuple[float, float, float, float],
+    color: tuple[float, float, float, float],
+):
     """Fills left, bottom, right, top in pixels."""
     left, bottom, right, top = bounds
     shader.bind()
     shader.uniform_float("color", color)
-    batch_for_shader(shader, "TRI_FAN", {"pos": ((left, bottom), (right, bottom), (right, top), (left, top))}).draw(shader)
+    batch_for_shader(
+        shader, "TRI_FAN", {"pos": ((left, bottom), (right, bottom), (right, top), (left, top))}
+    ).draw(shader)
 
 
 @persistent

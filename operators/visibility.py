@@ -8,7 +8,8 @@ import bpy
 
 
 def set_hidden(obj: bpy.types.Object, hidden: bool):
-    """Hides the object in viewports and renders, or shows it. A view layer that excludes its collection shows neither."""
+    """Hides the object in viewports and renders, or shows it. A view layer that excludes its collection shows
+    neither."""
     obj.hide_render = hidden
     if not hidden:
         obj.hide_viewport = False  # the monitor icon, which earlier versions used

@@ -1,8 +1,36 @@
 """What the user sees: one file per panel. Panels know operators and properties only by their names."""
 
-from . import compare, engine, export, jobs, overlay, panorama, preferences, prune, rendering, scene, select, spatial_mask, train
+from . import (
+    compare,
+    engine,
+    export,
+    jobs,
+    overlay,
+    panorama,
+    preferences,
+    prune,
+    rendering,
+    scene,
+    select,
+    spatial_mask,
+    train,
+)
 
-MODULES = (preferences, scene, select, overlay, train, prune, jobs, spatial_mask, compare, export, rendering, engine, panorama)
+MODULES = (
+    preferences,
+    scene,
+    select,
+    overlay,
+    train,
+    prune,
+    jobs,
+    spatial_mask,
+    compare,
+    export,
+    rendering,
+    engine,
+    panorama,
+)
 
 
 def register():

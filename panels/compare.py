@@ -1,4 +1,5 @@
-"""Step 3: original and pruned splat compared, in images and figures. In the 3D View and in the Image Editor."""
+"""Step 3: original and pruned splat compared, in images and figures. In the 3D View and in the Image
+Editor."""
 
 import json
 
@@ -62,7 +63,10 @@ def table(layout, result: dict):
         if key in rows[0]:
             lines.append((key.upper(), *(text.format(row[key]) for row in rows)))
     box = layout.box()
-    wrapped_label(box, tr("{camera}: {psnr:.1f} dB between them").format(camera=result["camera"], psnr=result["between"]))
+    wrapped_label(
+        box,
+        tr("{camera}: {psnr:.1f} dB between them").format(camera=result["camera"], psnr=result["between"]),
+    )
     grid = box.grid_flow(row_major=True, columns=3, even_columns=True, align=True)
     for line in lines:
         for text in line:

@@ -1,4 +1,5 @@
-"""Panels of the Properties editor for the render engine SVR-GS: its background, and those of Blender's panels that apply to it."""
+"""Panels of the Properties editor for the render engine SVR-GS: its background, and those of Blender's panels
+that apply to it."""
 
 import bpy
 
@@ -33,7 +34,11 @@ class SVRGS_PT_engine(bpy.types.Panel):
 
 def shared_panels():
     """The panels that Blender shows for every engine without panels of its own."""
-    panels = (panel for panel in bpy.types.Panel.__subclasses__() if "BLENDER_RENDER" in getattr(panel, "COMPAT_ENGINES", ()))
+    panels = (
+        panel
+        for panel in bpy.types.Panel.__subclasses__()
+        if "BLENDER_RENDER" in getattr(panel, "COMPAT_ENGINES", ())
+    )
     return [panel for panel in panels if panel.__name__ not in EXCLUDED]
 
 

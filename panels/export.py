@@ -20,7 +20,13 @@ class SVRGS_PT_export(bpy.types.Panel):
             return
         wrapped_label(layout, f"{context.object.name}: {state.size}")
         if state.marked:
-            wrapped_label(layout, tr("{count:,} hidden Gaussians stay out of the file. Apply deletes them").format(count=state.marked), "INFO")
+            wrapped_label(
+                layout,
+                tr("{count:,} hidden Gaussians stay out of the file. Apply deletes them").format(
+                    count=state.marked
+                ),
+                "INFO",
+            )
         layout.operator("svrgs.export_ply", icon="EXPORT")
         layout.operator("svrgs.export_levels", icon="MOD_DECIM")
         layout.operator("svrgs.export_farm_job", icon="NETWORK_DRIVE")

@@ -1,4 +1,5 @@
-"""All jobs that this Blender knows, below step 2: with or without a splat in the file, running, waiting, stopped or finished."""
+"""All jobs that this Blender knows, below step 2: with or without a splat in the file, running, waiting,
+stopped or finished."""
 
 import json
 

@@ -6,7 +6,12 @@ from bpy.app.translations import pgettext_n as n_
 
 from .wrapped_label import wrapped_label
 
-LIMITS = (("latitude_min", n_("Latitude Min")), ("latitude_max", n_("Max")), ("longitude_min", n_("Longitude Min")), ("longitude_max", n_("Max")))
+LIMITS = (
+    ("latitude_min", n_("Latitude Min")),
+    ("latitude_max", n_("Max")),
+    ("longitude_min", n_("Longitude Min")),
+    ("longitude_max", n_("Max")),
+)
 
 
 class SVRGS_PT_panorama(bpy.types.Panel):

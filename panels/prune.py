@@ -1,4 +1,5 @@
-"""Step 2: settings of pruning, progress of a job, and its result. In every state the panel says what to do next."""
+"""Step 2: settings of pruning, progress of a job, and its result. In every state the panel says what to do
+next."""
 
 from __future__ import annotations
 
@@ -7,12 +8,14 @@ import bpy
 from .wrapped_label import wrapped_label
 
 PAPER_VALUES = (1e-4, 1.25e-4, 1.6e-4, 2e-4)  # values of λ_F in the paper
-GOALS = {"DEVICE": "device", "SHARE": "share", "COUNT": "count", "SIZE": "size", "DROP": "drop"}  # goal -> its property; the strength has rows of its own
+# goal -> its property; the strength has rows of its own
+GOALS = {"DEVICE": "device", "SHARE": "share", "COUNT": "count", "SIZE": "size", "DROP": "drop"}
 ADVANCED = (
     "lambda_f", "iterations", "recovery", "seed", "min_contribution", "holdout", "visible_mask", "views_by_loss", "images", "folder",
 )  # fmt: skip
 STEPS = ("iterations", "recovery")  # chosen by the program if the time is limited
-ICONS = {"BROKEN": "ERROR", "NOTHING": "INFO", "WAITING": "INFO", "FINISHED": "CHECKMARK"}  # stage -> icon of the first sentence
+# stage -> icon of the first sentence
+ICONS = {"BROKEN": "ERROR", "NOTHING": "INFO", "WAITING": "INFO", "FINISHED": "CHECKMARK"}
 
 
 class SVRGS_PT_prune(bpy.types.Panel):
@@ -121,7 +124,9 @@ def draw_share(layout, _, state):
 def draw_buttons(layout, stage: str, state):
     row = layout.row(align=True)
     if stage == "BUSY":
-        row.operator("svrgs.job_stop", icon="PAUSE", text="Stop Now" if state.stopping else "Stop").now = state.stopping
+        row.operator(
+            "svrgs.job_stop", icon="PAUSE", text="Stop Now" if state.stopping else "Stop"
+        ).now = state.stopping
     elif stage == "WAITING":
         row.operator("svrgs.job_resume", icon="PLAY")
         row.operator("svrgs.job_discard", icon="TRASH")

@@ -1,4 +1,5 @@
-"""Render: what renders of the scene show of its splats, and what to do. In the 3D View and in the Properties editor."""
+"""Render: what renders of the scene show of its splats, and what to do. In the 3D View and in the Properties
+editor."""
 
 import bpy
 from bpy.app.translations import pgettext_iface as tr

@@ -38,7 +38,10 @@ class SVRGS_PT_scene(bpy.types.Panel):
         draw_cameras(layout, context.scene.svrgs_looking)
         moved = context.scene.svrgs_looking.moved
         if moved:
-            text = tr("Blender has moved {count:,} points without their shapes. SVR-GS shows and exports the right shapes")
+            text = tr(
+                "Blender has moved {count:,} points without their shapes. SVR-GS shows and exports the right"
+                " shapes"
+            )
             wrapped_label(layout, text.format(count=moved), "INFO")
             layout.operator("svrgs.write_shapes", icon="CHECKMARK")
 
@@ -51,7 +54,12 @@ def draw_cameras(layout, looking):
         row.operator("svrgs.part_from_cameras", text="", icon="X")
         return
     for name in looking.roots.splitlines()[:ROOTS]:
-        layout.operator("svrgs.use_cameras", text=tr("Use Cameras of '{name}'").format(name=name), icon="OUTLINER_OB_CAMERA", translate=False).root = name
+        layout.operator(
+            "svrgs.use_cameras",
+            text=tr("Use Cameras of '{name}'").format(name=name),
+            icon="OUTLINER_OB_CAMERA",
+            translate=False,
+        ).root = name
 
 
 def register():

@@ -22,7 +22,9 @@ class SVRGS_PT_select(bpy.types.Panel):
         layout, selected = self.layout, context.scene.svrgs_looking.selected
         if not native_library_works(layout, context):
             return
-        layout.operator_menu_enum("svrgs.select_gaussians", "criterion", text="Select", icon="RESTRICT_SELECT_OFF")
+        layout.operator_menu_enum(
+            "svrgs.select_gaussians", "criterion", text="Select", icon="RESTRICT_SELECT_OFF"
+        )
         if not selected:
             return
         row = layout.row()
@@ -30,7 +32,9 @@ class SVRGS_PT_select(bpy.types.Panel):
         row.operator("svrgs.clear_selection", text="", icon="X")
         row = layout.row(align=True)
         row.operator("svrgs.delete_gaussians", text="Delete Selected", icon="TRASH").what = "SELECTED"
-        row.operator("svrgs.delete_gaussians", text="Keep Only Selected", icon="FULLSCREEN_EXIT").what = "OTHERS"
+        row.operator(
+            "svrgs.delete_gaussians", text="Keep Only Selected", icon="FULLSCREEN_EXIT"
+        ).what = "OTHERS"
 
 
 def register():

@@ -26,12 +26,16 @@ class SpatialMaskPanel:  # the base of Panel classes, which have a layout
         row.prop(settings, "mask_follow", text="", icon="CAMERA_DATA")
         image = bpy.data.images.get(IMAGE)
         if image is None or not settings.mask_result:
-            wrapped_label(layout, tr("Refresh draws F, the normalised number of Gaussians in each pixel"), "INFO")
+            wrapped_label(
+                layout, tr("Refresh draws F, the normalised number of Gaussians in each pixel"), "INFO"
+            )
             return
         draw_image(layout, image)
         result = json.loads(settings.mask_result)
         legend(layout, settings.mask_top or result["largest"])
-        layout.label(text=tr("{camera}: mean {mean:.3g}, {milliseconds} ms").format(**result), translate=False)
+        layout.label(
+            text=tr("{camera}: mean {mean:.3g}, {milliseconds} ms").format(**result), translate=False
+        )
         column = layout.column()
         column.use_property_split = True
         column.use_property_decorate = False

@@ -14,7 +14,8 @@ PIECES = re.compile(f"\\s*(?:[{WIDE}][{MARKS}]*|[^\\s{WIDE}]+)")
 
 
 def wrapped_label(layout, sentence: str, icon: str = "NONE"):
-    """Labels for a sentence in the user's language, broken into lines that fit the region. icon: of the first line."""
+    """Labels for a sentence in the user's language, broken into lines that fit the region. icon: of the first
+    line."""
     column, line, length = layout.column(align=True), "", _characters_per_line() - 3 * (icon != "NONE")
     for piece in PIECES.findall(sentence):
         if line and _width(line + piece) > length:

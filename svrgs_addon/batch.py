@@ -1,11 +1,12 @@
 """The command line inside Blender: `blender -b --python svrgs_addon/batch.py -- prune SCENE… --out DIR`.
 
-It needs nothing but Blender: this file may be that of a checkout whose wheels/ is filled, or that of the installed extension, enabled
-or not. It runs under plain Python too.
+It needs nothing but Blender: this file may be that of a checkout whose wheels/ is filled, or that of the
+installed extension, enabled or not. It runs under plain Python too.
 
-Any command works. `prune` prints one JSON line per scene and skips finished scenes unless --overwrite is given. If a scene
-fails, it reports the scene, continues with the others, and exits with a status that is not 0. The work runs in a child process of
-Blender's own Python: its libraries cannot conflict with those of Blender, and a crash cannot end Blender.
+Any command works. `prune` prints one JSON line per scene and skips finished scenes unless --overwrite is
+given. If a scene fails, it reports the scene, continues with the others, and exits with a status that is not
+0. The work runs in a child process of Blender's own Python: its libraries cannot conflict with those of
+Blender, and a crash cannot end Blender.
 """
 
 import importlib
@@ -22,7 +23,9 @@ def main() -> int:
     if words[:1] == ["prune"]:
         words = [*words, "--batch"]
     exit_status = part("system.exit_status")
-    return exit_status.guarded(lambda: run(words), lambda sentence: print(f"svrgs: {sentence}", file=sys.stderr))
+    return exit_status.guarded(
+        lambda: run(words), lambda sentence: print(f"svrgs: {sentence}", file=sys.stderr)
+    )
 
 
 def part(name: str):
@@ -33,12 +36,18 @@ def part(name: str):
 
 
 def run(words: list[str]) -> int:
-    packages, library, processes = part("system.wheels"), part("native.library_path"), part("system.processes")
+    packages, library, processes = (
+        part("system.wheels"),
+        part("native.library_path"),
+        part("system.processes"),
+    )
     own, extensions = blender_folders()
     found = packages.find(own, extensions)
     variables = part("system.subprocess_python").environment(found)
     variables[part("system.packages").MISSING_VARIABLE] = packages.missing(found, extensions)
-    variables[library.LIBRARY_VARIABLE] = str(library.library_path(folder / "svrgs_addon" for folder in extensions))
+    variables[library.LIBRARY_VARIABLE] = str(
+        library.library_path(folder / "svrgs_addon" for folder in extensions)
+    )
     child = processes.ChildProcess([sys.executable, "-m", "svrgs_addon", *words], env=variables)
     for number in processes.stop_signals():
         signal.signal(number, lambda *_: child.ask_to_stop())
@@ -46,14 +55,21 @@ def run(words: list[str]) -> int:
 
 
 def blender_folders() -> tuple[list[Path], list[Path]]:
-    """(folders of packages that Blender brings along, folders of this extension in Blender); both empty under plain Python.
+    """(folders of packages that Blender brings along, folders of this extension in Blender); both empty under
+    plain Python.
 
     Blender as a module has its packages, but not on sys.path. The extension need not be enabled.
     """
     bpy = sys.modules.get("bpy")  # only Blender has imported it already
     if bpy is None:
         return [], []
-    own = Path(bpy.utils.resource_path("LOCAL"), "python", "lib", f"python{sys.version_info[0]}.{sys.version_info[1]}", "site-packages")
+    own = Path(
+        bpy.utils.resource_path("LOCAL"),
+        "python",
+        "lib",
+        f"python{sys.version_info[0]}.{sys.version_info[1]}",
+        "site-packages",
+    )
     extensions = [Path(repo.directory) / "svrgs" for repo in bpy.context.preferences.extensions.repos]
     return [own], [folder for folder in extensions if folder.is_dir()]
 

@@ -42,7 +42,8 @@ def data(tiny):
 
 @pytest.fixture
 def small_pictures(monkeypatch):
-    """Quick jobs in this process decide on smaller pictures than those of users, in a fraction of the time."""
+    """Quick jobs in this process decide on smaller pictures than those of users, in a fraction of the
+    time."""
     from svrgs_addon.prune import quick
 
     monkeypatch.setattr(quick, "SIDE", 192)
@@ -121,7 +122,8 @@ def jobs():
 
 @pytest.fixture
 def windows(monkeypatch):
-    """A fake_windows.FakeWindows in whose hands this process is; None on Windows, where the system itself is tested."""
+    """A fake_windows.FakeWindows in whose hands this process is; None on Windows, where the system itself is
+    tested."""
     if sys.platform == "win32":
         yield None
         return

@@ -1,7 +1,8 @@
 """A model of Windows for tests on another system: open files and who may share them, memory, job objects.
 
-It follows Microsoft's documentation of each function, and fills structures byte by byte at the documented places. On Windows itself the
-fixture `windows` changes nothing, so that the same tests show whether the model is right.
+It follows Microsoft's documentation of each function, and fills structures byte by byte at the documented
+places. On Windows itself the fixture `windows` changes nothing, so that the same tests show whether the model
+is right.
 """
 
 from __future__ import annotations
@@ -26,14 +27,16 @@ INVALID = 2**64 - 1
 
 
 class FakeWindows:
-    """kernel32, and the errors and descriptors of its calls. memory, limits: what the next calls report, in bytes."""
+    """kernel32, and the errors and descriptors of its calls. memory, limits: what the next calls report, in
+    bytes."""
 
     def __init__(self):
         self.opened: dict[int, list] = {}  # handle: path, what it does, what others may do
         self.numbers = itertools.count(600)  # of handles and descriptors, none is used twice
         self.error = 0
         self.memory = {"available": 0, "available_page_file": 0, "private": 0, "peak": 0}
-        self.limits: tuple[int, int, int] | None = None  # flags, of the process, of the job; None: the process is in no job
+        # flags, of the process, of the job; None: the process is in no job
+        self.limits: tuple[int, int, int] | None = None
         self.console = 1
         self.jobs: dict[int, dict] = {}
         self.system_replace, self.system_read_bytes = os.replace, Path.read_bytes
@@ -93,7 +96,8 @@ class FakeWindows:
 
     @contextlib.contextmanager
     def viewer(self, path) -> Iterator[None]:
-        """A program that has the file open for reading, as most do: others may read and write it, and not delete it."""
+        """A program that has the file open for reading, as most do: others may read and write it, and not
+        delete it."""
         handle = self.CreateFileW(path, 0x80000000, READ | WRITE, None, EXISTING, 0, None)
         assert handle != INVALID
         try:

@@ -10,7 +10,8 @@ BANDS = tuple(zip(SH_COEFFICIENTS[:-1], SH_COEFFICIENTS[1:], strict=True))  # of
 
 
 def ksplat_of(sections: list[Scene], level: int, bucket: int = 10, block: float = 8.0) -> bytes:
-    """A .ksplat with buckets in which the Gaussians lie as they come. Header fields as GaussianSplats3D numbers them."""
+    """A .ksplat with buckets in which the Gaussians lie as they come. Header fields as GaussianSplats3D
+    numbers them."""
     head, heads, bodies = np.zeros(1024, "<u4"), [], []
     head[:6] = 1 << 8, len(sections), len(sections), 40, sum(scene.count for scene in sections), level
     for scene in sections:
@@ -22,9 +23,15 @@ def ksplat_of(sections: list[Scene], level: int, bucket: int = 10, block: float 
         rows[4:5].view("<f4")[0], rows[5], rows[6] = block, 12, 32767
         rows[8:11] = full if level else 0, bool(left) if level else 0, scene.sh_degree
         heads.append(rows.tobytes())
-        steps = np.rint((scene.means - np.repeat(centres, bucket, axis=0)[: scene.count]) / (block / 2 / 32767)) + 32767
+        steps = (
+            np.rint((scene.means - np.repeat(centres, bucket, axis=0)[: scene.count]) / (block / 2 / 32767))
+            + 32767
+        )
         kinds = ("<f4", "<f4", "<f4") if level == 0 else ("<u2", "<f2", "<f2" if level == 1 else "u1")
-        bands = [scene.sh[:, first:last].transpose(0, 2, 1).reshape(scene.count, -1) for first, last in BANDS[: scene.sh_degree]]
+        bands = [
+            scene.sh[:, first:last].transpose(0, 2, 1).reshape(scene.count, -1)
+            for first, last in BANDS[: scene.sh_degree]
+        ]
         rest = np.concatenate([np.zeros((scene.count, 0), np.float32), *bands], axis=1)
         colors = np.clip(np.rint(255 * (0.28209479 * scene.sh[:, 0] + 0.5)), 0, 255)
         alphas = 255 / (1 + np.exp(-scene.opacity_logits))
@@ -36,5 +43,8 @@ def ksplat_of(sections: list[Scene], level: int, bucket: int = 10, block: float 
             (rest if level < 2 else np.rint((rest + 1.5) / 3 * 255)).astype(kinds[2]),
         ]
         buckets = (np.array([left] if left else [], "<u4").tobytes() + centres.tobytes()) if level else b""
-        bodies.append(buckets + np.concatenate([part.view("u1").reshape(scene.count, -1) for part in parts], axis=1).tobytes())
+        bodies.append(
+            buckets
+            + np.concatenate([part.view("u1").reshape(scene.count, -1) for part in parts], axis=1).tobytes()
+        )
     return b"".join([head.tobytes(), *heads, *bodies])

@@ -1,6 +1,8 @@
-"""python -m tests.load [--count 5000000]: a large generated scene through the commands; time and peak memory of each.
+"""python -m tests.load [--count 5000000]: a large generated scene through the commands; time and peak memory
+of each.
 
-Each stage is a process of its own that is refused memory beyond --gigabytes; the files are removed in the end.
+Each stage is a process of its own that is refused memory beyond --gigabytes; the files are removed in the
+end.
 """
 
 from __future__ import annotations
@@ -30,7 +32,19 @@ def stages(folder: Path, options: argparse.Namespace) -> dict[str, Callable[[], 
     threads, data = ("--threads", options.threads), ("--colmap", folder)
 
     def pruned(method: str, *words, **expected):
-        return command("prune", scene, *data, *threads, "--quiet", "--method", method, *words, "--out", folder / f"{method}.ply", **expected)
+        return command(
+            "prune",
+            scene,
+            *data,
+            *threads,
+            "--quiet",
+            "--method",
+            method,
+            *words,
+            "--out",
+            folder / f"{method}.ply",
+            **expected,
+        )
 
     return {
         "generate": lambda: generate(folder, options),
@@ -38,7 +52,17 @@ def stages(folder: Path, options: argparse.Namespace) -> dict[str, Callable[[], 
         "render": command("render", scene, *data, *threads, "--views", 0, "--out", folder / "pictures"),
         "opacity": pruned("opacity", "--target-count", kept, "--recovery", 0, count=kept),
         "max-contribution": pruned("max-contribution", "--target-count", kept, "--recovery", 0, count=kept),
-        f"{2 * half} steps": pruned("svr", "--min-contribution", 0, "--iterations", half, "--recovery", half, iterations=2 * half, nonfinite_gradients=0),
+        f"{2 * half} steps": pruned(
+            "svr",
+            "--min-contribution",
+            0,
+            "--iterations",
+            half,
+            "--recovery",
+            half,
+            iterations=2 * half,
+            nonfinite_gradients=0,
+        ),
     }
 
 
@@ -54,7 +78,9 @@ def generate(folder: Path, options: argparse.Namespace):
     library.set_threads(options.threads)
     scene, rasterizer = room(options.count), Rasterizer()
     write_ply(folder / "scene.ply", scene)
-    cameras = [replace(orbit_camera(*options.size, turn=360 * i / VIEWS), name=f"{i:02}.png") for i in range(VIEWS)]
+    cameras = [
+        replace(orbit_camera(*options.size, turn=360 * i / VIEWS), name=f"{i:02}.png") for i in range(VIEWS)
+    ]
     for camera in cameras:
         write_image(folder / "images" / camera.name, rasterizer.forward(scene, camera)["rgb"])
     write_colmap(folder / "sparse" / "0", cameras, scene.means[:100])
@@ -79,15 +105,26 @@ def measured(work: Callable[[], object]) -> tuple[int, str]:
     started = time.perf_counter()
     _, status, usage = os.wait4(forked(work), 0)
     seconds, busy = time.perf_counter() - started, usage.ru_utime + usage.ru_stime
-    return os.waitstatus_to_exitcode(status), f"{seconds:8.1f} s, {busy:8.1f} s of processors, {1024 * usage.ru_maxrss / 1e6:6.0f} MB"
+    return os.waitstatus_to_exitcode(
+        status
+    ), f"{seconds:8.1f} s, {busy:8.1f} s of processors, {1024 * usage.ru_maxrss / 1e6:6.0f} MB"
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.load")
     parser.add_argument("--count", type=int, default=5_000_000)
-    parser.add_argument("--size", type=int, nargs=2, default=(640, 480), metavar="PIXELS", help="of a photograph (default: 640 480)")
+    parser.add_argument(
+        "--size",
+        type=int,
+        nargs=2,
+        default=(640, 480),
+        metavar="PIXELS",
+        help="of a photograph (default: 640 480)",
+    )
     parser.add_argument("--steps", type=int, default=50, help="of fine-tuning (default: 50)")
-    parser.add_argument("--gigabytes", type=float, default=16, help="of memory a process may take (default: 16)")
+    parser.add_argument(
+        "--gigabytes", type=float, default=16, help="of memory a process may take (default: 16)"
+    )
     parser.add_argument("--threads", type=int, default=0)
     options = parser.parse_args()
     resource.setrlimit(resource.RLIMIT_AS, (int(options.gigabytes * 1e9),) * 2)

@@ -1,4 +1,5 @@
-"""What the native tests share: one renderer per SIMD level, scenes in its type, gradients in scene order, and checks of images."""
+"""What the native tests share: one renderer per SIMD level, scenes in its type, gradients in scene order, and
+checks of images."""
 
 from __future__ import annotations
 
@@ -33,8 +34,11 @@ def typed(scene, dtype) -> SimpleNamespace:
 
 
 def some_moments(shape: tuple, rng, dtype, spread: float, step: int) -> np.ndarray:
-    """Adam moments of values of that shape: random first ones, and second ones as large as their squares might be."""
-    first, second = (rng.normal(0, spread, s).astype(dtype) for s in (shape, shape[:1] if len(shape) == 3 else shape))
+    """Adam moments of values of that shape: random first ones, and second ones as large as their squares
+    might be."""
+    first, second = (
+        rng.normal(0, spread, s).astype(dtype) for s in (shape, shape[:1] if len(shape) == 3 else shape)
+    )
     return packed(first, np.abs(second), step)
 
 
@@ -43,7 +47,9 @@ def bytes_of(masks) -> np.ndarray | None:
     return None if masks is None else np.ascontiguousarray(masks, np.uint8)
 
 
-def render(level: str, scene, camera, masks=None, outputs=IMAGES, depth_limit=None, **options) -> dict[str, np.ndarray]:
+def render(
+    level: str, scene, camera, masks=None, outputs=IMAGES, depth_limit=None, **options
+) -> dict[str, np.ndarray]:
     """One view of the scene, all images by default; the background is BACKGROUND unless given."""
     r = rasterizer(level)
     options = RenderOptions(**{"background": BACKGROUND, "mask_kind": "svr"} | options)
@@ -57,7 +63,9 @@ def image_weights(camera, seed: int = 0) -> dict[str, np.ndarray]:
     return {name: rng.normal(size=(*size, 3) if name == "rgb" else size) for name in LOSS_IMAGES}
 
 
-def backward(level: str, weights: dict[str, np.ndarray], count: int, wanted=library.GRADS) -> dict[str, np.ndarray]:
+def backward(
+    level: str, weights: dict[str, np.ndarray], count: int, wanted=library.GRADS
+) -> dict[str, np.ndarray]:
     """Gradients of the last view, a row per Gaussian of the scene: zero where it is not visible."""
     r = rasterizer(level)
     rows = r.backward({name: np.ascontiguousarray(w, r.dtype) for name, w in weights.items()}, wanted)
@@ -94,7 +102,9 @@ def relative_l2(value: np.ndarray, expected: np.ndarray) -> float:
     """|value − expected| / |expected|; an expected zero demands exact zeros."""
     value, expected = np.asarray(value, np.float64), np.asarray(expected, np.float64)
     scale = np.linalg.norm(expected)
-    return float(np.linalg.norm(value - expected) / scale) if scale else float(np.abs(value).max(initial=0) > 0)
+    return (
+        float(np.linalg.norm(value - expected) / scale) if scale else float(np.abs(value).max(initial=0) > 0)
+    )
 
 
 def assert_same_bits(left: dict[str, np.ndarray], right: dict[str, np.ndarray]):

@@ -32,4 +32,11 @@ def photographed(scene: Scene) -> Pictures:
     renders = [rasterizer.forward(scene, camera)["rgb"] for camera in cameras]
     pictures = [np.round(np.clip(image, 0, 1) * 255).astype(np.uint8) for image in renders]
     nothing = np.zeros((0, 3))
-    return Pictures(cameras, nothing.astype(np.float32), nothing.astype(np.uint8), list(range(len(EYES))), [], pictures=pictures)
+    return Pictures(
+        cameras,
+        nothing.astype(np.float32),
+        nothing.astype(np.uint8),
+        list(range(len(EYES))),
+        [],
+        pictures=pictures,
+    )

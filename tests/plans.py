@@ -15,7 +15,9 @@ def prune_settings(method: str, iterations: int, recovery: int, **more) -> Plan:
 
 
 def train_settings(method: str, iterations: int, recovery: int, **more) -> Plan:
-    return train_plan(paper_method() if method == "svr-paper" else method_named(method), iterations, recovery, **more)
+    return train_plan(
+        paper_method() if method == "svr-paper" else method_named(method), iterations, recovery, **more
+    )
 
 
 def plan_of(method: str, phases: tuple[Phase, ...], **more) -> Plan:

@@ -20,12 +20,21 @@ def make_scene(count: int = 7, degree: int = 1, **more) -> Scene:
         "opacity_logits": (),
         "sh": (SH_COEFFICIENTS[degree], 3),
     }
-    return Scene(**{k: rng.standard_normal((count, *s)).astype(np.float32) for k, s in shapes.items()}, **more)
+    return Scene(
+        **{k: rng.standard_normal((count, *s)).astype(np.float32) for k, s in shapes.items()}, **more
+    )
 
 
-def ply_bytes(properties=STANDARD, count=2, body=None, fmt="binary_little_endian", kind="float", extra_lines=()):
+def ply_bytes(
+    properties=STANDARD, count=2, body=None, fmt="binary_little_endian", kind="float", extra_lines=()
+):
     """A PLY made line by line, so that single things can be wrong with it."""
-    lines = ["ply", f"format {fmt} 1.0", f"element vertex {count}", *(f"property {kind} {name}" for name in properties)]
+    lines = [
+        "ply",
+        f"format {fmt} 1.0",
+        f"element vertex {count}",
+        *(f"property {kind} {name}" for name in properties),
+    ]
     if body is None:
         body = np.arange(count * len(properties), dtype="<f4").tobytes()
     return "\n".join([*lines, *extra_lines, "end_header", ""]).encode() + body

@@ -43,4 +43,6 @@ def weighted_sum(render: ref.Render, seed: int = 0) -> torch.Tensor:
     """A scalar that reads every differentiable image with random weights of either sign."""
     rng = torch.Generator().manual_seed(seed)
     parts = (render.rgb, 0.1 * render.depth, render.alpha, render.F)
-    return sum((image * torch.randn(image.shape, generator=rng, dtype=torch.float64)).mean() for image in parts)
+    return sum(
+        (image * torch.randn(image.shape, generator=rng, dtype=torch.float64)).mean() for image in parts
+    )

@@ -23,7 +23,9 @@ def make_model(names, model=PINHOLE, points=POINTS) -> pycolmap.Reconstruction:
     camera = pycolmap.Camera(camera_id=1, model=model[0], width=WIDTH, height=HEIGHT, params=model[1])
     result.add_camera_with_trivial_rig(camera)
     for index, name in enumerate(names):
-        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(np.array([0, 0.02 * index, 0])), np.array([0.1 * index, 0.0, 4.0]))
+        pose = pycolmap.Rigid3d(
+            pycolmap.Rotation3d(np.array([0, 0.02 * index, 0])), np.array([0.1 * index, 0.0, 4.0])
+        )
         image = pycolmap.Image(name=name, camera_id=1, image_id=len(names) - index)
         result.add_image_with_trivial_frame(image, pose)
     for point in points:
@@ -31,7 +33,16 @@ def make_model(names, model=PINHOLE, points=POINTS) -> pycolmap.Reconstruction:
     return result
 
 
-def make_dataset(root, names=None, model=PINHOLE, points=POINTS, text=False, below="sparse/0", images="images", size=(WIDTH, HEIGHT)):
+def make_dataset(
+    root,
+    names=None,
+    model=PINHOLE,
+    points=POINTS,
+    text=False,
+    below="sparse/0",
+    images="images",
+    size=(WIDTH, HEIGHT),
+):
     """Write photographs and model; returns the reconstruction."""
     names = names or [f"{i:02}.png" for i in range(9)]
     reconstruction = make_model(names, model, points)

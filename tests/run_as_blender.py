@@ -1,7 +1,9 @@
-"""Blender as a Python module, behind the command line of the program: `python run_as_blender.py -b FILE.blend --python-expr CODE`.
+"""Blender as a Python module, behind the command line of the program: `python run_as_blender.py -b FILE.blend
+--python-expr CODE`.
 
-Like Blender it takes its arguments in their order. Unlike Blender it is always in background mode, and an error in a script ends it
-with status 1. The extension is enabled if it is installed in BLENDER_USER_RESOURCES.
+Like Blender it takes its arguments in their order. Unlike Blender it is always in background mode, and an
+error in a script ends it with status 1. The extension is enabled if it is installed in
+BLENDER_USER_RESOURCES.
 """
 
 from __future__ import annotations

@@ -119,7 +119,10 @@ def opaque_stack(n: int, seed: int = 0, sh_degree: int = 3) -> Scene:
     return replace(scene, means=means)
 
 
-HOSTILE_SCENES = {f.__name__: f for f in (needles, near_camera, off_screen, extreme_opacity, extreme_scales, equal_depths, opaque_stack)}
+HOSTILE_SCENES = {
+    f.__name__: f
+    for f in (needles, near_camera, off_screen, extreme_opacity, extreme_scales, equal_depths, opaque_stack)
+}
 
 
 # --- cameras
@@ -134,7 +137,9 @@ def ball(count: int = 2_000, radius: float = 3.0, middle=(0.0, 0.0, 0.0), seed: 
     sh[:, 0] = directions
     sh[:, 1:] = 0.05 * rng.normal(size=(count, 3, 3))
     scales = np.full((count, 3), np.log(radius * 0.05))
-    return Scene.of(radius * directions + np.array(middle), scales, rng.normal(size=(count, 4)), np.full(count, 1.5), sh)
+    return Scene.of(
+        radius * directions + np.array(middle), scales, rng.normal(size=(count, 4)), np.full(count, 1.5), sh
+    )
 
 
 def camera(
@@ -183,7 +188,10 @@ def parallel(camera: Camera) -> Camera:
     return replace(camera, K=camera.K @ np.diag([1 / z, 1 / z, 1.0]), orthographic=True)
 
 
-ORTHOGRAPHIC = {f"parallel_{name}": parallel(CAMERAS[name]) for name in ("plain", "rotated", "off_centre", "narrow", "inside")}
+ORTHOGRAPHIC = {
+    f"parallel_{name}": parallel(CAMERAS[name])
+    for name in ("plain", "rotated", "off_centre", "narrow", "inside")
+}
 
 
 # --- float64 torch twins
@@ -192,10 +200,14 @@ ORTHOGRAPHIC = {f"parallel_{name}": parallel(CAMERAS[name]) for name in ("plain"
 def leaves(scene: Scene, requires_grad: bool = True) -> dict[str, torch.Tensor]:
     """The scene's five arrays as float64 leaf tensors, by their names."""
     names = ("means", "log_scales", "quats", "opacity_logits", "sh")
-    return {n: torch.tensor(getattr(scene, n), dtype=torch.float64, requires_grad=requires_grad) for n in names}
+    return {
+        n: torch.tensor(getattr(scene, n), dtype=torch.float64, requires_grad=requires_grad) for n in names
+    }
 
 
-def reference_render(params: dict[str, torch.Tensor], masks, camera: Camera, background=(0.0, 0.0, 0.0), **options):
+def reference_render(
+    params: dict[str, torch.Tensor], masks, camera: Camera, background=(0.0, 0.0, 0.0), **options
+):
     """`rasterize` of `leaves(scene)` with masks (N,) and background (3,), arrays or tensors; a Render."""
     return ref.rasterize(
         **params,
@@ -218,7 +230,8 @@ def _near(x: torch.Tensor, threshold: float, share: float) -> torch.Tensor:
 
 
 def undecided(scene: Scene, camera: Camera, masks: np.ndarray) -> np.ndarray:
-    """Gaussians (N,) bool close to a decision of this view, where a finite difference would measure a jump or kink.
+    """Gaussians (N,) bool close to a decision of this view, where a finite difference would measure a jump or
+    kink.
 
     Within 3 % of α = 1/255 or 0.99 at any pixel, 10 % of the stop, the near plane or the antialiasing floor,
     1 % of a Jacobian clamp, 0.02 of a colour clamp, or 1e-4 of the depth of the next splat.
@@ -226,15 +239,21 @@ def undecided(scene: Scene, camera: Camera, masks: np.ndarray) -> np.ndarray:
     p = leaves(scene, requires_grad=False)
     viewmat, K = torch.tensor(camera.viewmat), torch.tensor(camera.K)
     size = camera.width, camera.height
-    splats = ref.project(*p.values(), viewmat, K, *size, scene.sh_degree, scene.antialiased, camera.orthographic)
+    splats = ref.project(
+        *p.values(), viewmat, K, *size, scene.sh_degree, scene.antialiased, camera.orthographic
+    )
     pixels = ref.pixel_centres(*size)
     alpha, raw = ref.alphas(splats, pixels)[0], ref.unclamped_alphas(splats, pixels)[0]
     T = ref.transmittance(alpha, torch.as_tensor(masks, dtype=torch.float64)[splats.index])[:, 1:]
 
     means_c = (p["means"] @ viewmat[:3, :3].T + viewmat[:3, 3])[splats.index]
     slopes, limits = means_c[:, :2] / means_c[:, 2:], ref.frustum_limits(K, *size)
-    colours = ref.view_colours(p["means"], p["sh"], viewmat, scene.sh_degree, camera.orthographic)[splats.index]
-    close = (_near(raw, ref.ALPHA_MIN, 0.03) | _near(raw, ref.ALPHA_MAX, 0.03) | _near(T, ref.T_MIN, 0.1)).any(0)
+    colours = ref.view_colours(p["means"], p["sh"], viewmat, scene.sh_degree, camera.orthographic)[
+        splats.index
+    ]
+    close = (
+        _near(raw, ref.ALPHA_MIN, 0.03) | _near(raw, ref.ALPHA_MAX, 0.03) | _near(T, ref.T_MIN, 0.1)
+    ).any(0)
     if not camera.orthographic:
         close |= torch.stack([_near(slopes, limit, 0.01) for limit in limits]).any(0).any(1)
     close |= (colours.abs() < 0.02).any(1)
@@ -258,8 +277,11 @@ def _jittered(scene: Scene, which: np.ndarray, rng: np.random.Generator) -> Scen
     return replace(scene, **arrays)
 
 
-def away_from_thresholds(scene: Scene, camera: Camera, masks: np.ndarray, *, seed: int = 0, rounds: int = 300) -> tuple[Scene, np.ndarray]:
-    """Scene and masks without undecided Gaussians: jittered up to `rounds` times, then dropped if nothing helps."""
+def away_from_thresholds(
+    scene: Scene, camera: Camera, masks: np.ndarray, *, seed: int = 0, rounds: int = 300
+) -> tuple[Scene, np.ndarray]:
+    """Scene and masks without undecided Gaussians: jittered up to `rounds` times, then dropped if nothing
+    helps."""
     rng = np.random.default_rng(seed)
     for _ in range(rounds):
         which = undecided(scene, camera, masks)

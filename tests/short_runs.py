@@ -1,4 +1,5 @@
-"""What tests of short runs share: disturbed scenes, an engine that changes nothing, ends, bits, and quality."""
+"""What tests of short runs share: disturbed scenes, an engine that changes nothing, ends, bits, and
+quality."""
 
 import math
 from dataclasses import replace
@@ -22,7 +23,11 @@ def quality(scene, dataset: Dataset) -> float:
     """Mean PSNR over all views, dB."""
     rasterizer = Rasterizer()
     renders = [rasterizer.forward(scene, camera)["rgb"].clip(0, 1) for camera in dataset.cameras]
-    return float(np.mean([psnr(render, picture / 255) for render, picture in zip(renders, dataset.pictures, strict=True)]))
+    return float(
+        np.mean(
+            [psnr(render, picture / 255) for render, picture in zip(renders, dataset.pictures, strict=True)]
+        )
+    )
 
 
 def to_the_end(run: Run) -> Run:
@@ -34,17 +39,22 @@ def to_the_end(run: Run) -> Run:
 
 def bits(model: Model) -> dict[str, bytes]:
     parts = {"values": model.values, "moments": model.moments, "": {"origin": model.origin}}
-    return {f"{part} {name}": array.tobytes() for part, found in parts.items() for name, array in found.items()}
+    return {
+        f"{part} {name}": array.tobytes() for part, found in parts.items() for name, array in found.items()
+    }
 
 
 def disturbed(scene: Scene, seed: int = 5) -> Scene:
     rng = np.random.default_rng(seed)
-    arrays = {name: getattr(scene, name) + rng.normal(0, 0.06, getattr(scene, name).shape) for name in PARAMETERS}
+    arrays = {
+        name: getattr(scene, name) + rng.normal(0, 0.06, getattr(scene, name).shape) for name in PARAMETERS
+    }
     return replace(scene, **{name: array.astype(np.float32) for name, array in arrays.items()})
 
 
 class Puller:
-    """An engine that changes nothing and reports a strong pull at the first Gaussian; keeps the steps it was given."""
+    """An engine that changes nothing and reports a strong pull at the first Gaussian; keeps the steps it was
+    given."""
 
     def __init__(self):
         self.steps = []

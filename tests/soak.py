@@ -1,4 +1,5 @@
-"""python -m tests.soak [--renders 10000]: pictures of changing scenes, views, sizes and kinds, one after the other; memory must stay.
+"""python -m tests.soak [--renders 10000]: pictures of changing scenes, views, sizes and kinds, one after the
+other; memory must stay.
 
 Scenes, renderers and the number of threads come and go; every third picture has a backward pass.
 """
@@ -45,9 +46,13 @@ def soak(renders: int, seen: Callable[[np.ndarray], object] = lambda image: None
         if number % RENDERER_EVERY == 0:
             rasterizer = Rasterizer()
         kind = chance.choice(list(mask_kinds()))
-        options = RenderOptions(chance.randrange(4), bool(chance.randrange(2)), bool(chance.randrange(2)), kind)
+        options = RenderOptions(
+            chance.randrange(4), bool(chance.randrange(2)), bool(chance.randrange(2)), kind
+        )
         outputs = ("rgb", "depth", "alpha", *(("mask",) if kind != "none" else ()))
-        images = rasterizer.forward(scene, orbit_camera(*chance.choice(SIZES), turn=chance.uniform(0, 360)), options, outputs=outputs)
+        images = rasterizer.forward(
+            scene, orbit_camera(*chance.choice(SIZES), turn=chance.uniform(0, 360)), options, outputs=outputs
+        )
         if number % 3 == 0:
             rasterizer.backward({name: np.ones_like(images[name]) for name in outputs})
         seen(images["rgb"])
@@ -56,7 +61,8 @@ def soak(renders: int, seen: Callable[[np.ndarray], object] = lambda image: None
 
 
 def growth(sizes: np.ndarray) -> int:
-    """From the smallest size in the first half after the warm-up to that in the second: the least held between two scenes."""
+    """From the smallest size in the first half after the warm-up to that in the second: the least held
+    between two scenes."""
     first, second = np.array_split(sizes[WARM_UP:], 2)
     return int(second.min() - first.min())
 
@@ -70,8 +76,13 @@ def main() -> int:
     started = time.perf_counter()
     sizes = soak(options.renders)
     grown = growth(sizes)
-    shown = ", ".join(f"{part.min() / 1e6:.1f}-{part.max() / 1e6:.1f}" for part in np.array_split(sizes[WARM_UP:], 5))
-    print(f"{options.renders} renders, {time.perf_counter() - started:.0f} s; resident MB: {shown}; grown by {grown / 1e6:.2f} MB after the first {WARM_UP}")
+    shown = ", ".join(
+        f"{part.min() / 1e6:.1f}-{part.max() / 1e6:.1f}" for part in np.array_split(sizes[WARM_UP:], 5)
+    )
+    print(
+        f"{options.renders} renders, {time.perf_counter() - started:.0f} s; resident MB: {shown}; grown by"
+        f" {grown / 1e6:.2f} MB after the first {WARM_UP}"
+    )
     return int(grown > LIMIT)
 
 

@@ -9,7 +9,11 @@ from svrgs_addon.scene import activation as a
 
 RNG = np.random.default_rng(0)
 LOGITS = np.concatenate([RNG.normal(0, 8, 10_000), [0, -0.0, 120, -120, np.inf, -np.inf]]).astype(np.float32)
-LOG_SCALES = np.concatenate([RNG.normal(-4, 4, 30_000), [0, -0.0, 200, -200, -np.inf, 1e-8]]).astype(np.float32).reshape(-1, 3)
+LOG_SCALES = (
+    np.concatenate([RNG.normal(-4, 4, 30_000), [0, -0.0, 200, -200, -np.inf, 1e-8]])
+    .astype(np.float32)
+    .reshape(-1, 3)
+)
 QUATS = (RNG.normal(size=(10_000, 4)) * RNG.uniform(1e-6, 1e6, (10_000, 1))).astype(np.float32)
 CASES = {
     "scale": (a.scales, a.raw_scales, LOG_SCALES),
@@ -25,7 +29,10 @@ def test_kept_values_come_back_bit_by_bit(activate, restore, raw):
 
 @pytest.mark.parametrize("activate, restore, raw", CASES.values(), ids=CASES)
 def test_edited_values_win_over_kept_ones(activate, restore, raw):
-    ordinary = raw[np.isfinite(raw).reshape(len(raw), -1).all(axis=1) & (np.abs(raw).reshape(len(raw), -1).max(axis=1) < 10)]
+    ordinary = raw[
+        np.isfinite(raw).reshape(len(raw), -1).all(axis=1)
+        & (np.abs(raw).reshape(len(raw), -1).max(axis=1) < 10)
+    ]
     edited = ordinary[::-1].copy()
     found = restore(activate(edited), ordinary)
     np.testing.assert_allclose(activate(found), activate(edited), rtol=3e-6, atol=1e-7)

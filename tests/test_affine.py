@@ -29,7 +29,12 @@ def affine(A: np.ndarray, t=(0, 0, 0)) -> np.ndarray:
 
 def colours(sh: np.ndarray, directions: np.ndarray, degree: int) -> np.ndarray:
     """What the reference shows of Gaussians (n) seen along directions (n, 3) from the origin."""
-    return view_colours(torch.tensor(directions), torch.tensor(sh, dtype=torch.float64), torch.eye(4, dtype=torch.float64), degree).numpy()
+    return view_colours(
+        torch.tensor(directions),
+        torch.tensor(sh, dtype=torch.float64),
+        torch.eye(4, dtype=torch.float64),
+        degree,
+    ).numpy()
 
 
 @pytest.mark.parametrize("degree", range(4))
@@ -38,7 +43,9 @@ def test_rotated_harmonics_at_rotated_directions_are_the_old_colours(degree, mir
     rng = np.random.default_rng(degree)
     R = mirror * some_rotation(degree)
     directions = rng.normal(size=(500, 3))
-    sh = scenes.random_scene(500, degree, degree).sh + np.float32(3) * (np.arange((degree + 1) ** 2) == 0)[None, :, None].astype(np.float32)
+    sh = scenes.random_scene(500, degree, degree).sh + np.float32(3) * (np.arange((degree + 1) ** 2) == 0)[
+        None, :, None
+    ].astype(np.float32)
     before, after = colours(sh, directions, degree), colours(rotate_sh(sh, R), directions @ R.T, degree)
     assert before.min() > 0, "no colour is cut off, or the test would not see it"
     np.testing.assert_allclose(after, before, atol=3e-7)  # seen: 1.3e-7, float32 rounding of the coefficients
@@ -53,14 +60,21 @@ def test_band_rotations_are_a_representation(degree):
 
 
 def test_quaternions_of_matrices_in_every_branch():
-    quats = np.concatenate([np.eye(4), np.random.default_rng(0).normal(size=(200, 4)), [[1e-9, 1, 0, 0], [0, 1, 1, 0], [1, -1, -1, 1]]])
+    quats = np.concatenate(
+        [
+            np.eye(4),
+            np.random.default_rng(0).normal(size=(200, 4)),
+            [[1e-9, 1, 0, 0], [0, 1, 1, 0], [1, -1, -1, 1]],
+        ]
+    )
     R = rotation_matrices(quats)
     np.testing.assert_allclose(rotation_matrices(quats_from_matrices(R)), R, atol=1e-14)
 
 
 @pytest.mark.parametrize("mirror", [1, -1], ids=["rotation", "mirroring"])
 def test_scene_and_camera_moved_together_show_the_same_picture(mirror):
-    scene, camera = scenes.random_scene(300, 3, spread=0.4), scenes.CAMERAS["rotated"]  # nothing near the camera: the near plane does not move along
+    # nothing near the camera: the near plane does not move along
+    scene, camera = scenes.random_scene(300, 3, spread=0.4), scenes.CAMERAS["rotated"]
     matrix = affine(mirror * 2.5 * some_rotation(4), (1, -2, 3))
     moved = transformed(scene, matrix)
     if mirror < 0:  # no camera shows a mirrored world as it was: mirror it back
@@ -68,7 +82,9 @@ def test_scene_and_camera_moved_together_show_the_same_picture(mirror):
         moved, matrix = transformed(moved, back), back @ matrix
     viewmat = camera.viewmat @ np.linalg.inv(matrix)
     viewmat[:3] *= 2.5  # rigid again: all is 2.5 times as far away
-    draw = lambda scene, camera: Rasterizer("float64").forward(as_float64(scene), camera, RenderOptions())["rgb"]  # noqa: E731
+    draw = lambda scene, camera: Rasterizer("float64").forward(as_float64(scene), camera, RenderOptions())[
+        "rgb"
+    ]
     before, after = draw(scene, camera), draw(moved, replace(camera, viewmat=viewmat))
     assert before.std() > 0.05
     assert np.abs(after - before).max() < 2e-5

@@ -1,4 +1,5 @@
-"""The mean of the values over the last steps of a phase: its value, the steps that count, removed Gaussians, memory and disk."""
+"""The mean of the values over the last steps of a phase: its value, the steps that count, removed Gaussians,
+memory and disk."""
 
 from __future__ import annotations
 
@@ -23,7 +24,12 @@ STEPS = 60  # of the recovery
 
 def run_of(**changes) -> Run:
     scene = scenes.random_scene(60, 2, 1, scale=0.25)
-    return Run(Model.of(scene), photographed(scene), replace(prune_settings("removal", 10, STEPS), target=20, **changes), NativeEngine())
+    return Run(
+        Model.of(scene),
+        photographed(scene),
+        replace(prune_settings("removal", 10, STEPS), target=20, **changes),
+        NativeEngine(),
+    )
 
 
 def copied(model: Model) -> dict[str, np.ndarray]:
@@ -33,7 +39,12 @@ def copied(model: Model) -> dict[str, np.ndarray]:
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_it_is_the_mean(monkeypatch, dtype):
     monkeypatch.setattr(averaging, "ROWS", 7)
-    model, rng, average, seen = Model.of(scenes.random_scene(30, 2, 1), dtype), np.random.default_rng(1), Average(), []
+    model, rng, average, seen = (
+        Model.of(scenes.random_scene(30, 2, 1), dtype),
+        np.random.default_rng(1),
+        Average(),
+        [],
+    )
     for _ in range(20):
         for name in PARAMETERS:
             getattr(model, name)[:] += rng.normal(0, 0.1, getattr(model, name).shape)
@@ -43,7 +54,9 @@ def test_it_is_the_mean(monkeypatch, dtype):
     for name in PARAMETERS:
         reference = np.mean([values[name] for values in seen], axis=0)
         bound = 20 * np.finfo(dtype).eps * np.max([np.abs(values[name]) for values in seen], axis=0)
-        assert getattr(model, name).dtype == dtype and (np.abs(getattr(model, name) - reference) <= bound).all()
+        assert (
+            getattr(model, name).dtype == dtype and (np.abs(getattr(model, name) - reference) <= bound).all()
+        )
 
 
 def test_values_that_do_not_change_stay_as_they_are():
@@ -61,13 +74,17 @@ def test_steps_that_count_are_spread_over_the_last_ones(steps):
     counted = [number for number in range(1, steps + 1) if phase.samples(number)]
     last = round(steps / 4)
     assert len(counted) == last if last <= SAMPLES else SAMPLES <= len(counted) < 2 * SAMPLES
-    assert not counted or (counted[-1] == steps and counted[0] > steps - last and len(set(np.diff(counted))) <= 1)
+    assert not counted or (
+        counted[-1] == steps and counted[0] > steps - last and len(set(np.diff(counted))) <= 1
+    )
     assert not any(replace(phase, averaged=0.0).samples(number) for number in range(1, steps + 1))
 
 
 def test_a_run_ends_with_the_mean_of_the_recovery():
     run, plain = run_of(), run_of()
-    plain.settings = replace(plain.settings, phases=tuple(replace(phase, averaged=0.0) for phase in plain.settings.phases))
+    plain.settings = replace(
+        plain.settings, phases=tuple(replace(phase, averaged=0.0) for phase in plain.settings.phases)
+    )
     seen = []
     while not run.finished:
         phase, number = run.phase()
@@ -77,7 +94,9 @@ def test_a_run_ends_with_the_mean_of_the_recovery():
             seen.append(copied(plain.model))
     assert len(seen) == STEPS // 4
     for name in PARAMETERS:
-        np.testing.assert_allclose(getattr(run.model, name), np.mean([values[name] for values in seen], axis=0), rtol=0, atol=1e-5)
+        np.testing.assert_allclose(
+            getattr(run.model, name), np.mean([values[name] for values in seen], axis=0), rtol=0, atol=1e-5
+        )
         assert np.abs(getattr(run.model, name) - getattr(plain.model, name)).max() > 1e-4
     run.close()
     plain.close()
@@ -100,8 +119,13 @@ def test_it_begins_again_when_gaussians_go():
 def test_memory_and_disk_for_it_are_foreseen():
     plan = replace(prune_settings("removal", 10, STEPS), target=900)
     assert plan.averaged_count(1000) == 900 and replace(plan, target=0, share=0.5).averaged_count(1000) == 500
-    assert replace(plan, target=0).averaged_count(1000) == 1000 and prune_settings("maskgs", 10, STEPS).averaged_count(1000) == 0
+    assert (
+        replace(plan, target=0).averaged_count(1000) == 1000
+        and prune_settings("maskgs", 10, STEPS).averaged_count(1000) == 0
+    )
     values = 4 * (memory.ROW_FLOATS + 3 * 16)
     needed = [memory.tuning(1000, 16, [scenes.camera(8, 8)], 0, averaged) for averaged in (0, 100, 900)]
     assert needed[0] == needed[1] and needed[2] - needed[0] == 900 * values - 100 * memory.PROJECTED
-    assert memory.checkpoint(1000, 16, 1000) - memory.checkpoint(1000, 16) == 1000 * values and memory.checkpoint(1000, 16, 100) == memory.checkpoint(1000, 16)
+    assert memory.checkpoint(1000, 16, 1000) - memory.checkpoint(
+        1000, 16
+    ) == 1000 * values and memory.checkpoint(1000, 16, 100) == memory.checkpoint(1000, 16)

@@ -1,4 +1,5 @@
-"""Folders of scenes: one line of JSON each, failures reported and passed over; from a shell and inside Blender."""
+"""Folders of scenes: one line of JSON each, failures reported and passed over; from a shell and inside
+Blender."""
 
 from __future__ import annotations
 
@@ -48,7 +49,9 @@ def scenes(tiny, tmp_path) -> Path:
 
 
 def run(*command: object) -> subprocess.CompletedProcess:
-    return subprocess.run([str(word) for word in command], cwd="/", capture_output=True, text=True, timeout=120)
+    return subprocess.run(
+        [str(word) for word in command], cwd="/", capture_output=True, text=True, timeout=120
+    )
 
 
 def lines(done: subprocess.CompletedProcess) -> list[dict]:
@@ -63,13 +66,22 @@ def check_batch(python: list, scenes: Path):
     a, b, c = lines(done)
     assert done.returncode != 0, "one scene failed"
     assert [Path(line["scene"]).parent.name for line in (a, b, c)] == ["a", "b", "c"]
-    assert "is incomplete: " in b["error"] and "count" not in b and "Traceback" not in done.stderr, done.stderr
+    assert "is incomplete: " in b["error"] and "count" not in b and "Traceback" not in done.stderr, (
+        done.stderr
+    )
     for line in (a, c):
-        assert line["count"] == line["after"]["count"] == 125 == read_ply(line["out"]).count and "error" not in line
+        assert (
+            line["count"] == line["after"]["count"] == 125 == read_ply(line["out"]).count
+            and "error" not in line
+        )
     assert sorted(path.name for path in (scenes / "out").iterdir()) == ["a.ply", "c.ply"]
     again = run(*command)
     skipped = [line.get("skipped") for line in lines(again)]
-    assert again.returncode != 0 and skipped == ["the output exists", None, "the output exists"] and "error" in lines(again)[1]
+    assert (
+        again.returncode != 0
+        and skipped == ["the output exists", None, "the output exists"]
+        and "error" in lines(again)[1]
+    )
 
 
 # --- from a shell
@@ -80,7 +92,14 @@ def test_batch_of_a_folder(scenes):
 
 
 def test_prune_of_a_folder(scenes):
-    check_batch([ROOT / ".venv/bin/svrgs"] if (ROOT / ".venv/bin/svrgs").exists() else [sys.executable, "-m", "svrgs_addon"], scenes)
+    check_batch(
+        (
+            [ROOT / ".venv/bin/svrgs"]
+            if (ROOT / ".venv/bin/svrgs").exists()
+            else [sys.executable, "-m", "svrgs_addon"]
+        ),
+        scenes,
+    )
 
 
 def test_a_batch_without_failures_exits_0_and_overwrites_when_told(tiny, tmp_path):
@@ -96,8 +115,22 @@ def test_a_batch_without_failures_exits_0_and_overwrites_when_told(tiny, tmp_pat
 
 def test_a_batch_into_the_folder_of_its_scenes_keeps_them_and_says_so(tiny, tmp_path):
     scenes = [add_scene(tiny, tmp_path / name).rename(tmp_path / f"{name}.ply") for name in ("a", "b")]
-    done = run(sys.executable, "-m", "svrgs_addon", "prune", *scenes, "--out", tmp_path, "--colmap", tiny.folder, *SHORT)
-    assert done.returncode == 1 and ["is the input itself" in line["error"] for line in lines(done)] == [True, True]
+    done = run(
+        sys.executable,
+        "-m",
+        "svrgs_addon",
+        "prune",
+        *scenes,
+        "--out",
+        tmp_path,
+        "--colmap",
+        tiny.folder,
+        *SHORT,
+    )
+    assert done.returncode == 1 and ["is the input itself" in line["error"] for line in lines(done)] == [
+        True,
+        True,
+    ]
     assert all(scene.read_bytes() == tiny.splat.read_bytes() for scene in scenes)
 
 
@@ -109,9 +142,21 @@ def test_a_scene_that_does_not_exist_is_named(tmp_path):
 def test_reports_lie_in_a_folder_a_scene(tiny, tmp_path):
     for name in ("a", "b"):
         add_scene(tiny, tmp_path / name)
-    done = run(sys.executable, "-m", "svrgs_addon", "prune", tmp_path / "a", tmp_path / "b", *SHORT, "--report", tmp_path / "reports")
+    done = run(
+        sys.executable,
+        "-m",
+        "svrgs_addon",
+        "prune",
+        tmp_path / "a",
+        tmp_path / "b",
+        *SHORT,
+        "--report",
+        tmp_path / "reports",
+    )
     assert done.returncode == 0, done.stderr
-    assert sorted(tmp_path.glob("reports/**/*.html")) == [tmp_path / "reports" / name / "index.html" for name in ("a", "b")]
+    assert sorted(tmp_path.glob("reports/**/*.html")) == [
+        tmp_path / "reports" / name / "index.html" for name in ("a", "b")
+    ]
 
 
 def test_batch_runs_other_commands_as_they_are(tiny):
@@ -131,7 +176,9 @@ def test_a_job_that_dies_is_reported(tmp_path, monkeypatch):
     deadly.chmod(0o755)
     monkeypatch.setattr(worker.sys, "executable", str(deadly))
     status, result = worker.run_in_child(PruneOptions(scene=Path("a.ply")))
-    assert status == -signal.SIGKILL and result == {"error": "the job ended without a result (exit status -9)"}
+    assert status == -signal.SIGKILL and result == {
+        "error": "the job ended without a result (exit status -9)"
+    }
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -141,14 +188,34 @@ def test_a_stopped_batch_can_be_resumed(tiny, tmp_path, number, entry, everyone)
     """A terminal sends Ctrl-C to the whole group of processes, a farm a signal to the one it started."""
     for name in ("a", "b"):
         add_scene(tiny, tmp_path / name)
-    command = [sys.executable, *entry, "prune", tmp_path / "a", tmp_path / "b", "--iterations", 3000, "--recovery", 0, "--batch"]
-    process = subprocess.Popen([str(word) for word in command], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    command = [
+        sys.executable,
+        *entry,
+        "prune",
+        tmp_path / "a",
+        tmp_path / "b",
+        "--iterations",
+        3000,
+        "--recovery",
+        0,
+        "--batch",
+    ]
+    process = subprocess.Popen(
+        [str(word) for word in command],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
     assert "prune 1/" in process.stderr.readline()
     os.killpg(process.pid, number) if everyone else process.send_signal(number)
     output, errors = process.communicate(timeout=60)
     assert process.returncode == 130 and "Traceback" not in errors and "***" not in errors, errors
     (line,) = output.splitlines()
-    assert json.loads(line)["scene"] == str(tmp_path / "a/scene.ply") and "stopped" in json.loads(line)["error"]
+    assert (
+        json.loads(line)["scene"] == str(tmp_path / "a/scene.ply") and "stopped" in json.loads(line)["error"]
+    )
     assert sorted(path.name for path in tmp_path.glob("*/*pruned*")) == ["scene_pruned.ply.job"]
     assert len(list(tmp_path.glob("a/*.job/*/manifest.json"))) == 1, "the next scene must not have begun"
 
@@ -161,15 +228,22 @@ def test_batch_in_the_process_of_the_bpy_module(scenes):
         pytest.skip("bpy is not installed")
     if (probe := run(sys.executable, "-c", "import bpy")).returncode:
         pytest.skip(f"bpy cannot be imported: {probe.stderr.strip().splitlines()[-1:]}")
-    code = f"import bpy, runpy, sys; sys.argv = ['blender', '--', *sys.argv[1:]]; runpy.run_path({str(BATCH)!r}, run_name='__main__')"
+    code = (
+        f"import bpy, runpy, sys; sys.argv = ['blender', '--', *sys.argv[1:]]; runpy.run_path({str(BATCH)!r},"
+        " run_name='__main__')"
+    )
     check_batch([sys.executable, "-c", code], scenes)
 
 
 def test_batch_in_blender(scenes):
-    blender = shlex.split(os.environ.get("SVRGS_BLENDER", "")) or list(filter(None, [shutil.which("blender")]))
+    blender = shlex.split(os.environ.get("SVRGS_BLENDER", "")) or list(
+        filter(None, [shutil.which("blender")])
+    )
     if not blender:
         pytest.skip("SVRGS_BLENDER names no Blender, and none is on PATH")
-    check_batch([*blender, "-b", "--factory-startup", "--python-exit-code", 1, "--python", BATCH, "--"], scenes)
+    check_batch(
+        [*blender, "-b", "--factory-startup", "--python-exit-code", 1, "--python", BATCH, "--"], scenes
+    )
 
 
 # --- which scenes
@@ -183,14 +257,23 @@ def touch(*paths: Path):
 
 def test_a_file_is_a_scene_by_itself(tmp_path):
     touch(tmp_path / "x.ply")
-    assert expand([tmp_path / "x.ply"], None, None) == [Item("x", tmp_path / "x.ply", None, tmp_path / "x_pruned.ply")]
+    assert expand([tmp_path / "x.ply"], None, None) == [
+        Item("x", tmp_path / "x.ply", None, tmp_path / "x_pruned.ply")
+    ]
     assert expand([tmp_path / "x.ply"], Path("data"), tmp_path / "y.ply")[0].out == tmp_path / "y.ply"
     assert expand([tmp_path / "x.ply"], None, tmp_path / "new")[0].out == tmp_path / "new/x.ply"
-    assert expand([tmp_path / "x.ply"], Path("data"), tmp_path)[0] == Item("x", tmp_path / "x.ply", Path("data"), tmp_path / "x.ply")
+    assert expand([tmp_path / "x.ply"], Path("data"), tmp_path)[0] == Item(
+        "x", tmp_path / "x.ply", Path("data"), tmp_path / "x.ply"
+    )
 
 
 def test_folders_of_scenes_and_their_datasets(tmp_path):
-    touch(tmp_path / "a/scene.ply", tmp_path / "a/scene_pruned.ply", tmp_path / "a/.svrgs-1.ply", tmp_path / "a/sparse/0/x")
+    touch(
+        tmp_path / "a/scene.ply",
+        tmp_path / "a/scene_pruned.ply",
+        tmp_path / "a/.svrgs-1.ply",
+        tmp_path / "a/sparse/0/x",
+    )
     touch(tmp_path / "b/out.ply", tmp_path / "b/cameras.bin", tmp_path / "notes/readme.txt")
     a, b = expand([tmp_path], None, tmp_path / "out")
     assert a == Item("a", tmp_path / "a/scene.ply", tmp_path / "a", tmp_path / "out/a.ply")
@@ -212,12 +295,23 @@ def test_an_output_file_is_for_one_scene(tmp_path):
 
 
 def test_no_scene_of_a_batch_is_the_output_of_another(tmp_path):
-    """As "*.ply" gives it the second time: with --overwrite the second scene would be lost before it is read."""
-    touch(tmp_path / "a.ply", tmp_path / "a_pruned.ply", tmp_path / "run/point_cloud/iteration_7/point_cloud.ply", tmp_path / "x/point_cloud.ply")
+    """As "*.ply" gives it the second time: with --overwrite the second scene would be lost before it is
+    read."""
+    touch(
+        tmp_path / "a.ply",
+        tmp_path / "a_pruned.ply",
+        tmp_path / "run/point_cloud/iteration_7/point_cloud.ply",
+        tmp_path / "x/point_cloud.ply",
+    )
     with pytest.raises(SceneError, match=r"a_pruned.ply: is both a scene to prune and an output of .*a.ply"):
         expand([tmp_path / "a.ply", tmp_path / "a_pruned.ply"], None, None)
-    with pytest.raises(SceneError, match=r"iteration_7/point_cloud.ply: is both a scene to prune and an output of .*x/point_cloud.ply"):
-        expand([tmp_path / "run", tmp_path / "x/point_cloud.ply"], None, tmp_path / "run/point_cloud/iteration_7")
+    with pytest.raises(
+        SceneError,
+        match=r"iteration_7/point_cloud.ply: is both a scene to prune and an output of .*x/point_cloud.ply",
+    ):
+        expand(
+            [tmp_path / "run", tmp_path / "x/point_cloud.ply"], None, tmp_path / "run/point_cloud/iteration_7"
+        )
     (tmp_path / "link.ply").symlink_to(tmp_path / "a_pruned.ply")
     with pytest.raises(SceneError, match="is both a scene to prune"):
         expand([tmp_path / "a.ply", tmp_path / "link.ply"], None, None)
@@ -226,9 +320,14 @@ def test_no_scene_of_a_batch_is_the_output_of_another(tmp_path):
 def test_a_default_output_that_is_a_link_is_refused(tmp_path):
     touch(tmp_path / "data/scene.ply")
     (tmp_path / "data/scene_pruned.ply").symlink_to(tmp_path / "elsewhere.ply")
-    with pytest.raises(SceneError, match="scene_pruned.ply: is a link to .*elsewhere.ply; name the output with --out"):
+    with pytest.raises(
+        SceneError, match="scene_pruned.ply: is a link to .*elsewhere.ply; name the output with --out"
+    ):
         expand([tmp_path / "data/scene.ply"], None, None)
-    assert expand([tmp_path / "data/scene.ply"], None, tmp_path / "data/scene_pruned.ply")[0].out == tmp_path / "data/scene_pruned.ply"
+    assert (
+        expand([tmp_path / "data/scene.ply"], None, tmp_path / "data/scene_pruned.ply")[0].out
+        == tmp_path / "data/scene_pruned.ply"
+    )
 
 
 def test_several_splats_in_a_folder_fail_alone(tmp_path):

@@ -1,4 +1,5 @@
-"""svrgs bench: that what it says is whole, consistent and true to the float64 level. Times themselves are not judged."""
+"""svrgs bench: that what it says is whole, consistent and true to the float64 level. Times themselves are not
+judged."""
 
 from __future__ import annotations
 
@@ -21,7 +22,21 @@ from svrgs_bench.skips import measure_skips
 from svrgs_bench.text import as_text
 from svrgs_bench.trial import Trial
 
-STAGES = ["project", "tiles", "sort", "blend", "mask", "mask_visible", "raster_grads", "parameter_grads", "loss", "adam", "forward", "backward", "step"]
+STAGES = [
+    "project",
+    "tiles",
+    "sort",
+    "blend",
+    "mask",
+    "mask_visible",
+    "raster_grads",
+    "parameter_grads",
+    "loss",
+    "adam",
+    "forward",
+    "backward",
+    "step",
+]
 WORK = {"visible", "pairs", "used_pairs", "blocks", "hit_blocks", "evaluated", "hits", "contributing"}
 ERROR = {"image_max", "image_mean", "mask_max", "grad_rel_l2", "grad_cosine", "nonfinite", "crossed"}
 IMAGE_BOUND = 2e-5  # worst seen 1.0e-6
@@ -52,8 +67,12 @@ def test_quick(svrgs):
     machine, cases = result["machine"], result["cases"]
     assert machine["simd"] in machine["simd_levels"] and machine["cores"] >= 1
     assert all(peak[name] > 0 for peak in machine["peaks"].values() for name in ("fma", "read", "update"))
-    found = {(case["count"], case["sh_degree"], case["width"], case["height"], case["threads"]) for case in cases}
-    assert found == {(100_000, degree, 640, 360, int(threads)) for degree in (0, 3) for threads in machine["peaks"]}
+    found = {
+        (case["count"], case["sh_degree"], case["width"], case["height"], case["threads"]) for case in cases
+    }
+    assert found == {
+        (100_000, degree, 640, 360, int(threads)) for degree in (0, 3) for threads in machine["peaks"]
+    }
     for case in cases:
         check_case(case)
         assert case["error"]["grad_rel_l2"] <= GRADIENT_BOUND
@@ -66,9 +85,17 @@ def check_case(case: dict):
     assert all(stage["floor_ms"] > 0 and stage["spread_ms"] >= 0 for stage in stages.values())
     assert all(stage["ms"] > 0 for name, stage in stages.items() if not name.startswith("mask"))
     assert work["contributing"] <= work["hits"] <= work["evaluated"] == 16 * work["blocks"]
-    assert work["used_pairs"] <= work["pairs"] and work["hit_blocks"] <= work["blocks"] and work["visible"] <= case["count"]
+    assert (
+        work["used_pairs"] <= work["pairs"]
+        and work["hit_blocks"] <= work["blocks"]
+        and work["visible"] <= case["count"]
+    )
     assert work["hit_blocks"] <= work["hit_blocks_full"]
-    assert errors["nonfinite"] == 0 and errors["image_mean"] <= errors["image_max"] <= IMAGE_BOUND and errors["crossed"] < 1e-3
+    assert (
+        errors["nonfinite"] == 0
+        and errors["image_mean"] <= errors["image_max"] <= IMAGE_BOUND
+        and errors["crossed"] < 1e-3
+    )
 
 
 def test_a_given_scene(svrgs, tmp_path):
@@ -88,7 +115,9 @@ def test_refuses(svrgs, tmp_path, monkeypatch, words):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "broken.ply").write_bytes(b"ply\nnothing more")
     outcome = svrgs("bench", *words, "--quick")
-    assert outcome.status == 2 and outcome.out == "" and outcome.err.count("\n") == 1 and len(outcome.err) > 20
+    assert (
+        outcome.status == 2 and outcome.out == "" and outcome.err.count("\n") == 1 and len(outcome.err) > 20
+    )
 
 
 # --- its parts
@@ -112,29 +141,51 @@ def test_stages_add_up(small):
     floors = {name: stage["floor_ms"] for name, stage in case["stages"].items()}
     parts = sum(floors[name] for name in ("forward", "loss", "backward", "adam"))
     assert 0.5 * parts < floors["step"] < parts  # a step does not store its gradients
-    assert "x floor" in as_text({"machine": {"cores": 1, "simd": "scalar", "simd_levels": ["scalar"], "peaks": {"1": peaks[1]}}, "cases": [case]})
+    assert "x floor" in as_text(
+        {
+            "machine": {"cores": 1, "simd": "scalar", "simd_levels": ["scalar"], "peaks": {"1": peaks[1]}},
+            "cases": [case],
+        }
+    )
 
 
 def test_floors_follow_the_peaks(small):
     work, peak = work_counts(Trial(small)), {"fma": 1e11, "read": 1e10, "update": 2e10}
     level = library.best_level()
-    floors, faster = (stage_floors(work, small.facts, level, {name: k * rate for name, rate in peak.items()}) for k in (1, 2))
+    floors, faster = (
+        stage_floors(work, small.facts, level, {name: k * rate for name, rate in peak.items()})
+        for k in (1, 2)
+    )
     assert faster == pytest.approx({name: floor / 2 for name, floor in floors.items()})
     assert LANES.keys() == library.levels().keys()
 
 
 def test_skips_change_no_picture(small):
     entries = {entry["skip"]: entry for entry in measure_skips(small, 1, ignore)}
-    assert entries.keys() == {*library.skips(), "mask", "behind_the_stop", "kept_view", "unused_gradients", "sparse_adam", "sh_bands"}
+    assert entries.keys() == {
+        *library.skips(),
+        "mask",
+        "behind_the_stop",
+        "kept_view",
+        "unused_gradients",
+        "sparse_adam",
+        "sh_bands",
+    }
     assert all(entry["gain"] > 0 and (entry["image_max"] or 0) <= 1e-6 for entry in entries.values())
     for skip in library.skips():
         on, off = entries[skip]["work_on"], entries[skip]["work_off"]
-        assert off["pairs"] + off["blocks"] > on["pairs"] + on["blocks"] and off["contributing"] == on["contributing"]
+        assert (
+            off["pairs"] + off["blocks"] > on["pairs"] + on["blocks"]
+            and off["contributing"] == on["contributing"]
+        )
 
 
 def test_scaling_and_its_charts(tmp_path):
     entries = measure_scaling(1, ignore, sizes=((48, 32), (96, 64)), counts=(500, 1000), count=500)
-    assert [(entry["axis"], entry["count"], entry["pixels"]) for entry in entries][:2] == [("pixels", 500, 48 * 32), ("pixels", 500, 96 * 64)]
+    assert [(entry["axis"], entry["count"], entry["pixels"]) for entry in entries][:2] == [
+        ("pixels", 500, 48 * 32),
+        ("pixels", 500, 96 * 64),
+    ]
     documents = charts({"scaling": entries})
     assert documents.keys() == {"scaling-pixels", "scaling-gaussians"}
     for chart in documents.values():
@@ -149,7 +200,11 @@ def test_orbiting():
 
 def test_orbiting_in_a_viewport():
     result = measure_viewport(ignore, count=20_000, size=(640, 360), frames=6)
-    assert 0 < result["frame_ms"] <= result["slowest_ms"] and result["reduction"] == 4 and result["frame_ms"] < result["exact_ms"]
+    assert (
+        0 < result["frame_ms"] <= result["slowest_ms"]
+        and result["reduction"] == 4
+        and result["frame_ms"] < result["exact_ms"]
+    )
 
 
 def test_knobs_chosen_at_run_time_and_their_charts(small, monkeypatch):
@@ -169,7 +224,10 @@ def test_every_knob_has_one_default_and_a_title():
     found = knobs.settings()
     for knob in {setting.knob for setting in found}:
         assert sum(setting.default for setting in found if setting.knob == knob) == 1
-    handmade = [{"knob": s.knob, "value": s.value, "default": s.default, "forward_ms": 2.0 + i, "image_mean": 0.0} for i, s in enumerate(found)]
+    handmade = [
+        {"knob": s.knob, "value": s.value, "default": s.default, "forward_ms": 2.0 + i, "image_mean": 0.0}
+        for i, s in enumerate(found)
+    ]
     assert len(charts({"knobs": handmade})) == len({setting.knob for setting in found})
 
 

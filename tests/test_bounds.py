@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from svrgs_addon.scene.bounds import clipping, corners, median_depth, robust_box, sphere_around, viewing_distance
+from svrgs_addon.scene.bounds import (
+    clipping,
+    corners,
+    median_depth,
+    robust_box,
+    sphere_around,
+    viewing_distance,
+)
 from svrgs_addon.scene.camera import Camera
 
 
@@ -46,7 +53,9 @@ def test_many_points_are_sampled_over_the_whole_list():
 
 
 def test_the_median_depth_is_of_what_the_camera_shows():
-    points = np.array([[0, 0, 2], [0, 0, 3], [0.1, 0, 7], [0, 0, -5], [90, 0, 3], [0, 0, np.nan], [0, 0, 100]])
+    points = np.array(
+        [[0, 0, 2], [0, 0, 3], [0.1, 0, 7], [0, 0, -5], [90, 0, 3], [0, 0, np.nan], [0, 0, 100]]
+    )
     camera = Camera(np.eye(4), np.array([[50.0, 0, 32], [0, 50, 24], [0, 0, 1]]), 64, 48)
     assert median_depth(camera, points[:6]) == 3
     assert median_depth(camera, points, np.r_[1, 1, 1, 1, 1, 1, 1e6]) == pytest.approx(100, abs=1)
@@ -57,7 +66,11 @@ def test_the_sphere_holds_the_turned_box():
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = 2 * np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]]), (5, 0, 0)
     places = corners(np.array([[0, 0, 0], [1, 2, 3]]), matrix)
-    assert places.shape == (8, 3) and np.allclose(places.min(0), (1, 0, 0)) and np.allclose(places.max(0), (5, 2, 6))
+    assert (
+        places.shape == (8, 3)
+        and np.allclose(places.min(0), (1, 0, 0))
+        and np.allclose(places.max(0), (5, 2, 6))
+    )
     centre, radius = sphere_around(places)
     assert np.allclose(centre, (3, 1, 3)) and np.isclose(radius, np.sqrt(1 + 4 + 9) / 2 * 2)
 

@@ -10,7 +10,10 @@ import pytest
 import scenes
 from svrgs_addon.scene.camera import Camera, evenly
 
-CAMERAS = {name: (scenes.CAMERAS | scenes.ORTHOGRAPHIC)[name] for name in ("rotated", "off_centre", "parallel_rotated", "parallel_off_centre")}
+CAMERAS = {
+    name: (scenes.CAMERAS | scenes.ORTHOGRAPHIC)[name]
+    for name in ("rotated", "off_centre", "parallel_rotated", "parallel_off_centre")
+}
 POINTS = np.random.default_rng(0).normal(0, 0.5, (30, 3))
 
 
@@ -25,7 +28,10 @@ def test_a_world_moved_turned_and_scaled_is_seen_at_the_same_pixels(camera):
     matrix = 2.5 * scenes.camera(9, 9, eye=(1, 2, -3), roll=40).viewmat
     matrix[3, 3] = 1
     moved = camera.moved(matrix)
-    (pixels, z), (expected, depth) = seen(moved, POINTS), seen(camera, POINTS @ matrix[:3, :3].T + matrix[:3, 3])
+    (pixels, z), (expected, depth) = (
+        seen(moved, POINTS),
+        seen(camera, POINTS @ matrix[:3, :3].T + matrix[:3, 3]),
+    )
     np.testing.assert_allclose(pixels, expected, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(z, depth / 2.5, rtol=1e-12)
     np.testing.assert_allclose(moved.viewmat[:3, :3] @ moved.viewmat[:3, :3].T, np.eye(3), atol=1e-12)
@@ -34,7 +40,9 @@ def test_a_world_moved_turned_and_scaled_is_seen_at_the_same_pixels(camera):
 @pytest.mark.parametrize("camera", CAMERAS.values(), ids=CAMERAS)
 def test_another_image_size_scales_the_pixels(camera):
     pixels = seen(camera, POINTS)[0]
-    np.testing.assert_allclose(seen(camera.resized(2 * camera.width, 3 * camera.height), POINTS)[0], pixels * (2, 3))
+    np.testing.assert_allclose(
+        seen(camera.resized(2 * camera.width, 3 * camera.height), POINTS)[0], pixels * (2, 3)
+    )
     np.testing.assert_allclose(seen(camera.reduced(4), POINTS)[0], pixels / 4)
 
 
@@ -48,14 +56,23 @@ def test_the_camera_looks_along_the_ray_of_each_pixel(camera):
 def test_keys_tell_views_apart():
     camera = scenes.CAMERAS["plain"]
     assert camera.key == replace(camera, name="other").key
-    others = replace(camera, orthographic=True), camera.resized(34, 21), replace(camera, viewmat=camera.viewmat + np.eye(4)), replace(camera, K=2 * camera.K)
+    others = (
+        replace(camera, orthographic=True),
+        camera.resized(34, 21),
+        replace(camera, viewmat=camera.viewmat + np.eye(4)),
+        replace(camera, K=2 * camera.K),
+    )
     assert len({camera.key, *(other.key for other in others)}) == 5
 
 
 def test_a_view_is_made_to_fit_but_never_enlarged():
     camera = Camera(np.eye(4), np.array([[100.0, 0, 60], [0, 100, 30], [0, 0, 1]]), 120, 60)
     small = camera.fitted(40)
-    assert (small.width, small.height) == (40, 20) and small.K[0, 0] == pytest.approx(100 / 3) and small.K[1, 2] == pytest.approx(10)
+    assert (
+        (small.width, small.height) == (40, 20)
+        and small.K[0, 0] == pytest.approx(100 / 3)
+        and small.K[1, 2] == pytest.approx(10)
+    )
     assert (camera.fitted(1_000).K == camera.K).all() and camera.fitted(1_000).width == 120
 
 

@@ -37,7 +37,8 @@ def test_cameras_json_conventions(tmp_path):
     (tmp_path / "cameras.json").write_text(json.dumps([GOOD_ENTRY]))
     (camera,) = load_cameras_json(tmp_path / "cameras.json")
     assert np.allclose(camera.position, [1, 2, 3])
-    assert np.allclose(camera.viewmat[:3, :3] @ [0, 1, 0], [1, 0, 0])  # camera x is the rotation's first column
+    # camera x is the rotation's first column
+    assert np.allclose(camera.viewmat[:3, :3] @ [0, 1, 0], [1, 0, 0])
     assert np.allclose(camera.K, [[60, 0, 32], [0, 58, 24], [0, 0, 1]]) and not camera.orthographic
     (tmp_path / "cameras.json").write_text(json.dumps([GOOD_ENTRY | {"orthographic": True}]))
     assert load_cameras_json(tmp_path / "cameras.json")[0].orthographic
@@ -52,7 +53,11 @@ def test_what_is_written_is_read_again(tmp_path):
     write_cameras_json(tmp_path / "cameras.json", cameras)
     for before, after in zip(cameras, load_cameras_json(tmp_path / "cameras.json"), strict=True):
         assert (after.K == K).all() and (after.viewmat == np.eye(4)).all()
-        assert (after.name, after.width, after.orthographic) == (before.name, before.width, before.orthographic)
+        assert (after.name, after.width, after.orthographic) == (
+            before.name,
+            before.width,
+            before.orthographic,
+        )
     assert [("cx" in entry) for entry in json.loads((tmp_path / "cameras.json").read_text())] == [True, False]
 
 

@@ -50,16 +50,39 @@ def test_folders_patterns_and_files_become_files_of_a_folder(splat, tmp_path, ca
     write_scene(tmp_path / "more" / "b.compressed.ply", like_trained(0))
     write_scene(tmp_path / "more" / "c.splat", like_trained(0))
     lines = convert(capsys, tmp_path / "more", str(tmp_path / "*.ply"), tmp_path / "out", "--to", "spz")
-    assert [line["out"] for line in lines] == [str(tmp_path / "out" / name) for name in ("b.spz", "c.spz", "a.spz")]
-    assert all("skipped" in line for line in convert(capsys, tmp_path / "more", splat, tmp_path / "out", "--to", "spz"))
-    assert all("bytes" in line for line in convert(capsys, tmp_path / "more", splat, tmp_path / "out", "--to", "spz", "--overwrite"))
+    assert [line["out"] for line in lines] == [
+        str(tmp_path / "out" / name) for name in ("b.spz", "c.spz", "a.spz")
+    ]
+    assert all(
+        "skipped" in line
+        for line in convert(capsys, tmp_path / "more", splat, tmp_path / "out", "--to", "spz")
+    )
+    assert all(
+        "bytes" in line
+        for line in convert(capsys, tmp_path / "more", splat, tmp_path / "out", "--to", "spz", "--overwrite")
+    )
 
 
 def test_a_damaged_file_among_several_is_said_and_the_others_are_converted(splat, tmp_path, capsys):
     (tmp_path / "b.spz").write_bytes(b"NGSP broken")
-    assert main(["convert", str(splat), str(tmp_path / "b.spz"), str(tmp_path / "out"), "--to", ".splat", "--json"]) == 1
+    assert (
+        main(
+            [
+                "convert",
+                str(splat),
+                str(tmp_path / "b.spz"),
+                str(tmp_path / "out"),
+                "--to",
+                ".splat",
+                "--json",
+            ]
+        )
+        == 1
+    )
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    assert "bytes" in lines[0] and "b.spz" in lines[1]["error"] and not (tmp_path / "out" / "b.splat").exists()
+    assert (
+        "bytes" in lines[0] and "b.spz" in lines[1]["error"] and not (tmp_path / "out" / "b.splat").exists()
+    )
 
 
 def test_crop_scale_rotation_and_move_come_in_this_order(splat, tmp_path, capsys):
@@ -102,7 +125,11 @@ def test_what_cannot_be_is_one_sentence(splat, tmp_path, capsys, monkeypatch, wo
     monkeypatch.chdir(tmp_path)
     write_scene(tmp_path / "more" / "a.ply", like_trained(0, 5))
     assert main(["convert", *words]) == 2
-    assert said in capsys.readouterr().err and not (tmp_path / "b.ply").exists() and not (tmp_path / "b.splat").exists()
+    assert (
+        said in capsys.readouterr().err
+        and not (tmp_path / "b.ply").exists()
+        and not (tmp_path / "b.splat").exists()
+    )
 
 
 @pytest.mark.parametrize("suffix", (".ply", ".compressed.ply", ".spz", ".glb", ".splat", ".sog"))
@@ -117,7 +144,9 @@ def test_a_large_scene_is_converted_by_way_of_the_disk_to_the_same_file(tmp_path
     monkeypatch.setattr(spooled, "LARGE", 0)
     assert main(["convert", *words, str(tmp_path / f"c{suffix}")]) == 0
     one, other = (read_scene(tmp_path / f"{name}{suffix}") for name in "bc")
-    assert (tmp_path / f"b{suffix}").read_bytes() == (tmp_path / f"c{suffix}").read_bytes() and one.count == other.count > 1000
+    assert (tmp_path / f"b{suffix}").read_bytes() == (
+        tmp_path / f"c{suffix}"
+    ).read_bytes() and one.count == other.count > 1000
     assert ("label" in one.attributes) == (suffix == ".ply")
     assert sorted(file.name for file in tmp_path.iterdir()) == sorted(["a.ply", f"b{suffix}", f"c{suffix}"])
 
@@ -131,7 +160,10 @@ def test_a_full_disk_beside_the_output_is_told(tmp_path, capsys, monkeypatch):
 
     monkeypatch.setattr(spooled.tempfile, "TemporaryFile", full)
     assert main(["convert", str(tmp_path / "a.ply"), str(tmp_path / "b.spz")]) == 2
-    assert "b.spz: needs more space in its folder" in capsys.readouterr().err and not (tmp_path / "b.spz").exists()
+    assert (
+        "b.spz: needs more space in its folder" in capsys.readouterr().err
+        and not (tmp_path / "b.spz").exists()
+    )
 
 
 def test_levels_of_detail_in_files_become_one_streamed_sog(tmp_path, capsys):
@@ -140,7 +172,10 @@ def test_levels_of_detail_in_files_become_one_streamed_sog(tmp_path, capsys):
         write_scene(tmp_path / f"{name}.ply", scene.select(np.arange(0, 900, share)))
     (line,) = convert(capsys, tmp_path / "b*.ply", tmp_path / "b.ply", tmp_path / "town" / "lod-meta.json")
     assert line["count"] == 900 and line["levels"] == [900, 900, 450, 225]
-    assert [sum(part.count for part in read_level(tmp_path / "town" / "lod-meta.json", level)) for level in range(4)] == line["levels"]
+    assert [
+        sum(part.count for part in read_level(tmp_path / "town" / "lod-meta.json", level))
+        for level in range(4)
+    ] == line["levels"]
 
 
 @pytest.mark.parametrize("command", (["convert"], ["prune", "--quick", "--target", "0.5", "--out"]))
@@ -154,7 +189,9 @@ def test_levels_of_detail_in_files_become_one_streamed_sog(tmp_path, capsys):
         ("meta.json", "town", "town/meta.json"),
     ],
 )
-def test_a_splat_of_several_files_is_not_replaced_by_itself(tmp_path, capsys, monkeypatch, command, kind, scene, out):
+def test_a_splat_of_several_files_is_not_replaced_by_itself(
+    tmp_path, capsys, monkeypatch, command, kind, scene, out
+):
     monkeypatch.chdir(tmp_path)
     write_scene(tmp_path / "town" / kind, like_trained(1, 300))
     before = {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()}
@@ -163,7 +200,10 @@ def test_a_splat_of_several_files_is_not_replaced_by_itself(tmp_path, capsys, mo
     assert before == {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()}
 
 
-@pytest.mark.parametrize(("out", "factors"), [("b.spz", (0.3, 1, 8)), ("b.sog", (0.1, 100)), ("meta.json", (0.1, 100)), ("lod-meta.json", (0.1, 100))])
+@pytest.mark.parametrize(
+    ("out", "factors"),
+    [("b.spz", (0.3, 1, 8)), ("b.sog", (0.1, 100)), ("meta.json", (0.1, 100)), ("lod-meta.json", (0.1, 100))],
+)
 def test_coarser_spherical_harmonics_make_smaller_files_that_are_less_exact(tmp_path, capsys, out, factors):
     scene, lines, errors = like_trained(2, 8_000), [], []
     scene = scene.select(morton_order(scene.means))

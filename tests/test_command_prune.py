@@ -37,8 +37,29 @@ def measures(result: dict) -> dict:
 def pruned(tiny, tmp_path_factory) -> dict:
     """Result of one real pruning run with a report; 'folder' beside its keys."""
     folder = tmp_path_factory.mktemp("pruned")
-    words = ["prune", tiny.splat, "--colmap", tiny.folder, "--iterations", 300, "--recovery", 200, "--target", 0.4, "--json"]
-    command = [sys.executable, "-m", "svrgs_addon", *words, "--out", folder / "small.ply", "--report", folder / "report"]
+    words = [
+        "prune",
+        tiny.splat,
+        "--colmap",
+        tiny.folder,
+        "--iterations",
+        300,
+        "--recovery",
+        200,
+        "--target",
+        0.4,
+        "--json",
+    ]
+    command = [
+        sys.executable,
+        "-m",
+        "svrgs_addon",
+        *words,
+        "--out",
+        folder / "small.ply",
+        "--report",
+        folder / "report",
+    ]
     done = subprocess.run([str(word) for word in command], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert re.search(r"recover 500/500 .* Gaussians", done.stderr), "progress belongs on stderr"
@@ -51,39 +72,70 @@ def test_prune_result(tiny, pruned):
     assert pruned["before"].keys() == pruned["after"].keys() == MEASURES
     assert (pruned["method"], pruned["lambda_f"]) == ("removal", None), "the target says how many stay"
     assert tiny_dataset.FAINT <= pruned["first_cut"] < tiny_dataset.COUNT
-    assert pruned["count"] == round(0.4 * tiny_dataset.COUNT) and pruned["before"]["count"] == tiny_dataset.COUNT
+    assert (
+        pruned["count"] == round(0.4 * tiny_dataset.COUNT) and pruned["before"]["count"] == tiny_dataset.COUNT
+    )
     assert pruned["psnr"] > pruned["before"]["psnr"] + 1, "fine-tuning does not fit the photographs"
     assert sorted(files(pruned["folder"])) == ["report/index.html", "small.ply"]
 
 
 def test_prune_measures_what_eval_measures(tiny, pruned, svrgs):
     for scene, part in ((pruned["out"], "after"), (tiny.splat, "before")):
-        assert measures(svrgs("eval", scene, "--colmap", tiny.folder, "--json").json) == pytest.approx(measures(pruned[part]), rel=1e-12)
+        assert measures(svrgs("eval", scene, "--colmap", tiny.folder, "--json").json) == pytest.approx(
+            measures(pruned[part]), rel=1e-12
+        )
     assert measures(pruned) == measures(pruned["after"])
 
 
 def test_pruned_file_keeps_the_form_of_its_source(tiny, pruned):
     source, small = read_ply(tiny.splat), read_ply(pruned["out"])
-    assert (small.count, small.sh_degree, small.antialiased) == (pruned["count"], source.sh_degree, source.antialiased)
-    assert small.property_order == source.property_order and small.attributes.keys() == source.attributes.keys()
+    assert (small.count, small.sh_degree, small.antialiased) == (
+        pruned["count"],
+        source.sh_degree,
+        source.antialiased,
+    )
+    assert (
+        small.property_order == source.property_order and small.attributes.keys() == source.attributes.keys()
+    )
 
 
 def test_report_is_one_page_with_table_plots_and_pictures(pruned):
     page = (pruned["folder"] / "report/index.html").read_text()
     assert "no LPIPS weight file was given" in page
     assert f"{pruned['before']['psnr']:.2f} dB" in page and f"{pruned['psnr']:.2f} dB" in page
-    assert page.count("<svg") >= 3 and len(re.findall('src="data:image/[a-z]+;base64,', page)) == 6 * len(TEST_VIEWS)
+    assert page.count("<svg") >= 3 and len(re.findall('src="data:image/[a-z]+;base64,', page)) == 6 * len(
+        TEST_VIEWS
+    )
     assert not re.search(r'(src|href)="(?!data:)', page) and "http-equiv" in page and "@import" not in page
 
 
-@pytest.mark.parametrize("method", [name for name, method in METHODS.items() if not method.ranks and not method.share])
+@pytest.mark.parametrize(
+    "method", [name for name, method in METHODS.items() if not method.ranks and not method.share]
+)
 def test_every_method_runs(tiny, svrgs, tmp_path, method):
-    result = svrgs("prune", tiny.splat, "--colmap", tiny.folder, "--method", method, *SHORT, "--out", tmp_path / "o.ply", "--json").json
+    result = svrgs(
+        "prune",
+        tiny.splat,
+        "--colmap",
+        tiny.folder,
+        "--method",
+        method,
+        *SHORT,
+        "--out",
+        tmp_path / "o.ply",
+        "--json",
+    ).json
     assert result["method"] == method and result["lambda_f"] == (METHODS[method].lambda_f or None)
     left = tiny_dataset.COUNT - result["first_cut"]
     own_rule = ("removal", "saliency", "minisplatting", "minisplatting-outdoor", "reduced3dgs", "efficientgs")
-    assert result["count"] < left if method in own_rule else result["count"] == left, "masks cannot have learned in so few steps"
-    assert result["first_cut"] > tiny_dataset.FAINT if METHODS[method].learns_masks else result["first_cut"] == tiny_dataset.FAINT
+    assert result["count"] < left if method in own_rule else result["count"] == left, (
+        "masks cannot have learned in so few steps"
+    )
+    assert (
+        result["first_cut"] > tiny_dataset.FAINT
+        if METHODS[method].learns_masks
+        else result["first_cut"] == tiny_dataset.FAINT
+    )
     assert result["iterations"] == (4 if method == "3dgs" else 12)
 
 
@@ -91,39 +143,104 @@ def test_every_method_runs(tiny, svrgs, tmp_path, method):
 def test_every_method_with_a_budget_prunes_to_it(tiny, svrgs, tmp_path, method):
     """Asked for, or its own where it has one."""
     for target in (("--target-count", 70), ("--target", 0.5), ()):
-        words = ("prune", tiny.splat, "--colmap", tiny.folder, "--method", method, *target, *SHORT, "--out", tmp_path / "o.ply", "--json")
+        words = (
+            "prune",
+            tiny.splat,
+            "--colmap",
+            tiny.folder,
+            "--method",
+            method,
+            *target,
+            *SHORT,
+            "--out",
+            tmp_path / "o.ply",
+            "--json",
+        )
         if not target and not METHODS[method].share:
             refused(svrgs(*words), f"method '{method}' needs --target")
             continue
         share = METHODS[method].share or 0.5
-        expected = {"--target-count": 70, "--target": tiny_dataset.COUNT // 2}.get(target and target[0], round(share * tiny_dataset.COUNT))
+        expected = {"--target-count": 70, "--target": tiny_dataset.COUNT // 2}.get(
+            target and target[0], round(share * tiny_dataset.COUNT)
+        )
         assert svrgs(*words).json["count"] == expected
 
 
 @pytest.mark.parametrize("method", [name for name in METHODS if name != "3dgs"])
 def test_every_method_trains_to_a_share(tiny, svrgs, tmp_path, method):
-    """Of the Gaussians there are when densification ends: here of the sparse points, which none has multiplied."""
-    words = ("--method", method, "--target", 0.5, "--iterations", 60, "--recovery", 5, "--sh-degree", 0, "--densify-until", 20, "--quiet", "--json")
+    """Of the Gaussians there are when densification ends: here of the sparse points, which none has
+    multiplied."""
+    words = (
+        "--method",
+        method,
+        "--target",
+        0.5,
+        "--iterations",
+        60,
+        "--recovery",
+        5,
+        "--sh-degree",
+        0,
+        "--densify-until",
+        20,
+        "--quiet",
+        "--json",
+    )
     result = svrgs("train", "--colmap", tiny.folder, *words, "--out", tmp_path / "o.ply").json
     assert result["count"] == result["target"] == tiny_dataset.SEEN // 2 and result["iterations"] == 65
 
 
 def test_training_by_mcmc_grows_to_its_cap(tiny, svrgs, tmp_path):
-    words = ("train", "--colmap", tiny.folder, "--densify", "mcmc", "--schedule", 0.01, "--sh-degree", 0, "--quiet", "--json", "--out", tmp_path / "o.ply")
+    words = (
+        "train",
+        "--colmap",
+        tiny.folder,
+        "--densify",
+        "mcmc",
+        "--schedule",
+        0.01,
+        "--sh-degree",
+        0,
+        "--quiet",
+        "--json",
+        "--out",
+        tmp_path / "o.ply",
+    )
     once = int(1.05 * tiny_dataset.SEEN)
     for cap, count in ((once + 1, once + 1), (10_000, int(1.05 * once))):
         assert svrgs(*words, "--cap", cap).json["count"] == count
     assert svrgs(*words, "--target-count", once).json["count"] == once
-    assert svrgs(*words, "--cap", 10_000, "--method", "lightgaussian", "--target-count", 50).json["count"] == 50
+    assert (
+        svrgs(*words, "--cap", 10_000, "--method", "lightgaussian", "--target-count", 50).json["count"] == 50
+    )
     refused(svrgs(*words), "--densify mcmc needs --cap")
 
 
 def test_the_papers_form_is_chosen_by_a_flag(tiny, svrgs, tmp_path):
-    words = ("--colmap", tiny.folder, "--paper", "--method", "svr", *SHORT, "--out", tmp_path / "o.ply", "--json")
+    words = (
+        "--colmap",
+        tiny.folder,
+        "--paper",
+        "--method",
+        "svr",
+        *SHORT,
+        "--out",
+        tmp_path / "o.ply",
+        "--json",
+    )
     result = svrgs("prune", tiny.splat, *words).json
-    assert (result["method"], result["lambda_f"], result["first_cut"]) == ("svr-paper", 1e-4, tiny_dataset.FAINT)
+    assert (result["method"], result["lambda_f"], result["first_cut"]) == (
+        "svr-paper",
+        1e-4,
+        tiny_dataset.FAINT,
+    )
     refused(svrgs("prune", tiny.splat, *words, "--method", "maskgs"), "--paper", "'maskgs'")
-    refused(svrgs("prune", tiny.splat, "--colmap", tiny.folder, "--method", "svr-paper", "--out", tmp_path / "p.ply"), "unknown")
+    refused(
+        svrgs(
+            "prune", tiny.splat, "--colmap", tiny.folder, "--method", "svr-paper", "--out", tmp_path / "p.ply"
+        ),
+        "unknown",
+    )
 
 
 def test_help_lists_every_method(svrgs):
@@ -134,14 +251,20 @@ def test_help_lists_every_method(svrgs):
 
 def test_opacity_keeps_the_most_opaque(tiny, svrgs, tmp_path):
     words = ("--method", "opacity", "--target-count", 50, "--recovery", 0, "--quiet", "--json")
-    assert svrgs("prune", tiny.splat, "--colmap", tiny.folder, *words, "--out", tmp_path / "o.ply").json["count"] == 50
+    assert (
+        svrgs("prune", tiny.splat, "--colmap", tiny.folder, *words, "--out", tmp_path / "o.ply").json["count"]
+        == 50
+    )
     logits = read_ply(tiny.splat).opacity_logits
     assert np.array_equal(np.sort(read_ply(tmp_path / "o.ply").opacity_logits), np.sort(logits)[-50:])
 
 
 def test_contribution_keeps_what_contributes_most(tiny, svrgs, tmp_path):
     words = ("--method", "contribution", "--target", 0.2, "--recovery", 0, "--quiet", "--json")
-    assert svrgs("prune", tiny.splat, "--colmap", tiny.folder, *words, "--out", tmp_path / "o.ply").json["count"] == 50
+    assert (
+        svrgs("prune", tiny.splat, "--colmap", tiny.folder, *words, "--out", tmp_path / "o.ply").json["count"]
+        == 50
+    )
     scene = read_ply(tiny.splat)
     train = [camera for i, camera in enumerate(tiny.cameras) if i % 8]
     sums, _, _ = scores.contribution(scene, train, Rasterizer(), render_options(scene))
@@ -160,22 +283,52 @@ def test_the_first_cut_drops_what_contributes_little_to_every_training_view(tiny
     scene = read_ply(tiny.splat)
     train = [camera for i, camera in enumerate(tiny.cameras) if i % 8]
     _, peaks, _ = scores.contribution(scene, train, Rasterizer(), render_options(scene))
-    assert 10 < result["count"] == (peaks >= 0.3).sum() < 200 and result["first_cut"] == tiny_dataset.COUNT - result["count"]
+    assert (
+        10 < result["count"] == (peaks >= 0.3).sum() < 200
+        and result["first_cut"] == tiny_dataset.COUNT - result["count"]
+    )
     assert np.array_equal(read_ply(tmp_path / "o.ply").means, scene.means[peaks >= 0.3])
 
 
 def test_the_first_cut_spares_enough_for_a_target(tiny, svrgs, tmp_path):
-    words = ("--min-contribution", 0.9, "--iterations", 2, "--recovery", 0, "--target-count", 200, "--quiet", "--json")
-    assert svrgs("prune", tiny.splat, "--colmap", tiny.folder, *words, "--out", tmp_path / "o.ply").json["count"] == 200
+    words = (
+        "--min-contribution",
+        0.9,
+        "--iterations",
+        2,
+        "--recovery",
+        0,
+        "--target-count",
+        200,
+        "--quiet",
+        "--json",
+    )
+    assert (
+        svrgs("prune", tiny.splat, "--colmap", tiny.folder, *words, "--out", tmp_path / "o.ply").json["count"]
+        == 200
+    )
 
 
 def test_only_the_invisible_goes_where_nothing_else_is_asked_for(tiny, svrgs, tmp_path):
     result = first_cut(tiny, svrgs, tmp_path / "o.ply", "--min-contribution", 0)
-    assert result["count"] == tiny_dataset.COUNT - tiny_dataset.FAINT and result["psnr"] == result["before"]["psnr"]
+    assert (
+        result["count"] == tiny_dataset.COUNT - tiny_dataset.FAINT
+        and result["psnr"] == result["before"]["psnr"]
+    )
 
 
 def test_a_scene_that_would_lose_everything_is_refused(tiny, svrgs, tmp_path):
     words = ("--lambda-f", 1e9, "--iterations", 2500, "--recovery", 0, "--quiet")
-    done = svrgs("prune", tiny.splat, "--colmap", tiny.folder, *words, "--out", tmp_path / "o.ply", "--report", tmp_path / "report")
+    done = svrgs(
+        "prune",
+        tiny.splat,
+        "--colmap",
+        tiny.folder,
+        *words,
+        "--out",
+        tmp_path / "o.ply",
+        "--report",
+        tmp_path / "report",
+    )
     refused(done, "pruning would leave", "smaller lambda-f")
     assert not list(tmp_path.iterdir())

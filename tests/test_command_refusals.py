@@ -47,7 +47,9 @@ def no_views(work: Path):
 
 
 def panorama(work: Path):
-    tiny_dataset.write_colmap(work / "data/sparse/0", tiny_dataset.views(), np.zeros((9, 3)), "EQUIRECTANGULAR")
+    tiny_dataset.write_colmap(
+        work / "data/sparse/0", tiny_dataset.views(), np.zeros((9, 3)), "EQUIRECTANGULAR"
+    )
 
 
 def one_view(work: Path):
@@ -64,7 +66,12 @@ def points_behind_the_cameras(work: Path):
 
 def a_tiny_model(work: Path):
     """All points are nearer than the rasterizer draws."""
-    views = [replace(view, viewmat=np.vstack([np.c_[view.viewmat[:3, :3], view.viewmat[:3, 3] / 1000], [[0, 0, 0, 1]]])) for view in tiny_dataset.views()]
+    views = [
+        replace(
+            view, viewmat=np.vstack([np.c_[view.viewmat[:3, :3], view.viewmat[:3, 3] / 1000], [[0, 0, 0, 1]]])
+        )
+        for view in tiny_dataset.views()
+    ]
     tiny_dataset.write_colmap(work / "data/sparse/0", views, np.zeros((9, 3)))
 
 
@@ -88,7 +95,10 @@ def empty_splat(work: Path):
 
 
 def same_stems(work: Path):
-    cameras = [replace(camera, name=name) for camera, name in zip(tiny_dataset.views(2), ("a.png", "a.jpg"), strict=True)]
+    cameras = [
+        replace(camera, name=name)
+        for camera, name in zip(tiny_dataset.views(2), ("a.png", "a.jpg"), strict=True)
+    ]
     for number, camera in enumerate(cameras):
         shutil.copy(work / f"data/images/{number:02}.png", work / "data/images" / camera.name)
     tiny_dataset.write_colmap(work / "data/sparse/0", cameras, np.zeros((0, 3)))
@@ -103,7 +113,9 @@ def far_view(work: Path):
     first, *rest = tiny_dataset.views()
     viewmat = first.viewmat.copy()
     viewmat[0, 3] = 1e38
-    tiny_dataset.write_colmap(work / "data/sparse/0", [replace(first, viewmat=viewmat), *rest], np.zeros((9, 3)))
+    tiny_dataset.write_colmap(
+        work / "data/sparse/0", [replace(first, viewmat=viewmat), *rest], np.zeros((9, 3))
+    )
 
 
 def huge_focal_length(work: Path):
@@ -124,7 +136,10 @@ RENDER = f"render {{data}}/scene.ply {DATA} --out {{work}}/out"
 COMPARE = f"compare {{data}}/scene.ply {{data}}/scene.ply {DATA} --out {{work}}/out"
 
 REFUSED = [  # what is broken, the command, what the sentence says
-    *((no_photographs, command, ("9 of 12 photographs are missing: 00.png, 01.png, 02.png, ...",)) for command in (PRUNE, TRAIN, EVAL, COMPARE)),
+    *(
+        (no_photographs, command, ("9 of 12 photographs are missing: 00.png, 01.png, 02.png, ...",))
+        for command in (PRUNE, TRAIN, EVAL, COMPARE)
+    ),
     *((no_image_folder, command, ("no image folder",)) for command in (PRUNE, EVAL)),
     *((no_model, command, ("holds no COLMAP model",)) for command in (PRUNE, TRAIN, EVAL, RENDER, COMPARE)),
     *((no_views, command, ("no view with a pose",)) for command in (PRUNE, TRAIN, EVAL, RENDER, COMPARE)),
@@ -133,34 +148,58 @@ REFUSED = [  # what is broken, the command, what the sentence says
         (truncated_splat, command, ("scene.ply is incomplete: ", " kB; copy or export it again"))
         for command in ("info {data}/scene.ply", PRUNE, EVAL, RENDER, COMPARE)
     ),
-    *((splat_elsewhere, command, ("scene.ply", "none of its Gaussians is near")) for command in (PRUNE, EVAL, COMPARE)),
-    *((empty_splat, command, ("scene.ply", "no usable Gaussian")) for command in (PRUNE, EVAL, RENDER, COMPARE)),
+    *(
+        (splat_elsewhere, command, ("scene.ply", "none of its Gaussians is near"))
+        for command in (PRUNE, EVAL, COMPARE)
+    ),
+    *(
+        (empty_splat, command, ("scene.ply", "no usable Gaussian"))
+        for command in (PRUNE, EVAL, RENDER, COMPARE)
+    ),
     *((broken_photograph, command, ("00.png", "cannot be read as an image")) for command in (PRUNE, EVAL)),
     (one_view, PRUNE, ("--holdout 0",)),
     (one_view, TRAIN, ("--holdout 0",)),
     (one_view, f"{EVAL} --split train", ("no train views",)),
     (one_view, f"{RENDER} --views train", ("no train views",)),
     (no_points, TRAIN, ("no 3-D points",)),
-    *((damage, TRAIN, ("no training view sees any of the 9 sparse points", "0.2")) for damage in (points_behind_the_cameras, a_tiny_model)),
+    *(
+        (damage, TRAIN, ("no training view sees any of the 9 sparse points", "0.2"))
+        for damage in (points_behind_the_cameras, a_tiny_model)
+    ),
     *(
         (damage, command, ("00.png", "focal length or pose that is not usable"))
         for damage in (far_view, huge_focal_length)
         for command in (TRAIN, EVAL, RENDER)
     ),
-    *((same_stems, command, ("'a.jpg' and 'a.png'", "same files")) for command in (RENDER, f"{COMPARE} --holdout 1")),
-    *((nothing, f"{command} --lpips-weights {{work}}/no.pt", ("--lpips-weights", "no.pt")) for command in (PRUNE, TRAIN, EVAL, COMPARE)),
+    *(
+        (same_stems, command, ("'a.jpg' and 'a.png'", "same files"))
+        for command in (RENDER, f"{COMPARE} --holdout 1")
+    ),
+    *(
+        (nothing, f"{command} --lpips-weights {{work}}/no.pt", ("--lpips-weights", "no.pt"))
+        for command in (PRUNE, TRAIN, EVAL, COMPARE)
+    ),
     (nothing, f"{PRUNE} --method dropout", ("method 'dropout' is unknown", "svr, ")),
     (nothing, f"{TRAIN} --method dropout", ("method 'dropout' is unknown",)),
     (nothing, f"{TRAIN} --method opacity", ("needs --target",)),
-    *((nothing, f"{PRUNE} --lambda-f={value}", ("--lambda-f", f"'{value}' is not a weight")) for value in ("-1", "nan", "inf", "much")),
+    *(
+        (nothing, f"{PRUNE} --lambda-f={value}", ("--lambda-f", f"'{value}' is not a weight"))
+        for value in ("-1", "nan", "inf", "much")
+    ),
     (nothing, f"{PRUNE} --method maskgs --lambda-f 1e-4", ("method 'maskgs' has no spatial mask",)),
-    *((nothing, f"{PRUNE} --target {value}", ("--target", f"'{value}' is not a share")) for value in ("0", "1.5", "half")),
+    *(
+        (nothing, f"{PRUNE} --target {value}", ("--target", f"'{value}' is not a share"))
+        for value in ("0", "1.5", "half")
+    ),
     (nothing, f"{PRUNE} --target 0.5 --target-count 9", ("not allowed with",)),
     (nothing, f"{PRUNE} --target-count 0", ("--target-count",)),
     (nothing, f"{PRUNE} --method opacity", ("needs --target",)),
     (nothing, f"{PRUNE} --method 3dgs --target 0.5", ("cannot reach a target",)),
     (nothing, f"{PRUNE} --iterations 0 --target 0.5", ("cannot reach a target",)),
-    *((nothing, f"{PRUNE} --min-contribution {value}", ("--min-contribution",)) for value in ("1", "-1", "nan")),
+    *(
+        (nothing, f"{PRUNE} --min-contribution {value}", ("--min-contribution",))
+        for value in ("1", "-1", "nan")
+    ),
     (nothing, f"{PRUNE} --min-contribution 0.9999", ("pruning would leave 0 of", "min-contribution")),
     (nothing, f"{PRUNE} --iterations -3", ("--iterations",)),
     (nothing, f"{PRUNE} --engine cuda", ("--engine",)),
@@ -171,14 +210,22 @@ REFUSED = [  # what is broken, the command, what the sentence says
     (nothing, f"{PRUNE} --image-memory 1e300", ("--image-memory", "0 to 1,000,000")),
     (nothing, f"{PRUNE} --lambda-m 1e300", ("--lambda-m", "0 to 1e9")),
     (nothing, f"{EVAL} --image-memory 1", ("--image-memory",)),
-    (link_loop, f"prune {{data}}/scene.ply {DATA} --out {{data}}/loop", ("loop", "Too many levels of symbolic links")),
+    (
+        link_loop,
+        f"prune {{data}}/scene.ply {DATA} --out {{data}}/loop",
+        ("loop", "Too many levels of symbolic links"),
+    ),
     (link_loop, "prune {data} --out {data}/loop", ("loop", "Too many levels of symbolic links")),
     (nothing, f"{RENDER} --outputs rgb,normals", ("output 'normals' is unknown",)),
     (nothing, f"{RENDER} --format gif", ("--format",)),
     (nothing, f"{RENDER} --background 0,0,2", ("--background",)),
     (nothing, "render {data}/scene.ply --out {work}/out", ("--colmap", "--cameras")),
     (nothing, "render {data}/scene.ply --cameras {work}/file --out {work}/out", ("is not JSON",)),
-    (nothing, "render {data}/scene.ply --cameras {work}/none.json --out {work}/out", ("none.json", "cannot be read")),
+    (
+        nothing,
+        "render {data}/scene.ply --cameras {work}/none.json --out {work}/out",
+        ("none.json", "cannot be read"),
+    ),
     (nothing, f"prune {{data}}/scene.ply {DATA} --out {{data}}/scene.ply", ("is the input itself",)),
     (nothing, f"prune {{work}}/file --out {{work}}/o.ply {DATA}", ("are not read",)),
     (nothing, f"prune {{work}}/none.ply --out {{work}}/o.ply {DATA}", ("there is no such file",)),
@@ -190,7 +237,9 @@ REFUSED = [  # what is broken, the command, what the sentence says
 ]
 
 
-@pytest.mark.parametrize("damage, line, words", REFUSED, ids=lambda value: value.__name__ if callable(value) else None)
+@pytest.mark.parametrize(
+    "damage, line, words", REFUSED, ids=lambda value: value.__name__ if callable(value) else None
+)
 def test_bad_input_is_refused_and_nothing_written(work, svrgs, damage, line, words):
     damage(work)
     before = files(work)
@@ -212,7 +261,11 @@ UNWRITABLE = {
 
 @pytest.mark.parametrize("line", UNWRITABLE.values(), ids=UNWRITABLE)
 def test_an_output_that_cannot_be_written_is_found_before_the_work(tiny, svrgs, tmp_path, monkeypatch, line):
-    for module, name in ((train_and_prune, "load_scene"), (train_and_prune, "fine_tune"), (Rasterizer, "forward")):
+    for module, name in (
+        (train_and_prune, "load_scene"),
+        (train_and_prune, "fine_tune"),
+        (Rasterizer, "forward"),
+    ):
         monkeypatch.setattr(module, name, lambda *_, **__: pytest.fail("the work has begun"))
     (tmp_path / "file").write_text("no folder")
     (tmp_path / "busy.ply.job").write_text("no folder")

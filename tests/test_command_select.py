@@ -21,7 +21,9 @@ from svrgs_addon.system import memory
 @pytest.fixture
 def splat(tmp_path):
     scene = scenes.random_scene(200)
-    write_ply(tmp_path / "s.ply", dataclasses.replace(scene, attributes={"label": np.arange(200, dtype=np.float32)}))
+    write_ply(
+        tmp_path / "s.ply", dataclasses.replace(scene, attributes={"label": np.arange(200, dtype=np.float32)})
+    )
     return tmp_path / "s.ply"
 
 
@@ -37,11 +39,14 @@ def test_a_range_of_opacities_is_written_with_all_columns(svrgs, splat):
 
 
 def test_criteria_are_combined_and_inverted(svrgs, splat):
-    count = lambda *words: svrgs("select", splat, *words, "--json").json["selected"]  # noqa: E731
+    count = lambda *words: svrgs("select", splat, *words, "--json").json["selected"]
     box = ("--box", "-1000,-1000,-1000,1000,1000,0.5")
     opaque, both = count("--opacity", "0.5,"), count("--opacity", "0.5,", *box)
     assert both <= opaque and both <= count(*box)
-    assert svrgs("select", splat, "--opacity", "0.5,", "--invert", "--out", splat.with_name("rest.ply")).status == 0
+    assert (
+        svrgs("select", splat, "--opacity", "0.5,", "--invert", "--out", splat.with_name("rest.ply")).status
+        == 0
+    )
     assert read_ply(splat.with_name("rest.ply")).count == 200 - opaque
 
 
@@ -52,10 +57,27 @@ def test_criteria_of_single_gaussians_need_no_memory_for_the_scene(svrgs, tmp_pa
     parts = [part.count for part in read_parts(tmp_path / "s.ply")]
     kept = (np.linalg.norm(scene.means.astype(np.float64), axis=1) <= 1.5) & (sizes(scene) >= 0.05)
     monkeypatch.setattr(memory, "reading", lambda _: 10**15)
-    found = svrgs("select", tmp_path / "s.ply", "--size", "0.05,", "--sphere", "0,0,0,1.5", "--out", tmp_path / "o.ply", "--json").json
-    assert len(parts) > 2 and (found["count"], found["selected"], found["unusable"]) == (30_000, kept.sum(), 1) and 0 < kept.sum() < 30_000
+    found = svrgs(
+        "select",
+        tmp_path / "s.ply",
+        "--size",
+        "0.05,",
+        "--sphere",
+        "0,0,0,1.5",
+        "--out",
+        tmp_path / "o.ply",
+        "--json",
+    ).json
+    assert (
+        len(parts) > 2
+        and (found["count"], found["selected"], found["unusable"]) == (30_000, kept.sum(), 1)
+        and 0 < kept.sum() < 30_000
+    )
     assert (read_ply(tmp_path / "o.ply").sh == scene.sh[kept]).all()
-    assert svrgs("select", tmp_path / "s.ply", "--sphere", "0,0,0,1.5", "--invert", "--json").json["selected"] > 0
+    assert (
+        svrgs("select", tmp_path / "s.ply", "--sphere", "0,0,0,1.5", "--invert", "--json").json["selected"]
+        > 0
+    )
     refused(svrgs("select", tmp_path / "s.ply", "--floaters"), "of memory")
 
 

@@ -35,9 +35,15 @@ def test_points_may_name_keypoints_that_no_image_has(tmp_path, text):
     else:
         data = path.read_bytes()
         records = [data[8 + 51 * i : 8 + 51 * i + 43] for i in range(len(POINTS))]
-        path.write_bytes(data[:8] + b"".join(record + struct.pack("<QIIII", 2, 1, 99, 77, 0) for record in records))
+        path.write_bytes(
+            data[:8] + b"".join(record + struct.pack("<QIIII", 2, 1, 99, 77, 0) for record in records)
+        )
     data = load_dataset(tmp_path)
-    assert np.allclose(data.points, POINTS) and data.point_colors.tolist() == [[10, 20, 30]] * 3 and len(data.cameras) == 9
+    assert (
+        np.allclose(data.points, POINTS)
+        and data.point_colors.tolist() == [[10, 20, 30]] * 3
+        and len(data.cameras) == 9
+    )
 
 
 @pytest.mark.parametrize("text", [False, True])
@@ -116,7 +122,9 @@ def test_image_names_may_hold_spaces_and_other_bytes(tmp_path, text):
     make_dataset(tmp_path, names, text=text)
     data = load_dataset(tmp_path)
     assert [camera.name for camera in data.cameras] == sorted(names) and not data.notes
-    assert all(np.array_equal(data.image(k), photo(names.index(name))) for k, name in enumerate(sorted(names)))
+    assert all(
+        np.array_equal(data.image(k), photo(names.index(name))) for k, name in enumerate(sorted(names))
+    )
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="names of files are bytes on Linux only")
@@ -134,7 +142,9 @@ def test_another_number_than_0_is_found(tmp_path):
     make_dataset(tmp_path, below="sparse/1")
     assert len(load_dataset(tmp_path).cameras) == 9
     shutil.copytree(tmp_path / "sparse/1", tmp_path / "sparse/2")
-    with pytest.raises(FormatError, match=r"holds several models, but no sparse/0; name one of .*sparse/1, .*sparse/2"):
+    with pytest.raises(
+        FormatError, match=r"holds several models, but no sparse/0; name one of .*sparse/1, .*sparse/2"
+    ):
         load_dataset(tmp_path)
     assert len(load_dataset(tmp_path / "sparse/2").cameras) == 9
 
@@ -173,7 +183,10 @@ def test_missing_photographs_are_left_out_and_named(tmp_path, caplog):
     assert [camera.name for camera in data.cameras] == ["01.png", "02.png", "05.png", "06.png", "08.png"]
     assert (data.test_indices, data.train_indices) == ([4], [0, 1, 2, 3])
     assert [np.array_equal(data.image(k), photo(i)) for k, i in enumerate((1, 2, 5, 6, 8))] == [True] * 5
-    sentence = f"{tmp_path}/images: 4 of 9 photographs are missing: 00.png, 03.png, 04.png, ...; the other 5 are used"
+    sentence = (
+        f"{tmp_path}/images: 4 of 9 photographs are missing: 00.png, 03.png, 04.png, ...; the other 5 are"
+        " used"
+    )
     assert data.notes == (sentence,) and caplog.messages == [sentence]
     centres = np.array([data.cameras[k].position for k in data.train_indices])
     assert np.isclose(data.extent, 1.1 * np.linalg.norm(centres - centres.mean(0), axis=1).max())
@@ -211,7 +224,9 @@ def test_image_folder_elsewhere(tmp_path):
 @pytest.mark.parametrize("size", [(48, 64), (32, 27), (64, 52)])
 def test_other_aspect_ratio_is_refused(tmp_path, size):
     make_dataset(tmp_path, size=size)
-    with pytest.raises(SceneError, match=r"00\.png: the photograph is .* no scaled copy of its camera's 64 x 48"):
+    with pytest.raises(
+        SceneError, match=r"00\.png: the photograph is .* no scaled copy of its camera's 64 x 48"
+    ):
         load_dataset(tmp_path)
 
 
@@ -280,7 +295,11 @@ def test_images_stay_in_memory_within_the_budget(tmp_path, monkeypatch):
     make_dataset(tmp_path)
     reads = []
     read_pixels = dataset_module.read_pixels
-    monkeypatch.setattr(dataset_module, "read_pixels", lambda path, *a, **k: reads.append(path.name) or read_pixels(path, *a, **k))
+    monkeypatch.setattr(
+        dataset_module,
+        "read_pixels",
+        lambda path, *a, **k: reads.append(path.name) or read_pixels(path, *a, **k),
+    )
     data = load_dataset(tmp_path, memory_budget=3 * WIDTH * HEIGHT * 3)
     for _ in range(2):
         for index in range(4):

@@ -21,7 +21,13 @@ def test_photographs_are_refused_if_fewer_than_a_third_are_there(tmp_path):
         (tmp_path / f"images/{i:02}.png").unlink()
     assert len(load_dataset(tmp_path).cameras) == 3
     (tmp_path / "images/06.png").unlink()
-    with pytest.raises(SceneError, match=r"images: 7 of 9 photographs are missing: 00\.png, 01\.png, 02\.png, \.\.\.; at least a third must be there: give"):
+    with pytest.raises(
+        SceneError,
+        match=(
+            r"images: 7 of 9 photographs are missing: 00\.png, 01\.png, 02\.png, \.\.\.; at least a third"
+            r" must be there: give"
+        ),
+    ):
         load_dataset(tmp_path)
 
 
@@ -100,7 +106,12 @@ def test_truncated_binary_models(tmp_path, name):
 
 @pytest.mark.parametrize(
     "name, old, new",
-    [("cameras", "PINHOLE", "HOLE"), ("images", "01.png", ""), ("points3D", "10 20 30", "x"), ("cameras", "64", "nan")],
+    [
+        ("cameras", "PINHOLE", "HOLE"),
+        ("images", "01.png", ""),
+        ("points3D", "10 20 30", "x"),
+        ("cameras", "64", "nan"),
+    ],
 )
 def test_broken_text_models(tmp_path, name, old, new):
     make_dataset(tmp_path, text=True)

@@ -97,7 +97,9 @@ def test_same_request_gives_same_bytes(dataset, tmp_path):
     done = generate(again, *TINY)
     assert done.returncode == 0
     assert done.stdout == f"{again}: written\n"
-    assert done.stderr == "".join(f"rendering the demo scene: {k} of 8 views\n" for k in (2, 4, 6, 8)), "Blender's messages are kept back"
+    assert done.stderr == "".join(f"rendering the demo scene: {k} of 8 views\n" for k in (2, 4, 6, 8)), (
+        "Blender's messages are kept back"
+    )
     assert hashes(again) == hashes(dataset)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["again"], "leftovers beside it"
 
@@ -136,11 +138,15 @@ def test_foreign_folder_is_refused(tmp_path):
 
 def test_without_blender_one_sentence_says_so(tmp_path):
     code = (
-        f"import runpy, sys; sys.modules['bpy'] = None; sys.argv = ['demo', {str(tmp_path / 'out')!r}]; runpy.run_path({str(GENERATOR)!r}, run_name='__main__')"
+        f"import runpy, sys; sys.modules['bpy'] = None; sys.argv = ['demo', {str(tmp_path / 'out')!r}];"
+        f" runpy.run_path({str(GENERATOR)!r}, run_name='__main__')"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert done.returncode == 2 and done.stdout == ""
-    assert done.stderr.startswith("demo_scene: rendering the demo scene needs Blender") and done.stderr.count("\n") == 1
+    assert (
+        done.stderr.startswith("demo_scene: rendering the demo scene needs Blender")
+        and done.stderr.count("\n") == 1
+    )
     assert not any(tmp_path.iterdir())
 
 
@@ -178,7 +184,9 @@ def test_model_is_a_plain_pinhole_dataset(dataset, model):
     camera = next(iter(model.cameras.values()))
     assert camera.model_name == "PINHOLE" and (camera.width, camera.height) == (96, 72)
     assert np.allclose(camera.params, [86.4, 86.4, 48, 36])
-    assert sorted(image.name for image in model.images.values()) == sorted(path.name for path in (dataset / "images").iterdir())
+    assert sorted(image.name for image in model.images.values()) == sorted(
+        path.name for path in (dataset / "images").iterdir()
+    )
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -258,8 +266,16 @@ def linear(srgb: np.ndarray) -> np.ndarray:
 
 def test_pictures_of_the_portrait_drift_as_the_stamp_says(made, tmp_path):
     """Against the same pictures taken without drift."""
-    code = f"import sys; sys.path.insert(0, {str(GENERATOR.parent)!r}); from demo_scene import capture, __main__; capture.DRIFT = 0; sys.exit(__main__.main())"
-    done = subprocess.run([sys.executable, "-c", code, str(tmp_path / "still"), *SMALL["portrait"]], capture_output=True, text=True, timeout=300)
+    code = (
+        f"import sys; sys.path.insert(0, {str(GENERATOR.parent)!r}); from demo_scene import capture,"
+        " __main__; capture.DRIFT = 0; sys.exit(__main__.main())"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path / "still"), *SMALL["portrait"]],
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
     assert done.returncode == 0, done.stderr
     model = read_model(made("portrait"))
     drifting, still = (pictures(folder, model) for folder in (made("portrait"), tmp_path / "still"))
@@ -267,7 +283,9 @@ def test_pictures_of_the_portrait_drift_as_the_stamp_says(made, tmp_path):
     for image_id, image in model.images.items():
         before, after = linear(still[image_id]), linear(drifting[image_id])
         clear = (before > 0.05) & (before < 0.8)
-        measured = [after[..., k][clear[..., k]].sum() / before[..., k][clear[..., k]].sum() for k in range(3)]
+        measured = [
+            after[..., k][clear[..., k]].sum() / before[..., k][clear[..., k]].sum() for k in range(3)
+        ]
         assert measured == pytest.approx(stamp["gains"][int(image.name[:4])], abs=0.003)
 
 

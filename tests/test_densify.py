@@ -71,13 +71,16 @@ def test_small_gaussians_are_cloned_where_they_are():
 
 
 def test_large_gaussians_are_split_in_two_and_go():
-    """Above 0.01 of the extent: children 1.6 times smaller, otherwise like the parent; the largest axis decides."""
+    """Above 0.01 of the extent: children 1.6 times smaller, otherwise like the parent; the largest axis
+    decides."""
     model = gaussians([[0.05, 0.05, 0.05], [0.02, 0.101, 0.02], [0.5, 0.5, 0.5]])
     parent = {name: value[1].copy() for name, value in model.values.items()}
     stays = grow(model, pulled([0, 1e-3, 0]))
     assert stays.tolist() == [True, False, True, True, True]
     children = {name: value[3:] for name, value in model.values.items()}
-    np.testing.assert_allclose(np.exp(children["log_scales"]), np.tile([0.0125, 0.063125, 0.0125], (2, 1)), rtol=1e-5)
+    np.testing.assert_allclose(
+        np.exp(children["log_scales"]), np.tile([0.0125, 0.063125, 0.0125], (2, 1)), rtol=1e-5
+    )
     for name in ("quats", "opacity_logits", "sh", MASK):
         np.testing.assert_array_equal(children[name], np.stack([parent[name]] * 2))
     assert all((model.moments[name][3:] == 0).all() for name in model.values)
@@ -87,7 +90,9 @@ def test_large_gaussians_are_split_in_two_and_go():
 def test_children_are_drawn_from_their_parents_own_gaussian():
     """A needle along its x axis, turned by 60 degrees about z: children lie on its line, spread as it is."""
     scale, angle = 0.5, math.pi / 3
-    model = gaussians([[0.2] * 3, [scale, 1e-6, 2e-6]], quats=[3 * math.cos(angle / 2), 0, 0, 3 * math.sin(angle / 2)])
+    model = gaussians(
+        [[0.2] * 3, [scale, 1e-6, 2e-6]], quats=[3 * math.cos(angle / 2), 0, 0, 3 * math.sin(angle / 2)]
+    )
     grow(model, pulled([0, 1]), replace(RULE, split_into=4_000))
     offsets = model.means[2:] - (1, 0, 0)
     along = offsets @ (math.cos(angle), math.sin(angle), 0)

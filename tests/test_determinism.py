@@ -1,4 +1,5 @@
-"""One hash for any number of threads: a view forward and backward, 100 fine-tuning steps, and which Gaussians are pruned."""
+"""One hash for any number of threads: a view forward and backward, 100 fine-tuning steps, and which Gaussians
+are pruned."""
 
 from __future__ import annotations
 
@@ -39,7 +40,10 @@ def one_view() -> tuple[str, str]:
     scene, camera, r = room(20_000, 1), orbit_camera(200, 150), Rasterizer()
     masks = (np.arange(scene.count) % 5 > 0).astype(np.uint8)
     images = r.forward(scene, camera, RenderOptions(mask_kind="svr"), masks, (*IMAGES, "hits", "kept"))
-    weights = {name: np.cos(np.arange(images[name].size, dtype=np.float32)).reshape(images[name].shape) for name in ("rgb", "depth", "alpha", "mask")}
+    weights = {
+        name: np.cos(np.arange(images[name].size, dtype=np.float32)).reshape(images[name].shape)
+        for name in ("rgb", "depth", "alpha", "mask")
+    }
     return hashed(images), hashed(r.backward(weights, GRADS))
 
 
@@ -53,7 +57,11 @@ def hundred_steps(tiny, data) -> tuple[str, str]:
         kept[str(run.iteration)] = run.model.origin.copy()
     run.close()
     assert 5 < len(kept["100"]) < len(kept["1"]), "pruning events should have bitten"
-    state = {f"{part}.{name}": array for part in ("values", "moments") for name, array in getattr(run.model, part).items()}
+    state = {
+        f"{part}.{name}": array
+        for part in ("values", "moments")
+        for name, array in getattr(run.model, part).items()
+    }
     return hashed(state), hashed(kept)
 
 
@@ -65,7 +73,9 @@ def test_one_hash_for_any_number_of_threads(tiny):
     assert len(set(found.values())) == 1, found
 
 
-@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="this system does not bind processes to cores")
+@pytest.mark.skipif(
+    not hasattr(os, "sched_setaffinity"), reason="this system does not bind processes to cores"
+)
 def test_as_many_threads_as_the_process_may_use():
     allowed = os.sched_getaffinity(0)
     try:

@@ -20,7 +20,9 @@ def test_levels_that_are_the_same_everywhere_give_what_is_recorded(program, leve
     assert not digests.differences(digests.lines(program, level), digests.recorded(level))
 
 
-@pytest.mark.parametrize("level", [level for level in library.supported_levels() if level not in digests.RECORDED_LEVELS])
+@pytest.mark.parametrize(
+    "level", [level for level in library.supported_levels() if level not in digests.RECORDED_LEVELS]
+)
 def test_other_levels_give_the_same_on_one_thread_and_on_three(program, level):
     assert len(digests.lines(program, level)) == len(digests.recorded("scalar"))
 

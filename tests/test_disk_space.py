@@ -1,4 +1,5 @@
-"""A disk that is too small for the result and a checkpoint is said before the work; what is needed is held until it is written."""
+"""A disk that is too small for the result and a checkpoint is said before the work; what is needed is held
+until it is written."""
 
 from __future__ import annotations
 
@@ -24,7 +25,10 @@ from svrgs_addon.system import memory
 from svrgs_addon.system.errors import Cancelled, SceneError
 from tiny_jobs import SETTINGS, TRAINING
 
-REFUSED = r"o\.ply: needs [\d.]+ [kM]B of disk space for the result and a checkpoint, but only 10\.0 kB are free in .+; free disk space"
+REFUSED = (
+    r"o\.ply: needs [\d.]+ [kM]B of disk space for the result and a checkpoint, but only 10\.0 kB are free in"
+    r" .+; free disk space"
+)
 DESCRIPTORS = Path("/proc/self/fd")
 
 
@@ -44,25 +48,45 @@ def held_in(folder: Path) -> int:
 
 
 @pytest.mark.parametrize("command", ["prune", "train"])
-def test_a_disk_that_is_too_small_is_said_before_the_work(svrgs, tiny, tmp_path, little, monkeypatch, command):
+def test_a_disk_that_is_too_small_is_said_before_the_work(
+    svrgs, tiny, tmp_path, little, monkeypatch, command
+):
     def work(*_):
         raise AssertionError("the work has begun")
 
     monkeypatch.setattr(train_and_prune, "measured", work)
     monkeypatch.setattr(train_and_prune, "fine_tune", work)
     scene = [tiny.splat] if command == "prune" else []
-    outcome = svrgs(command, *scene, "--colmap", tiny.folder, "--iterations", 2, "--recovery", 0, "--out", tmp_path / "o.ply")
-    assert outcome.status == 2 and outcome.err.count("\n") == 1 and re.search(REFUSED, outcome.err), outcome.err
+    outcome = svrgs(
+        command,
+        *scene,
+        "--colmap",
+        tiny.folder,
+        "--iterations",
+        2,
+        "--recovery",
+        0,
+        "--out",
+        tmp_path / "o.ply",
+    )
+    assert outcome.status == 2 and outcome.err.count("\n") == 1 and re.search(REFUSED, outcome.err), (
+        outcome.err
+    )
     assert not list(tmp_path.iterdir())
 
 
 def test_a_background_job_is_refused_before_its_folder_is_made(tiny, tmp_path, little):
-    with pytest.raises(SceneError, match=r"needs [\d.]+ [kM]B of disk space for the job, but only 10.0 kB are free"):
+    with pytest.raises(
+        SceneError, match=r"needs [\d.]+ [kM]B of disk space for the job, but only 10.0 kB are free"
+    ):
         JobFolder.create(tmp_path / "jobs/job", read_ply(tiny.splat), {"colmap": str(tiny.folder)})
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.skipif(not CAN_HOLD or not DESCRIPTORS.is_dir(), reason="this system cannot hold disk space, or does not say what is held")
+@pytest.mark.skipif(
+    not CAN_HOLD or not DESCRIPTORS.is_dir(),
+    reason="this system cannot hold disk space, or does not say what is held",
+)
 @pytest.mark.parametrize("command", ["prune", "train"])
 def test_the_room_is_held_until_it_is_used_and_then_free_again(tiny, data, tmp_path, monkeypatch, command):
     seen, write = [], train_and_prune.write_scene
@@ -107,7 +131,9 @@ def test_where_space_cannot_be_held_the_work_goes_on(tiny, data, tmp_path, monke
 
 def test_the_size_of_a_checkpoint_is_foreseen(tiny, data, tmp_path):
     with pytest.raises(Cancelled):
-        train_and_prune.prune(tiny.splat, data, SETTINGS, train_and_prune.JobContext(tmp_path / "o.ply", stop=lambda: True))
+        train_and_prune.prune(
+            tiny.splat, data, SETTINGS, train_and_prune.JobContext(tmp_path / "o.ply", stop=lambda: True)
+        )
     (file,) = tmp_path.rglob("arrays.npz")
     with np.load(file) as arrays:
         count, coefficients = arrays["values.sh"].shape[:2]
@@ -119,5 +145,7 @@ def test_the_size_of_a_checkpoint_is_foreseen(tiny, data, tmp_path):
 def test_two_folders_on_one_disk_need_the_sum(tmp_path, monkeypatch):
     monkeypatch.setattr(disk_space.shutil, "disk_usage", lambda _: types.SimpleNamespace(free=1_500_000))
     refuse_shortage("o.ply", {tmp_path / "a": 1_000_000}, "the result")
-    with pytest.raises(SceneError, match="o.ply: needs 2.0 MB of disk space for the result, but only 1.5 MB are free in"):
+    with pytest.raises(
+        SceneError, match="o.ply: needs 2.0 MB of disk space for the result, but only 1.5 MB are free in"
+    ):
         refuse_shortage("o.ply", {tmp_path / "a": 1_000_000, tmp_path / "b": 1_000_000}, "the result")

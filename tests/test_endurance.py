@@ -1,4 +1,5 @@
-"""Large scenes and long sessions, in short: the commands of docs/reliability.md run, and fail where they must."""
+"""Large scenes and long sessions, in short: the commands of docs/reliability.md run, and fail where they
+must."""
 
 from __future__ import annotations
 
@@ -39,6 +40,9 @@ def test_renders_take_no_more_memory():
 
 def test_a_leak_is_seen():
     """Of every picture."""
-    code = "from tests import soak; kept = []; print(soak.growth(soak.soak(700, lambda image: kept.append(image.copy()))), soak.LIMIT)"
+    code = (
+        "from tests import soak; kept = []; print(soak.growth(soak.soak(700, lambda image:"
+        " kept.append(image.copy()))), soak.LIMIT)"
+    )
     grown, limit = map(float, run("-c", code).stdout.split())
     assert grown > limit

@@ -38,8 +38,8 @@ CASES = {  # spatial mask, lambda_f, lambda_m
     "both": ("svr", 1e-2, 0.1),
     "masks_alone": ("none", 0.0, 0.0),  # masks learn from the image only
 }
-# Differences are relative to the largest value of each array: in float64 after STEPS independent steps, in float32 after
-# single steps from the same state.
+# Differences are relative to the largest value of each array: in float64 after STEPS independent steps, in
+# float32 after single steps from the same state.
 PARAMETER_BOUND = {F64: 1e-13, F32: 4e-6}  # worst seen 1.5e-14; 7.9e-7 over all SIMD levels
 CENTRE_BOUND = {F64: 1e-12, F32: 1e-4}  # worst seen 2.3e-13; 1.8e-5
 FIRST_BOUND = {F64: 1e-12, F32: 2**-11}  # in 20 bits, the last of which may be rounded either way
@@ -52,13 +52,17 @@ def engines(dtype: np.dtype) -> tuple[NativeEngine, TorchEngine]:
     return NativeEngine(LEVEL[dtype]), TorchEngine(LEVEL[dtype])
 
 
-def world(dtype: np.dtype, degree: int = 3, with_masks: bool = True, seed: int = 3) -> tuple[Model, list[np.ndarray]]:
+def world(
+    dtype: np.dtype, degree: int = 3, with_masks: bool = True, seed: int = 3
+) -> tuple[Model, list[np.ndarray]]:
     """A model near the one whose renders are the photographs; no view sees all of it."""
     truth = Model.of(scenes.random_scene(COUNT, seed, degree, spread=1.6, scale=0.25), dtype)
     rasterizer = Rasterizer(LEVEL[dtype])
     photographs = [rasterizer.forward(truth, view, RenderOptions(degree))["rgb"] for view in VIEWS]
     rng = np.random.default_rng(seed + 1)
-    model = Model({name: (v + rng.normal(0, 0.05, v.shape)).astype(dtype) for name, v in truth.values.items()})
+    model = Model(
+        {name: (v + rng.normal(0, 0.05, v.shape)).astype(dtype) for name, v in truth.values.items()}
+    )
     if with_masks:
         model.add_masks(0.0)
         model.values[MASK][:] = rng.normal(1.0, 1.0, COUNT)
@@ -67,7 +71,9 @@ def world(dtype: np.dtype, degree: int = 3, with_masks: bool = True, seed: int =
 
 def twin(model: Model) -> Model:
     """The same model in memory of its own."""
-    parts = ({name: array.copy() for name, array in arrays.items()} for arrays in (model.values, model.moments))
+    parts = (
+        {name: array.copy() for name, array in arrays.items()} for arrays in (model.values, model.moments)
+    )
     return Model(*parts, origin=model.origin.copy())
 
 
@@ -103,7 +109,12 @@ def same(model: Model, other: Model) -> bool:
 
 def assert_models_agree(native: Model, torch_: Model):
     for name, array in arrays(native).items():
-        bound = {"values": PARAMETER_BOUND, "first": FIRST_BOUND, "second": SECOND_BOUND, "first sh": FIRST_SH_BOUND}
+        bound = {
+            "values": PARAMETER_BOUND,
+            "first": FIRST_BOUND,
+            "second": SECOND_BOUND,
+            "first sh": FIRST_SH_BOUND,
+        }
         bound = bound.get(name) or bound[name.split()[0]]
         assert difference(array, arrays(torch_)[name]) <= bound[native.dtype], name
 
@@ -117,7 +128,8 @@ def assert_results_agree(native, torch_, dtype: np.dtype):
 
 
 def run_both(dtype: np.dtype, case: str, degree: int, *, resynchronise: bool, **changes):
-    """STEPS steps of both engines, checked after each; resynchronise: every step starts from the native model."""
+    """STEPS steps of both engines, checked after each; resynchronise: every step starts from the native
+    model."""
     model, photographs = world(dtype, degree, with_masks=case != "plain")
     other, (native, torch_) = twin(model), engines(dtype)
     before = twin(model)
@@ -187,7 +199,10 @@ def test_what_is_outside_of_the_window_has_no_part_in_the_image_loss():
     shown = NativeEngine("float64").rasterizer.forward(model, step.camera, step.options)["rgb"]
     before = twin(model)
     result = NativeEngine("float64").step(model, step)
-    assert result.l1 == pytest.approx(np.abs(shown[:20, :24] - step.target).sum() / shown.size, rel=1e-12) and 0 < result.l1 < 1 - result.ssim < 1
+    assert (
+        result.l1 == pytest.approx(np.abs(shown[:20, :24] - step.target).sum() / shown.size, rel=1e-12)
+        and 0 < result.l1 < 1 - result.ssim < 1
+    )
     moved = (before.values["means"] != model.values["means"]).any(axis=1)
     assert 0 < moved.sum() < len(result.visible), "those that are only seen outside of it stay"
 
@@ -240,7 +255,9 @@ def test_gaussians_out_of_view_do_not_move(engine, case):
     assert len(unseen) > 5
     for name, now in arrays(model).items():
         was = arrays(before)[name]
-        assert (now[result.visible] != was[result.visible]).reshape(len(result.visible), -1).any(axis=1).all(), name
+        assert (
+            (now[result.visible] != was[result.visible]).reshape(len(result.visible), -1).any(axis=1).all()
+        ), name
         if case == "both" and name.endswith(MASK):
             assert (now[unseen] != was[unseen]).all()
         else:
@@ -299,7 +316,12 @@ def poisoned(engine):
     def with_bad_values(*arguments):
         grads = backward(*arguments)
         a, b, c, d = engine.bad = np.flatnonzero(grads["quats"].any(axis=1))[2:6]
-        grads["means"][a, 1], grads["sh"][b, 5, 2], grads["sh"][c, 0, 0], grads["masks"][d] = np.nan, np.inf, -np.inf, np.nan
+        grads["means"][a, 1], grads["sh"][b, 5, 2], grads["sh"][c, 0, 0], grads["masks"][d] = (
+            np.nan,
+            np.inf,
+            -np.inf,
+            np.nan,
+        )
         return grads
 
     def update_with_bad_values(image_grads, tensors, rates, *, slope, frozen, wanted, **adam):
@@ -308,7 +330,10 @@ def poisoned(engine):
         ids = engine.rasterizer.visible()
         if "masks" in tensors:
             grads["masks"] = grads["masks"] * slope[ids]
-        return grads, sum(engine.rasterizer.adam(*tensors[name], grads[name], ids, lr=rates[name], **adam) for name in tensors)
+        return grads, sum(
+            engine.rasterizer.adam(*tensors[name], grads[name], ids, lr=rates[name], **adam)
+            for name in tensors
+        )
 
     engine.rasterizer.backward, engine.rasterizer.backward_update = with_bad_values, update_with_bad_values
     return engine
@@ -363,7 +388,13 @@ def test_the_gradient_of_a_step_is_that_of_the_reference(engine, kind):
     expected = reference_gradients(model, step)
     engine.step(model, step)
     for name in model.values:
-        assert difference(expected[name].numpy() * (1 - BETAS[0]), unpacked(model.moments[name], model.values[name].shape)[0]) < 1e-13, name
+        assert (
+            difference(
+                expected[name].numpy() * (1 - BETAS[0]),
+                unpacked(model.moments[name], model.values[name].shape)[0],
+            )
+            < 1e-13
+        ), name
 
 
 def test_without_torch_the_engine_says_what_to_install(monkeypatch):

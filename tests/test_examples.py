@@ -17,7 +17,12 @@ ROOT = Path(__file__).resolve().parents[1]
 
 def run(example: str, *words: object) -> str:
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    done = subprocess.run([sys.executable, ROOT / "examples" / example, *map(str, words)], env=environment, capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, ROOT / "examples" / example, *map(str, words)],
+        env=environment,
+        capture_output=True,
+        text=True,
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout
 

@@ -36,19 +36,34 @@ def test_own_photographs_are_explained_and_those_of_another_capture_are_not(tiny
 
 
 def test_the_sentence_never_names_a_share_below_nothing():
-    assert "explains only 0% of" in mismatch({"explained": -3.2, "psnr": 7.1}) and "7.1 dB" in mismatch({"explained": -3.2, "psnr": 7.1})
+    assert "explains only 0% of" in mismatch({"explained": -3.2, "psnr": 7.1}) and "7.1 dB" in mismatch(
+        {"explained": -3.2, "psnr": 7.1}
+    )
     assert mismatch({"explained": ENOUGH, "psnr": 7.1}) == ""
 
 
 def test_the_child_process_gives_the_same_views(tiny):
-    for (camera, photo), (other_camera, other) in zip(sample_views(load_dataset(tiny.folder)), read_in_child(str(tiny.folder), ""), strict=True):
+    for (camera, photo), (other_camera, other) in zip(
+        sample_views(load_dataset(tiny.folder)), read_in_child(str(tiny.folder), ""), strict=True
+    ):
         assert camera.key == other_camera.key
         np.testing.assert_array_equal(photo, other)
 
 
 def test_pruning_with_the_cameras_of_another_capture_says_so(tiny, tmp_path, caplog, capsys):
     other = write_tiny(tmp_path / "other", seed=7)
-    words = ["prune", str(tiny.splat), "--target", "0.5", "--iterations", "5", "--recovery", "0", "--quiet", "--json"]
+    words = [
+        "prune",
+        str(tiny.splat),
+        "--target",
+        "0.5",
+        "--iterations",
+        "5",
+        "--recovery",
+        "0",
+        "--quiet",
+        "--json",
+    ]
     for number, (folder, warned) in enumerate(((tiny.folder, False), (other.folder, True))):
         with caplog.at_level(logging.WARNING):
             assert main([*words, "--colmap", str(folder), "--out", str(tmp_path / f"{number}.ply")]) == 0

@@ -1,8 +1,10 @@
-"""The extension as a user has it: built and installed by Blender's own tools. tests/blender runs in a fresh process for each Blender.
+"""The extension as a user has it: built and installed by Blender's own tools. tests/blender runs in a fresh
+process for each Blender.
 
-Environment: SVRGS_BLENDER_PYTHONS, paths with ':' between: Pythons with other versions of bpy (`make test-blender`).
-SVRGS_BLENDER_TESTS: only these tests of tests/blender, with further arguments of pytest: "test_prune.py -k threads".
-The wheels must have been fetched (`make zip`); otherwise most of these tests are skipped.
+Environment: SVRGS_BLENDER_PYTHONS, paths with ':' between: Pythons with other versions of bpy (`make
+test-blender`). SVRGS_BLENDER_TESTS: only these tests of tests/blender, with further arguments of pytest:
+"test_prune.py -k threads". The wheels must have been fetched (`make zip`); otherwise most of these tests are
+skipped.
 """
 
 from __future__ import annotations
@@ -34,7 +36,8 @@ ASK_PYTHON = "import sys; print('python tag: cp%d%d' % sys.version_info[:2])"
 
 @pytest.fixture(scope="module")
 def extension_zip(tmp_path_factory):
-    """Function that builds and validates the zip for this platform and the Python of a program. It is given the program's words up to the code."""
+    """Function that builds and validates the zip for this platform and the Python of a program. It is given
+    the program's words up to the code."""
     if build_extension.builder() is None:
         pytest.skip("bpy is not installed, and with it Blender's builder of extensions")
 
@@ -46,7 +49,9 @@ def extension_zip(tmp_path_factory):
             variant.wheels()
         except FileNotFoundError as error:
             pytest.skip(f"'make wheels' has not run yet: {error}")
-        return build_extension.build(variant, ROOT / "svrgs_addon" / variant.library, tmp_path_factory.mktemp("dist"))
+        return build_extension.build(
+            variant, ROOT / "svrgs_addon" / variant.library, tmp_path_factory.mktemp("dist")
+        )
 
     return built
 
@@ -62,9 +67,9 @@ def any_python_zip(tmp_path):
 
 @pytest.fixture(scope="module")
 def data(tiny, tmp_path_factory) -> Path:
-    """tiny/: a dataset and its splat; renders/: what `svrgs render` makes of them; varied/: cameras of other shapes; distorted/: a lens
-    with distortion; z_up/, rolled/: the cameras of tiny/ in other directions, without photographs; nerfstudio/: tiny/ as
-    transforms.json. NAME.npz: the cameras."""
+    """tiny/: a dataset and its splat; renders/: what `svrgs render` makes of them; varied/: cameras of other
+    shapes; distorted/: a lens with distortion; z_up/, rolled/: the cameras of tiny/ in other directions,
+    without photographs; nerfstudio/: tiny/ as transforms.json. NAME.npz: the cameras."""
     import scenes
     from svrgs_addon.cli.main import main as run_svrgs
     from svrgs_addon.files.images import write_image
@@ -73,14 +78,26 @@ def data(tiny, tmp_path_factory) -> Path:
 
     folder = tmp_path_factory.mktemp("data")
     (folder / "tiny").symlink_to(tiny.folder)
-    assert run_svrgs(["render", str(tiny.splat), "--colmap", str(tiny.folder), "--out", str(folder / "renders")]) == 0
-    views = [replace(scenes.CAMERAS[name], name=f"{name}/{i}.png") for i, name in enumerate(("rotated", "off_centre", "outside", "wide", "narrow"))]
+    assert (
+        run_svrgs(["render", str(tiny.splat), "--colmap", str(tiny.folder), "--out", str(folder / "renders")])
+        == 0
+    )
+    views = [
+        replace(scenes.CAMERAS[name], name=f"{name}/{i}.png")
+        for i, name in enumerate(("rotated", "off_centre", "outside", "wide", "narrow"))
+    ]
     write_colmap(folder / "varied/sparse/0", views, tiny.truth.means)
     for view in views:
         write_image(folder / "varied/images" / view.name, np.full((view.height, view.width, 3), 0.5))
-    write_colmap(folder / "distorted/sparse/0", tiny.cameras[:2], tiny.truth.means, distortion=(0.1, 0.01, 0.0, 0.0))
+    write_colmap(
+        folder / "distorted/sparse/0", tiny.cameras[:2], tiny.truth.means, distortion=(0.1, 0.01, 0.0, 0.0)
+    )
     (folder / "distorted/images").symlink_to(tiny.folder / "images")
-    write_colmap(folder / "z_up/sparse/0", [view.moved(turn(np.pi / 2, "x")) for view in tiny.cameras], tiny.truth.means)
+    write_colmap(
+        folder / "z_up/sparse/0",
+        [view.moved(turn(np.pi / 2, "x")) for view in tiny.cameras],
+        tiny.truth.means,
+    )
     (folder / "nerfstudio").mkdir()
     (folder / "nerfstudio/images").symlink_to(tiny.folder / "images")
     write_transforms(folder / "nerfstudio", read_model(tiny.folder / "sparse/0"))
@@ -111,10 +128,14 @@ def write_colmap(folder: Path, views: list, points: np.ndarray, distortion: tupl
     for number, view in enumerate(views, 1):
         params = [view.K[0, 0], view.K[1, 1], view.K[0, 2], view.K[1, 2]]
         kind = "OPENCV" if distortion else "PINHOLE"
-        camera = pycolmap.Camera(camera_id=number, model=kind, width=view.width, height=view.height, params=[*params, *distortion])
+        camera = pycolmap.Camera(
+            camera_id=number, model=kind, width=view.width, height=view.height, params=[*params, *distortion]
+        )
         model.add_camera_with_trivial_rig(camera)
         pose = pycolmap.Rigid3d(pycolmap.Rotation3d(view.viewmat[:3, :3]), view.viewmat[:3, 3])
-        model.add_image_with_trivial_frame(pycolmap.Image(name=view.name, camera_id=number, image_id=number), pose)
+        model.add_image_with_trivial_frame(
+            pycolmap.Image(name=view.name, camera_id=number, image_id=number), pose
+        )
     for point in points.astype(np.float64):
         model.add_point3D(point, pycolmap.Track(), np.array([200, 150, 100], np.uint8))
     folder.mkdir(parents=True)
@@ -125,9 +146,23 @@ def test_the_zip_holds_the_product_and_nothing_else(extension_zip):
     with zipfile.ZipFile(extension_zip(sys.executable, "-c")) as archive:
         names = archive.namelist()
         manifest = tomllib.loads(archive.read("blender_manifest.toml").decode())
-    assert {name.split("/")[0] for name in names} == {"__init__.py", "blender_manifest.toml", "LICENSE", "operators", "panels", "svrgs_addon", "wheels"}
-    assert "svrgs_addon/libsvrgs.so" in names and "operators/bridge.py" in names and not any("__pycache__" in name for name in names)
-    assert sorted(name for name in names if name.startswith("wheels/")) == sorted(wheel[2:] for wheel in manifest["wheels"])
+    assert {name.split("/")[0] for name in names} == {
+        "__init__.py",
+        "blender_manifest.toml",
+        "LICENSE",
+        "operators",
+        "panels",
+        "svrgs_addon",
+        "wheels",
+    }
+    assert (
+        "svrgs_addon/libsvrgs.so" in names
+        and "operators/bridge.py" in names
+        and not any("__pycache__" in name for name in names)
+    )
+    assert sorted(name for name in names if name.startswith("wheels/")) == sorted(
+        wheel[2:] for wheel in manifest["wheels"]
+    )
     assert manifest["platforms"] == [platforms.this_platform()]
 
 
@@ -143,7 +178,10 @@ def test_versions_agree_and_only_files_are_asked_for():
 @pytest.mark.parametrize("python", PYTHONS)
 def test_inside_blender(python, extension_zip, data, tmp_path):
     folder = ROOT / "tests/blender"
-    chosen = [str(folder / word) if word.endswith(".py") else word for word in shlex.split(os.environ.get("SVRGS_BLENDER_TESTS", ""))] or [str(folder)]
+    chosen = [
+        str(folder / word) if word.endswith(".py") else word
+        for word in shlex.split(os.environ.get("SVRGS_BLENDER_TESTS", ""))
+    ] or [str(folder)]
     run_in_blender(python, extension_zip(python, "-c"), data, tmp_path, chosen)
 
 
@@ -163,9 +201,29 @@ def python_without(packages: list[str], folder: Path) -> str:
 
 
 def run_in_blender(python: str, extension: Path, data: Path, folder: Path, chosen: list[str]):
-    """Runs chosen tests of tests/blender with the bpy of a Python. `folder` becomes the folder of Blender's user."""
-    environment = {**os.environ, "SVRGS_TEST_ZIP": str(extension), "SVRGS_TEST_DATA": str(data), "BLENDER_USER_RESOURCES": str(folder)}
-    words = ["-m", "pytest", "-q", "--durations=8", "-p", "no:cacheprovider", "--rootdir", ROOT / "tests/blender", "-c", os.devnull, *chosen]
-    done = subprocess.run([python, *map(str, words)], env=environment, cwd=folder, capture_output=True, text=True, timeout=1200)
+    """Runs chosen tests of tests/blender with the bpy of a Python. `folder` becomes the folder of Blender's
+    user."""
+    environment = {
+        **os.environ,
+        "SVRGS_TEST_ZIP": str(extension),
+        "SVRGS_TEST_DATA": str(data),
+        "BLENDER_USER_RESOURCES": str(folder),
+    }
+    words = [
+        "-m",
+        "pytest",
+        "-q",
+        "--durations=8",
+        "-p",
+        "no:cacheprovider",
+        "--rootdir",
+        ROOT / "tests/blender",
+        "-c",
+        os.devnull,
+        *chosen,
+    ]
+    done = subprocess.run(
+        [python, *map(str, words)], env=environment, cwd=folder, capture_output=True, text=True, timeout=1200
+    )
     assert done.returncode == 0, done.stdout[-8000:] + done.stderr[-2000:]
     print(done.stdout)

@@ -1,4 +1,5 @@
-"""`svrgs farm`: a job whose tasks any machine does in any order, in Open Job Description and for Flamenco; killed tasks end with the same bytes."""
+"""`svrgs farm`: a job whose tasks any machine does in any order, in Open Job Description and for Flamenco;
+killed tasks end with the same bytes."""
 
 from __future__ import annotations
 
@@ -75,19 +76,26 @@ def test_what_is_done_stays_and_what_was_changed_is_done_again(job, captures, tm
     assert main(["farm", "run", str(job), "--tasks", "0", "--json"]) == 0
     first = json.loads(capsys.readouterr().out)["tasks"][0]
     assert main(["farm", "run", str(job), "--tasks", "0", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["tasks"][0] == first | {"done_before": True} and not first["done_before"]
+    assert (
+        json.loads(capsys.readouterr().out)["tasks"][0] == first | {"done_before": True}
+        and not first["done_before"]
+    )
     scene, _ = captures / "one/scene.ply", shutil.copy(captures / "one/scene.ply", tmp_path / "kept.ply")
     write_scene(scene, read_scene(scene).select(np.arange(200)))
     assert main(["farm", "run", str(job), "--tasks", "0", "--json"]) == 0
     other = json.loads(capsys.readouterr().out)["tasks"][0]
-    assert not other["done_before"] and describe(first["out"])["count"] == 100, "another scene under the same name"
+    assert not other["done_before"] and describe(first["out"])["count"] == 100, (
+        "another scene under the same name"
+    )
     shutil.copy(tmp_path / "kept.ply", scene)
     photograph = next(one for one in sorted((captures / "one").rglob("*")) if one.suffix in (".png", ".jpg"))
     shutil.copy(photograph, tmp_path / "kept.png")
     write_image(photograph, np.zeros((48, 64, 3), np.uint8))
     assert dataset_sha256(captures / "one", "") not in ("", dataset_sha256(captures / "two", ""))
     assert main(["farm", "run", str(job), "--tasks", "0", "--json"]) == 0
-    assert not json.loads(capsys.readouterr().out)["tasks"][0]["done_before"], "another photograph under the same name"
+    assert not json.loads(capsys.readouterr().out)["tasks"][0]["done_before"], (
+        "another photograph under the same name"
+    )
     shutil.copy(tmp_path / "kept.png", photograph)
     assert main(["farm", "run", str(job), "--tasks", "0", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["tasks"][0] == first
@@ -97,17 +105,24 @@ def test_what_is_done_stays_and_what_was_changed_is_done_again(job, captures, tm
 
 
 def test_the_report_has_all_tasks_and_means_over_the_scenes(job, capsys):
-    assert main(["farm", "report", str(job)]) == 2 and "none of its 4 tasks is done" in capsys.readouterr().err
+    assert (
+        main(["farm", "report", str(job)]) == 2 and "none of its 4 tasks is done" in capsys.readouterr().err
+    )
     assert main(["farm", "run", str(job), "--tasks", "0-2"]) == 0
     capsys.readouterr()
     assert main(["farm", "report", str(job), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
     assert facts["missing"] == ["two-opacity-50"] and len(facts["tasks"]) == 3
-    assert [row["method"] for row in facts["over_all_scenes"]] == ["removal"], "opacity was not done on all scenes"
+    assert [row["method"] for row in facts["over_all_scenes"]] == ["removal"], (
+        "opacity was not done on all scenes"
+    )
     page = (job / "report/index.html").read_text()
     assert "two-opacity-50" in page and "<svg" in page and page.count("<tr>") == 4
     rows = {row["name"]: row for row in facts["tasks"]}
-    assert rows["one-removal-50"]["kept"] == 0.5 and rows["one-opacity-50"]["loss"] > rows["one-removal-50"]["loss"]
+    assert (
+        rows["one-removal-50"]["kept"] == 0.5
+        and rows["one-opacity-50"]["loss"] > rows["one-removal-50"]["loss"]
+    )
 
 
 def test_results_have_the_format_that_is_asked_for(captures, tmp_path):
@@ -121,7 +136,10 @@ def test_results_have_the_format_that_is_asked_for(captures, tmp_path):
 
 
 def openjd_run(job: Path, *words: str) -> subprocess.Popen:
-    values = {one["name"]: one["value"] for one in json.loads((job / "parameter_values.json").read_text())["parameterValues"]}
+    values = {
+        one["name"]: one["value"]
+        for one in json.loads((job / "parameter_values.json").read_text())["parameterValues"]
+    }
     return engine_run(job / "template.json", values, job, *words)
 
 
@@ -132,7 +150,15 @@ def engine_run(template: Path, values: dict, folder: Path, *words: str) -> subpr
     svrgs.write_text(f'#!/bin/sh\nexec {sys.executable} -m svrgs_addon "$@"\n')
     svrgs.chmod(0o755)
     parameters = [f"{name}={value}" for name, value in (values | {"Svrgs": svrgs}).items()]
-    command = [sys.executable, "-m", "openjd", "run", str(template), *(word for one in parameters for word in ("-p", one)), *words]
+    command = [
+        sys.executable,
+        "-m",
+        "openjd",
+        "run",
+        str(template),
+        *(word for one in parameters for word in ("-p", one)),
+        *words,
+    ]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=ROOT)
 
 
@@ -141,7 +167,11 @@ def test_an_engine_runs_the_whole_job(job, alone):
     run = openjd_run(job, "-p", "TasksPerChunk=3", "--step", "Report", "--run-dependencies")
     said = run.communicate(timeout=300)[0]
     assert run.returncode == 0, said
-    assert "openjd_progress: 100.00" in said and "openjd_status: one-removal-50: " in said and "Chunks run: 3" in said
+    assert (
+        "openjd_progress: 100.00" in said
+        and "openjd_status: one-removal-50: " in said
+        and "Chunks run: 3" in said
+    )
     assert digests(job) == alone and (job / "report/index.html").is_file()
 
 
@@ -171,15 +201,41 @@ def test_an_engine_prunes_a_large_scene_as_one_machine_does(tiny, tmp_path, caps
     from svrgs_addon.views.cameras_json import write_cameras_json
 
     write_cameras_json(tmp_path / "cameras.json", tiny.cameras)
-    words = ["--cameras", str(tmp_path / "cameras.json"), "--block", "60", "--target", "0.4", "--out", str(tmp_path / "one.ply")]
+    words = [
+        "--cameras",
+        str(tmp_path / "cameras.json"),
+        "--block",
+        "60",
+        "--target",
+        "0.4",
+        "--out",
+        str(tmp_path / "one.ply"),
+    ]
     assert main(["large", "prune", str(tiny.splat), *words, "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
-    assert told["after"]["count"] == describe(tmp_path / "one.ply")["count"] == 100 and told["views"] == 2 and told["psnr"] > 15
+    assert (
+        told["after"]["count"] == describe(tmp_path / "one.ply")["count"] == 100
+        and told["views"] == 2
+        and told["psnr"] > 15
+    )
     assert {path.name for path in tmp_path.iterdir()} == {"cameras.json", "one.ply"}, "the blocks are deleted"
-    values = {"Scene": tiny.splat, "Cameras": tmp_path / "cameras.json", "Work": tmp_path / "work", "Out": tmp_path / "many.ply", "Target": 0.4}
+    values = {
+        "Scene": tiny.splat,
+        "Cameras": tmp_path / "cameras.json",
+        "Work": tmp_path / "work",
+        "Out": tmp_path / "many.ply",
+        "Target": 0.4,
+    }
     values |= {"Block": 60, "Parts": 3, "LastPart": 2}
     (tmp_path / "work").mkdir()
-    run = engine_run(openjd.TEMPLATE.with_name("large_scene.json"), values, tmp_path, "--step", "Finish", "--run-dependencies")
+    run = engine_run(
+        openjd.TEMPLATE.with_name("large_scene.json"),
+        values,
+        tmp_path,
+        "--step",
+        "Finish",
+        "--run-dependencies",
+    )
     said = run.communicate(timeout=120)[0]
     assert run.returncode == 0 and "openjd_status: score: " in said, said
     assert (tmp_path / "many.ply").read_bytes() == (tmp_path / "one.ply").read_bytes()
@@ -188,12 +244,38 @@ def test_an_engine_prunes_a_large_scene_as_one_machine_does(tiny, tmp_path, caps
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a script of sh")
 def test_an_engine_lets_a_method_decide_on_a_large_scene_as_one_machine_does(tiny, tmp_path):
-    words = ["--colmap", str(tiny.folder), "--method", "svr", *STEPS, "--block", "70", "--target", "0.4", "--out", str(tmp_path / "one.ply")]
+    words = [
+        "--colmap",
+        str(tiny.folder),
+        "--method",
+        "svr",
+        *STEPS,
+        "--block",
+        "70",
+        "--target",
+        "0.4",
+        "--out",
+        str(tmp_path / "one.ply"),
+    ]
     assert main(["large", "prune", str(tiny.splat), *words]) == 0
-    values = {"Scene": tiny.splat, "Dataset": tiny.folder, "Work": tmp_path / "work", "Out": tmp_path / "many.ply", "Target": 0.4, "Method": "svr"}
+    values = {
+        "Scene": tiny.splat,
+        "Dataset": tiny.folder,
+        "Work": tmp_path / "work",
+        "Out": tmp_path / "many.ply",
+        "Target": 0.4,
+        "Method": "svr",
+    }
     values |= {"Iterations": 40, "Recovery": 20, "Block": 70, "Parts": 2, "LastPart": 1}
     (tmp_path / "work").mkdir()
-    run = engine_run(openjd.TEMPLATE.with_name("large_scene_photographs.json"), values, tmp_path, "--step", "Finish", "--run-dependencies")
+    run = engine_run(
+        openjd.TEMPLATE.with_name("large_scene_photographs.json"),
+        values,
+        tmp_path,
+        "--step",
+        "Finish",
+        "--run-dependencies",
+    )
     said = run.communicate(timeout=180)[0]
     assert run.returncode == 0 and "openjd_status: decide: " in said, said
     assert (tmp_path / "many.ply").read_bytes() == (tmp_path / "one.ply").read_bytes()
@@ -203,7 +285,9 @@ def wait_for_task(job: Path) -> list[str]:
     """Process numbers of what does a task of the job."""
     end = time.monotonic() + 60
     while time.monotonic() < end:
-        found = subprocess.run(["pgrep", "-f", f"svrgs_addon farm run {job}"], capture_output=True, text=True, check=False).stdout.split()
+        found = subprocess.run(
+            ["pgrep", "-f", f"svrgs_addon farm run {job}"], capture_output=True, text=True, check=False
+        ).stdout.split()
         if found:
             return found
         time.sleep(0.02)
@@ -211,7 +295,9 @@ def wait_for_task(job: Path) -> list[str]:
 
 
 def test_the_template_asks_for_the_memory_of_the_largest_task():
-    amounts = {one["name"]: one["min"] for one in openjd.template(3 << 30)["steps"][0]["hostRequirements"]["amounts"]}
+    amounts = {
+        one["name"]: one["min"] for one in openjd.template(3 << 30)["steps"][0]["hostRequirements"]["amounts"]
+    }
     assert amounts == {"amount.worker.vcpu": 2, "amount.worker.memory": 3072}
 
 
@@ -219,7 +305,11 @@ def test_a_failed_task_is_told_to_the_engine(job, captures, capsys):
     (captures / "two/scene.ply").write_bytes(b"ply\n")
     assert main(["farm", "run", str(job), "--tasks", "2", "--messages", "openjd"]) == 2
     told = capsys.readouterr()
-    assert "openjd_fail: task two-removal-50: " in told.out and "two/scene.ply" in told.err and not list((job / "results").glob("*.ply"))
+    assert (
+        "openjd_fail: task two-removal-50: " in told.out
+        and "two/scene.ply" in told.err
+        and not list((job / "results").glob("*.ply"))
+    )
 
 
 # --- Flamenco
@@ -240,7 +330,8 @@ function graph(settings) {
 
 @pytest.fixture
 def flamenco():
-    """Runs compileJob() of the job type, with an author that only notes. Returns a function from settings to tasks."""
+    """Runs compileJob() of the job type, with an author that only notes. Returns a function from settings to
+    tasks."""
     context = pytest.importorskip("quickjs").Context()
     context.eval(AUTHOR + FLAMENCO.read_text())
     return lambda settings: json.loads(context.eval(f"graph({json.dumps(settings)})"))
@@ -250,16 +341,25 @@ def test_flamenco_does_the_tasks_in_chunks_and_then_the_report(job, flamenco, ca
     submission = json.loads((job / "flamenco.json").read_text())
     assert submission["type"] == "svrgs-prune" and submission["name"] == "job"
     tasks = flamenco(submission["settings"] | {"tasks_per_chunk": 3})
-    assert [(task["name"], task["after"]) for task in tasks] == [("prune 0-2", []), ("prune 3", []), ("report", ["prune 0-2", "prune 3"])]
+    assert [(task["name"], task["after"]) for task in tasks] == [
+        ("prune 0-2", []),
+        ("prune 3", []),
+        ("report", ["prune 0-2", "prune 3"]),
+    ]
     words = ["farm", "run", str(job), "--root", str(captures), "--tasks", "0-2"]
-    assert tasks[0]["commands"] == [{"name": "exec", "parameters": {"exe": "svrgs", "args": words}}] and tasks[0]["type"] == "misc"
+    assert (
+        tasks[0]["commands"] == [{"name": "exec", "parameters": {"exe": "svrgs", "args": words}}]
+        and tasks[0]["type"] == "misc"
+    )
     assert tasks[2]["commands"][0]["parameters"]["args"] == ["farm", "report", str(job)]
 
 
 def test_what_flamenco_asks_for_is_what_a_submission_has(job, flamenco):
     settings = json.loads((job / "flamenco.json").read_text())["settings"]
     context = pytest.importorskip("quickjs").Context()
-    keys = json.loads(context.eval(FLAMENCO.read_text() + "JSON.stringify(JOB_TYPE.settings.map((one) => one.key))"))
+    keys = json.loads(
+        context.eval(FLAMENCO.read_text() + "JSON.stringify(JOB_TYPE.settings.map((one) => one.key))")
+    )
     assert sorted(keys) == sorted(settings)
 
 
@@ -283,7 +383,9 @@ def test_a_job_that_is_none_is_one_sentence(job, change, said, capsys):
     contents = json.loads((job / "job.json").read_text())
     (job / "job.json").write_text(json.dumps(contents | change))
     assert main(["farm", "run", str(job)]) == 2
-    assert said in (told := capsys.readouterr().err) and str(job / "job.json") in told and told.count("\n") == 1
+    assert (
+        said in (told := capsys.readouterr().err) and str(job / "job.json") in told and told.count("\n") == 1
+    )
 
 
 @pytest.mark.parametrize("numbers", ("4", "3-1", "a", "-1", "0,,1"))
@@ -292,18 +394,61 @@ def test_numbers_of_tasks_that_there_are_not(job, numbers, capsys):
 
 
 def test_a_folder_with_other_things_is_no_place_for_a_job(captures, tmp_path, capsys):
-    assert main(["farm", "export", str(captures), "--out", str(captures / "one")]) == 2 and "no farm job" in capsys.readouterr().err
-    assert main(["farm", "export", str(captures), "--out", str(tmp_path / "a"), "--methods", "removal,none"]) == 2
+    assert (
+        main(["farm", "export", str(captures), "--out", str(captures / "one")]) == 2
+        and "no farm job" in capsys.readouterr().err
+    )
+    assert (
+        main(["farm", "export", str(captures), "--out", str(tmp_path / "a"), "--methods", "removal,none"])
+        == 2
+    )
     assert "'none'" in capsys.readouterr().err and not (tmp_path / "a").exists()
-    assert main(["farm", "export", str(captures), "--out", str(tmp_path / "a"), "--targets", "0.5", "--target-count", "9"]) == 2
+    assert (
+        main(
+            [
+                "farm",
+                "export",
+                str(captures),
+                "--out",
+                str(tmp_path / "a"),
+                "--targets",
+                "0.5",
+                "--target-count",
+                "9",
+            ]
+        )
+        == 2
+    )
     assert "leave one out" in capsys.readouterr().err
 
 
 def test_every_option_survives_the_way_through_the_file(captures, tmp_path):
-    words = ["--background", "0.5,0.25,1", "--lambda-f", "1e-3", "--visible-mask", "--seed", "7", "--max-drop", "0.5", "--nested", "0.2"]
+    words = [
+        "--background",
+        "0.5,0.25,1",
+        "--lambda-f",
+        "1e-3",
+        "--visible-mask",
+        "--seed",
+        "7",
+        "--max-drop",
+        "0.5",
+        "--nested",
+        "0.2",
+    ]
     assert main(["farm", "export", str(captures / "one"), "--out", str(tmp_path / "job"), *words]) == 0
     job = FarmJob.read(tmp_path / "job")
     options = job.options(job.tasks[0])
-    assert (options.background, options.lambda_f, options.visible_mask, options.seed) == ((0.5, 0.25, 1.0), 1e-3, True, 7)
-    assert (options.max_drop, options.nested, options.colmap, options.resume) == (0.5, 0.2, captures / "one", True)
+    assert (options.background, options.lambda_f, options.visible_mask, options.seed) == (
+        (0.5, 0.25, 1.0),
+        1e-3,
+        True,
+        7,
+    )
+    assert (options.max_drop, options.nested, options.colmap, options.resume) == (
+        0.5,
+        0.2,
+        captures / "one",
+        True,
+    )
     assert options.scene == captures / "one/scene.ply"

@@ -1,4 +1,5 @@
-"""Killed, out of space, not permitted, inputs gone: the old file or the new one is whole, one sentence says why, work is kept."""
+"""Killed, out of space, not permitted, inputs gone: the old file or the new one is whole, one sentence says
+why, work is kept."""
 
 from __future__ import annotations
 
@@ -120,9 +121,17 @@ def at(iteration: int, action):
     return lambda progress: action() if progress.iteration == iteration else None
 
 
-@pytest.mark.parametrize("damage", [Path.unlink, lambda path: path.write_bytes(b"gone"), lambda path: path.write_bytes(path.read_bytes()[:90])])
+@pytest.mark.parametrize(
+    "damage",
+    [
+        Path.unlink,
+        lambda path: path.write_bytes(b"gone"),
+        lambda path: path.write_bytes(path.read_bytes()[:90]),
+    ],
+)
 def test_photographs_that_vanish_lose_no_work(tiny, data, tmp_path, damage):
-    """A checkpoint of the last whole step is left, and with the photographs back the run ends as if nothing had been."""
+    """A checkpoint of the last whole step is left, and with the photographs back the run ends as if nothing
+    had been."""
     train_and_prune.prune(tiny.splat, data, SETTINGS, train_and_prune.JobContext(tmp_path / "whole.ply"))
     photos = sorted((tmp_path / "data/images").iterdir())
     kept = {photo: photo.read_bytes() for photo in photos}
@@ -133,7 +142,9 @@ def test_photographs_that_vanish_lose_no_work(tiny, data, tmp_path, damage):
 
     out = tmp_path / "o.ply"
     with pytest.raises(SplatError, match=r"images/\d+\.png") as caught:
-        train_and_prune.prune(tiny.splat, data, SETTINGS, train_and_prune.JobContext(out, observe=at(12, lose)))
+        train_and_prune.prune(
+            tiny.splat, data, SETTINGS, train_and_prune.JobContext(out, observe=at(12, lose))
+        )
     assert "\n" not in str(caught.value) and not out.exists()
     (left,) = (tmp_path / "o.ply.job").iterdir()
     assert checkpoint.read_manifest(left)["iteration"] >= 12
@@ -162,7 +173,12 @@ def test_a_full_disk_at_the_end_leaves_the_last_checkpoint(tiny, data, tmp_path,
     assert not out.exists()
     monkeypatch.setattr(train_and_prune, "write_scene", original)
     seen = []
-    train_and_prune.prune(tiny.splat, data, SETTINGS, train_and_prune.JobContext(out, resume=True, observe=lambda p: seen.append(p.iteration)))
+    train_and_prune.prune(
+        tiny.splat,
+        data,
+        SETTINGS,
+        train_and_prune.JobContext(out, resume=True, observe=lambda p: seen.append(p.iteration)),
+    )
     assert len(seen) <= 1 and read_ply(out).count > 5
 
 
@@ -173,7 +189,12 @@ def test_a_checkpoint_that_cannot_be_written_leaves_the_one_before(tiny, data, t
     try:
         with pytest.raises(SceneError, match="arrays.npz: cannot be written"):
             train_and_prune.prune(
-                tiny.splat, data, SETTINGS, train_and_prune.JobContext(out, observe=at(8, lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))))
+                tiny.splat,
+                data,
+                SETTINGS,
+                train_and_prune.JobContext(
+                    out, observe=at(8, lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard)))
+                ),
             )
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
@@ -197,8 +218,22 @@ sys.exit(main(sys.argv[1:]))
 @pytest.mark.parametrize("size", [15_000, 20_000, 40_000])
 def test_a_first_checkpoint_that_cannot_be_written_is_one_sentence(tiny, tmp_path, size):
     """Nothing else on the terminal, and no file or folder of it."""
-    words = ["prune", tiny.splat, "--colmap", tiny.folder, "--iterations", "4", "--recovery", "0", "--quiet", "--out", tmp_path / "o.ply"]
-    done = subprocess.run([sys.executable, "-c", FULL_DISK, str(size), *words], cwd=ROOT, capture_output=True, text=True)
+    words = [
+        "prune",
+        tiny.splat,
+        "--colmap",
+        tiny.folder,
+        "--iterations",
+        "4",
+        "--recovery",
+        "0",
+        "--quiet",
+        "--out",
+        tmp_path / "o.ply",
+    ]
+    done = subprocess.run(
+        [sys.executable, "-c", FULL_DISK, str(size), *words], cwd=ROOT, capture_output=True, text=True
+    )
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1), done.stderr
     assert done.stderr.startswith("svrgs: ") and "cannot be written (File too large)" in done.stderr
     assert not list(tmp_path.iterdir())
@@ -206,7 +241,9 @@ def test_a_first_checkpoint_that_cannot_be_written_is_one_sentence(tiny, tmp_pat
 
 def test_a_copy_of_a_model_that_cannot_be_written_is_one_sentence(tiny, tmp_path):
     words = ["prune", tiny.splat, "--colmap", tiny.folder, "--quiet", "--out", tmp_path / "o.ply"]
-    done = subprocess.run([sys.executable, "-c", FULL_DISK, "3000", *words], cwd=ROOT, capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", FULL_DISK, "3000", *words], cwd=ROOT, capture_output=True, text=True
+    )
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1), done.stderr
     assert "points3D.bin: this temporary file cannot be written (File too large)" in done.stderr
     assert not list(tmp_path.iterdir())
@@ -214,7 +251,11 @@ def test_a_copy_of_a_model_that_cannot_be_written_is_one_sentence(tiny, tmp_path
 
 def test_a_splat_that_vanishes(svrgs, tiny, tmp_path):
     gone = tmp_path / "gone.ply"
-    for command in (["info", gone], ["prune", gone, "--colmap", tiny.folder, "--out", tmp_path / "o.ply"], ["eval", gone, "--colmap", tiny.folder]):
+    for command in (
+        ["info", gone],
+        ["prune", gone, "--colmap", tiny.folder, "--out", tmp_path / "o.ply"],
+        ["eval", gone, "--colmap", tiny.folder],
+    ):
         outcome = svrgs(*command)
         assert outcome.status == 2 and outcome.err.count("\n") == 1 and "gone.ply" in outcome.err
 

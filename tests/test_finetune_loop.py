@@ -1,4 +1,5 @@
-"""Short whole runs: the same bits for any threads and after stops, both engines alike, a falling loss, observers."""
+"""Short whole runs: the same bits for any threads and after stops, both engines alike, a falling loss,
+observers."""
 
 from dataclasses import replace
 
@@ -44,7 +45,8 @@ def test_a_run_is_the_same_for_any_number_of_threads_and_every_time(thread_count
         thread_count(threads)
         run = to_the_end(training())
         assert run.iteration == 60 and run.nonfinite == 0
-        assert (run.model.origin == -1).any() and len(np.setdiff1d(np.arange(150), run.model.origin))  # grown and pruned
+        # grown and pruned
+        assert (run.model.origin == -1).any() and len(np.setdiff1d(np.arange(150), run.model.origin))
         ends.append((bits(run.model), run.loss))
     assert ends[0] == ends[1] == ends[2]
 
@@ -62,7 +64,9 @@ def test_a_run_that_was_stopped_goes_on_as_if_nothing_had_happened():
 
 def test_a_run_ends_alike_with_either_engine():
     """In float64, through growth, reset, pruning and recovery. Worst seen: 9e-15 of the largest value."""
-    native_, torch_ = (to_the_end(training(engine("float64"), np.float64)) for engine in (NativeEngine, TorchEngine))
+    native_, torch_ = (
+        to_the_end(training(engine("float64"), np.float64)) for engine in (NativeEngine, TorchEngine)
+    )
     np.testing.assert_array_equal(native_.model.origin, torch_.model.origin)
     for name, value in native_.model.values.items():
         assert np.abs(value - torch_.model.values[name]).max() < 1e-12 * np.abs(value).max(), name
@@ -71,7 +75,9 @@ def test_a_run_ends_alike_with_either_engine():
 def test_the_loss_falls():
     truth = scenes.random_scene(150, 2, 1, scale=0.2)
     start, dataset = disturbed(truth), photographed(truth)
-    run = to_the_end(Run(Model.of(start), dataset, plan_of("3dgs", (Phase("fit", 60, Rates()),)), NativeEngine()))
+    run = to_the_end(
+        Run(Model.of(start), dataset, plan_of("3dgs", (Phase("fit", 60, Rates()),)), NativeEngine())
+    )
     assert run.model.count == 150
     assert quality(run.model, dataset) > quality(start, dataset) + 3
 
@@ -108,5 +114,7 @@ def test_a_short_run_measures_few_points(monkeypatch):
 def test_a_request_to_stop_leaves_a_checkpoint():
     run, saved = training(), []
     with pytest.raises(Cancelled):
-        run_to_end(run, lambda p: None, lambda: run.iteration == 9, lambda: saved.append(run.iteration), lambda: None)
+        run_to_end(
+            run, lambda p: None, lambda: run.iteration == 9, lambda: saved.append(run.iteration), lambda: None
+        )
     assert saved == [9] and run.iteration == 9

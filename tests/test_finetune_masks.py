@@ -39,7 +39,10 @@ def test_draws_depend_on_seed_and_step_and_not_on_the_models_precision():
     model = with_probability(0.5, 400)
     drawn, slope = masks.draw(model, 3, 8)
     assert drawn.dtype == np.uint8 and set(drawn) == {0, 1} and slope.dtype == np.float32
-    twice, wide = masks.draw(model, 3, 8)[0], masks.draw(Model({k: v.astype(np.float64) for k, v in model.values.items()}), 3, 8)
+    twice, wide = (
+        masks.draw(model, 3, 8)[0],
+        masks.draw(Model({k: v.astype(np.float64) for k, v in model.values.items()}), 3, 8),
+    )
     assert (twice == drawn).all() and (wide[0] == drawn).all() and wide[1].dtype == np.float64
     others = [masks.draw(model, 3, 9)[0], masks.draw(model, 4, 8)[0]]
     others += [sample_masks(model.mask_logits, 3, masks._EVENT_STREAM + 8)[0]]
@@ -78,7 +81,9 @@ def test_a_scene_is_not_emptied(left, before, refused):
     keep = np.arange(50) < left
     if not refused:
         return masks.refuse_emptying(keep, before)
-    with pytest.raises(SceneError, match=f"would leave {left} of {before:,} Gaussians: .*; photographs that are black"):
+    with pytest.raises(
+        SceneError, match=f"would leave {left} of {before:,} Gaussians: .*; photographs that are black"
+    ):
         masks.refuse_emptying(keep, before)
 
 
@@ -102,7 +107,12 @@ def test_mask_events_keep_their_times():
     """Every prune_every, and at the end of the phase, where the decision falls too and the logits go."""
     scene = scenes.random_scene(400, sh_degree=0)
     phases = (Phase("prune", 10, Rates(), active=True, prune_every=4), recovery_phase(3))
-    run = Run(Model.of(scene), photographed(scene), plan_of("svr", phases, mask_init=logit(0.1), target=20), Puller())
+    run = Run(
+        Model.of(scene),
+        photographed(scene),
+        plan_of("svr", phases, mask_init=logit(0.1), target=20),
+        Puller(),
+    )
     counts = []
     while not run.finished:
         run.advance()
@@ -163,10 +173,14 @@ def half_hidden() -> Scene:
 
 
 def pruned(method: str, **weights) -> tuple[np.ndarray, np.ndarray, float]:
-    """Which of the front and of the hidden are still there after masks and recovery, (49,) bool each; PSNR, dB."""
+    """Which of the front and of the hidden are still there after masks and recovery, (49,) bool each; PSNR,
+    dB."""
     scene = half_hidden()
     dataset = photographed(scene)
-    phases = (Phase("prune", 60, Rates(position_first=5e-6, mask=0.1), active=True, prune_every=20), recovery_phase(20))
+    phases = (
+        Phase("prune", 60, Rates(position_first=5e-6, mask=0.1), active=True, prune_every=20),
+        recovery_phase(20),
+    )
     settings = plan_of(method, phases, mask_init=2.0, seed=1, **weights)
     run = to_the_end(Run(Model.of(scene), dataset, settings, NativeEngine()))
     kept = np.isin(np.arange(scene.count), run.model.origin)
@@ -184,7 +198,8 @@ PRUNERS = {
 
 @pytest.mark.parametrize("method", PRUNERS)
 def test_masks_remove_what_is_hidden_and_keep_the_picture(method):
-    """Worst seen: all 49 in front kept, 2 hidden left (svr-a), 0.9 dB lost (svr). Over 6 seeds: 48, 6, and 6 dB with the 48."""
+    """Worst seen: all 49 in front kept, 2 hidden left (svr-a), 0.9 dB lost (svr). Over 6 seeds: 48, 6, and 6
+    dB with the 48."""
     front, hidden, after = pruned(method, **PRUNERS[method])
     _, _, unpruned = pruned("svr", lambda_f=0.0)
     assert front.sum() >= 47 and hidden.sum() <= 10
@@ -197,5 +212,7 @@ def test_without_its_weight_the_spatial_mask_removes_nothing():
 
 
 def test_a_larger_weight_removes_more():
-    left = [sum(kept.sum() for kept in pruned("svr", lambda_f=weight)[:2]) for weight in (1e-5, 1e-4, 1e-3, 1e-2)]
+    left = [
+        sum(kept.sum() for kept in pruned("svr", lambda_f=weight)[:2]) for weight in (1e-5, 1e-4, 1e-3, 1e-2)
+    ]
     assert left == sorted(left, reverse=True) and len(set(left)) == 4

@@ -23,20 +23,31 @@ def small_run(settings: Plan) -> Run:
 # --- rates
 
 
-@pytest.mark.parametrize(("step", "rate"), [(1, 1.5997544e-4), (15_000, 1.6e-5), (30_000, 1.6e-6), (40_000, 1.6e-6)])
+@pytest.mark.parametrize(
+    ("step", "rate"), [(1, 1.5997544e-4), (15_000, 1.6e-5), (30_000, 1.6e-6), (40_000, 1.6e-6)]
+)
 def test_the_position_rate_falls_log_linearly_and_scales_with_the_scene(step, rate):
     assert Rates().at(step, 1.0)["means"] == pytest.approx(rate, rel=1e-6)
     assert Rates().at(step, 4.5)["means"] == pytest.approx(4.5 * rate, rel=1e-6)
 
 
 def test_the_other_rates_are_those_of_3dgs():
-    expected = {"log_scales": 5e-3, "quats": 1e-3, "opacity_logits": 0.05, "sh": 2.5e-3, "sh_rest": 1.25e-4, "mask_logits": 0.02}
+    expected = {
+        "log_scales": 5e-3,
+        "quats": 1e-3,
+        "opacity_logits": 0.05,
+        "sh": 2.5e-3,
+        "sh_rest": 1.25e-4,
+        "mask_logits": 0.02,
+    }
     for step in (1, 400, 29_999):
         rates = Rates().at(step, 3.0)
         assert {name: rates[name] for name in expected} == expected
 
 
-@pytest.mark.parametrize(("step", "share"), [(1, 1.0), (399, 1.0), (400, 0.95), (799, 0.95), (800, 0.95**2), (4_999, 0.95**12)])
+@pytest.mark.parametrize(
+    ("step", "share"), [(1, 1.0), (399, 1.0), (400, 0.95), (799, 0.95), (800, 0.95**2), (4_999, 0.95**12)]
+)
 def test_recovery_fades_every_400_steps_but_for_the_positions(step, share):
     rates, plain = recovery_phase(5_000).rates.at(step, 2.0), Rates().at(step, 2.0)
     for name in plain.keys() - {"means"}:
@@ -55,11 +66,17 @@ def test_a_short_training_takes_larger_steps_and_ends_with_small_ones(steps, lar
     for name in ("scale", "rotation", "sh", "sh_rest"):
         assert getattr(rates, name) == pytest.approx(larger * getattr(usual, name), rel=1e-3)
     assert (rates.opacity, rates.mask) == (usual.opacity, usual.mask)
-    assert rates.at(0, 1.0)["means"] == pytest.approx(min(larger, 2) * 1.6e-4) and rates.at(steps, 1.0)["means"] == pytest.approx(1.6e-6)
+    assert rates.at(0, 1.0)["means"] == pytest.approx(min(larger, 2) * 1.6e-4) and rates.at(steps, 1.0)[
+        "means"
+    ] == pytest.approx(1.6e-6)
 
 
 def test_a_long_training_has_the_rates_of_3dgs():
-    assert train_settings("3dgs", 30_000, 0).phases[0].rates == train_settings("3dgs", 40_000, 0).phases[0].rates == Rates()
+    assert (
+        train_settings("3dgs", 30_000, 0).phases[0].rates
+        == train_settings("3dgs", 40_000, 0).phases[0].rates
+        == Rates()
+    )
 
 
 def test_phases_follow_one_another_and_number_their_own_steps():
@@ -68,13 +85,21 @@ def test_phases_follow_one_another_and_number_their_own_steps():
     for iteration in range(settings.total):
         phase, number = settings.at(iteration)
         found.append((phase.name, number, phase.active))
-    assert found == [("prune", 1, True), ("prune", 2, True), ("prune", 3, True), ("recover", 1, False), ("recover", 2, False)]
+    assert found == [
+        ("prune", 1, True),
+        ("prune", 2, True),
+        ("prune", 3, True),
+        ("recover", 1, False),
+        ("recover", 2, False),
+    ]
 
 
 def test_the_sh_degree_rises_every_thousand_steps_of_training():
     run = small_run(train_settings("svr", 30_000, 0))
     (phase,) = run.settings.phases
-    degrees = [run.render_options(phase, number).sh_degree for number in (1, 999, 1_000, 2_500, 3_000, 29_999)]
+    degrees = [
+        run.render_options(phase, number).sh_degree for number in (1, 999, 1_000, 2_500, 3_000, 29_999)
+    ]
     assert degrees == [0, 0, 1, 2, 3, 3]
 
 
@@ -118,7 +143,8 @@ def test_densification_keeps_its_times():
 
 
 def test_opacity_resets_keep_their_times():
-    """At multiples of reset_every before `until`, with steps left to return; what is huge goes only at densifications after the first."""
+    """At multiples of reset_every before `until`, with steps left to return; what is huge goes only at
+    densifications after the first."""
     rule = Densify(start=1, until=30, every=4, reset_every=10, max_scale=1e-6)
     run, _ = scheduled(replace(rule, until=10), 12)
     assert run.model.opacity_logits.max() > logit(0.01) + 0.1

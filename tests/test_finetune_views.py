@@ -65,10 +65,18 @@ def test_one_view_is_shown_again_and_again():
 
 
 def test_by_loss_the_easier_half_is_shown_every_other_time():
-    """Losses that do not change: the lowest quarter and the one above it take turns, the harder half is always there."""
+    """Losses that do not change: the lowest quarter and the one above it take turns, the harder half is
+    always there."""
     shown = epochs(lambda epoch, view: 1.0 + view, 6)
     everything, half = set(range(16)), set(range(8, 16))
-    assert shown == [everything, half | {4, 5, 6, 7}, half | {0, 1, 2, 3}, half | {4, 5, 6, 7}, half | {0, 1, 2, 3}, half | {4, 5, 6, 7}]
+    assert shown == [
+        everything,
+        half | {4, 5, 6, 7},
+        half | {0, 1, 2, 3},
+        half | {4, 5, 6, 7},
+        half | {0, 1, 2, 3},
+        half | {4, 5, 6, 7},
+    ]
 
 
 def test_by_loss_no_view_is_left_out_twice_in_a_row():
@@ -113,7 +121,9 @@ def test_photographs_become_real_numbers_from_0_to_1():
 @pytest.mark.parametrize("dtype", [np.uint8, np.float32])
 def test_a_reduced_photograph_is_made_of_the_means_of_its_blocks(factor, dtype):
     """Rows and columns beyond the last whole block are left out, as the reduced camera leaves them out."""
-    photo = np.random.default_rng(2).integers(0, 256, (4 * factor + 1, 6 * factor + factor - 1, 3)).astype(dtype)
+    photo = (
+        np.random.default_rng(2).integers(0, 256, (4 * factor + 1, 6 * factor + factor - 1, 3)).astype(dtype)
+    )
     photo = photo if dtype == np.uint8 else photo / np.float32(255)
     photo.flags.writeable = False
     full, small = as_real(photo, F32), as_real(photo, F32, factor)
@@ -125,7 +135,9 @@ def test_a_reduced_photograph_is_made_of_the_means_of_its_blocks(factor, dtype):
     assert small.mean(dtype=np.float64) == pytest.approx(whole.mean(dtype=np.float64), rel=1e-6)
 
 
-@pytest.mark.parametrize(("factor", "size", "used"), [(1, (5, 5), 1), (4, (640, 64), 4), (4, (640, 63), 2), (2, (31, 900), 1)])
+@pytest.mark.parametrize(
+    ("factor", "size", "used"), [(1, (5, 5), 1), (4, (640, 64), 4), (4, (640, 63), 2), (2, (31, 900), 1)]
+)
 def test_small_photographs_are_reduced_less(factor, size, used):
     assert fitting_reduction(factor, *size) == used
 
@@ -140,14 +152,17 @@ def test_a_reduced_render_is_the_reduced_picture():
 
 
 def test_reduced_views_pull_as_full_ones_do():
-    """Densification's statistic means the same at either size: seen: 1.3 % apart in the mean, correlation 0.998."""
+    """Densification's statistic means the same at either size: seen: 1.3 % apart in the mean, correlation
+    0.998."""
     truth, off = scenes.random_scene(400, 2, 1, scale=0.3), scenes.random_scene(400, 9, 1, scale=0.3)
     dataset, engine, means = photographed(truth), NativeEngine(), []
     for factor in (1, 2):
         model, statistics = Model.of(off), densify.Statistics(400)
         for camera, picture in zip(dataset.cameras, dataset.pictures, strict=True):
             view = camera.reduced(factor)
-            step = Step(view, as_real(picture, F32, factor), 1, {}, RenderOptions(), update=False, want_means2d=True)
+            step = Step(
+                view, as_real(picture, F32, factor), 1, {}, RenderOptions(), update=False, want_means2d=True
+            )
             result = engine.step(model, step)
             statistics.add(result.visible, result.means2d, view.width, view.height)
         means.append(statistics.mean())
@@ -172,7 +187,9 @@ class Watcher(NativeEngine):
 
 def run_of(*phases: Phase, engine=None, **changes) -> Run:
     scene = scenes.random_scene(150, 2, 1, scale=0.2)
-    return Run(Model.of(scene), photographed(scene), plan_of("3dgs", phases, **changes), engine or NativeEngine())
+    return Run(
+        Model.of(scene), photographed(scene), plan_of("3dgs", phases, **changes), engine or NativeEngine()
+    )
 
 
 def advance(run: Run, until: int) -> Run:
@@ -190,13 +207,22 @@ def test_steps_look_at_reduced_photographs_until_told_otherwise(factor, sides, m
     assert run.engine.seen == [(WIDTH // side, HEIGHT // side) for side in sides + [1] * 3]
 
 
-COARSE = Phase("train", 40, Rates(), densify.Densify(start=5, until=31, every=10, gradient=2e-5, small=0.1), coarse_until=20)
+COARSE = Phase(
+    "train",
+    40,
+    Rates(),
+    densify.Densify(start=5, until=31, every=10, gradient=2e-5, small=0.1),
+    coarse_until=20,
+)
 
 
 def state(run: Run) -> dict[str, bytes]:
     parts = {"value": run.model.values, "moments": run.model.moments}
     arrays = {f"{part} {name}": array for part, found in parts.items() for name, array in found.items()}
-    return {name: array.tobytes() for name, array in {**arrays, "losses": run.views.losses, "left out": run.views.left_out}.items()}
+    return {
+        name: array.tobytes()
+        for name, array in {**arrays, "losses": run.views.losses, "left out": run.views.left_out}.items()
+    }
 
 
 @pytest.mark.parametrize("stop", [3, len(EYES), 13, 20, 21, 38])
@@ -214,4 +240,8 @@ def test_neither_changes_a_run_that_did_not_ask():
     plain = advance(run_of(replace(COARSE, coarse_until=0)), 40)
     factor = advance(run_of(replace(COARSE, coarse_until=0, coarse_factor=4)), 40)
     assert state(plain) == state(factor)
-    assert state(advance(run_of(COARSE), 40)) != state(plain) != state(advance(run_of(replace(COARSE, coarse_until=0), views_by_loss=True), 40))
+    assert (
+        state(advance(run_of(COARSE), 40))
+        != state(plain)
+        != state(advance(run_of(replace(COARSE, coarse_until=0), views_by_loss=True), 40))
+    )

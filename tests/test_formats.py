@@ -1,4 +1,5 @@
-"""Compressed formats: what is written is what was meant, within the steps of the format; other programs read it alike, and we read theirs."""
+"""Compressed formats: what is written is what was meant, within the steps of the format; other programs read
+it alike, and we read theirs."""
 
 from __future__ import annotations
 
@@ -13,7 +14,15 @@ from ksplat_file import ksplat_of
 from scenes import random_scene
 from svrgs_addon.files import compressed_ply, spz
 from svrgs_addon.files.axes import turned_over
-from svrgs_addon.files.registry import FORMATS, describe, file_size, format_to_read, format_to_write, read_scene, write_scene
+from svrgs_addon.files.registry import (
+    FORMATS,
+    describe,
+    file_size,
+    format_to_read,
+    format_to_write,
+    read_scene,
+    write_scene,
+)
 from svrgs_addon.scene.gaussians import Scene
 from svrgs_addon.scene.morton_order import morton_order
 from svrgs_addon.system.errors import SceneError
@@ -21,7 +30,15 @@ from svrgs_addon.system.errors import SceneError
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 WRITTEN = (".compressed.ply", ".spz", ".splat", ".glb", ".spz.glb", ".sog", ".usdc", ".usda")
 JUDGED = (".compressed.ply", ".spz", ".splat", ".sog")  # formats that gaussforge knows
-GAUSSFORGE = {".ply": "ply", ".compressed.ply": "compressed.ply", ".spz": "spz", ".splat": "splat", ".ksplat": "ksplat", ".sog": "sog"}  # its names
+# its names
+GAUSSFORGE = {
+    ".ply": "ply",
+    ".compressed.ply": "compressed.ply",
+    ".spz": "spz",
+    ".splat": "splat",
+    ".ksplat": "ksplat",
+    ".sog": "sog",
+}
 
 
 def rotations(quats: np.ndarray) -> np.ndarray:
@@ -29,7 +46,9 @@ def rotations(quats: np.ndarray) -> np.ndarray:
     w, x, y, z = (quats / np.linalg.norm(quats, axis=1, keepdims=True)).astype(np.float64).T
     rows = [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)]
     rows += [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)]
-    return np.stack([*rows, 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=1).reshape(-1, 3, 3)
+    return np.stack(
+        [*rows, 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=1
+    ).reshape(-1, 3, 3)
 
 
 def alphas(scene: Scene) -> np.ndarray:
@@ -37,7 +56,8 @@ def alphas(scene: Scene) -> np.ndarray:
 
 
 def differences(one: Scene, other: Scene) -> dict[str, float]:
-    """The largest difference of each kind of value. sh: of the base colour, 0 to 1; rest: of the other coefficients."""
+    """The largest difference of each kind of value. sh: of the base colour, 0 to 1; rest: of the other
+    coefficients."""
     assert one.count == other.count and one.sh_degree == other.sh_degree
     pairs = {
         "means": (one.means, other.means),
@@ -75,9 +95,23 @@ def judged(data: bytes, kind: str, path: Path) -> Scene:
 
 
 STEPS = {  # largest differences of what is read from what was written
-    ".compressed.ply": {"means": 6e-3, "logs": 5e-3, "turn": 6e-3, "alphas": 0.0022, "color": 0.003, "rest": 8 / 256},
+    ".compressed.ply": {
+        "means": 6e-3,
+        "logs": 5e-3,
+        "turn": 6e-3,
+        "alphas": 0.0022,
+        "color": 0.003,
+        "rest": 8 / 256,
+    },
     ".spz": {"means": 2.0**-13, "logs": 1 / 31, "turn": 6e-3, "alphas": 0.0022, "color": 0.0038, "rest": 0.5},
-    ".spz.glb": {"means": 2.0**-13, "logs": 1 / 31, "turn": 0.2, "alphas": 0.0022, "color": 0.0038, "rest": 0.5},
+    ".spz.glb": {
+        "means": 2.0**-13,
+        "logs": 1 / 31,
+        "turn": 0.2,
+        "alphas": 0.0022,
+        "color": 0.0038,
+        "rest": 0.5,
+    },
     ".glb": {"means": 0, "logs": 1e-6, "turn": 1e-6, "alphas": 1e-6, "color": 0, "rest": 0},
     ".usdc": {"means": 0, "logs": 1e-6, "turn": 1e-6, "alphas": 1e-6, "color": 0, "rest": 0},
     ".usda": {"means": 1e-6, "logs": 1e-6, "turn": 1e-6, "alphas": 1e-6, "color": 1e-6, "rest": 1e-6},
@@ -91,13 +125,19 @@ STEPS = {  # largest differences of what is read from what was written
 def test_what_is_read_is_what_was_written_within_the_steps_of_the_format(tmp_path, suffix, degree):
     scene, path = like_trained(degree), tmp_path / f"a{suffix}"
     write_scene(path, scene)
-    expected = scene if suffix in (".splat", ".glb", ".usdc", ".usda") else scene.select(morton_order(scene.means))
+    expected = (
+        scene if suffix in (".splat", ".glb", ".usdc", ".usda") else scene.select(morton_order(scene.means))
+    )
     if suffix == ".splat":
         expected = dataclasses.replace(expected, sh=np.ascontiguousarray(scene.sh[:, :1]))
     found = differences(read_scene(path), expected)
     assert all(found[name] <= step for name, step in STEPS[suffix].items()), found
     info = describe(path)
-    assert info["count"] == scene.count and info["sh_degree"] == expected.sh_degree and info["bytes"] == path.stat().st_size
+    assert (
+        info["count"] == scene.count
+        and info["sh_degree"] == expected.sh_degree
+        and info["bytes"] == path.stat().st_size
+    )
 
 
 @pytest.mark.parametrize("version", (2, 3, 4))
@@ -106,7 +146,10 @@ def test_every_version_of_spz_is_read_alike(tmp_path, version):
     spz.write(path, scene, version)
     found = differences(read_scene(path), scene.select(morton_order(scene.means)))
     assert path.read_bytes()[:2] == (b"NG" if version == 4 else b"\x1f\x8b")
-    assert all(found[name] <= step for name, step in (STEPS[".spz"] | {"turn": 0.2 if version == 2 else 6e-3}).items()), found
+    assert all(
+        found[name] <= step
+        for name, step in (STEPS[".spz"] | {"turn": 0.2 if version == 2 else 6e-3}).items()
+    ), found
 
 
 @pytest.mark.parametrize("suffix", JUDGED)
@@ -114,8 +157,11 @@ def test_a_stranger_reads_what_we_write_as_we_do(tmp_path, suffix):
     path = tmp_path / f"a{suffix}"
     write_scene(path, like_trained(3))
     ours, theirs = read_scene(path), judged(path.read_bytes(), suffix, tmp_path / "judged.ply")
-    found = differences(ours, dataclasses.replace(theirs, sh=np.ascontiguousarray(theirs.sh[:, : ours.sh.shape[1]])))
-    assert found.pop("rest") <= (0.02 if suffix == ".compressed.ply" else 1e-4)  # within a step: they take another place of the same one
+    found = differences(
+        ours, dataclasses.replace(theirs, sh=np.ascontiguousarray(theirs.sh[:, : ours.sh.shape[1]]))
+    )
+    # within a step: they take another place of the same one
+    assert found.pop("rest") <= (0.02 if suffix == ".compressed.ply" else 1e-4)
     assert max(found.values()) < 0.004, found
 
 
@@ -134,7 +180,9 @@ def test_we_read_what_a_stranger_writes_as_it_does(tmp_path, suffix, degree):
     write_scene(source, like_trained(degree))
     path.write_bytes(by_gaussforge(source.read_bytes(), ".ply", suffix))
     ours, theirs = read_scene(path), judged(path.read_bytes(), suffix, tmp_path / "judged.ply")
-    found = differences(ours, dataclasses.replace(theirs, sh=np.ascontiguousarray(theirs.sh[:, : ours.sh.shape[1]])))
+    found = differences(
+        ours, dataclasses.replace(theirs, sh=np.ascontiguousarray(theirs.sh[:, : ours.sh.shape[1]]))
+    )
     rest = found.pop("rest")
     if (suffix, degree) != (".ksplat", 2):  # it orders the coefficients of degree 2 as no one else
         assert rest <= (0.02 if suffix == ".compressed.ply" else 1e-3), found
@@ -146,9 +194,18 @@ def test_we_read_what_a_stranger_writes_as_it_does(tmp_path, suffix, degree):
 def test_a_ksplat_of_two_sections_is_read_as_its_own_program_reads_it(tmp_path, level):
     """Buckets that are full and that are not; SH in bands of red, green, blue."""
     scene = like_trained(2, 40)
-    (tmp_path / "a.ksplat").write_bytes(ksplat_of([scene.select(np.arange(25)), scene.select(np.arange(25, 40))], level))
+    (tmp_path / "a.ksplat").write_bytes(
+        ksplat_of([scene.select(np.arange(25)), scene.select(np.arange(25, 40))], level)
+    )
     found = differences(read_scene(tmp_path / "a.ksplat"), scene)
-    close = {"means": 3e-4, "logs": 2e-3, "turn": 3e-3, "alphas": 0.0022, "color": 0.0021, "rest": (1e-6, 1e-3, 0.013)[level]}
+    close = {
+        "means": 3e-4,
+        "logs": 2e-3,
+        "turn": 3e-3,
+        "alphas": 0.0022,
+        "color": 0.0021,
+        "rest": (1e-6, 1e-3, 0.013)[level],
+    }
     assert all(found[name] <= step for name, step in close.items()), found
 
 
@@ -185,7 +242,9 @@ def test_a_folder_of_textures_is_what_the_program_that_made_it_says(name):
         pytest.skip("playbot_splat of the shared data is missing")
     found, expected = read_scene(folder / name), read_scene(folder / "playbot_lod3.ply")
     assert max(differences(found, expected).values()) < 1e-6
-    assert describe(folder / name)["bytes"] == sum(file.stat().st_size for file in (folder / "sog_lod3").iterdir())
+    assert describe(folder / name)["bytes"] == sum(
+        file.stat().st_size for file in (folder / "sog_lod3").iterdir()
+    )
 
 
 def test_the_kind_of_a_ply_is_told_by_its_header(tmp_path):
@@ -194,7 +253,10 @@ def test_the_kind_of_a_ply_is_told_by_its_header(tmp_path):
     assert format_to_read(tmp_path / "plain-name.ply").name == "compressed-ply"
     write_scene(tmp_path / "a.ply", scene)
     assert format_to_read(tmp_path / "a.ply").name == "ply"
-    assert format_to_write("A.COMPRESSED.PLY").name == "compressed-ply" and format_to_write("a.ply").name == "ply"
+    assert (
+        format_to_write("A.COMPRESSED.PLY").name == "compressed-ply"
+        and format_to_write("a.ply").name == "ply"
+    )
     with pytest.raises(SceneError, match=r"\.spz"):
         format_to_write("a.ksplat")
 
@@ -220,24 +282,34 @@ def test_the_size_is_foreseen_to_the_byte(tmp_path, found):
 def test_the_flag_of_antialiasing_is_kept_or_its_loss_is_said(tmp_path, suffix, caplog):
     with caplog.at_level(logging.WARNING):
         write_scene(tmp_path / f"a{suffix}", dataclasses.replace(like_trained(0), antialiased=True))
-    assert read_scene(tmp_path / f"a{suffix}").antialiased == (suffix not in (".splat", ".glb", ".usdc", ".usda"))
+    assert read_scene(tmp_path / f"a{suffix}").antialiased == (
+        suffix not in (".splat", ".glb", ".usdc", ".usda")
+    )
     assert ("antialiased" in caplog.text) == (suffix in (".splat", ".glb", ".usdc", ".usda"))
 
 
 def test_further_columns_that_a_format_cannot_hold_are_named(tmp_path, caplog):
-    scene = dataclasses.replace(like_trained(0), attributes={"nx": np.zeros(700, np.float32), "confidence": np.ones(700, np.float32)})
+    scene = dataclasses.replace(
+        like_trained(0), attributes={"nx": np.zeros(700, np.float32), "confidence": np.ones(700, np.float32)}
+    )
     with caplog.at_level(logging.WARNING):
         write_scene(tmp_path / "a.spz", scene)
     assert "confidence" in caplog.text and "nx" not in caplog.text
 
 
-@pytest.mark.parametrize(("change", "said"), [("far", "steps of"), ("tiny", "the limits of an SPZ"), ("none", "")])
+@pytest.mark.parametrize(
+    ("change", "said"), [("far", "steps of"), ("tiny", "the limits of an SPZ"), ("none", "")]
+)
 def test_what_is_beyond_the_limits_of_an_spz_is_said(tmp_path, caplog, change, said):
     scene = like_trained(0)
     if change == "far":
         scene.means[5] = 1e6
     if change == "tiny":
-        scene = dataclasses.replace(scene, means=scene.means * np.float32(1e-5), log_scales=scene.log_scales + np.float32(np.log(1e-5)))
+        scene = dataclasses.replace(
+            scene,
+            means=scene.means * np.float32(1e-5),
+            log_scales=scene.log_scales + np.float32(np.log(1e-5)),
+        )
     with caplog.at_level(logging.WARNING):
         write_scene(tmp_path / "a.spz", scene)
     assert (said in caplog.text) if said else not caplog.text

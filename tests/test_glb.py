@@ -1,5 +1,5 @@
-"""A .glb: nodes that move splats, several splats, whole numbers for values; a splat that is packed as an SPZ; what is damaged or
-hostile is one sentence."""
+"""A .glb: nodes that move splats, several splats, whole numbers for values; a splat that is packed as an SPZ;
+what is damaged or hostile is one sentence."""
 
 from __future__ import annotations
 
@@ -53,7 +53,9 @@ def test_y_is_up_in_the_file(path):
         glb = Glb.read(file)
     means = glb.values(primitive(glb.contents)["attributes"]["POSITION"], 3)
     assert (means == like_trained(1, 50).means * (1, -1, -1)).all()
-    assert glb.contents["accessors"][0]["max"] == means.max(axis=0).tolist() and glb.contents["extensionsUsed"] == [SPLAT]
+    assert glb.contents["accessors"][0]["max"] == means.max(axis=0).tolist() and glb.contents[
+        "extensionsUsed"
+    ] == [SPLAT]
 
 
 def test_nodes_move_what_is_below_them(path):
@@ -77,12 +79,19 @@ def test_nodes_move_what_is_below_them(path):
 def test_splats_of_different_degree_are_joined(path):
     def changed(contents):
         other = json.loads(json.dumps(primitive(contents)))
-        other["attributes"] = {name: number for name, number in other["attributes"].items() if "SH_DEGREE_1" not in name}
+        other["attributes"] = {
+            name: number for name, number in other["attributes"].items() if "SH_DEGREE_1" not in name
+        }
         contents["meshes"][0]["primitives"].append(other)
 
     change(path, changed)
     found = read_scene(path)
-    assert found.count == 100 and found.sh_degree == 1 and (found.sh[:50, 1:] != 0).any() and (found.sh[50:, 1:] == 0).all()
+    assert (
+        found.count == 100
+        and found.sh_degree == 1
+        and (found.sh[:50, 1:] != 0).any()
+        and (found.sh[50:, 1:] == 0).all()
+    )
 
 
 def test_normalised_whole_numbers_are_shares(path):
@@ -92,7 +101,15 @@ def test_normalised_whole_numbers_are_shares(path):
 
     def changed(contents):
         contents["bufferViews"].append({"buffer": 0, "byteOffset": len(glb.data), "byteLength": 52})
-        contents["accessors"].append({"bufferView": len(contents["bufferViews"]) - 1, "componentType": 5121, "normalized": True, "count": 50, "type": "SCALAR"})
+        contents["accessors"].append(
+            {
+                "bufferView": len(contents["bufferViews"]) - 1,
+                "componentType": 5121,
+                "normalized": True,
+                "count": 50,
+                "type": "SCALAR",
+            }
+        )
         primitive(contents)["attributes"][f"{SPLAT}:OPACITY"] = len(contents["accessors"]) - 1
 
     change(path, changed, glb.data + opacities.tobytes() + b"\0\0")
@@ -103,9 +120,18 @@ def test_normalised_whole_numbers_are_shares(path):
     ("changed", "said"),
     [
         (lambda contents: primitive(contents).pop("extensions"), "holds no splat"),
-        (lambda contents: primitive(contents)["extensions"][SPLAT].update(extensions={"KHR_packed": {}}), "packed by KHR_packed"),
-        (lambda contents: primitive(contents)["extensions"][SPLAT].update(extensions={"a\nb": {}}), r"packed by a\?b, which"),
-        (lambda contents: primitive(contents)["extensions"][SPLAT].update(colorSpace="lin_rec709_display"), "other colours"),
+        (
+            lambda contents: primitive(contents)["extensions"][SPLAT].update(extensions={"KHR_packed": {}}),
+            "packed by KHR_packed",
+        ),
+        (
+            lambda contents: primitive(contents)["extensions"][SPLAT].update(extensions={"a\nb": {}}),
+            r"packed by a\?b, which",
+        ),
+        (
+            lambda contents: primitive(contents)["extensions"][SPLAT].update(colorSpace="lin_rec709_display"),
+            "other colours",
+        ),
         (lambda contents: primitive(contents)["attributes"].pop(f"{SPLAT}:SCALE"), "does not have"),
         (lambda contents: contents["accessors"][0].update(count=49), "another kind or length"),
         (lambda contents: contents["accessors"][0].update(count=10**9), "more elements"),
@@ -155,7 +181,9 @@ def test_the_spz_inside_is_one_that_others_read_in_axes_of_its_own(packed, tmp_p
         glb = Glb.read(file)
     extension = primitive(glb.contents)["extensions"][SPLAT]
     assert glb.contents["extensionsRequired"] == [SPLAT, DRAFT] and extension["kernel"] == "ellipse"
-    assert all("bufferView" not in accessor and accessor["count"] == 50 for accessor in glb.contents["accessors"])
+    assert all(
+        "bufferView" not in accessor and accessor["count"] == 50 for accessor in glb.contents["accessors"]
+    )
     theirs = judged(glb.view(extension["extensions"][DRAFT]["bufferView"]), ".spz", tmp_path / "judged.ply")
     assert max(differences(turned_around(theirs), read_scene(packed)).values()) < 0.002
 
@@ -171,16 +199,23 @@ def test_packed_splats_stand_beside_others_and_more_than_once(packed):
     nodes = [{"mesh": 0}, {"mesh": 0, "translation": [5, 0, 0]}]
     change(packed, lambda contents: contents.update(nodes=nodes, scenes=[{"nodes": [0, 1]}]))
     found = read_scene(packed)
-    assert found.count == 100 and sorted(found.means[:, 0].tolist()) == pytest.approx(sorted([*scene.means[:, 0], *(scene.means[:, 0] + 5)]))
+    assert found.count == 100 and sorted(found.means[:, 0].tolist()) == pytest.approx(
+        sorted([*scene.means[:, 0], *(scene.means[:, 0] + 5)])
+    )
 
 
-@pytest.mark.parametrize("turn, matrix", [(turned_over, np.diag([1.0, -1, -1, 1])), (turned_around, np.diag([-1.0, 1, -1, 1]))])
+@pytest.mark.parametrize(
+    "turn, matrix", [(turned_over, np.diag([1.0, -1, -1, 1])), (turned_around, np.diag([-1.0, 1, -1, 1]))]
+)
 def test_half_a_turn_is_the_transform(turn, matrix):
     """Quaternions may differ by half turns around the axes of the ellipsoid, so covariances are compared."""
     scene = like_trained(3)
     ours, theirs = turn(scene), transformed(scene, matrix)
     found = differences(ours, theirs)
-    covariances = [np.einsum("nij,nj,nkj->nik", rotations(one.quats), np.exp(2.0 * one.log_scales), rotations(one.quats)) for one in (ours, theirs)]
+    covariances = [
+        np.einsum("nij,nj,nkj->nik", rotations(one.quats), np.exp(2.0 * one.log_scales), rotations(one.quats))
+        for one in (ours, theirs)
+    ]
     assert np.abs(covariances[0] - covariances[1]).max() < 1e-5
     assert max(value for name, value in found.items() if name != "turn") < 1e-5
 
@@ -202,7 +237,13 @@ def extension_of(contents) -> dict:
     ],
 )
 def test_a_packed_splat_that_does_not_fit_is_refused(packed, changed, said):
-    change(packed, lambda contents: contents["bufferViews"][0].update(byteLength=contents["bufferViews"][0]["byteLength"] - 1))  # to have room
+    # to have room
+    change(
+        packed,
+        lambda contents: contents["bufferViews"][0].update(
+            byteLength=contents["bufferViews"][0]["byteLength"] - 1
+        ),
+    )
     change(packed, changed)
     with pytest.raises(FormatError, match=said) as caught:
         read_scene(packed)
@@ -224,7 +265,10 @@ def test_splats_that_are_packed_in_the_same_bytes_are_refused(packed):
 
 
 def test_too_many_are_refused_for_good_as_they_cannot_be_read_in_parts(path):
-    with pytest.raises(FormatError, match=r"more than the limit of 3; this kind of file cannot be read in parts: save it as PLY or SPZ") as refused:
+    with pytest.raises(
+        FormatError,
+        match=r"more than the limit of 3; this kind of file cannot be read in parts: save it as PLY or SPZ",
+    ) as refused:
         next(glb.read_parts(path, 3))
     assert not isinstance(refused.value, TooMany)
 

@@ -8,7 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from svrgs_addon.files.images import image_size, library_path, linear_to_srgb, read_image, read_pixels, srgb_to_linear, write_image
+from svrgs_addon.files.images import (
+    image_size,
+    library_path,
+    linear_to_srgb,
+    read_image,
+    read_pixels,
+    srgb_to_linear,
+    write_image,
+)
 from svrgs_addon.system.errors import FormatError, SceneError
 
 oiio = pytest.importorskip("OpenImageIO")
@@ -143,7 +151,10 @@ def test_failed_write_leaves_the_old_picture(tmp_path, monkeypatch):
 
 def test_broken_files_give_one_sentence(tmp_path):
     big = np.random.default_rng(0).integers(0, 256, (200, 200, 3), dtype=np.uint8)
-    whole = {suffix: store(tmp_path / f"whole.{suffix}", big).read_bytes() for suffix in ("jpg", "png", "tif", "exr")}
+    whole = {
+        suffix: store(tmp_path / f"whole.{suffix}", big).read_bytes()
+        for suffix in ("jpg", "png", "tif", "exr")
+    }
     cases = {f"cut.{suffix}": data[: len(data) // 2] for suffix, data in whole.items()}
     cases |= {"text.png": b"hello", "empty.jpg": b""}
     for name, data in cases.items():
@@ -167,7 +178,9 @@ def test_a_truncated_tiff_is_refused(tmp_path, compression, share):
 
 def test_a_tiff_with_changed_bytes_is_refused(tmp_path):
     data = bytearray(store(tmp_path / "a.tif", BIG, compression="lzw").read_bytes())
-    data[len(data) // 2 : len(data) // 2 + 50] = bytes(byte ^ 0x5A for byte in data[len(data) // 2 : len(data) // 2 + 50])
+    data[len(data) // 2 : len(data) // 2 + 50] = bytes(
+        byte ^ 0x5A for byte in data[len(data) // 2 : len(data) // 2 + 50]
+    )
     (tmp_path / "a.tif").write_bytes(data)
     with pytest.raises(FormatError, match="a.tif: cannot be read as an image"):
         read_pixels(tmp_path / "a.tif")
@@ -209,9 +222,14 @@ def test_files_that_begin_like_no_image_are_not_given_to_a_reader(tmp_path, monk
 
 def test_a_damaged_image_is_given_only_to_the_reader_of_its_kind(tmp_path, monkeypatch):
     (tmp_path / "a.jpg").write_bytes(b"\xff\xd8\xff\xe0" + bytes(1000))
-    store(tmp_path / "b.png", RGB).rename(tmp_path / "b.jpg")  # the suffix of another kind: every reader may try
+    # the suffix of another kind: every reader may try
+    store(tmp_path / "b.png", RGB).rename(tmp_path / "b.jpg")
     asked, open_ = [], oiio.ImageInput.open
-    monkeypatch.setattr(oiio.ImageInput, "open", lambda *words: (asked.append(oiio.get_int_attribute("try_all_readers")), open_(*words))[1])
+    monkeypatch.setattr(
+        oiio.ImageInput,
+        "open",
+        lambda *words: (asked.append(oiio.get_int_attribute("try_all_readers")), open_(*words))[1],
+    )
     with pytest.raises(FormatError, match="a.jpg: cannot be read as an image"):
         read_pixels(tmp_path / "a.jpg")
     assert np.array_equal(read_pixels(tmp_path / "b.jpg"), RGB)
@@ -222,7 +240,10 @@ def test_a_large_file_with_the_suffix_of_another_kind_is_refused(tmp_path):
     with open(tmp_path / "a.png", "wb") as file:
         file.write(b"\xff\xd8\xff\xe0")
         file.truncate(100 * 2**20)
-    with pytest.raises(FormatError, match="a.png: cannot be read as an image .it begins like a JPEG file.; give its name the suffix .jpg"):
+    with pytest.raises(
+        FormatError,
+        match="a.png: cannot be read as an image .it begins like a JPEG file.; give its name the suffix .jpg",
+    ):
         image_size(tmp_path / "a.png")
 
 

@@ -44,14 +44,21 @@ def test_a_hostile_request_is_refused(content, tmp_path):
 
 
 def test_words_of_a_request_stay_values(tmp_path):
-    (tmp_path / "job.json").write_text(json.dumps(GOOD | {"options": {"colmap": "--out=x", "images": "--overwrite", "visible_mask": True}}))
+    (tmp_path / "job.json").write_text(
+        json.dumps(GOOD | {"options": {"colmap": "--out=x", "images": "--overwrite", "visible_mask": True}})
+    )
     options = JobFolder(tmp_path).options()
     assert (str(options.colmap), options.images, options.visible_mask) == ("--out=x", "--overwrite", True)
     assert options.out == tmp_path / "recovered.ply"
 
 
-@pytest.mark.parametrize(("former", "present"), [("svr", "removal"), ("svr-mask", "svr"), ("svr-worth", "saliency"), ("gns", "gns"), (None, "removal")])
-def test_a_job_of_the_first_schema_keeps_its_method_and_says_once_what_it_is_called_now(tmp_path, former, present):
+@pytest.mark.parametrize(
+    ("former", "present"),
+    [("svr", "removal"), ("svr-mask", "svr"), ("svr-worth", "saliency"), ("gns", "gns"), (None, "removal")],
+)
+def test_a_job_of_the_first_schema_keeps_its_method_and_says_once_what_it_is_called_now(
+    tmp_path, former, present
+):
     options = {"colmap": "x"} if former is None else {"colmap": "x", "method": former}
     (tmp_path / "job.json").write_text(json.dumps(GOOD | {"options": options}))
     said = JobFolder(tmp_path).update_schema()
@@ -61,7 +68,12 @@ def test_a_job_of_the_first_schema_keeps_its_method_and_says_once_what_it_is_cal
 
 
 @pytest.mark.parametrize(
-    ("bad", "said"), [({"iterations": -1}, "whole number of 0 or more"), ({"target": 1.5}, "share above 0"), ({"lambda_f": -1e-4}, "weight of 0")]
+    ("bad", "said"),
+    [
+        ({"iterations": -1}, "whole number of 0 or more"),
+        ({"target": 1.5}, "share above 0"),
+        ({"lambda_f": -1e-4}, "weight of 0"),
+    ],
 )
 def test_options_out_of_range_are_refused_when_the_job_is_made(tiny, tmp_path, bad, said):
     with pytest.raises(SceneError, match=said):
@@ -70,14 +82,35 @@ def test_options_out_of_range_are_refused_when_the_job_is_made(tiny, tmp_path, b
 
 
 def test_a_zero_is_not_left_to_the_default(tmp_path):
-    asked = {"colmap": "x", "iterations": 0, "recovery": 0, "holdout": 0, "min_contribution": 0.0, "visible_mask": False, "images": ""}
+    asked = {
+        "colmap": "x",
+        "iterations": 0,
+        "recovery": 0,
+        "holdout": 0,
+        "min_contribution": 0.0,
+        "visible_mask": False,
+        "images": "",
+    }
     (tmp_path / "job.json").write_text(json.dumps(GOOD | {"options": asked}))
     options = JobFolder(tmp_path).options()
-    assert RECOVERY and options.iterations == options.recovery == options.holdout == options.min_contribution == 0
+    assert (
+        RECOVERY
+        and options.iterations == options.recovery == options.holdout == options.min_contribution == 0
+    )
     assert options.visible_mask is False and options.images == ""
 
 
-LINKS = ["messages.jsonl", "log.txt", "metrics.csv", "pruned.ply", "state.json", "stop", "previews", "previews/0000001.png", "recovered.ply.job"]
+LINKS = [
+    "messages.jsonl",
+    "log.txt",
+    "metrics.csv",
+    "pruned.ply",
+    "state.json",
+    "stop",
+    "previews",
+    "previews/0000001.png",
+    "recovered.ply.job",
+]
 
 
 @pytest.mark.parametrize("name", LINKS)
@@ -92,7 +125,12 @@ def test_a_job_with_a_link_in_its_folder_is_refused(tiny, tmp_path, name, dangli
         victim.write_text("mine")
     with pytest.raises(FormatError, match=f"{name}: is a link"):
         Job(folder).start()
-    child = subprocess.run([sys.executable, "-m", "svrgs_addon.jobs.job_main", str(folder.path)], cwd=ROOT, capture_output=True, text=True)
+    child = subprocess.run(
+        [sys.executable, "-m", "svrgs_addon.jobs.job_main", str(folder.path)],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+    )
     assert child.returncode == 2 and "is a link" in child.stderr and "Traceback" not in child.stderr
     assert victim.read_text() == "mine" if not dangling else not victim.exists()
 
@@ -106,7 +144,10 @@ def test_discarding_a_job_removes_its_links_and_not_what_they_lead_to(tiny, tmp_
     (folder / name).unlink(missing_ok=True)
     (folder / name).symlink_to(victim)
     folder.discard()
-    assert not folder.path.exists() and sorted(path.name for path in victim.iterdir()) == ["0000001", "0000001.png"]
+    assert not folder.path.exists() and sorted(path.name for path in victim.iterdir()) == [
+        "0000001",
+        "0000001.png",
+    ]
 
 
 @pytest.mark.parametrize("count", [7, 50_000_000, 10**30])
@@ -116,20 +157,36 @@ def test_a_job_whose_count_is_not_that_of_its_scene_is_refused(tiny, tmp_path, j
     job.folder.write_json("job.json", {**job.folder.request(), "count": count})
     job.start()
     follow(job)
-    assert job.state == "failed" and f"scene.ply: has 250 Gaussians, but job.json says {count:,}" in job.facts["text"]
+    assert (
+        job.state == "failed"
+        and f"scene.ply: has 250 Gaussians, but job.json says {count:,}" in job.facts["text"]
+    )
     assert not (job.folder / "ranking.npz").exists()
 
 
-@pytest.mark.parametrize("rows", [None, np.arange(1, 251, dtype=np.uint32), np.zeros(250, np.uint32), np.linspace(0, 249, 250, dtype=np.float32)])
+@pytest.mark.parametrize(
+    "rows",
+    [
+        None,
+        np.arange(1, 251, dtype=np.uint32),
+        np.zeros(250, np.uint32),
+        np.linspace(0, 249, 250, dtype=np.float32),
+    ],
+)
 def test_a_job_whose_scene_does_not_name_its_rows_is_refused(tiny, tmp_path, jobs, rows):
     job = Job(create(tmp_path / "job", tiny, **SHORT))
     jobs.append(job)
     scene = read_ply(job.folder / "scene.ply")
-    attributes = {name: column for name, column in scene.attributes.items() if name != folders.ROW} | ({} if rows is None else {folders.ROW: rows})
+    attributes = {name: column for name, column in scene.attributes.items() if name != folders.ROW} | (
+        {} if rows is None else {folders.ROW: rows}
+    )
     write_ply(job.folder / "scene.ply", replace(scene, attributes=attributes, property_order=()))
     job.start()
     follow(job)
-    assert job.state == "failed" and "scene.ply: its column svrgs_row does not name the rows" in job.facts["text"]
+    assert (
+        job.state == "failed"
+        and "scene.ply: its column svrgs_row does not name the rows" in job.facts["text"]
+    )
 
 
 def test_hostile_arrays_are_refused(tiny, tmp_path):
@@ -148,9 +205,22 @@ def test_hostile_arrays_are_refused(tiny, tmp_path):
 
 def test_hostile_states_and_metrics_show_nothing_that_is_not_a_fact(tiny, tmp_path):
     folder = create(tmp_path / "job", tiny)
-    folder.write_json("state.json", {"state": "running", "count": "many", "psnr": "x", "total": True, "iteration": 3, "evil": 1, "text": ["a"]})
+    folder.write_json(
+        "state.json",
+        {
+            "state": "running",
+            "count": "many",
+            "psnr": "x",
+            "total": True,
+            "iteration": 3,
+            "evil": 1,
+            "text": ["a"],
+        },
+    )
     assert folder.state() == {"state": "running", "iteration": 3}
-    (folder / "metrics.csv").write_bytes(b"iteration,count,loss,psnr\n1,2,3,\nnan,1,1,1\n1,2\nx,y,z,w\n1e300,inf,-1,5\n2,9,3,")
+    (folder / "metrics.csv").write_bytes(
+        b"iteration,count,loss,psnr\n1,2,3,\nnan,1,1,1\n1,2\nx,y,z,w\n1e300,inf,-1,5\n2,9,3,"
+    )
     metrics = folder.metrics()
     assert metrics["iteration"].tolist() == [1, 1e300, 2]
     assert job_plot.draw(metrics, 10).shape == (job_plot.SIDE, job_plot.SIDE, 4)

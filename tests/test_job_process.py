@@ -1,4 +1,5 @@
-"""A job in a process of its own: started, followed, stopped, killed, orphaned; its folder, honest and hostile."""
+"""A job in a process of its own: started, followed, stopped, killed, orphaned; its folder, honest and
+hostile."""
 
 from __future__ import annotations
 
@@ -49,7 +50,9 @@ def test_a_job_reports_progress_and_leaves_its_result(done, tiny):
     previews = [message["path"] for message in heard if message["type"] == "PREVIEW"]
     assert previews and all((job.folder / path).stat().st_size > 100 for path in previews)
     metrics = job.folder.metrics()
-    assert metrics["iteration"][-1] == 60 and metrics["count"][-1] == 125 and np.isfinite(metrics["psnr"]).any()
+    assert (
+        metrics["iteration"][-1] == 60 and metrics["count"][-1] == 125 and np.isfinite(metrics["psnr"]).any()
+    )
 
 
 def test_files_in_the_current_folder_are_not_taken_for_modules(tiny, tmp_path, monkeypatch):
@@ -65,13 +68,17 @@ def test_files_in_the_current_folder_are_not_taken_for_modules(tiny, tmp_path, m
 def test_the_score_orders_the_source_as_the_job_did(done, tiny):
     job, _ = done
     kept, score = job.folder.arrays()
-    assert kept.sum() == 125 and (score[kept] > 0.5).all() and (score[~kept] < 0.5).all() and (score >= 0).all()
+    assert (
+        kept.sum() == 125 and (score[kept] > 0.5).all() and (score[~kept] < 0.5).all() and (score >= 0).all()
+    )
     assert len(np.unique(score)) == tiny_dataset.COUNT, "any count can be asked for"
     faint = np.arange(tiny_dataset.COUNT) >= 2 * tiny_dataset.SEEN
     assert not kept[faint].any(), "what no view can show goes first"
     assert score[faint].max() < score[~faint & ~kept].max()
     pruned, source = read_ply(job.folder / "pruned.ply"), read_ply(tiny.splat)
-    assert np.abs(pruned.means - source.means[kept]).max() < 0.2, "recovered Gaussians stay in the source's order, near where they were"
+    assert np.abs(pruned.means - source.means[kept]).max() < 0.2, (
+        "recovered Gaussians stay in the source's order, near where they were"
+    )
 
 
 def test_stop_saves_a_checkpoint_and_resume_goes_on_there(tiny, tmp_path, jobs):
@@ -84,11 +91,17 @@ def test_stop_saves_a_checkpoint_and_resume_goes_on_there(tiny, tmp_path, jobs):
     follow(job)
     assert job.state == job.folder.state()["state"] == "stopped" and not job.stopping
     saved = job.folder.checkpoint()
-    assert saved > 200 and job.resume_point() == ("Resume continues at {share:.0%}", {"share": saved / 20_000})
+    assert saved > 200 and job.resume_point() == (
+        "Resume continues at {share:.0%}",
+        {"share": saved / 20_000},
+    )
     job.start()
     assert not (job.folder / "stop").exists()
     heard = follow(job, at_work)
-    assert job.state == "running" and min(message["iteration"] for message in heard if message["type"] == "PROGRESS") > saved
+    assert (
+        job.state == "running"
+        and min(message["iteration"] for message in heard if message["type"] == "PROGRESS") > saved
+    )
 
 
 def test_stop_while_the_job_is_still_reading(tiny, tmp_path, jobs):
@@ -102,7 +115,9 @@ def test_stop_while_the_job_is_still_reading(tiny, tmp_path, jobs):
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="this system cannot hold a process")
-def test_a_job_that_gives_no_sign_of_life_is_killed_and_says_from_where_it_goes_on(tiny, tmp_path, jobs, monkeypatch):
+def test_a_job_that_gives_no_sign_of_life_is_killed_and_says_from_where_it_goes_on(
+    tiny, tmp_path, jobs, monkeypatch
+):
     monkeypatch.setattr("svrgs_addon.jobs.job_process.NO_REACTION", 1.0)
     job = Job(create(tmp_path / "job", tiny, **LONG))
     jobs.append(job)
@@ -173,7 +188,9 @@ def test_a_job_that_another_process_continued_is_seen(tiny, tmp_path, jobs, monk
 
 
 def result_bytes(job: Job) -> list[bytes]:
-    return [(job.folder / name).read_bytes() for name in ("pruned.ply", "kept.npy", "score.npy", "metrics.csv")]
+    return [
+        (job.folder / name).read_bytes() for name in ("pruned.ply", "kept.npy", "score.npy", "metrics.csv")
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -222,23 +239,29 @@ def test_a_killed_job_is_interrupted_and_goes_on_to_the_same_bytes(undisturbed, 
 def test_a_job_whose_parent_dies_saves_a_checkpoint_and_ends(tiny, tmp_path):
     folder = create(tmp_path / "job", tiny, **LONG)
     code = (
-        "import sys, time\nfrom svrgs_addon.jobs.job_process import Job\nfrom svrgs_addon.jobs.job_folder import JobFolder\n"
-        "job = Job(JobFolder(sys.argv[1]))\njob.start()\n"
-        "while job.facts.get('iteration', 0) < 20:\n    job.poll()\n    time.sleep(0.02)\n"
-        "print('working', flush=True)\ntime.sleep(60)\n"
+        "import sys, time\nfrom svrgs_addon.jobs.job_process import Job\nfrom svrgs_addon.jobs.job_folder"
+        " import JobFolder\njob = Job(JobFolder(sys.argv[1]))\njob.start()\nwhile job.facts.get('iteration',"
+        " 0) < 20:\n    job.poll()\n    time.sleep(0.02)\nprint('working', flush=True)\ntime.sleep(60)\n"
     )
-    with subprocess.Popen([sys.executable, "-c", code, str(folder.path)], cwd=ROOT, stdout=subprocess.PIPE) as parent:
+    with subprocess.Popen(
+        [sys.executable, "-c", code, str(folder.path)], cwd=ROOT, stdout=subprocess.PIPE
+    ) as parent:
         assert parent.stdout.readline().strip() == b"working"
         child = folder.state()["pid"]
         parent.kill()
     end = time.monotonic() + 10
     while folder.state()["state"] != "interrupted" and time.monotonic() < end:
         time.sleep(0.05)
-    assert json.loads((folder / "state.json").read_bytes())["state"] == "interrupted", "written by the job itself, not inferred"
+    assert json.loads((folder / "state.json").read_bytes())["state"] == "interrupted", (
+        "written by the job itself, not inferred"
+    )
     assert list((folder / "recovered.ply.job").glob("*/manifest.json"))
     while Path(f"/proc/{child}/stat").exists() and time.monotonic() < end:
         time.sleep(0.05)
-    assert not Path(f"/proc/{child}").exists() or "Z" in Path(f"/proc/{child}/stat").read_text().split(")")[1][:3]
+    assert (
+        not Path(f"/proc/{child}").exists()
+        or "Z" in Path(f"/proc/{child}/stat").read_text().split(")")[1][:3]
+    )
 
 
 def test_a_job_without_a_sign_of_life_counts_as_interrupted(tiny, tmp_path):
@@ -291,7 +314,11 @@ def test_garbage_among_the_messages_is_passed_over(tiny, tmp_path, jobs):
 
 
 def test_the_plot_grows_with_the_run():
-    columns = {"iteration": np.arange(1, 51.0), "count": np.linspace(100, 20, 50), "psnr": np.where(np.arange(50) % 5, np.nan, 30.0)}
+    columns = {
+        "iteration": np.arange(1, 51.0),
+        "count": np.linspace(100, 20, 50),
+        "psnr": np.where(np.arange(50) % 5, np.nan, 30.0),
+    }
     half, whole = (job_plot.draw(columns, total) for total in (100, 50))
     for picture, share in ((half, 0.5), (whole, 1.0)):
         colored = (np.ptp(picture[..., :3], axis=-1) > 0.1).any(axis=0)

@@ -1,4 +1,5 @@
-"""Scenes larger than memory: blocks on the disk give the scores and the files of the undivided scene, whatever the number of blocks and of parts."""
+"""Scenes larger than memory: blocks on the disk give the scores and the files of the undivided scene,
+whatever the number of blocks and of parts."""
 
 from __future__ import annotations
 
@@ -51,8 +52,8 @@ def cameras():
 
 @pytest.fixture
 def small_parts(monkeypatch) -> float:
-    """What views blend is found out in small parts of their pictures. The largest alpha T of Gaussians that may be missed there: the last ones of rays that
-    end in another part."""
+    """What views blend is found out in small parts of their pictures. The largest alpha T of Gaussians that
+    may be missed there: the last ones of rays that end in another part."""
     for name, value in {"PORTION": COUNT // 20, "LEAST": 16, "REACH": 6.0}.items():
         monkeypatch.setattr(f"svrgs_addon.prune.blocks.visible.{name}", value)
     return 1e-3
@@ -73,7 +74,11 @@ def whole(source, cameras, tmp_path_factory):
 @pytest.mark.parametrize("most, parts", [(COUNT // 4, 2), (COUNT // 16, 5)])
 def test_scores_do_not_depend_on_blocks_and_parts_by_a_bit(source, cameras, whole, tmp_path, most, parts):
     divided, scores = scored(source, tmp_path, most, parts, cameras)
-    assert len(whole[0].blocks) == 1 and len(divided.blocks) > parts and all(block.count <= most for block in divided.blocks)
+    assert (
+        len(whole[0].blocks) == 1
+        and len(divided.blocks) > parts
+        and all(block.count <= most for block in divided.blocks)
+    )
     assert (scores == whole[1]).all()
 
 
@@ -86,15 +91,20 @@ def test_scores_hardly_depend_on_the_parts_of_a_picture(source, cameras, whole, 
 
 
 def test_scores_are_what_the_views_see_of_the_scene_in_memory(source, cameras, whole):
-    expected, _ = looks(read_scene(source), reduced(cameras), Rasterizer(), render_options(read_scene(source)), pictures=False)
+    expected, _ = looks(
+        read_scene(source), reduced(cameras), Rasterizer(), render_options(read_scene(source)), pictures=False
+    )
     scores = visibility(whole[1])
-    last = {"pixels": 1, "transmittance": 2e-4}  # without Gaussians that are not blended, T rounds in another way, and a ray may stop one Gaussian later
+    # without Gaussians that are not blended, T rounds in another way, and a ray may stop one Gaussian later
+    last = {"pixels": 1, "transmittance": 2e-4}
     for column, name in enumerate(VISIBILITY):
         bound = 1e-6 * np.abs(expected[:, column]).max() + 5 * UNITS[column] + last.get(name, 0)
         assert np.abs(scores[:, column] - expected[:, column]).max() <= bound, name
     squares = VISIBILITY.index("squares")
     tiny = (expected[:, squares] > 0) & (expected[:, squares] < 1e-8)
-    assert tiny.sum() > 50 and np.allclose(scores[tiny, squares], expected[tiny, squares], rtol=0.02, atol=1e-14)
+    assert tiny.sum() > 50 and np.allclose(
+        scores[tiny, squares], expected[tiny, squares], rtol=0.02, atol=1e-14
+    )
 
 
 @pytest.mark.parametrize("in_parts", [False, True])
@@ -107,7 +117,10 @@ def test_every_gaussian_that_a_view_blends_is_read(source, cameras, tmp_path, re
         most = np.zeros(scene.count, np.float32)
         reached = np.zeros(scene.count, np.uint8)
         rasterizer.add_scores(max_=most, reached=reached)
-        assert set(np.flatnonzero(most > faint)) <= set(rows.tolist()) and (np.diff(rows.astype(np.int64)) > 0).all()
+        assert (
+            set(np.flatnonzero(most > faint)) <= set(rows.tolist())
+            and (np.diff(rows.astype(np.int64)) > 0).all()
+        )
         assert len(rows) < COUNT if in_parts else rows.tolist() == np.flatnonzero(reached).tolist()
         assert (part.means == scene.means[rows]).all()
         picture = rasterizer.forward(scene, camera, render_options(scene))["rgb"].copy()
@@ -119,11 +132,17 @@ def test_every_gaussian_is_in_one_block_and_in_its_box(source, tmp_path):
     rows = np.concatenate([block.rows for block in divided.blocks])
     assert sorted(rows.tolist()) == list(range(COUNT))
     for block in divided.blocks:
-        assert (block.geometry[:, :3] == scene.means[block.rows]).all() and (block.sh(9) == scene.sh[block.rows]).all()
+        assert (block.geometry[:, :3] == scene.means[block.rows]).all() and (
+            block.sh(9) == scene.sh[block.rows]
+        ).all()
         assert (block.geometry[:, :3] >= block.low).all() and (block.geometry[:, :3] <= block.high).all()
         assert block.largest == scene.log_scales[block.rows].max()
     again = Divided.read(tmp_path)
-    assert again.count == COUNT and again.digest == divided.digest and [one.count for one in again.blocks] == [one.count for one in divided.blocks]
+    assert (
+        again.count == COUNT
+        and again.digest == divided.digest
+        and [one.count for one in again.blocks] == [one.count for one in divided.blocks]
+    )
 
 
 @pytest.fixture(scope="module", params=[COUNT, COUNT // 4])
@@ -139,12 +158,19 @@ def test_so_many_are_left_as_are_wanted_at_one_cost_for_all_blocks(ordered):
     for wanted in (COUNT, COUNT - 1, 4_321, COUNT // 10):
         cells = counts(ordered, wanted)
         kept = [sum(some) for some in cells]
-        assert sum(kept) == wanted and all(0 < count <= block.count for count, block in zip(kept, ordered.blocks, strict=True))
+        assert sum(kept) == wanted and all(
+            0 < count <= block.count for count, block in zip(kept, ordered.blocks, strict=True)
+        )
         parts = list(merged(ordered, cells))
         assert [part.count for part in parts] == kept and all(np.isfinite(part.means).all() for part in parts)
-    shares = [sum(some) / block.count for some, block in zip(counts(ordered, COUNT // 4), ordered.blocks, strict=True)]
+    shares = [
+        sum(some) / block.count
+        for some, block in zip(counts(ordered, COUNT // 4), ordered.blocks, strict=True)
+    ]
     assert len(shares) == 1 or max(shares) > 1.3 * min(shares), "what is seen more keeps more"
-    assert sum(map(sum, counts(ordered, 1))) == sum(max(1, round(LEAST * block.count)) for block in ordered.blocks)
+    assert sum(map(sum, counts(ordered, 1))) == sum(
+        max(1, round(LEAST * block.count)) for block in ordered.blocks
+    )
 
 
 def test_the_same_gaussians_are_merged_whatever_the_number_of_blocks(source, cameras, tmp_path, monkeypatch):
@@ -159,7 +185,9 @@ def test_the_same_gaussians_are_merged_whatever_the_number_of_blocks(source, cam
         assert sum(map(len, cells)) == 16 and len(divided.blocks) == COUNT // most
         write_joined(cut(divided, cameras, COUNT // 4), tmp_path / f"{most}.ply")
         files.append((tmp_path / f"{most}.ply").read_bytes())
-    assert len(set(files)) == 1 and np.ptp(sum(cells, [])) > 100, "what is seen more keeps more, cell by cell too"
+    assert len(set(files)) == 1 and np.ptp(sum(cells, [])) > 100, (
+        "what is seen more keeps more, cell by cell too"
+    )
 
 
 def test_orders_of_other_cells_are_refused(source, cameras, tmp_path, monkeypatch):
@@ -184,7 +212,11 @@ def test_blocks_and_formats_change_the_result_little(ordered, source, cameras, t
     write_scene(tmp_path / "memory.ply", order_of(scene, sums, COUNT // 4).at(COUNT // 4))
     undivided = likeness.psnr(divide(tmp_path / "memory.ply", tmp_path / "memory"))
     exact, packed = psnr_of("a.ply"), psnr_of("a.spz")
-    assert undivided > 50 and abs(exact - undivided) < (0.2 if len(ordered.blocks) == 1 else 1) and 40 < packed < exact
+    assert (
+        undivided > 50
+        and abs(exact - undivided) < (0.2 if len(ordered.blocks) == 1 else 1)
+        and 40 < packed < exact
+    )
     assert likeness.psnr(ordered) == 100 and abs(likeness.psnr(left) - exact) < 0.01
 
 
@@ -196,23 +228,47 @@ def test_one_block_is_tuned_as_the_scene_in_memory(ordered, source, cameras):
     scene, original = scene_of(left, left.blocks[0]), read_scene(source)
     pictures = [np.load(picture_path(ordered, k)).astype(np.float32) for k in range(len(views))]
     for view, picture in zip(views, pictures, strict=True):
-        assert np.abs(Rasterizer().forward(original, view, render_options(original))["rgb"] - picture).max() < 2**-11
+        assert (
+            np.abs(Rasterizer().forward(original, view, render_options(original))["rgb"] - picture).max()
+            < 2**-11
+        )
     error = json.loads((left.folder / "error.json").read_text())["error"]
     shown = [Rasterizer().forward(scene, view, render_options(scene))["rgb"] for view in views]
     assert (
-        error == pytest.approx(np.mean([np.square(one - other).mean() for one, other in zip(shown, pictures, strict=True)]) ** 0.5, rel=1e-3) and error < 0.01
+        error
+        == pytest.approx(
+            np.mean([np.square(one - other).mean() for one, other in zip(shown, pictures, strict=True)])
+            ** 0.5,
+            rel=1e-3,
+        )
+        and error < 0.01
     )
-    expected = refit(scene, list(map(Look, views, pictures)), 9, pace_for(error), middle_scale(scene.log_scales), render_options(scene), 0, lambda: False)
+    expected = refit(
+        scene,
+        list(map(Look, views, pictures)),
+        9,
+        pace_for(error),
+        middle_scale(scene.log_scales),
+        render_options(scene),
+        0,
+        lambda: False,
+    )
     found = tuned_blocks(ordered)
     tuned = scene_of(found, found.blocks[0])
     for name in PARAMETERS:
         change = np.abs(getattr(expected, name) - getattr(scene, name)).max()
-        assert change > 0 and np.abs(getattr(tuned, name) - getattr(expected, name)).max() < 0.02 * change, name
+        assert change > 0 and np.abs(getattr(tuned, name) - getattr(expected, name)).max() < 0.02 * change, (
+            name
+        )
 
 
 def test_tuned_blocks_are_as_good_as_the_tuned_whole_in_any_order(ordered, cameras):
     likeness, left = Likeness(ordered, cameras), cut(ordered, cameras, FEW)
-    with pytest.raises(SceneError, match="the block 0 is missing; do the step before it first") if len(left.blocks) > 1 else contextlib.nullcontext():
+    with (
+        pytest.raises(SceneError, match="the block 0 is missing; do the step before it first")
+        if len(left.blocks) > 1
+        else contextlib.nullcontext()
+    ):
         tune(ordered, len(left.blocks) - 1, cameras, 60)
         tuned_blocks(ordered)
     for number in reversed(range(len(left.blocks) - 1)):
@@ -223,7 +279,9 @@ def test_tuned_blocks_are_as_good_as_the_tuned_whole_in_any_order(ordered, camer
     assert after > before + 5
     first = (tuned.folder / "0.geometry").read_bytes()
     tune(ordered, 0, cameras, 60)
-    assert (tuned.folder / "0.geometry").read_bytes() == first, "neither order nor what was tuned before counts"
+    assert (tuned.folder / "0.geometry").read_bytes() == first, (
+        "neither order nor what was tuned before counts"
+    )
     GAINS.append(after)
     assert max(GAINS) - min(GAINS) < 1, "of a scene of a few Gaussians; docs/farm.md has those of large ones"
 
@@ -236,7 +294,10 @@ def test_where_fine_tuning_does_harm_less_of_it_is_taken(ordered, cameras):
 
     def likes(share: float):
         def quality(scene: Divided) -> float:
-            change = [np.abs(one.geometry[:, :3] - other.geometry[:, :3]).max() for one, other in zip(scene.blocks, left.blocks, strict=True)]
+            change = [
+                np.abs(one.geometry[:, :3] - other.geometry[:, :3]).max()
+                for one, other in zip(scene.blocks, left.blocks, strict=True)
+            ]
             asked.append(max(change))
             return -abs(max(change) - share * asked[0])
 
@@ -257,7 +318,10 @@ def test_pictures_that_are_missing_are_named(source, cameras, tmp_path):
     cut(divided, cameras, COUNT // 2)
     assert tuned_blocks(divided) is None
     path = tmp_path / "3.picture.npy"
-    for contents, sentence in ((path.read_bytes()[:500], "score the views first"), ((tmp_path / "scores_0_of_1").name.encode(), "score the views first")):
+    for contents, sentence in (
+        (path.read_bytes()[:500], "score the views first"),
+        ((tmp_path / "scores_0_of_1").name.encode(), "score the views first"),
+    ):
         path.write_bytes(contents)
         with pytest.raises(FormatError, match=sentence):
             tune(divided, 0, cameras, 5)
@@ -284,7 +348,11 @@ def test_steps_that_are_missing_are_named(source, cameras, tmp_path):
 
 
 def test_columns_that_are_lost_are_named(tmp_path, caplog):
-    columns = {"label": np.zeros(20, np.uint8), "nx": np.zeros(20, np.float32), "svrgs_row": np.arange(20, dtype=np.int32)}
+    columns = {
+        "label": np.zeros(20, np.uint8),
+        "nx": np.zeros(20, np.float32),
+        "svrgs_row": np.arange(20, dtype=np.int32),
+    }
     write_scene(tmp_path / "a.ply", replace(room(20, 0), attributes=columns))
     divide(tmp_path / "a.ply", tmp_path / "b")
     assert "left out: label" in caplog.text and "svrgs_row" not in caplog.text
@@ -294,7 +362,12 @@ def test_points_in_one_place_are_divided_too(tmp_path):
     scene = room(100, 0)
     scene.means[:] = 1.0
     write_scene(tmp_path / "a.ply", scene)
-    assert [block.count for block in divide(tmp_path / "a.ply", tmp_path / "b", 30).blocks] == [25, 25, 25, 25]
+    assert [block.count for block in divide(tmp_path / "a.ply", tmp_path / "b", 30).blocks] == [
+        25,
+        25,
+        25,
+        25,
+    ]
 
 
 def test_missing_and_foreign_parts_are_not_added(source, cameras, tmp_path):
@@ -315,8 +388,21 @@ def test_missing_and_foreign_parts_are_not_added(source, cameras, tmp_path):
 
 
 def test_the_folder_of_blocks_is_not_one_with_other_files(source, cameras, tmp_path, svrgs):
-    write_cameras_json(tmp_path / "views.json", [replace(camera, name=str(k)) for k, camera in enumerate(cameras)])
-    words = ["large", "prune", source, "--cameras", tmp_path / "views.json", "--target", 0.5, "--out", tmp_path / "out.ply", "--json"]
+    write_cameras_json(
+        tmp_path / "views.json", [replace(camera, name=str(k)) for k, camera in enumerate(cameras)]
+    )
+    words = [
+        "large",
+        "prune",
+        source,
+        "--cameras",
+        tmp_path / "views.json",
+        "--target",
+        0.5,
+        "--out",
+        tmp_path / "out.ply",
+        "--json",
+    ]
     (tmp_path / "out.ply.blocks").mkdir()
     (tmp_path / "out.ply.blocks/mine.txt").write_text("mine")
     refused = svrgs(*words)
@@ -345,9 +431,25 @@ def test_a_divided_scene_that_is_damaged_is_one_sentence(source, cameras, tmp_pa
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signal 9")
 def test_steps_that_are_killed_and_done_again_give_the_same_bytes(source, cameras, tmp_path, svrgs):
-    write_cameras_json(tmp_path / "views.json", [replace(camera, name=str(k)) for k, camera in enumerate(cameras)])
+    write_cameras_json(
+        tmp_path / "views.json", [replace(camera, name=str(k)) for k, camera in enumerate(cameras)]
+    )
     work, given = tmp_path / "work", ["--cameras", tmp_path / "views.json", "--block", "2000"]
-    assert svrgs("large", "prune", source, *given, "--target", "0.05", "--steps", "40", "--out", tmp_path / "one.ply").status == 0
+    assert (
+        svrgs(
+            "large",
+            "prune",
+            source,
+            *given,
+            "--target",
+            "0.05",
+            "--steps",
+            "40",
+            "--out",
+            tmp_path / "one.ply",
+        ).status
+        == 0
+    )
     killed = 0
     for step, *more in (
         ("divide", source, *given, "--work", work),
@@ -359,7 +461,9 @@ def test_steps_that_are_killed_and_done_again_give_the_same_bytes(source, camera
     ):
         command = ["large", step, *more] if step == "divide" else ["large", step, work, *more]
         words = [sys.executable, "-m", "svrgs_addon", *map(str, command)]
-        process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, cwd=Path(__file__).resolve().parents[1])
+        process = subprocess.Popen(
+            words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, cwd=Path(__file__).resolve().parents[1]
+        )
         assert process.stderr is not None
         process.stderr.readline()  # the first line of its progress, if it tells any
         process.kill()
@@ -371,7 +475,9 @@ def test_steps_that_are_killed_and_done_again_give_the_same_bytes(source, camera
     assert (tmp_path / "many.ply").read_bytes() == (tmp_path / "one.ply").read_bytes()
     assert svrgs("large", "tune", work, "--steps", "0").status == 0
     untuned = svrgs("large", "finish", work, "--out", tmp_path / "many.ply", "--json").json
-    assert untuned["tuned_share"] == 0 and untuned["psnr_merged"] is None, "what was tuned before does not count"
+    assert untuned["tuned_share"] == 0 and untuned["psnr_merged"] is None, (
+        "what was tuned before does not count"
+    )
 
 
 def test_a_block_that_no_view_sees_stays_as_it_was_cut(source, tmp_path):
@@ -386,5 +492,8 @@ def test_a_block_that_no_view_sees_stays_as_it_was_cut(source, tmp_path):
     left = cut(divided, narrow, 1500)
     for block in left.blocks:
         tune(divided, block.number, narrow, 4)
-    changed = [(one.geometry != other.geometry).any() for one, other in zip(left.blocks, tuned_blocks(divided).blocks, strict=True)]
+    changed = [
+        (one.geometry != other.geometry).any()
+        for one, other in zip(left.blocks, tuned_blocks(divided).blocks, strict=True)
+    ]
     assert 0 < sum(changed) < len(changed) / 2

@@ -1,4 +1,5 @@
-"""The order of layers and rooms, read from the imports themselves; no circles; short files and functions; quick commands stay quick."""
+"""The order of layers and rooms, read from the imports themselves; no circles; short files and functions;
+quick commands stay quick."""
 
 from __future__ import annotations
 
@@ -16,7 +17,11 @@ LAYERS = ("svrgs_addon", "operators", "panels")  # each may import those before 
 ROOMS = ("system", "scene", "native", "files", "views", "render", "finetune", "prune", "jobs", "cli")
 TOP = ("__main__.py", "batch.py")  # of svrgs_addon, above every room
 FILES = [path for layer in LAYERS for path in sorted((ROOT / layer).rglob("*.py"))]
-ALL_FILES = [path for folder in (*LAYERS, "tests", "benchmarks", "examples", "tools") for path in sorted((ROOT / folder).rglob("*.py"))]
+ALL_FILES = [
+    path
+    for folder in (*LAYERS, "tests", "benchmarks", "examples", "tools")
+    for path in sorted((ROOT / folder).rglob("*.py"))
+]
 NATIVE_FILES = [path for pattern in ("*.h", "*.cc") for path in sorted((ROOT / "native").rglob(pattern))]
 BLENDER = {"bpy", "bmesh", "mathutils", "gpu", "bl_ui"}
 HEAVY = {"torch", "pycolmap", "OpenImageIO", "scipy", "bpy"}
@@ -24,7 +29,8 @@ MAX_FILE, MAX_FUNCTION = 500, 60  # lines
 
 
 def imports(tree: ast.AST, file: Path) -> Iterator[tuple[str, bool]]:
-    """(module, relative) of every import below `tree`; a relative one as it is called from the repository's root."""
+    """(module, relative) of every import below `tree`; a relative one as it is called from the repository's
+    root."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from ((alias.name, False) for alias in node.names)
@@ -61,11 +67,20 @@ def check_imports(file: Path):
     for module, relative in imports(tree, file):
         top = module.split(".")[0]
         assert layer > 0 or top not in BLENDER, f"only operators and panels may import {top}"
-        assert relative or top not in LAYERS, f"{module} must be imported relatively: the extension's package has another name"
+        assert relative or top not in LAYERS, (
+            f"{module} must be imported relatively: the extension's package has another name"
+        )
         assert top not in LAYERS[layer + 1 :], f"{module} is above"
-        assert top != "ctypes" or file.parent.name in ("native", "system"), "only svrgs_addon/native/ calls the native library"
-        assert layer < 2 or not relative or module.startswith("panels"), "panels know operators and properties by name"
-        assert layer == 0 or top != "numpy" or file.name.startswith("bridge"), "only bridge*.py turn Blender's data into arrays"
+        assert top != "ctypes" or file.parent.name in (
+            "native",
+            "system",
+        ), "only svrgs_addon/native/ calls the native library"
+        assert layer < 2 or not relative or module.startswith("panels"), (
+            "panels know operators and properties by name"
+        )
+        assert layer == 0 or top != "numpy" or file.name.startswith("bridge"), (
+            "only bridge*.py turn Blender's data into arrays"
+        )
     if layer == 0 and file.name != "torch_engine.py":
         heavy = {module.split(".")[0] for module, _ in imports(at_top(tree), file)} & HEAVY
         assert not heavy, f"{heavy} must be imported inside functions"
@@ -82,7 +97,10 @@ def test_imports():
 
 
 def test_the_import_reader_sees_every_form():
-    code = "import bpy.types\nfrom torch import nn\nfrom ..panels import x\nfrom .. import operators\ndef f():\n    import scipy\n"
+    code = (
+        "import bpy.types\nfrom torch import nn\nfrom ..panels import x\nfrom .. import operators\ndef f():\n"
+        "    import scipy\n"
+    )
     tree, file = ast.parse(code), ROOT / "svrgs_addon" / "module.py"
     found = [("bpy.types", False), ("torch", False), ("panels", True), ("operators", True), ("scipy", False)]
     assert list(imports(tree, file)) == found
@@ -104,8 +122,13 @@ def import_graph(files: list[Path]) -> dict[str, set[str]]:
         found = set()
         for node in ast.walk(ast.parse(file.read_text())):
             if isinstance(node, ast.ImportFrom) and node.level:
-                package = ".".join((*file.relative_to(ROOT).parts[: -node.level], *filter(None, (node.module,))))
-                found |= {f"{package}.{alias.name}" if f"{package}.{alias.name}" in modules else package for alias in node.names}
+                package = ".".join(
+                    (*file.relative_to(ROOT).parts[: -node.level], *filter(None, (node.module,)))
+                )
+                found |= {
+                    f"{package}.{alias.name}" if f"{package}.{alias.name}" in modules else package
+                    for alias in node.names
+                }
         graph[name] = (found & modules.keys()) - {name}
     return graph
 
@@ -129,14 +152,22 @@ ROOM_FILES = {module_of(file): file for file in FILES if file.is_relative_to(ROO
 
 
 def test_rooms_import_no_room_above():
-    above = {module: [found for found in GRAPH[module] if room_of(ROOM_FILES[found]) > room_of(file)] for module, file in ROOM_FILES.items()}
+    above = {
+        module: [found for found in GRAPH[module] if room_of(ROOM_FILES[found]) > room_of(file)]
+        for module, file in ROOM_FILES.items()
+    }
     assert not {module: found for module, found in above.items() if found}
 
 
 @pytest.mark.parametrize("layer", LAYERS)
 def test_there_is_no_circle(layer):
-    packages = {module_of(file) for file in FILES if file.name == "__init__.py"}  # whose register() names what is in them
-    graph = {name: found - packages for name, found in GRAPH.items() if name.split(".")[0] == layer and name not in packages}
+    # whose register() names what is in them
+    packages = {module_of(file) for file in FILES if file.name == "__init__.py"}
+    graph = {
+        name: found - packages
+        for name, found in GRAPH.items()
+        if name.split(".")[0] == layer and name not in packages
+    }
     assert circles(graph) == []
 
 
@@ -166,7 +197,9 @@ def test_files_and_functions_are_short():
 def loaded_after(code: str, *arguments: str) -> set[str]:
     """Modules a fresh Python has loaded after `code`."""
     code += "\nimport sys\nprint(*sys.modules, file=sys.stderr)"
-    done = subprocess.run([sys.executable, "-c", code, *arguments], cwd=ROOT, capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code, *arguments], cwd=ROOT, capture_output=True, text=True, check=True
+    )
     return set(done.stderr.split())
 
 
@@ -176,6 +209,16 @@ def test_importing_the_package_loads_nothing_heavy():
 
 
 def test_info_loads_nothing_heavy(tiny):
-    loaded = loaded_after("import sys\nfrom svrgs_addon.cli.main import main\nassert main(sys.argv[1:]) == 0", "info", str(tiny.splat))
+    loaded = loaded_after(
+        "import sys\nfrom svrgs_addon.cli.main import main\nassert main(sys.argv[1:]) == 0",
+        "info",
+        str(tiny.splat),
+    )
     assert "numpy" in loaded and not loaded & HEAVY
-    assert not {f"svrgs_addon.{name}" for name in ("native.rasterizer", "finetune", "views", "render", "prune.run_job")} & loaded
+    assert (
+        not {
+            f"svrgs_addon.{name}"
+            for name in ("native.rasterizer", "finetune", "views", "render", "prune.run_job")
+        }
+        & loaded
+    )

@@ -1,4 +1,5 @@
-"""Methods with lambda_F on photographs, block by block: one block is as the scene in memory, more of them differ little, in any order."""
+"""Methods with lambda_F on photographs, block by block: one block is as the scene in memory, more of them
+differ little, in any order."""
 
 from __future__ import annotations
 
@@ -37,7 +38,10 @@ from svrgs_addon.views.dataset import Dataset, load_dataset
 from tiny_dataset import COUNT, FAINT
 
 STEPS = ("--iterations", 40, "--recovery", 20)
-SHORT = MemoryShort("a.ply: fine-tuning needs 90 GB of memory, but only 1 GB is available; svrgs large prunes it by blocks, with less")
+SHORT = MemoryShort(
+    "a.ply: fine-tuning needs 90 GB of memory, but only 1 GB is available; svrgs large prunes it by blocks,"
+    " with less"
+)
 
 
 def learned(tiny, data, folder, most: int, plan, order=None, wanted: int = 0) -> tuple[Divided, Divided]:
@@ -61,7 +65,19 @@ def together(divided: Divided) -> dict[str, np.ndarray]:
 @pytest.mark.parametrize("method", ["removal", "saliency", "svr", "svr-b"])
 def test_one_block_is_decided_as_the_scene_in_memory(tiny, data, tmp_path, svrgs, method):
     """To the bit: with all photographs and all Gaussians, nothing is left out."""
-    words = ["--colmap", tiny.folder, "--method", method, "--iterations", 40, "--recovery", 0, "--visible-mask", "--lambda-f", 0.02]
+    words = [
+        "--colmap",
+        tiny.folder,
+        "--method",
+        method,
+        "--iterations",
+        40,
+        "--recovery",
+        0,
+        "--visible-mask",
+        "--lambda-f",
+        0.02,
+    ]
     assert svrgs("prune", tiny.splat, *words, "--out", tmp_path / "o.ply").status == 0
     plan = Request(str(tiny.folder), method, 40, 0, 0.02 * METHODS[method].first_cut, lambda_f=0.02).plan()
     left, _ = learned(tiny, data, tmp_path / "blocks", COUNT, plan)
@@ -108,11 +124,14 @@ def test_lambda_f_is_the_same_price_in_all_blocks(tiny, data, tmp_path):
 
 
 def test_masks_decide_in_blocks_as_in_the_whole_scene(inside, tmp_path):
-    """The level of detail around a block is decided on, too: if it stayed, 6 % fewer would be left, and 2 dB be lost."""
+    """The level of detail around a block is decided on, too: if it stayed, 6 % fewer would be left, and 2 dB
+    be lost."""
     room, photographs = inside
     plan = prune_settings("svr", 200, 60, full=False, lambda_f=1e-3, mask_init=1.0)
     quality = PhotographLikeness(photographs).psnr
-    (_, whole), (_, parts) = (learned(room, photographs, tmp_path / str(most), most, plan) for most in (6_000, 1_500))
+    (_, whole), (_, parts) = (
+        learned(room, photographs, tmp_path / str(most), most, plan) for most in (6_000, 1_500)
+    )
     assert 1_000 < whole.count < 3_000 and len(parts.blocks) == 4
     assert parts.count == pytest.approx(whole.count, rel=0.03) and quality(parts) > quality(whole) - 0.5
 
@@ -124,7 +143,9 @@ def test_a_run_that_removes_decides_of_its_own_gaussians_alone(tiny, data):
     model = run_of(scene, data, replace(plan, own=own, target=scene.count - 40))
     others = (model.origin < own[0]) | (model.origin >= own[1])
     for name in PARAMETERS:
-        moved = (getattr(model, name) != getattr(scene, name)[model.origin]).reshape(model.count, -1).any(axis=1)
+        moved = (
+            (getattr(model, name) != getattr(scene, name)[model.origin]).reshape(model.count, -1).any(axis=1)
+        )
         assert not moved[others].any() and moved[~others].mean() > 0.9, name
     assert model.count == scene.count - 40 and others.sum() == scene.count - 60
 
@@ -136,7 +157,9 @@ def test_the_target_of_masks_is_of_the_own_gaussians(tiny, data, target):
     plan = prune_settings("svr", 200, 0, full=False, lambda_f=1e-2, mask_init=2.0)
     model = run_of(scene, data, replace(plan, own=own, target=target))
     inside = (model.origin >= own[0]) & (model.origin < own[1])
-    assert inside.sum() == target and (~inside).sum() == pytest.approx(target * (scene.count - 60) / 60, rel=0.5)
+    assert inside.sum() == target and (~inside).sum() == pytest.approx(
+        target * (scene.count - 60) / 60, rel=0.5
+    )
 
 
 def run_of(scene: Scene, data: Dataset, plan: Plan) -> Model:
@@ -152,7 +175,9 @@ def test_a_block_that_no_view_sees_keeps_a_gaussian(tiny, data, tmp_path):
     """As much as memory would keep, but one: no block is empty."""
     scene = replace(read_scene(tiny.splat), attributes={}, property_order=())
     far = replace(scene.select(np.arange(20)), means=scene.means[:20] + np.array([0, 50, 0], np.float32))
-    both = replace(scene, **{name: np.concatenate([getattr(scene, name), getattr(far, name)]) for name in PARAMETERS})
+    both = replace(
+        scene, **{name: np.concatenate([getattr(scene, name), getattr(far, name)]) for name in PARAMETERS}
+    )
     write_scene(tmp_path / "far.ply", both)
     plan = prune_settings("svr", 20, 10, full=False, min_contribution=0.02)
     left, recovered = learned(replace(tiny, splat=tmp_path / "far.ply"), data, tmp_path / "work", 20, plan)
@@ -162,32 +187,72 @@ def test_a_block_that_no_view_sees_keeps_a_gaussian(tiny, data, tmp_path):
 
 def test_steps_on_any_number_of_machines_give_the_bytes_of_one(tiny, tmp_path, svrgs):
     words = ["--colmap", tiny.folder, "--method", "removal", *STEPS, "--block", 70]
-    one = svrgs("large", "prune", tiny.splat, *words, "--target", 0.4, "--out", tmp_path / "one.ply", "--json").json
-    assert one["after"]["count"] == 100 and one["method"] == "removal" and one["before"]["psnr"] > 15 and one["views"] == 2
+    one = svrgs(
+        "large", "prune", tiny.splat, *words, "--target", 0.4, "--out", tmp_path / "one.ply", "--json"
+    ).json
+    assert (
+        one["after"]["count"] == 100
+        and one["method"] == "removal"
+        and one["before"]["psnr"] > 15
+        and one["views"] == 2
+    )
     assert not list(tmp_path.glob("*.blocks"))
     work = tmp_path / "work"
-    steps = [["divide", tiny.splat, *words, "--work", work], ["score", work], ["reduce", work], ["merge", work], ["cut", work]]
+    steps = [
+        ["divide", tiny.splat, *words, "--work", work],
+        ["score", work],
+        ["reduce", work],
+        ["merge", work],
+        ["cut", work],
+    ]
     steps += [["decide", work, "--part", part, "--parts", 3, "--target", 0.4] for part in (2, 0, 1, 0)]
-    steps += [["tune", work, "--part", part, "--parts", 2] for part in (1, 0)] + [["finish", work, "--out", tmp_path / "many.ply"]]
+    steps += [["tune", work, "--part", part, "--parts", 2] for part in (1, 0)] + [
+        ["finish", work, "--out", tmp_path / "many.ply"]
+    ]
     done = [svrgs("large", *step) for step in steps]
     assert all(step.status == 0 for step in done), [step.err for step in done if step.status]
     assert "dB against the photographs, the original" in done[-1].out
     assert (tmp_path / "many.ply").read_bytes() == (tmp_path / "one.ply").read_bytes()
-    fewer = [svrgs("large", *step) for step in (["decide", work, "--target", 0.2], ["tune", work], ["finish", work, "--out", tmp_path / "few.ply"])]
-    assert all(step.status == 0 for step in fewer) and read_scene(tmp_path / "few.ply").count == 50, "nothing of the first decision is left"
+    fewer = [
+        svrgs("large", *step)
+        for step in (
+            ["decide", work, "--target", 0.2],
+            ["tune", work],
+            ["finish", work, "--out", tmp_path / "few.ply"],
+        )
+    ]
+    assert all(step.status == 0 for step in fewer) and read_scene(tmp_path / "few.ply").count == 50, (
+        "nothing of the first decision is left"
+    )
 
 
 def test_an_allowed_drop_on_photographs_decides_how_many_stay(inside, tmp_path, svrgs):
     room, _ = inside
     scene = read_scene(room.splat)
-    scene.sh[:, 0] += np.random.default_rng(1).normal(0, 0.15, scene.sh[:, 0].shape)  # photographs are not its own pictures
+    # photographs are not its own pictures
+    scene.sh[:, 0] += np.random.default_rng(1).normal(0, 0.15, scene.sh[:, 0].shape)
     write_scene(tmp_path / "a.ply", scene)
-    same = [tmp_path / "a.ply", "--colmap", room.folder, "--method", "removal", "--iterations", 30, "--recovery", 60]
+    same = [
+        tmp_path / "a.ply",
+        "--colmap",
+        room.folder,
+        "--method",
+        "removal",
+        "--iterations",
+        30,
+        "--recovery",
+        60,
+    ]
     words = ["large", "prune", *same, "--block", 2_000, "--json"]
-    little, much = (svrgs(*words, "--max-drop", drop, "--out", tmp_path / f"{drop}.ply").json for drop in (0.5, 4))
+    little, much = (
+        svrgs(*words, "--max-drop", drop, "--out", tmp_path / f"{drop}.ply").json for drop in (0.5, 4)
+    )
     assert 300 < much["after"]["count"] < 0.9 * little["after"]["count"] < 0.9 * 6_000
     for result in (little, much):
-        assert result["drop"] == pytest.approx(result["before"]["psnr"] - result["psnr"]) and result["blocks"] == 4
+        assert (
+            result["drop"] == pytest.approx(result["before"]["psnr"] - result["psnr"])
+            and result["blocks"] == 4
+        )
     assert little["drop"] < 0.5 and not little["notes"]
     assert much["drop"] > 1.2 * 4 and "more than the 4 dB that were allowed" in much["notes"][0], (
         "colours at random: few Gaussians cannot stand for their neighbours"
@@ -197,32 +262,67 @@ def test_an_allowed_drop_on_photographs_decides_how_many_stay(inside, tmp_path, 
     coarse = svrgs(*words, "--max-drop", 0.001, "--out", tmp_path / "o.splat")
     assert coarse.status == 2 and "the format alone loses" in coarse.err
     masked = svrgs(*words, "--method", "svr", "--max-drop", 0.5, "--out", tmp_path / "o.ply")
-    assert masked.status == 2 and "--max-drop by blocks is for removal and saliency, not for 'svr'" in masked.err
+    assert (
+        masked.status == 2 and "--max-drop by blocks is for removal and saliency, not for 'svr'" in masked.err
+    )
     assert sorted(path.name for path in tmp_path.iterdir()) == ["0.5.ply", "4.ply", "a.ply"]
 
 
-def test_a_job_on_photographs_goes_over_to_blocks_where_memory_is_short(tiny, tmp_path, svrgs, monkeypatch, caplog):
+def test_a_job_on_photographs_goes_over_to_blocks_where_memory_is_short(
+    tiny, tmp_path, svrgs, monkeypatch, caplog
+):
     def short(*_):
         raise SHORT
 
     monkeypatch.setattr(run_job.train_and_prune, "prune", short)
     words = ["--colmap", tiny.folder, *STEPS, "--out", tmp_path / "o.spz"]
     result = svrgs("prune", tiny.splat, *words, "--target", 0.5, "--json").json
-    assert result["count"] == result["after"]["count"] == COUNT // 2 and result["method"] == "removal" and result["blocks"] == 1
-    assert result["before"]["count"] == COUNT and result["before"]["psnr"] > 15 and "so it was pruned by blocks" in result["notes"][0]
+    assert (
+        result["count"] == result["after"]["count"] == COUNT // 2
+        and result["method"] == "removal"
+        and result["blocks"] == 1
+    )
+    assert (
+        result["before"]["count"] == COUNT
+        and result["before"]["psnr"] > 15
+        and "so it was pruned by blocks" in result["notes"][0]
+    )
     assert "svrgs large" not in caplog.text and [path.name for path in tmp_path.iterdir()] == ["o.spz"]
-    done = svrgs("prune", tiny.splat, *words, "--method", "svr", "--visible-mask", "--report", tmp_path / "page")
-    assert done.status == 0 and "before  250 Gaussians, PSNR" in done.out and "of the Gaussians at" in done.out
+    done = svrgs(
+        "prune", tiny.splat, *words, "--method", "svr", "--visible-mask", "--report", tmp_path / "page"
+    )
+    assert (
+        done.status == 0 and "before  250 Gaussians, PSNR" in done.out and "of the Gaussians at" in done.out
+    )
     page = (tmp_path / "page" / "index.html").read_text()
-    assert "method svr" in page and "so it was pruned by blocks" in page and page.count("data:image/") > 5 and "Over the iterations" not in page
+    assert (
+        "method svr" in page
+        and "so it was pruned by blocks" in page
+        and page.count("data:image/") > 5
+        and "Over the iterations" not in page
+    )
     blocked = svrgs("prune", tiny.splat, *words, "--target", 0.5, "--report", tiny.splat)
     assert blocked.status == 2 and str(tiny.splat) in blocked.err
     said: list[str] = []
-    options = PruneOptions(scene=tiny.splat, out=tmp_path / "o.ply", colmap=tiny.folder, target=0.5, iterations=20, recovery=10, quiet=True)
+    options = PruneOptions(
+        scene=tiny.splat,
+        out=tmp_path / "o.ply",
+        colmap=tiny.folder,
+        target=0.5,
+        iterations=20,
+        recovery=10,
+        quiet=True,
+    )
     run_job.prune_scene(options, lambda job: replace(job, part=lambda text, _: said.append(text)))
-    assert any(text.startswith("decide: block 0, 125 Gaussians: Removing") for text in said) and any(text.startswith("recover: ") for text in said)
+    assert any(text.startswith("decide: block 0, 125 Gaussians: Removing") for text in said) and any(
+        text.startswith("recover: ") for text in said
+    )
     refused = svrgs("prune", tiny.splat, *words, "--method", "svr")
-    assert refused.status == 2 and "with --visible-mask, or with removal to a number or an allowed drop, it would be pruned by blocks" in refused.err
+    assert (
+        refused.status == 2
+        and "with --visible-mask, or with removal to a number or an allowed drop, it would be pruned by blocks"
+        in refused.err
+    )
     other = svrgs("prune", tiny.splat, *words, "--method", "maskgs")
     assert other.status == 2 and other.err.count("svrgs large prunes it by blocks") == 1
 
@@ -247,7 +347,9 @@ def test_a_job_of_blender_goes_over_to_blocks_too_and_tells_what_it_does(tiny, t
     result = recorder.finish(run_job.prune_scene(folder.options(), recorder.attached))
     assert any(text.startswith("decide: block 0") for text in Listener.said)
     assert result["merged"] and result["count"] == COUNT // 2 and result["before"]["psnr"] > 15
-    assert read_scene(folder / "pruned.ply").count == COUNT // 2 and not list((tmp_path / "job").glob("*.blocks"))
+    assert read_scene(folder / "pruned.ply").count == COUNT // 2 and not list(
+        (tmp_path / "job").glob("*.blocks")
+    )
 
 
 def test_photographs_of_another_capture_are_told(tiny, tmp_path, svrgs, caplog):
@@ -258,7 +360,19 @@ def test_photographs_of_another_capture_are_told(tiny, tmp_path, svrgs, caplog):
     for path, bytes_ in zip(names, contents[5:] + contents[:5], strict=True):
         path.write_bytes(bytes_)
     with caplog.at_level(logging.WARNING):
-        result = svrgs("large", "prune", tiny.splat, "--colmap", other, "--method", "svr", *STEPS, "--out", tmp_path / "o.ply", "--json").json
+        result = svrgs(
+            "large",
+            "prune",
+            tiny.splat,
+            "--colmap",
+            other,
+            "--method",
+            "svr",
+            *STEPS,
+            "--out",
+            tmp_path / "o.ply",
+            "--json",
+        ).json
     assert "it may belong to another capture" in " ".join(result["notes"])
 
 
@@ -266,21 +380,32 @@ def test_photographs_of_another_capture_are_told(tiny, tmp_path, svrgs, caplog):
     ("words", "sentence"),
     [
         (["--method", "svr"], "--method decides on photographs: add --colmap"),
-        (["--colmap", "DATA", "--method", "maskgs"], "'maskgs' needs the scene in memory; by blocks, choose one of removal, svr, "),
+        (
+            ["--colmap", "DATA", "--method", "maskgs"],
+            "'maskgs' needs the scene in memory; by blocks, choose one of removal, svr, ",
+        ),
         (["--colmap", "DATA", "--method", "pressure"], "'removal' replaces it"),
         (["--colmap", "DATA", "--method", "svr", "--iterations", 0], "give --iterations a number above 0"),
         (["--colmap", "DATA", "--method", "svr", "--steps", 5], "leave them out, or --method"),
         (["--colmap", "DATA", "--method", "svr", "--levels", "0.5"], "leave them out, or --method"),
         (["--colmap", "DATA", "--method", "svr", "--holdout", 1], "all views of the dataset are held out"),
-        (["--colmap", "DATA", "--target", 0.5, "--recovery", 5], "--recovery is for methods that decide on photographs: add --method"),
+        (
+            ["--colmap", "DATA", "--target", 0.5, "--recovery", 5],
+            "--recovery is for methods that decide on photographs: add --method",
+        ),
         (["--colmap", "DATA/sparse/0", "--method", "svr"], "has no image folder images"),
         ([], "add --target, --target-count or --max-drop"),
     ],
 )
-def test_what_does_not_go_together_is_refused_before_anything_is_written(tiny, tmp_path, svrgs, words, sentence):
+def test_what_does_not_go_together_is_refused_before_anything_is_written(
+    tiny, tmp_path, svrgs, words, sentence
+):
     if "DATA/sparse/0" in words:
         shutil.copytree(tiny.folder / "sparse", tmp_path / "model/sparse")
-    given = [str(word).replace("DATA/sparse/0", str(tmp_path / "model")).replace("DATA", str(tiny.folder)) for word in words]
+    given = [
+        str(word).replace("DATA/sparse/0", str(tmp_path / "model")).replace("DATA", str(tiny.folder))
+        for word in words
+    ]
     done = svrgs("large", "prune", tiny.splat, *given, "--out", tmp_path / "o.ply")
     assert done.status == 2 and sentence in done.err and done.err.count("\n") == 1, done.err
     assert not (tmp_path / "o.ply").exists() and not list(tmp_path.glob("*.blocks"))
@@ -288,10 +413,26 @@ def test_what_does_not_go_together_is_refused_before_anything_is_written(tiny, t
 
 def test_steps_that_lack_something_say_what(tiny, data, tmp_path, svrgs):
     work = tmp_path / "work"
-    assert svrgs("large", "divide", tiny.splat, "--colmap", tiny.folder, "--work", work, "--block", 70).status == 0
+    assert (
+        svrgs("large", "divide", tiny.splat, "--colmap", tiny.folder, "--work", work, "--block", 70).status
+        == 0
+    )
     assert "was divided without --method" in svrgs("large", "decide", work).err
     assert "add --target or --target-count" in svrgs("large", "cut", work).err
-    words = ["--colmap", tiny.folder, "--method", "svr", "--iterations", 20, "--recovery", 10, "--work", work, "--block", 70]
+    words = [
+        "--colmap",
+        tiny.folder,
+        "--method",
+        "svr",
+        "--iterations",
+        20,
+        "--recovery",
+        10,
+        "--work",
+        work,
+        "--block",
+        70,
+    ]
     assert svrgs("large", "divide", tiny.splat, *words).status == 0
     assert "is not there; merge the block 0 first" in svrgs("large", "cut", work).err
     assert all(svrgs("large", step, work).status == 0 for step in ("score", "reduce", "merge", "cut"))
@@ -308,7 +449,10 @@ def test_a_request_comes_back_as_it_was_written(tmp_path):
     request = Request("data", "svr", 30, 20, 0.02, lambda_f=0.5, background=(1.0, 0.5, 0.0), holdout=4)
     request.write(tmp_path)
     assert Request.read(tmp_path) == request and Request.read(tmp_path / "no") is None
-    assert set(methods()) == {"removal", "saliency", "svr", "svr-a", "svr-b", "svr-even", "svr-self"} and not request.plan().full
+    assert (
+        set(methods()) == {"removal", "saliency", "svr", "svr-a", "svr-b", "svr-even", "svr-self"}
+        and not request.plan().full
+    )
     assert json.loads((tmp_path / FILE).read_text())["method"] == "svr"
     with pytest.raises(SceneError, match="choose one of"):
         replace(request, method="opacity").plan()

@@ -1,4 +1,5 @@
-"""Blender's camera numbers and intrinsics, there and back; tests/blender holds them against Blender's own matrices."""
+"""Blender's camera numbers and intrinsics, there and back; tests/blender holds them against Blender's own
+matrices."""
 
 from __future__ import annotations
 
@@ -8,7 +9,14 @@ import numpy as np
 import pytest
 
 import scenes
-from svrgs_addon.views.lens import Lens, camera_of_projection, depth_of_projection, intrinsics, lens_of, step_back
+from svrgs_addon.views.lens import (
+    Lens,
+    camera_of_projection,
+    depth_of_projection,
+    intrinsics,
+    lens_of,
+    step_back,
+)
 
 
 @pytest.mark.parametrize("camera", scenes.CAMERAS.values(), ids=scenes.CAMERAS)
@@ -20,7 +28,9 @@ def test_square_pixels_stay_square():
     assert lens_of(scenes.CAMERAS["plain"]).aspect == (1.0, 1.0)
 
 
-@pytest.mark.parametrize("fit, focal", [("AUTO", 50 * 100 / 36), ("HORIZONTAL", 50 * 100 / 36), ("VERTICAL", 50 * 80 / 24)])
+@pytest.mark.parametrize(
+    "fit, focal", [("AUTO", 50 * 100 / 36), ("HORIZONTAL", 50 * 100 / 36), ("VERTICAL", 50 * 80 / 24)]
+)
 def test_the_fitted_side_sets_the_focal_length(fit, focal):
     K = intrinsics(Lens(100, 80, 50.0, (0.1, -0.2), sensor=(36, 24), fit=fit))
     side = 80 if fit == "VERTICAL" else 100
@@ -30,7 +40,8 @@ def test_the_fitted_side_sets_the_focal_length(fit, focal):
 def test_a_portrait_is_fitted_to_its_height():
     lens = Lens(80, 100, 50.0)
     assert intrinsics(lens)[0, 0] == pytest.approx(50 * 100 / 36)
-    assert intrinsics(replace(lens, aspect=(2.0, 1.0)))[0, 0] == pytest.approx(50 * 80 / 36)  # pixels twice as wide: a landscape
+    # pixels twice as wide: a landscape
+    assert intrinsics(replace(lens, aspect=(2.0, 1.0)))[0, 0] == pytest.approx(50 * 80 / 36)
 
 
 @pytest.mark.parametrize("fit, side", [("AUTO", 100), ("HORIZONTAL", 100), ("VERTICAL", 80)])
@@ -57,7 +68,11 @@ def box(left, right, bottom, top, near, far) -> np.ndarray:
 
 @pytest.mark.parametrize(
     "P, behind",
-    [(frustum(-0.3, 0.5, -0.2, 0.1, 0.5, 90), 0), (box(-3, 5, -2, 1, 0.5, 90), 0), (box(-3, 5, -2, 1, -20, 20), 20)],
+    [
+        (frustum(-0.3, 0.5, -0.2, 0.1, 0.5, 90), 0),
+        (box(-3, 5, -2, 1, 0.5, 90), 0),
+        (box(-3, 5, -2, 1, -20, 20), 20),
+    ],
     ids=["perspective", "orthographic", "around the eye"],
 )
 def test_a_viewports_projection_and_its_camera_show_points_at_the_same_pixels(P, behind):
@@ -66,7 +81,9 @@ def test_a_viewports_projection_and_its_camera_show_points_at_the_same_pixels(P,
     ndc = clip[:, :3] / clip[:, 3:]
     camera = camera_of_projection(P, np.eye(4), 320, 200)
     seen = points * (1, -1, -1) + camera.viewmat[:3, 3]
-    np.testing.assert_allclose(camera.pixels(seen), np.c_[(ndc[:, 0] + 1) * 160, (1 - ndc[:, 1]) * 100], atol=1e-9)
+    np.testing.assert_allclose(
+        camera.pixels(seen), np.c_[(ndc[:, 0] + 1) * 160, (1 - ndc[:, 1]) * 100], atol=1e-9
+    )
     np.testing.assert_allclose(depth_of_projection(P, (ndc[:, 2] + 1) / 2), seen[:, 2], rtol=1e-5)
     assert np.isinf(depth_of_projection(P, np.ones(1))).all()
     assert step_back(P) == pytest.approx(behind, abs=1e-9) and (seen[:, 2] > 0).all()

@@ -48,17 +48,24 @@ def rng(seed: int = 0) -> np.random.Generator:
 @pytest.mark.parametrize("opacity", [0.006, 0.3, 0.95, 0.9999])
 def test_shares_are_those_of_the_printed_double_sum(opacity, count):
     share = 1 - (1 - opacity) ** (1 / count)
-    total = sum(math.comb(i - 1, k) * (-1) ** k * share ** (k + 1) / math.sqrt(k + 1) for i in range(1, count + 1) for k in range(i))
+    total = sum(
+        math.comb(i - 1, k) * (-1) ** k * share ** (k + 1) / math.sqrt(k + 1)
+        for i in range(1, count + 1)
+        for k in range(i)
+    )
     found = mcmc.shares(np.array([opacity]), np.array([count]))
     np.testing.assert_allclose([x[0] for x in found], [share, opacity / total], rtol=1e-9)
 
 
 def test_more_than_50_share_a_place_as_50_do():
-    np.testing.assert_array_equal(mcmc.shares(np.array([0.5]), np.array([51])), mcmc.shares(np.array([0.5]), np.array([50])))
+    np.testing.assert_array_equal(
+        mcmc.shares(np.array([0.5]), np.array([51])), mcmc.shares(np.array([0.5]), np.array([50]))
+    )
 
 
 def test_together_they_are_as_opaque_at_the_centre_and_as_much_in_all():
-    """At the centre 1 - (1 - share)^n is the old opacity; along a line through it the integral of alpha is the old one (the rule's aim)."""
+    """At the centre 1 - (1 - share)^n is the old opacity; along a line through it the integral of alpha is
+    the old one (the rule's aim)."""
     x = np.linspace(-12, 12, 200_001)
     for opacity, count in ((0.7, 2), (0.4, 5)):
         (share,), (scale,) = mcmc.shares(np.array([opacity]), np.array([count]))
@@ -83,9 +90,13 @@ def test_the_dead_move_onto_the_living():
         copies = 1 + hosts.count(host)
         (share,), (scale,) = mcmc.shares(np.array([[0, 0.5, 0, 0.8, 0.9][host]]), np.array([copies]))
         assert model.opacity_logits[host] == pytest.approx(logit(share), rel=1e-5)
-        np.testing.assert_allclose(model.log_scales[host], before["log_scales"][host] + math.log(scale), rtol=1e-5)
+        np.testing.assert_allclose(
+            model.log_scales[host], before["log_scales"][host] + math.log(scale), rtol=1e-5
+        )
         assert all((array[host] == 0).all() for array in model.moments.values())
-    assert all((array[untouched] == 1).all() and (array[[0, 2]] == 1).all() for array in model.moments.values()), "only the hosts start again"
+    assert all(
+        (array[untouched] == 1).all() and (array[[0, 2]] == 1).all() for array in model.moments.values()
+    ), "only the hosts start again"
 
 
 def test_hosts_are_drawn_in_proportion_to_opacity():
@@ -133,7 +144,12 @@ def test_the_opaque_do_not_move():
 def test_vectors_are_turned_as_by_matrices():
     generator = rng(2)
     quats, vectors = generator.normal(size=(50, 4)), generator.normal(size=(50, 3))
-    np.testing.assert_allclose(rotated(quats, vectors), np.einsum("nij,nj->ni", rotation_matrices(quats), vectors), rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(
+        rotated(quats, vectors),
+        np.einsum("nij,nj->ni", rotation_matrices(quats), vectors),
+        rtol=1e-12,
+        atol=1e-12,
+    )
 
 
 def mcmc_run(engine=None, dtype=np.float32, method: str = "3dgs", **rule) -> Run:
@@ -163,7 +179,9 @@ def test_a_run_grows_to_the_cap_and_stays_there():
         before = run.model.means.copy()
         run.advance()
         counts.append(run.model.count)
-        moved.append((run.model.means != before).any(axis=1).mean() if len(before) == run.model.count else 1.0)
+        moved.append(
+            (run.model.means != before).any(axis=1).mean() if len(before) == run.model.count else 1.0
+        )
     run.close()
     assert counts == [150] * 9 + [157] * 10 + [160] * 31
     assert all(share > 0.5 for share in moved[10:18]), "noise moves faint Gaussians in every step"
@@ -182,13 +200,16 @@ def test_a_run_restored_from_a_checkpoint_goes_on_bit_for_bit(tmp_path, iteratio
 
 def test_both_engines_end_alike():
     """In float64. Worst seen: 4e-15 of the largest value."""
-    native, torch_ = (to_the_end(mcmc_run(engine("float64"), np.float64)) for engine in (NativeEngine, TorchEngine))
+    native, torch_ = (
+        to_the_end(mcmc_run(engine("float64"), np.float64)) for engine in (NativeEngine, TorchEngine)
+    )
     assert native.model.count == 160
     for name, value in native.model.values.items():
         assert np.abs(value - torch_.model.values[name]).max() < 1e-12 * np.abs(value).max(), name
 
 
-@pytest.mark.parametrize(("method", "grown"), [("svr", 172), ("gns", 164), ("lightgaussian", 172)])  # gns ends growth at step 26
+# gns ends growth at step 26
+@pytest.mark.parametrize(("method", "grown"), [("svr", 172), ("gns", 164), ("lightgaussian", 172)])
 def test_methods_prune_to_a_share_of_what_has_grown(method, grown):
     run = to_the_end(mcmc_run(method=method, share=0.5, cap=200))
     assert run.target == run.model.count == grown // 2

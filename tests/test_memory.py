@@ -1,4 +1,5 @@
-"""What does not fit into memory is refused before it starts, in one sentence with the number; what does is estimated well."""
+"""What does not fit into memory is refused before it starts, in one sentence with the number; what does is
+estimated well."""
 
 from __future__ import annotations
 
@@ -38,7 +39,9 @@ def little(monkeypatch):
 
 
 def refused(outcome, out):
-    assert outcome.status == 2 and outcome.err.count("\n") == 1 and re.search(REFUSED, outcome.err), outcome.err
+    assert outcome.status == 2 and outcome.err.count("\n") == 1 and re.search(REFUSED, outcome.err), (
+        outcome.err
+    )
     assert not out.exists() and not out.with_name(out.name + ".job").exists()
 
 
@@ -56,7 +59,18 @@ def test_rendering_is_refused(svrgs, little, tiny, tmp_path):
 def test_jobs_are_refused(svrgs, little, tiny, tmp_path, command):
     little(1_000_000)
     scene = [tiny.splat] if command == "prune" else []
-    outcome = svrgs(command, *scene, "--colmap", tiny.folder, "--iterations", 2, "--recovery", 0, "--out", tmp_path / "o.ply")
+    outcome = svrgs(
+        command,
+        *scene,
+        "--colmap",
+        tiny.folder,
+        "--iterations",
+        2,
+        "--recovery",
+        0,
+        "--out",
+        tmp_path / "o.ply",
+    )
     refused(outcome, tmp_path / "o.ply")
 
 
@@ -75,7 +89,10 @@ def test_lpips_counts():
 
 def test_enough_is_enough(svrgs, little, tiny, tmp_path):
     little(100_000_000)
-    assert svrgs("render", tiny.splat, "--colmap", tiny.folder, "--out", tmp_path / "out", "--views", 0).status == 0
+    assert (
+        svrgs("render", tiny.splat, "--colmap", tiny.folder, "--out", tmp_path / "out", "--views", 0).status
+        == 0
+    )
 
 
 def test_nothing_is_refused_where_the_system_is_silent(little):
@@ -100,7 +117,8 @@ def test_a_containers_limit_counts(monkeypatch, tmp_path):
 
 @pytest.fixture
 def cgroups(monkeypatch, tmp_path):
-    """A function that writes the files of cgroups: the lines of /proc/self/cgroup, and {path below /sys/fs/cgroup: text}."""
+    """A function that writes the files of cgroups: the lines of /proc/self/cgroup, and {path below
+    /sys/fs/cgroup: text}."""
     monkeypatch.setattr(readings, "CGROUP", tmp_path / "cgroup")
     monkeypatch.setattr(readings, "OWN_CGROUPS", tmp_path / "own")
 
@@ -116,21 +134,40 @@ def cgroups(monkeypatch, tmp_path):
 
 def group(folder: str, version: int, limit: str, used: int, cached: int) -> dict[str, str]:
     """The files of one cgroup below /sys/fs/cgroup."""
-    names = ("memory_DOT_max", "memory_DOT_current") if version == 2 else ("memory_DOT_limit_in_bytes", "memory_DOT_usage_in_bytes")
+    names = (
+        ("memory_DOT_max", "memory_DOT_current")
+        if version == 2
+        else ("memory_DOT_limit_in_bytes", "memory_DOT_usage_in_bytes")
+    )
     stat = f"anon 5\n{'' if version == 2 else 'total_'}inactive_file {cached}\n"
-    return {f"{folder}{name}": text for name, text in zip((*names, "memory_DOT_stat"), (limit, f"{used}\n", stat), strict=True)}
+    return {
+        f"{folder}{name}": text
+        for name, text in zip((*names, "memory_DOT_stat"), (limit, f"{used}\n", stat), strict=True)
+    }
 
 
 def test_the_limit_of_a_container_of_version_1_counts(cgroups):
-    cgroups("12:cpu,cpuacct:/docker/abc\n5:memory:/docker/abc\n0::/\n", **group("memory__", 1, "3000000\n", 2500000, 200000))
+    cgroups(
+        "12:cpu,cpuacct:/docker/abc\n5:memory:/docker/abc\n0::/\n",
+        **group("memory__", 1, "3000000\n", 2500000, 200000),
+    )
     assert memory.available() == 700_000
 
 
-@pytest.mark.parametrize("version, root, own", [(2, "", "0::/user/job/step\n"), (1, "memory__", "5:memory:/user/job/step\n")])
+@pytest.mark.parametrize(
+    "version, root, own", [(2, "", "0::/user/job/step\n"), (1, "memory__", "5:memory:/user/job/step\n")]
+)
 def test_the_limit_of_an_outer_group_counts(cgroups, version, root, own):
     unlimited = "max\n" if version == 2 else "9223372036854771712\n"
-    groups = group(f"{root}user__job__step__", version, unlimited, 10, 0) | group(f"{root}user__job__", version, "5000000\n", 1000000, 0)
-    cgroups(own, **groups, **group(f"{root}user__", version, "9000000\n", 1000000, 0), **group(f"{root}other__", version, "10\n", 0, 0))
+    groups = group(f"{root}user__job__step__", version, unlimited, 10, 0) | group(
+        f"{root}user__job__", version, "5000000\n", 1000000, 0
+    )
+    cgroups(
+        own,
+        **groups,
+        **group(f"{root}user__", version, "9000000\n", 1000000, 0),
+        **group(f"{root}other__", version, "10\n", 0, 0),
+    )
     assert memory.available() == 4_000_000
 
 
@@ -141,13 +178,21 @@ LIMITED = "import resource; resource.setrlimit(resource.RLIMIT_AS, ({0}, {0})); 
 @pytest.mark.parametrize("command", ["info", "render", "train", "prune", "eval", "compare"])
 def test_too_few_addresses_give_one_sentence(tiny, tmp_path, command):
     """As with ulimit -v 150000: NumPy's library would fail or never return."""
-    words = {"compare": [tiny.splat, tiny.splat], "train": []}.get(command, [tiny.splat]) + ([] if command == "info" else ["--colmap", tiny.folder])
+    words = {"compare": [tiny.splat, tiny.splat], "train": []}.get(command, [tiny.splat]) + (
+        [] if command == "info" else ["--colmap", tiny.folder]
+    )
     words += ["--out", tmp_path / "o.ply"] if command in ("render", "train", "compare", "prune") else []
     start = "import sys; from svrgs_addon.cli.main import main; sys.exit(main())"
     code = LIMITED.format(150_000_000, start)
-    done = subprocess.run([sys.executable, "-c", code, command, *map(str, words)], capture_output=True, text=True, timeout=60)
+    done = subprocess.run(
+        [sys.executable, "-c", code, command, *map(str, words)], capture_output=True, text=True, timeout=60
+    )
     assert done.returncode == 2 and done.stdout == "", done.stderr
-    assert re.fullmatch(r"svrgs: this process may use only 150\.0 MB of memory \(ulimit -v\), but needs at least [\d.]+ [MG]B; raise the limit\n", done.stderr)
+    assert re.fullmatch(
+        r"svrgs: this process may use only 150\.0 MB of memory \(ulimit -v\), but needs at least [\d.]+"
+        r" [MG]B; raise the limit\n",
+        done.stderr,
+    )
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems do not hold ulimit -v")
@@ -157,26 +202,43 @@ def test_the_addresses_that_are_left_are_available():
     assert 1_000_000_000 < int(done.stdout) < 2_000_000_000
 
 
-@pytest.mark.parametrize("error, sentence", [(RuntimeError("can't start new thread"), "no further thread can be started"), (MemoryError(), "out of memory")])
+@pytest.mark.parametrize(
+    "error, sentence",
+    [
+        (RuntimeError("can't start new thread"), "no further thread can be started"),
+        (MemoryError(), "out of memory"),
+    ],
+)
 def test_lack_of_memory_in_the_middle_is_one_sentence(svrgs, tiny, monkeypatch, error, sentence):
     def fail(*_):
         raise error
 
     monkeypatch.setattr("svrgs_addon.prune.blocks.block_rasterizer.load_scene", fail)
     done = svrgs("eval", tiny.splat, "--colmap", tiny.folder)
-    assert done.status == 1 and done.err.startswith(f"svrgs: {sentence}") and done.err.count("\n") == 1, done.err
+    assert done.status == 1 and done.err.startswith(f"svrgs: {sentence}") and done.err.count("\n") == 1, (
+        done.err
+    )
 
 
 def test_a_package_that_does_not_load_is_not_called_missing(monkeypatch, tmp_path):
-    (tmp_path / "broken_package.py").write_text("raise ImportError('libx.so: failed to map segment from shared object')")
+    (tmp_path / "broken_package.py").write_text(
+        "raise ImportError('libx.so: failed to map segment from shared object')"
+    )
     monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(NativeError, match=r"broken_package cannot be loaded \(libx.so: failed to map segment"):
+    with pytest.raises(
+        NativeError, match=r"broken_package cannot be loaded \(libx.so: failed to map segment"
+    ):
         packages.load("broken_package", "reading")
-    with pytest.raises(SceneError, match="reading needs the package no_such_package: run .* -m pip install no_such_package"):
+    with pytest.raises(
+        SceneError, match="reading needs the package no_such_package: run .* -m pip install no_such_package"
+    ):
         packages.load("no_such_package", "reading")
 
 
-@pytest.mark.parametrize("value, text", [(0, "0 bytes"), (999, "999 bytes"), (34_600, "34.6 kB"), (150e6, "150.0 MB"), (1.26e9, "1.3 GB")])
+@pytest.mark.parametrize(
+    "value, text",
+    [(0, "0 bytes"), (999, "999 bytes"), (34_600, "34.6 kB"), (150e6, "150.0 MB"), (1.26e9, "1.3 GB")],
+)
 def test_sizes_have_sensible_units(value, text):
     assert memory.size_text(value) == text
 
@@ -184,7 +246,10 @@ def test_sizes_have_sensible_units(value, text):
 def test_a_childs_peak_is_its_own():
     """However much the process holds that starts it."""
     held = np.ones(150_000_000, np.uint8)
-    code = "import numpy as np; from svrgs_addon.system.memory_limits import peak; array = np.ones(20_000_000, np.uint8); del array; print(peak())"
+    code = (
+        "import numpy as np; from svrgs_addon.system.memory_limits import peak; array = np.ones(20_000_000,"
+        " np.uint8); del array; print(peak())"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert 20_000_000 < int(done.stdout) < 100_000_000 < held.nbytes
 
@@ -200,11 +265,14 @@ print(peak())
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the peak is read from /proc")
 def test_reading_in_parts_needs_what_is_foreseen(tmp_path):
-    """Of an SPZ, whose streams are unpacked as a whole. Seen: 96 % of the estimate with 2,000,000 Gaussians; a SOG 61 %."""
+    """Of an SPZ, whose streams are unpacked as a whole. Seen: 96 % of the estimate with 2,000,000 Gaussians;
+    a SOG 61 %."""
     peaks = []
     for count in (FEW, MANY):
         write_scene(tmp_path / "a.spz", room(count, 3))
-        done = subprocess.run([sys.executable, "-c", PARTS, tmp_path / "a.spz"], capture_output=True, text=True, check=True)
+        done = subprocess.run(
+            [sys.executable, "-c", PARTS, tmp_path / "a.spz"], capture_output=True, text=True, check=True
+        )
         peaks.append(int(done.stdout))
     assert 0.5 < (peaks[1] - peaks[0]) / memory.unpacking_in_parts(MANY - FEW, 16) < 1.2
 
@@ -226,7 +294,10 @@ def test_files_with_more_gaussians_than_are_read_as_a_whole_are_converted(svrgs,
     assert svrgs("info", tmp_path / "a.ply", "--json").json["count"] == 300
     assert svrgs("convert", tmp_path / "a.ply", tmp_path / "b.ply").status == 0
     monkeypatch.undo()
-    assert load_scene(tmp_path / "b.ply").scene.count == 300 and (load_scene(tmp_path / "b.ply").scene.sh == load_scene(tmp_path / "a.ply").scene.sh).all()
+    assert (
+        load_scene(tmp_path / "b.ply").scene.count == 300
+        and (load_scene(tmp_path / "b.ply").scene.sh == load_scene(tmp_path / "a.ply").scene.sh).all()
+    )
 
 
 METRICS = """
@@ -256,7 +327,9 @@ GROWING = plan_of("3dgs", (Phase("train", 10, Rates(), RULE),))
 
 
 def trained(tiny, out, **options) -> dict:
-    return train_and_prune.train(load_dataset(tiny.folder), GROWING, train_and_prune.JobContext(out, **options))
+    return train_and_prune.train(
+        load_dataset(tiny.folder), GROWING, train_and_prune.JobContext(out, **options)
+    )
 
 
 def short_from_the_start_on(monkeypatch):
@@ -274,10 +347,18 @@ def test_training_grows_where_memory_allows_it(tiny, little, tmp_path):
 def test_training_goes_on_without_growing_where_memory_is_short(tiny, monkeypatch, caplog, tmp_path):
     short_from_the_start_on(monkeypatch)
     result = trained(tiny, tmp_path / "o.ply")
-    assert result["densifications_held_back"] == 3 and result["count"] <= tiny_dataset.SEEN and result["iterations"] == 10
+    assert (
+        result["densifications_held_back"] == 3
+        and result["count"] <= tiny_dataset.SEEN
+        and result["iterations"] == 10
+    )
     assert "3 densifications added nothing: memory was too short" in commands._figures(result)
     (said,) = caplog.messages
-    assert re.fullmatch(rf"iteration 4: growing beyond {tiny_dataset.SEEN} Gaussians {REFUSED}; training goes on without growing", said)
+    assert re.fullmatch(
+        rf"iteration 4: growing beyond {tiny_dataset.SEEN} Gaussians {REFUSED}; training goes on without"
+        r" growing",
+        said,
+    )
 
 
 def test_growth_held_back_is_remembered_by_checkpoints(tiny, monkeypatch, tmp_path):
@@ -325,10 +406,16 @@ print(read / memory.reading(file_bytes), drawn / (memory.reading(file_bytes) + m
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the peak is read from /proc")
 def test_estimates_are_what_is_taken(tmp_path):
-    """Shares of the estimate that reading, drawing, tuning and growing 150,000 Gaussians take: seen 0.93, 0.68, 0.71 and 0.75."""
+    """Shares of the estimate that reading, drawing, tuning and growing 150,000 Gaussians take: seen 0.93,
+    0.68, 0.71 and 0.75."""
     path = tmp_path / "room.ply"
     write_ply(path, room(150_000))
-    done = subprocess.run([sys.executable, "-c", GROWTH, path, str(path.stat().st_size)], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", GROWTH, path, str(path.stat().st_size)],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     shares = [float(word) for word in done.stdout.split()]
     assert all(0.3 < share < 1.1 for share in shares), shares
 

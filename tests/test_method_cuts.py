@@ -1,4 +1,5 @@
-"""Methods that cut by a rule of their own, in several looks or events: each rule against the float64 reference."""
+"""Methods that cut by a rule of their own, in several looks or events: each rule against the float64
+reference."""
 
 from __future__ import annotations
 
@@ -25,7 +26,8 @@ from svrgs_addon.finetune.settings import Densify
 from svrgs_addon.native.rasterizer import RenderOptions
 from weights_of_pixels import expected_dominance, expected_slopes, weights
 
-CAMERAS = [scenes.camera(29, 23), scenes.camera(31, 21, eye=(1.5, -1.0, -3.5), roll=20)]  # too small to be reduced
+# too small to be reduced
+CAMERAS = [scenes.camera(29, 23), scenes.camera(31, 21, eye=(1.5, -1.0, -3.5), roll=20)]
 OPTIONS = RenderOptions(background=BACKGROUND)
 
 
@@ -38,20 +40,28 @@ def faint_scene(count: int, seed: int):
 def picture(scene, camera, masks: np.ndarray) -> np.ndarray:
     """(H, W, 3) of the float64 reference, with the Gaussians of masks (N,)."""
     tensors = [torch.tensor(np.asarray(getattr(scene, name), np.float64)) for name in PARAMETERS]
-    viewmat, K, background = (torch.tensor(np.asarray(a, np.float64)) for a in (camera.viewmat, camera.K, BACKGROUND))
-    return reference.rasterize(*tensors, torch.tensor(masks.astype(np.float64)), viewmat, K, camera.width, camera.height, background).rgb.numpy()
+    viewmat, K, background = (
+        torch.tensor(np.asarray(a, np.float64)) for a in (camera.viewmat, camera.K, BACKGROUND)
+    )
+    return reference.rasterize(
+        *tensors, torch.tensor(masks.astype(np.float64)), viewmat, K, camera.width, camera.height, background
+    ).rgb.numpy()
 
 
 # --- gaussianpop
 
 
 def removal_errors(scene, kept: np.ndarray) -> np.ndarray:
-    """(N,) the squared error that each Gaussian's removal really causes among those kept, mean over values, sum over views."""
+    """(N,) the squared error that each Gaussian's removal really causes among those kept, mean over values,
+    sum over views."""
     errors = np.full(len(kept), -1.0)
     for i in np.flatnonzero(kept):
         without = kept.copy()
         without[i] = False
-        errors[i] = sum(((picture(scene, camera, kept) - picture(scene, camera, without)) ** 2).mean() for camera in CAMERAS)
+        errors[i] = sum(
+            ((picture(scene, camera, kept) - picture(scene, camera, without)) ** 2).mean()
+            for camera in CAMERAS
+        )
     return errors
 
 
@@ -61,7 +71,9 @@ def test_gaussianpop_removes_in_looks_what_really_changes_the_pictures_least():
     once = np.argsort(-removal_errors(scene, expected), kind="stable")[:6]
     for look in range(1, LOOKS + 1):
         errors = removal_errors(scene, expected)
-        expected = np.isin(np.arange(24), np.argsort(-errors, kind="stable")[: round(24 * 0.25 ** (look / LOOKS))])
+        expected = np.isin(
+            np.arange(24), np.argsort(-errors, kind="stable")[: round(24 * 0.25 ** (look / LOOKS))]
+        )
     r = rasterizer("float64")
     double = Model.of(scene, np.float64)
     kept = METHODS["gaussianpop"].cut(double, CAMERAS, r, OPTIONS, 6)
@@ -85,12 +97,18 @@ def counts_of(run: Run) -> list[int]:
 
 def run_of(method: str, steps: int, **changes) -> Run:
     scene = scenes.random_scene(200, 2, 1, scale=0.2)
-    return Run(Model.of(scene), photographed(scene), replace(prune_settings(method, steps, 5), **changes), NativeEngine())
+    return Run(
+        Model.of(scene),
+        photographed(scene),
+        replace(prune_settings(method, steps, 5), **changes),
+        NativeEngine(),
+    )
 
 
 @pytest.mark.parametrize("target", [20, 34])
 def test_speedy_falls_by_equal_ratios_at_the_published_fifths(target):
-    """Without a target 30 % go at each of five cuts: at 15 000, 18 000, ... 27 000 of 30 000, which is 0, 1/5, ... 4/5 of the rest."""
+    """Without a target 30 % go at each of five cuts: at 15 000, 18 000, ... 27 000 of 30 000, which is 0,
+    1/5, ... 4/5 of the rest."""
     assert prune_settings("speedy", 10, 0).method.share == pytest.approx(0.7**5)
     counts = counts_of(run_of("speedy", 50, target=target))
     left = [round(200 * (target / 200) ** (k / 5)) for k in range(1, 6)]
@@ -104,7 +122,12 @@ def test_speedy_keeps_the_largest_slopes():
     found = scores.slopes(Model.of(scene, np.float64), CAMERAS, rasterizer("float64"), OPTIONS)
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12 * expected.max())
     data = replace(photographed(scene), cameras=CAMERAS, train_indices=[0, 1])
-    run = Run(Model.of(scene, np.float64), data, prune_settings("speedy", 10, 0, target=9, background=BACKGROUND), NativeEngine("float64"))
+    run = Run(
+        Model.of(scene, np.float64),
+        data,
+        prune_settings("speedy", 10, 0, target=9, background=BACKGROUND),
+        NativeEngine("float64"),
+    )
     run.target, run.method.count = 9, 30
     assert (run.method.event(run, 5) == scores.top(expected, 9)).all()
 
@@ -135,14 +158,20 @@ def test_popspa_cuts_twice_by_equal_ratios_and_has_its_terms_in_between():
         step = run._step(*run.phase(), run.dataset.cameras[0], None) if not run.finished else None
         kinds.append([type(penalty).__name__ for penalty in step.penalties] if step else [])
     run.close()
-    expected = {1: [], **{number: ["EffectiveRank"] for number in range(2, 31)}, **dict.fromkeys((10, 20, 30), ["EffectiveRank", "OpacityGoal"])}
+    expected = {
+        1: [],
+        **{number: ["EffectiveRank"] for number in range(2, 31)},
+        **dict.fromkeys((10, 20, 30), ["EffectiveRank", "OpacityGoal"]),
+    }
     assert kinds == [expected.get(number, []) for number in range(2, 37)], "in the recovery there is none"
 
 
 @pytest.mark.parametrize(("steps", "every"), [(5_000, 50), (3_000, 30), (60, 10)])
 def test_popspa_pulls_at_the_published_spacing(steps, every):
     (phase,) = prune_settings("popspa", steps, 0).phases
-    assert [n for n in range(1, steps + 1) if METHODS["popspa"]._pulls(phase, n)] == list(range(every, steps + 1, every))
+    assert [n for n in range(1, steps + 1) if METHODS["popspa"]._pulls(phase, n)] == list(
+        range(every, steps + 1, every)
+    )
 
 
 def test_admm_is_that_of_gaussianspa():
@@ -187,7 +216,10 @@ def test_the_effective_rank_is_that_of_its_definition():
     for row, value in zip(scales, wanted, strict=True):
         assert EffectiveRank().value(np.log(row)[None], np) == pytest.approx(value, rel=1e-6)
         single = np.log(row)[None].astype(np.float32)
-        assert EffectiveRank().value(single, np) == pytest.approx(value, rel=2e-2) and np.isfinite(EffectiveRank().grad(single)).all()
+        assert (
+            EffectiveRank().value(single, np) == pytest.approx(value, rel=2e-2)
+            and np.isfinite(EffectiveRank().grad(single)).all()
+        )
 
 
 # --- minisplatting
@@ -196,14 +228,20 @@ def test_the_effective_rank_is_that_of_its_definition():
 def run_with(method: str, scene, **changes) -> Run:
     """A run in float64 with the two CAMERAS and BACKGROUND, for a single event."""
     data = replace(photographed(scene), cameras=CAMERAS, train_indices=[0, 1])
-    run = Run(Model.of(scene, np.float64), data, prune_settings(method, 30, 0, background=BACKGROUND, **changes), NativeEngine("float64"))
+    run = Run(
+        Model.of(scene, np.float64),
+        data,
+        prune_settings(method, 30, 0, background=BACKGROUND, **changes),
+        NativeEngine("float64"),
+    )
     run.target, run.method.count = changes.get("target", 0), scene.count
     return run
 
 
 @pytest.mark.parametrize("by_area", [False, True])
 def test_importance_is_that_of_mini_splatting(by_area):
-    """Sums of alpha T of the float64 reference; by area their mean in each view in which the Gaussian dominates a pixel. Else 0."""
+    """Sums of alpha T of the float64 reference; by area their mean in each view in which the Gaussian
+    dominates a pixel. Else 0."""
     scene = scenes.random_scene(60, 3, 1, scale=0.3)
     expected, dominated = np.zeros(60), np.zeros(60)
     for camera in CAMERAS:
@@ -244,7 +282,9 @@ def test_minisplatting_draws_in_proportion_to_importance():
 def test_minisplatting_draws_a_target_at_once():
     assert counts_of(run_of("minisplatting", 30, target=50)) == [50] * 35
     without = counts_of(run_of("minisplatting", 30))
-    assert without[0] < 150 and without[8] == without[0] > without[9] == without[-1], "at step 1 and after a third"
+    assert without[0] < 150 and without[8] == without[0] > without[9] == without[-1], (
+        "at step 1 and after a third"
+    )
 
 
 # --- efficientgs
@@ -256,10 +296,17 @@ def test_efficientgs_keeps_what_dominates_a_pixel():
     sums = sum(weights(scene, np.ones(80), camera).sum(axis=0) for camera in CAMERAS)
     assert 10 < (dominated > 0).sum() < 70
     for done in (1, 2, 3):
-        assert (run_with("efficientgs", scene).method.event(run_with("efficientgs", scene), done) == (dominated > 0)).all()
+        assert (
+            run_with("efficientgs", scene).method.event(run_with("efficientgs", scene), done)
+            == (dominated > 0)
+        ).all()
     few, more = (dominated > 0).sum() - 5, (dominated > 0).sum() + 5
     ranked = np.lexsort((-sums, -dominated))
-    for target, done, wanted in ((few, 1, dominated > 0), (few, 3, np.isin(np.arange(80), ranked[:few])), (more, 1, np.isin(np.arange(80), ranked[:more]))):
+    for target, done, wanted in (
+        (few, 1, dominated > 0),
+        (few, 3, np.isin(np.arange(80), ranked[:few])),
+        (more, 1, np.isin(np.arange(80), ranked[:more])),
+    ):
         run = run_with("efficientgs", scene, target=int(target))
         assert (run.method.event(run, done) == wanted).all()
 
@@ -286,7 +333,10 @@ def expected_redundancy(scene, cameras, neighbours: int = 30) -> np.ndarray:
                 sides.append(z / (camera.K[0, 0] if camera.width > camera.height else camera.K[1, 1]))
         radius = min(sides, default=10_000.0) * 3**0.5 / 2
         nearest = np.argsort(np.linalg.norm(means - means[i], axis=1), kind="stable")[1 : neighbours + 1]
-        met.append([i] + [j for j in nearest if ((R[j].T @ (means[i] - means[j]) / (scales[j] + radius)) ** 2).sum() < 1])
+        met.append(
+            [i]
+            + [j for j in nearest if ((R[j].T @ (means[i] - means[j]) / (scales[j] + radius)) ** 2).sum() < 1]
+        )
         counts.append(len(met[-1]))
     return np.array([min(counts[i] for i in range(n) if j in met[i]) for j in range(n)])
 
@@ -304,8 +354,12 @@ def test_the_faint_half_of_the_redundant_goes_and_the_faintest_go():
     opacity = np.r_[np.linspace(0.01, 0.5, 90), np.linspace(0.2, 0.9, 10)]
     stays = redundancy.stays(redundancies, opacity)
     lowest = np.flatnonzero(opacity < np.quantile(opacity, 0.03))
-    assert sorted(np.flatnonzero(~stays)) == sorted({*lowest, *range(90, 94)}), "below the lower median of ten: four"
-    assert redundancy.stays(np.full(100, 3), np.full(100, 0.9)).all(), "a redundancy of 3 is none, and an opacity of 0.05 is enough"
+    assert sorted(np.flatnonzero(~stays)) == sorted({*lowest, *range(90, 94)}), (
+        "below the lower median of ten: four"
+    )
+    assert redundancy.stays(np.full(100, 3), np.full(100, 0.9)).all(), (
+        "a redundancy of 3 is none, and an opacity of 0.05 is enough"
+    )
 
 
 @pytest.mark.parametrize("target", [0, 40])
@@ -318,10 +372,16 @@ def test_reduced3dgs_cuts_in_thirteen_events(target):
 
 
 def test_reduced3dgs_penalises_the_opacity_of_what_the_view_sees():
-    """0.001 times its mean: the gradient reaches the visible Gaussians alone, in both engines (test_methods.py runs them side by side)."""
+    """0.001 times its mean: the gradient reaches the visible Gaussians alone, in both engines
+    (test_methods.py runs them side by side)."""
     run = run_of("reduced3dgs", 150)
     run._prepare(run.settings.phases[0], 1)
-    step = run._step(run.settings.phases[0], 1, run.dataset.cameras[0], np.ascontiguousarray(run.dataset.pictures[0] / 255, np.float32))
+    step = run._step(
+        run.settings.phases[0],
+        1,
+        run.dataset.cameras[0],
+        np.ascontiguousarray(run.dataset.pictures[0] / 255, np.float32),
+    )
     run.model.means[:50] += 100.0  # out of the view
     before = run.model.opacity_logits.copy()
     result = run.engine.step(run.model, step)
@@ -336,7 +396,9 @@ def test_reduced3dgs_penalises_the_opacity_of_what_the_view_sees():
 
 def test_rdo_removes_once_at_the_end():
     """The gate is that of compact3dgs, which removes at its events too."""
-    phases = tuple(replace(phase, prune_every=phase.active and 10) for phase in prune_settings("rdo", 40, 5).phases)
+    phases = tuple(
+        replace(phase, prune_every=phase.active and 10) for phase in prune_settings("rdo", 40, 5).phases
+    )
     found = []
     for method in ("rdo", "compact3dgs"):
         run = run_of(method, 40, phases=phases)

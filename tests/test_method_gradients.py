@@ -15,7 +15,14 @@ from plans import plan_of, train_settings
 from svrgs_addon.finetune.engine import NativeEngine, mask_logit_rows
 from svrgs_addon.finetune.methods import compact3dgs
 from svrgs_addon.finetune.model import MASK, PARAMETERS, Model
-from svrgs_addon.finetune.penalties import EffectiveRank, MeanExistence, MeanOpacity, MeanScale, OpacityGoal, OpacityPressure
+from svrgs_addon.finetune.penalties import (
+    EffectiveRank,
+    MeanExistence,
+    MeanOpacity,
+    MeanScale,
+    OpacityGoal,
+    OpacityPressure,
+)
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.settings import Phase, Rates
 
@@ -43,13 +50,16 @@ def test_penalties_have_the_gradient_of_their_value(penalty):
 
 
 def test_the_gates_gradient_is_that_of_opacity_and_scale():
-    """Against central differences of the image loss in g, g scaling the activated opacity and scales of one Gaussian at a time."""
+    """Against central differences of the image loss in g, g scaling the activated opacity and scales of one
+    Gaussian at a time."""
     scene = scenes.random_scene(25, 3, 1, scale=0.3, opacity=-0.5)
     dataset = photographed(scene)
     model = Model.of(replace(scene, sh=scene.sh + np.float32(0.2)), np.float64)
     model.add_masks(1.0)
     phase = Phase("train", 10, Rates(), active=True)
-    run = Run(model, dataset, plan_of("compact3dgs", (phase,), lambda_m=0.0, mask_init=1.0), NativeEngine("float64"))
+    run = Run(
+        model, dataset, plan_of("compact3dgs", (phase,), lambda_m=0.0, mask_init=1.0), NativeEngine("float64")
+    )
     view, target = dataset.cameras[0], dataset.pictures[0] / 255
     step = run._step(phase, 1, view, target)
     r = run.engine.rasterizer
@@ -68,17 +78,28 @@ def test_the_gates_gradient_is_that_of_opacity_and_scale():
     ids = r.visible()
     found = mask_logit_rows(step, grads, ids) / step.slope[ids]
     assert np.abs(found).max() > 1e-4
-    np.testing.assert_allclose(found, numeric[ids], rtol=0, atol=2e-4 * np.abs(numeric).max())  # |a - b| has corners
+    # |a - b| has corners
+    np.testing.assert_allclose(found, numeric[ids], rtol=0, atol=2e-4 * np.abs(numeric).max())
 
 
 def test_a_closed_gate_neither_shows_nor_learns_from_the_image():
     scene = scenes.random_scene(25, 3, 1, scale=0.3)
-    run = Run(Model.of(scene), photographed(scene), replace(train_settings("compact3dgs", 10, 0), lambda_m=0.0), NativeEngine())
+    run = Run(
+        Model.of(scene),
+        photographed(scene),
+        replace(train_settings("compact3dgs", 10, 0), lambda_m=0.0),
+        NativeEngine(),
+    )
     run._prepare(run.settings.phases[0], 1)
     run.model.values[MASK][:5] = compact3dgs.THRESHOLD - 1e-3
     before = {name: run.model.values[name][run.model.origin < 25].copy() for name in (*PARAMETERS, MASK)}
     closed = run.model.values[MASK] < compact3dgs.THRESHOLD
-    step = run._step(run.settings.phases[0], 1, run.dataset.cameras[0], np.ascontiguousarray(run.dataset.pictures[0] / 255, np.float32))
+    step = run._step(
+        run.settings.phases[0],
+        1,
+        run.dataset.cameras[0],
+        np.ascontiguousarray(run.dataset.pictures[0] / 255, np.float32),
+    )
     run.engine.step(run.model, step)
     for name, old in before.items():
         np.testing.assert_array_equal(run.model.values[name][closed], old[closed])

@@ -19,29 +19,56 @@ from svrgs_addon.finetune.run import Run
 
 
 def test_a_shorter_schedule_keeps_the_spacing_of_what_needs_views():
-    for share, (start, until, every, resets) in {1: (500, 15_000, 100, 3_000), 0.1: (500, 1_500, 100, 3_000), 0.02: (100, 300, 100, 3_000)}.items():
+    for share, (start, until, every, resets) in {
+        1: (500, 15_000, 100, 3_000),
+        0.1: (500, 1_500, 100, 3_000),
+        0.02: (100, 300, 100, 3_000),
+    }.items():
         train, recover = train_settings("svr", 30_000, 5_000, schedule=share).phases
         rule = train.densify
         assert (train.steps, recover.steps) == (30_000 * share, 5_000 * share)
         assert (rule.start, rule.until, rule.every, rule.reset_every) == (start, until, every, resets)
-        assert train.rates.mask == pytest.approx(train_settings("svr", 30_000, 5_000).phases[0].rates.mask / share)
+        assert train.rates.mask == pytest.approx(
+            train_settings("svr", 30_000, 5_000).phases[0].rates.mask / share
+        )
 
 
 def test_maskgs_counts_in_its_window():
-    """Alpha: 19 000 to 20 000 of 30 000, both included, and the same share of shorter runs; masks are drawn all the time."""
-    for steps, inside, outside in ((30_000, (19_000, 19_500, 20_000), (1, 18_999, 20_001)), (300, (190, 200), (189, 201))):
-        run = Run(Model.of(scenes.random_scene(5)), photographed(scenes.random_scene(5)), train_settings("maskgs-alpha", steps, 0), None)
+    """Alpha: 19 000 to 20 000 of 30 000, both included, and the same share of shorter runs; masks are drawn
+    all the time."""
+    for steps, inside, outside in (
+        (30_000, (19_000, 19_500, 20_000), (1, 18_999, 20_001)),
+        (300, (190, 200), (189, 201)),
+    ):
+        run = Run(
+            Model.of(scenes.random_scene(5)),
+            photographed(scenes.random_scene(5)),
+            train_settings("maskgs-alpha", steps, 0),
+            None,
+        )
         run.method.prepare(run, run.settings.phases[0], 1)
-        weights = [run.method.terms(run, run.settings.phases[0], number)["lambda_m"] for number in (*inside, *outside)]
+        weights = [
+            run.method.terms(run, run.settings.phases[0], number)["lambda_m"]
+            for number in (*inside, *outside)
+        ]
         assert weights == [0.1] * len(inside) + [0.0] * len(outside)
         assert "masks" in run.method.terms(run, run.settings.phases[0], 1)
 
 
-@pytest.mark.parametrize(("method", "weight"), [("maskgs", 5e-4), ("maskgs-beta", 5e-4), ("maskgs-gamma", 1e-3)])
+@pytest.mark.parametrize(
+    ("method", "weight"), [("maskgs", 5e-4), ("maskgs-beta", 5e-4), ("maskgs-gamma", 1e-3)]
+)
 def test_the_other_maskgs_count_all_the_time(method, weight):
-    run = Run(Model.of(scenes.random_scene(5)), photographed(scenes.random_scene(5)), train_settings(method, 300, 0), None)
+    run = Run(
+        Model.of(scenes.random_scene(5)),
+        photographed(scenes.random_scene(5)),
+        train_settings(method, 300, 0),
+        None,
+    )
     run.method.prepare(run, run.settings.phases[0], 1)
-    assert {run.method.terms(run, run.settings.phases[0], number)["lambda_m"] for number in (1, 150, 300)} == {weight}
+    assert {
+        run.method.terms(run, run.settings.phases[0], number)["lambda_m"] for number in (1, 150, 300)
+    } == {weight}
 
 
 def test_maskgs_after_training_decides_once():
@@ -50,7 +77,9 @@ def test_maskgs_after_training_decides_once():
     (phase,) = settings.phases
     assert settings.lambda_m == pytest.approx(0.02) and phase.prune_every == 0
     assert phase.rates.at(5_000, 1.0)["sh"] == pytest.approx(2.5e-3 * 0.95**12)
-    assert prune_settings("maskgs", 500, 0).phases[0].rates.at(500, 1.0)["sh"] == pytest.approx(2.5e-3 * 0.95**12)
+    assert prune_settings("maskgs", 500, 0).phases[0].rates.at(500, 1.0)["sh"] == pytest.approx(
+        2.5e-3 * 0.95**12
+    )
     scene = scenes.random_scene(60)
     short = replace(prune_settings("maskgs", 30, 0), mask_init=-1.0)  # ten draws would have missed some
     run = Run(Model.of(scene), photographed(scene), replace(short, target=40), NativeEngine())

@@ -46,7 +46,8 @@ CAMERAS = [scenes.camera(29, 23), scenes.camera(33, 21, eye=(1.5, -1.0, -3.5), r
 
 @pytest.mark.parametrize("level", LEVELS)
 def test_scores_are_those_of_the_reference(level):
-    """Sum and maximum of alpha T, and LightGaussian's sum of opacity T. Worst seen: 1.7e-7 of the largest in float32, 3e-16 in float64."""
+    """Sum and maximum of alpha T, and LightGaussian's sum of opacity T. Worst seen: 1.7e-7 of the largest in
+    float32, 3e-16 in float64."""
     r = rasterizer(level)
     scene = typed(scenes.random_scene(40, 6, 1, scale=0.3), r.dtype)
     scene.count = 40
@@ -58,7 +59,11 @@ def test_scores_are_those_of_the_reference(level):
         expected[1] = np.maximum(expected[1], (alpha * T).max(axis=0))
         expected[2] += opacity * T.sum(axis=0)
     arguments = scene, CAMERAS, r, RenderOptions()
-    found = METHODS["contribution"].score(*arguments), METHODS["max-contribution"].score(*arguments), scores.significance(*arguments)
+    found = (
+        METHODS["contribution"].score(*arguments),
+        METHODS["max-contribution"].score(*arguments),
+        scores.significance(*arguments),
+    )
     bounds = (1e-13, 1e-7, 1e-13) if level == "float64" else (2e-6,) * 3  # the maximum is kept in float32
     for value, wanted, bound in zip(found, expected, bounds, strict=True):
         np.testing.assert_allclose(value, wanted, rtol=0, atol=bound * wanted.max())
@@ -92,11 +97,15 @@ def expected_sensitivities(view: str) -> np.ndarray:
 def sensitivities(scene, camera) -> np.ndarray:
     """H (N, 6, 6) by brute force: the reference's Jacobian of every colour in every mean and log-scale."""
     tensors = [torch.tensor(np.asarray(getattr(scene, name), np.float64)) for name in PARAMETERS]
-    viewmat, K, background = (torch.tensor(np.asarray(a, np.float64)) for a in (camera.viewmat, camera.K, BACKGROUND))
+    viewmat, K, background = (
+        torch.tensor(np.asarray(a, np.float64)) for a in (camera.viewmat, camera.K, BACKGROUND)
+    )
 
     def colours(means, log_scales):
         ones = torch.ones(scene.count, dtype=torch.float64)
-        return reference.rasterize(means, log_scales, *tensors[2:], ones, viewmat, K, camera.width, camera.height, background).rgb.reshape(-1)
+        return reference.rasterize(
+            means, log_scales, *tensors[2:], ones, viewmat, K, camera.width, camera.height, background
+        ).rgb.reshape(-1)
 
     g = torch.cat(torch.autograd.functional.jacobian(colours, tuple(tensors[:2])), dim=2)  # (colours, N, 6)
     return torch.einsum("pni,pnj->nij", g, g).numpy()
@@ -125,7 +134,9 @@ def test_pup_ranks_by_the_determinant_over_all_views():
     scene = small_scene(np.float64)
     scene.means[7] = (0, 0, -50)  # behind every camera
     expected = sum(sensitivities(scene, camera) for camera in CAMERAS)
-    found = sensitivity.log_determinants(scene, CAMERAS, rasterizer("float64"), RenderOptions(background=BACKGROUND))
+    found = sensitivity.log_determinants(
+        scene, CAMERAS, rasterizer("float64"), RenderOptions(background=BACKGROUND)
+    )
     sign, log_det = np.linalg.slogdet(expected)
     sure = (sign > 0) & (np.linalg.cond(expected) < 1e10)
     assert sure.sum() > 10 and found[7] == -np.inf
@@ -147,7 +158,8 @@ def test_moments_leave_gradients_and_scores_alone(level):
     assert all((after[name] == g).all() for name, g in plain.items())
 
 
-@pytest.mark.parametrize("method", [name for name in RANKED if name not in ("gaussianpop", "merge")])  # their cuts: test_method_cuts.py
+# their cuts: test_method_cuts.py
+@pytest.mark.parametrize("method", [name for name in RANKED if name not in ("gaussianpop", "merge")])
 def test_methods_that_rank_keep_the_highest(method):
     scene = scenes.random_scene(60, 4, 1, scale=0.2)
     dataset = photographed(scene)

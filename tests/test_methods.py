@@ -20,7 +20,8 @@ from svrgs_addon.finetune.settings import Densify
 from svrgs_addon.finetune.torch_engine import TorchEngine
 from svrgs_addon.system.errors import SceneError
 
-FAMILIES = tuple({type(METHODS[name]): name for name in (*METHODS, "svr", "maskgs-alpha")}.values())  # one of each class
+# one of each class
+FAMILIES = tuple({type(METHODS[name]): name for name in (*METHODS, "svr", "maskgs-alpha")}.values())
 
 
 def state(run: Run) -> dict:
@@ -35,7 +36,12 @@ def grown_run(method: str, engine=None, dtype=np.float32, **changes) -> Run:
     settings = train_settings(method, 60, 10, densify=rule, seed=4, share=share)
     start = {} if method == "compact3dgs" else {"mask_init": 1.0}  # undecided masks, so that events bite
     phases = tuple(replace(phase, prune_every=phase.prune_every and 10) for phase in settings.phases)
-    return Run(Model.of(disturbed(truth), dtype), photographed(truth), replace(settings, phases=phases, **start, **changes), engine or NativeEngine())
+    return Run(
+        Model.of(disturbed(truth), dtype),
+        photographed(truth),
+        replace(settings, phases=phases, **start, **changes),
+        engine or NativeEngine(),
+    )
 
 
 # --- the registry
@@ -53,7 +59,8 @@ def test_methods_of_two_runs_do_not_share_their_state():
 
 
 def test_paper_chooses_the_printed_settings_to_the_letter():
-    """L1 + (1 - SSIM) with weights of 1, lambda_F 1e-4, F along the whole ray, 10 draws at each densification and every 1000 steps, no first cut."""
+    """L1 + (1 - SSIM) with weights of 1, lambda_F 1e-4, F along the whole ray, 10 draws at each densification
+    and every 1000 steps, no first cut."""
     paper = paper_method()
     assert (paper.mask_kind, paper.lambda_f, paper.first_cut) == ("svr", 1e-4, False)
     plan = train_settings("svr-paper", 30_000, 5_000)
@@ -61,7 +68,11 @@ def test_paper_chooses_the_printed_settings_to_the_letter():
     assert (plan.lambda_f, plan.full, plan.mask_init, plan.draws) == (1e-4, True, 9.0, 10)
     assert plan.phases[0].prune_every == 1_000 and plan.phases[1].steps == 5_000
     svr = train_settings("svr", 30_000, 5_000)
-    assert (svr.l1_weight, svr.ssim_weight, svr.method.first_cut) == (0.8, 0.2, True) and svr.phases == plan.phases
+    assert (svr.l1_weight, svr.ssim_weight, svr.method.first_cut) == (
+        0.8,
+        0.2,
+        True,
+    ) and svr.phases == plan.phases
 
 
 def test_a_method_that_was_removed_says_what_replaces_it():
@@ -72,7 +83,19 @@ def test_a_method_that_was_removed_says_what_replaces_it():
 def test_names_and_menu_numbers_are_each_one_method_s():
     """Numbers are stored in .blend files; those of the first schema keep their methods."""
     assert len({method.number for method in METHODS.values()}) == len(METHODS)
-    first = ("svr", "svr-mask", "svr-self", "svr-even", "svr-a", "svr-b", "svr-worth", "maskgs", "maskgs-alpha", "maskgs-beta", "maskgs-gamma")
+    first = (
+        "svr",
+        "svr-mask",
+        "svr-self",
+        "svr-even",
+        "svr-a",
+        "svr-b",
+        "svr-worth",
+        "maskgs",
+        "maskgs-alpha",
+        "maskgs-beta",
+        "maskgs-gamma",
+    )
     first += ("compact3dgs", "gns", "lightgaussian", "opacity", "contribution", "max-contribution", "pup")
     assert [METHODS[FORMER_NAMES.get(name, name)].number for name in first] == list(range(len(first)))
     assert all(method.help and method.name == name for name, method in METHODS.items())
@@ -95,7 +118,8 @@ def test_a_share_counts_from_the_end_of_densification(method):
             grown = run.model.count
         run.advance()
     run.close()
-    assert grown > 150 and run.target > 10 if method != "speedy" else run.target > 1  # its soft cuts come while training densifies
+    # its soft cuts come while training densifies
+    assert grown > 150 and run.target > 10 if method != "speedy" else run.target > 1
     if method in RANKED or method in ("gns", "speedy"):
         assert run.target == round(0.35 * grown) and run.model.count == run.target
     else:
@@ -119,7 +143,8 @@ def test_a_run_restored_from_a_checkpoint_goes_on_bit_for_bit(tmp_path, method, 
 
 @pytest.mark.parametrize("method", [name for name in LEARNED if METHODS[name].learns_masks])
 def test_logits_follow_their_gaussians(method):
-    """A logit that says which Gaussian it belongs to still does after clones, splits, a new order and an event."""
+    """A logit that says which Gaussian it belongs to still does after clones, splits, a new order and an
+    event."""
     run = grown_run(method)
     run.advance()
     rng = np.random.default_rng(0)
@@ -142,7 +167,9 @@ def test_logits_follow_their_gaussians(method):
 @pytest.mark.parametrize("method", [name for name in FAMILIES if name in LEARNED])
 def test_every_learned_method_ends_alike_with_either_engine(method):
     """In float64, through growth, reset, pruning and recovery. Worst seen: 2.1e-14 of the largest value."""
-    native, torch_ = (to_the_end(grown_run(method, engine("float64"), np.float64)) for engine in (NativeEngine, TorchEngine))
+    native, torch_ = (
+        to_the_end(grown_run(method, engine("float64"), np.float64)) for engine in (NativeEngine, TorchEngine)
+    )
     np.testing.assert_array_equal(native.model.origin, torch_.model.origin)
     assert native.method.state() == pytest.approx(torch_.method.state(), rel=1e-12)
     for name, value in native.model.values.items():

@@ -1,4 +1,5 @@
-"""PSNR, SSIM, FLIP and LPIPS: known values, independent computations, symmetries, refusal of what does not compare."""
+"""PSNR, SSIM, FLIP and LPIPS: known values, independent computations, symmetries, refusal of what does not
+compare."""
 
 import math
 import subprocess
@@ -69,7 +70,11 @@ def test_ssim_against_its_formula_in_float64(shape):
         return ndimage.gaussian_filter(image, (1.5, 1.5, 0), mode="constant", truncate=5 / 1.5)
 
     mean_a, mean_b = window(a), window(b)
-    var_a, var_b, covariance = window(a * a) - mean_a**2, window(b * b) - mean_b**2, window(a * b) - mean_a * mean_b
+    var_a, var_b, covariance = (
+        window(a * a) - mean_a**2,
+        window(b * b) - mean_b**2,
+        window(a * b) - mean_a * mean_b,
+    )
     top = (2 * mean_a * mean_b + 1e-4) * (2 * covariance + 9e-4)
     bottom = (mean_a**2 + mean_b**2 + 1e-4) * (var_a + var_b + 9e-4)
     assert ssim(a, b) == pytest.approx((top / bottom).mean(), abs=2e-7)
@@ -107,7 +112,9 @@ def test_flip_sees_edges_and_points_as_its_authors_program_does():
     b[10, 10] = 1
     errors = flip_map(a, b)
     assert errors.mean() == pytest.approx(0.169113, abs=1e-4)
-    assert [errors[10, 10], errors[30, 32], errors[30, 60]] == pytest.approx([0.658372, 0.321153, 0.313894], abs=2e-4)
+    assert [errors[10, 10], errors[30, 32], errors[30, 60]] == pytest.approx(
+        [0.658372, 0.321153, 0.313894], abs=2e-4
+    )
 
 
 def test_flip_grows_with_the_difference():
@@ -117,7 +124,15 @@ def test_flip_grows_with_the_difference():
 
 # --- LPIPS ---
 
-CONVOLUTIONS = {0: (3, 64), 2: (64, 64), 5: (64, 128), 7: (128, 128), 10: (128, 256), 12: (256, 256), 14: (256, 256)}
+CONVOLUTIONS = {
+    0: (3, 64),
+    2: (64, 64),
+    5: (64, 128),
+    7: (128, 128),
+    10: (128, 256),
+    12: (256, 256),
+    14: (256, 256),
+}
 CONVOLUTIONS |= {17: (256, 512)} | dict.fromkeys((19, 21, 24, 26, 28), (512, 512))
 SLICES = {1: (0, 4), 2: (4, 9), 3: (9, 16), 4: (16, 23), 5: (23, 30)}  # layers of torchvision's `features`
 HEAD_CHANNELS = (64, 128, 256, 512, 512)
@@ -131,7 +146,9 @@ def weights():
     arrays = {}
     for index, (fan_in, out) in CONVOLUTIONS.items():
         scale = (2 / (9 * fan_in)) ** 0.5
-        arrays[f"features.{index}.weight"] = (torch.randn(out, fan_in, 3, 3, generator=generator) * scale).half()
+        arrays[f"features.{index}.weight"] = (
+            torch.randn(out, fan_in, 3, 3, generator=generator) * scale
+        ).half()
         arrays[f"features.{index}.bias"] = (torch.randn(out, generator=generator) * 0.05).half()
     for k, channels in enumerate(HEAD_CHANNELS):
         arrays[f"lin{k}.model.1.weight"] = torch.rand(1, channels, 1, 1, generator=generator).half()
@@ -170,7 +187,9 @@ def literal_lpips(weights, a, b) -> float:
     with torch.no_grad():
         pairs = zip(features(a), features(b), strict=True)
         heads = (weights[f"lin{k}.model.1.weight"].double() for k in range(5))
-        total = sum(nn.functional.conv2d((p - q) ** 2, head).mean() for (p, q), head in zip(pairs, heads, strict=True))
+        total = sum(
+            nn.functional.conv2d((p - q) ** 2, head).mean() for (p, q), head in zip(pairs, heads, strict=True)
+        )
     return float(total)
 
 
@@ -203,21 +222,29 @@ def test_lpips_reads_the_names_of_the_lpips_package(weights, network, tmp_path):
         return key.replace("features", f"net.slice{number}")
 
     path = tmp_path / "weights.pt"
-    torch.save({package_name(key): tensor for key, tensor in weights.items()} | {"scaling_layer.shift": torch.zeros(1)}, path)
+    torch.save(
+        {package_name(key): tensor for key, tensor in weights.items()}
+        | {"scaling_layer.shift": torch.zeros(1)},
+        path,
+    )
     other, _ = load_lpips(path)
     path.unlink()
     a, b = waves(0.0)[:16, :16], waves(0.3)[:16, :16]
     assert other(a, b) == network(a, b)
 
 
-@pytest.mark.parametrize(("path", "reason"), [(None, "no LPIPS weight file"), ("nowhere.pt", "nowhere.pt does not exist")])
+@pytest.mark.parametrize(
+    ("path", "reason"), [(None, "no LPIPS weight file"), ("nowhere.pt", "nowhere.pt does not exist")]
+)
 def test_without_lpips_weights_the_reason_is_told(path, reason):
     network, why = load_lpips(path)
     assert network is None and reason in why
 
 
 @pytest.mark.parametrize("name", ["weights.pt", "weights.pth", "weights.npz", "weights.bin"])
-@pytest.mark.parametrize("content", [b"", b"not weights\n" * 50, b"PK\x03\x04" + bytes(100)], ids=["empty", "text", "torn"])
+@pytest.mark.parametrize(
+    "content", [b"", b"not weights\n" * 50, b"PK\x03\x04" + bytes(100)], ids=["empty", "text", "torn"]
+)
 def test_lpips_refuses_other_files(tmp_path, name, content):
     pytest.importorskip("torch")
     path = tmp_path / name
@@ -259,5 +286,8 @@ def test_lpips_never_runs_code_from_a_file(tmp_path):
 
 def test_importing_the_metrics_loads_numpy_only():
     heavy = "{'torch', 'scipy', 'OpenImageIO', 'bpy'}"
-    code = f"import sys, svrgs_addon.render.metrics, svrgs_addon.prune.report; sys.exit(bool({heavy} & set(sys.modules)))"
+    code = (
+        f"import sys, svrgs_addon.render.metrics, svrgs_addon.prune.report; sys.exit(bool({heavy} &"
+        " set(sys.modules)))"
+    )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -16,7 +16,9 @@ from svrgs_addon.files.repair import bake_filter
 
 def filtered_scene(widths: np.ndarray):
     """A scene with the column filter_3D (N,)."""
-    return replace(scenes.random_scene(len(widths), 4, 1, scale=0.2), attributes={"filter_3D": widths.astype(np.float32)})
+    return replace(
+        scenes.random_scene(len(widths), 4, 1, scale=0.2), attributes={"filter_3D": widths.astype(np.float32)}
+    )
 
 
 def test_scales_grow_and_opacities_shrink_as_the_filter_says():
@@ -26,7 +28,11 @@ def test_scales_grow_and_opacities_shrink_as_the_filter_says():
     assert filtered and "filter_3D" not in baked.attributes
     squares = np.exp(2 * scene.log_scales.astype(np.float64))
     grown = squares + scene.attributes["filter_3D"].astype(np.float64)[:, None] ** 2
-    opacity = 1 / (1 + np.exp(-scene.opacity_logits.astype(np.float64))) * np.sqrt(squares.prod(axis=1) / grown.prod(axis=1))
+    opacity = (
+        1
+        / (1 + np.exp(-scene.opacity_logits.astype(np.float64)))
+        * np.sqrt(squares.prod(axis=1) / grown.prod(axis=1))
+    )
     np.testing.assert_allclose(np.exp(2 * baked.log_scales.astype(np.float64)), grown, rtol=1e-5)
     np.testing.assert_allclose(1 / (1 + np.exp(-baked.opacity_logits.astype(np.float64))), opacity, rtol=1e-5)
     for name in ("means", "quats", "sh"):
@@ -53,7 +59,11 @@ def test_a_file_is_baked_once_and_it_is_said(tmp_path, caplog):
     write_scene(tmp_path / "again.ply", first)
     caplog.clear()
     second = load_scene(tmp_path / "again.ply").scene
-    assert not caplog.text and np.array_equal(first.log_scales, second.log_scales) and np.array_equal(first.opacity_logits, second.opacity_logits)
+    assert (
+        not caplog.text
+        and np.array_equal(first.log_scales, second.log_scales)
+        and np.array_equal(first.opacity_logits, second.opacity_logits)
+    )
 
 
 @pytest.mark.parametrize("width", [np.nan, np.inf])

@@ -37,7 +37,10 @@ def fewer(tiny, tmp_path) -> tiny_dataset.Tiny:
 
 
 COMMANDS = {
-    "prune": "prune {scene} --colmap {data} --method opacity --target 0.5 --recovery 5 --quiet --out {out}/o.ply --report {out}",
+    "prune": (
+        "prune {scene} --colmap {data} --method opacity --target 0.5 --recovery 5 --quiet --out {out}/o.ply"
+        " --report {out}"
+    ),
     "train": "train --colmap {data} --iterations 5 --quiet --out {out}/o.ply",
     "eval": "eval {scene} --colmap {data}",
     "compare": "compare {scene} {scene} --colmap {data} --out {out}",
@@ -63,7 +66,10 @@ def test_the_terminal_shows_it(fewer):
 
 
 def test_an_estimate_names_them_too(fewer):
-    assert SENTENCE in estimate(PruneOptions(scene=fewer.splat, colmap=fewer.folder, iterations=50)).get("notes")[0]
+    assert (
+        SENTENCE
+        in estimate(PruneOptions(scene=fewer.splat, colmap=fewer.folder, iterations=50)).get("notes")[0]
+    )
 
 
 def test_a_background_job_says_it_while_it_runs(fewer, tmp_path, jobs):
@@ -77,7 +83,9 @@ def test_a_background_job_says_it_while_it_runs(fewer, tmp_path, jobs):
 
 def test_resume_needs_the_same_photographs(fewer, tmp_path):
     out, data, steps = tmp_path / "o.ply", load_dataset(fewer.folder), []
-    context = train_and_prune.JobContext(out, observe=lambda p: steps.append(p.iteration), stop=lambda: len(steps) == 30)
+    context = train_and_prune.JobContext(
+        out, observe=lambda p: steps.append(p.iteration), stop=lambda: len(steps) == 30
+    )
     with pytest.raises(Cancelled):
         train_and_prune.prune(fewer.splat, data, SETTINGS, context)
     moved = fewer.folder / "images/02.png"
@@ -94,5 +102,7 @@ def test_resume_needs_the_same_photographs(fewer, tmp_path):
 def test_a_damaged_photograph_is_refused_and_named(fewer, svrgs):
     photo: Path = fewer.folder / "images/03.png"
     photo.write_bytes(photo.read_bytes()[:-200])
-    done = svrgs("train", "--colmap", fewer.folder, "--iterations", 20, "--quiet", "--out", fewer.folder / "o.ply")
+    done = svrgs(
+        "train", "--colmap", fewer.folder, "--iterations", 20, "--quiet", "--out", fewer.folder / "o.ply"
+    )
     assert done.status == 2 and f"{photo}: cannot be read as an image" in done.err

@@ -67,12 +67,19 @@ def test_a_model_becomes_a_scene_in_the_order_of_its_source():
     scene, left = scene_now(model), [1, 2, 3, 5, 6, 7, 8]
     assert scene.attributes["label"].tolist() == left
     assert all((getattr(scene, name) == getattr(source, name)[left]).all() for name in PARAMETERS)
-    model.append({name: value[:2] * 0 + value.dtype.type([-1, -2]).reshape(2, *[1] * (value.ndim - 1)) for name, value in model.values.items()})
+    model.append(
+        {
+            name: value[:2] * 0 + value.dtype.type([-1, -2]).reshape(2, *[1] * (value.ndim - 1))
+            for name, value in model.values.items()
+        }
+    )
     model.reorder(np.r_[3:9, 1, 0, 2])
     scene = model.into_scene()
     for name in PARAMETERS:
         assert (getattr(scene, name)[:7] == getattr(source, name)[left]).all(), name
-        assert [row.flat[0] for row in np.atleast_2d(getattr(scene, name)[7:].reshape(2, -1))] == [-1, -2], name
+        assert [row.flat[0] for row in np.atleast_2d(getattr(scene, name)[7:].reshape(2, -1))] == [-1, -2], (
+            name
+        )
 
 
 def test_a_model_in_the_order_of_its_source_becomes_a_scene_without_copies():
@@ -90,7 +97,9 @@ def test_a_model_that_became_a_scene_holds_no_arrays():
 
 
 def test_a_model_becomes_a_scene_with_the_columns_that_still_fit():
-    source = replace(scenes.random_scene(9), attributes={"label": np.arange(9, dtype=np.float32)}, antialiased=True)
+    source = replace(
+        scenes.random_scene(9), attributes={"label": np.arange(9, dtype=np.float32)}, antialiased=True
+    )
     model = Model.of(source)
     model.keep(np.isin(np.arange(9), [2, 5, 8]))
     scene = scene_now(model)

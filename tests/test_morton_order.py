@@ -1,4 +1,5 @@
-"""Rows along a Morton curve: near Gaussians lie together, and nothing but the speed of a run depends on it."""
+"""Rows along a Morton curve: near Gaussians lie together, and nothing but the speed of a run depends on
+it."""
 
 import warnings
 from dataclasses import replace
@@ -41,7 +42,9 @@ SCENES = {
     "a plane": cloud() * np.float32([1, 0, 1]),
     "huge": cloud(300) * np.float32(1e36),
     "tiny": cloud(300) * np.float32(1e-38),
-    "not finite": np.r_[cloud(300), [[np.nan] * 3, [np.inf, 0, 0], [0, -np.inf, 0], [np.nan, 1, np.inf]]].astype(np.float32),
+    "not finite": np.r_[
+        cloud(300), [[np.nan] * 3, [np.inf, 0, 0], [0, -np.inf, 0], [np.nan, 1, np.inf]]
+    ].astype(np.float32),
     "nothing finite": np.full((5, 3), np.nan, np.float32),
     "one": np.ones((1, 3), np.float32),
     "none": np.empty((0, 3), np.float32),
@@ -84,7 +87,8 @@ def test_means_beyond_all_reason_lie_at_the_sides_without_a_warning():
         warnings.simplefilter("error")
         codes = morton_codes(means)
     highest = spread_bits(np.array([2**BITS - 1]))[0]
-    assert codes[-1] & highest == highest and not codes[-1] & (highest << 1)  # x at the high side, y at the low one
+    # x at the high side, y at the low one
+    assert codes[-1] & highest == highest and not codes[-1] & (highest << 1)
     assert sorted(morton_order(means)) == list(range(101))
 
 
@@ -102,7 +106,14 @@ def test_bits_are_spread_to_every_third_place():
 
 # --- in a run
 
-GROWING = Phase("train", 45, Rates(), Densify(start=5, until=36, every=10, reset_every=25, gradient=2e-5, small=0.1), active=True, prune_every=10)
+GROWING = Phase(
+    "train",
+    45,
+    Rates(),
+    Densify(start=5, until=36, every=10, reset_every=25, gradient=2e-5, small=0.1),
+    active=True,
+    prune_every=10,
+)
 
 
 class Noting(Run):
@@ -118,7 +129,12 @@ def run_of(*phases: Phase, **changes) -> Run:
     """Of 150 Gaussians that do not fit their photographs."""
     truth = scenes.random_scene(150, 2, 1, scale=0.2)
     start = replace(truth, sh=truth.sh * np.float32(0.5))
-    return Noting(Model.of(start), photographed(truth), plan_of("svr", phases, mask_init=1.0, lambda_f=1e-3, **changes), NativeEngine())
+    return Noting(
+        Model.of(start),
+        photographed(truth),
+        plan_of("svr", phases, mask_init=1.0, lambda_f=1e-3, **changes),
+        NativeEngine(),
+    )
 
 
 def advance(run: Run, until: int) -> Run:
@@ -130,7 +146,9 @@ def advance(run: Run, until: int) -> Run:
 
 def state(run: Run) -> dict[str, bytes]:
     parts = {"value": run.model.values, "moments": run.model.moments, "": {"origin": run.model.origin}}
-    return {f"{part} {name}": array.tobytes() for part, found in parts.items() for name, array in found.items()}
+    return {
+        f"{part} {name}": array.tobytes() for part, found in parts.items() for name, array in found.items()
+    }
 
 
 def test_rows_are_ordered_at_the_start_and_where_the_scene_grew():
@@ -169,8 +187,11 @@ def test_the_order_changes_nothing_but_the_speed():
 
 
 def test_every_array_of_a_run_is_ordered_alike():
-    """Row by row, one array says of each Gaussian what the others do: those of a run without an order, found again by origin."""
+    """Row by row, one array says of each Gaussian what the others do: those of a run without an order, found
+    again by origin."""
     plain, ordered = (advance(run_of(recovery_phase(12), spatial_order=on), 12).model for on in (False, True))
     for part in ("values", "moments"):
         for name, array in getattr(ordered, part).items():
-            np.testing.assert_array_equal(array, getattr(plain, part)[name][ordered.origin], err_msg=f"{part} {name}")
+            np.testing.assert_array_equal(
+                array, getattr(plain, part)[name][ordered.origin], err_msg=f"{part} {name}"
+            )

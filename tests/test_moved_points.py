@@ -41,7 +41,9 @@ def cloud(count: int, seed: int = 0) -> np.ndarray:
 
 
 @pytest.mark.parametrize("count", [8, 50, 1500, 100_000])
-@pytest.mark.parametrize("matrix", [similarity(1), similarity(2, mirror=True), affine(3)], ids=["similarity", "mirrored", "affine"])
+@pytest.mark.parametrize(
+    "matrix", [similarity(1), similarity(2, mirror=True), affine(3)], ids=["similarity", "mirrored", "affine"]
+)
 def test_one_motion_of_all_points(count, matrix):
     points = cloud(count)
     ((rows, found),) = moved_parts(points, moved(points, matrix))
@@ -96,7 +98,9 @@ def test_points_in_a_plane_are_rotated_not_mirrored():
     np.testing.assert_allclose(matrix, similarity(5), atol=1e-4)
 
 
-@pytest.mark.parametrize("matrix", [similarity(6), similarity(7, mirror=True)], ids=["similarity", "mirrored"])
+@pytest.mark.parametrize(
+    "matrix", [similarity(6), similarity(7, mirror=True)], ids=["similarity", "mirrored"]
+)
 def test_shapes_and_colours_follow_as_if_the_scene_had_been_transformed(matrix):
     scene = scenes.random_scene(500, sh_degree=3)
     expected = transformed(scene, matrix)
@@ -105,6 +109,8 @@ def test_shapes_and_colours_follow_as_if_the_scene_had_been_transformed(matrix):
     assert count == 500
     np.testing.assert_allclose(found.log_scales, expected.log_scales, atol=2e-6)
     np.testing.assert_allclose(found.sh, expected.sh, atol=2e-6)
-    same_turn = np.abs((found.quats * expected.quats).sum(axis=1)) / (np.linalg.norm(found.quats, axis=1) * np.linalg.norm(expected.quats, axis=1))
+    same_turn = np.abs((found.quats * expected.quats).sum(axis=1)) / (
+        np.linalg.norm(found.quats, axis=1) * np.linalg.norm(expected.quats, axis=1)
+    )
     np.testing.assert_allclose(same_turn, 1, atol=1e-6)
     assert found.means is stale.means

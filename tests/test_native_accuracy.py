@@ -1,4 +1,5 @@
-"""The chain of trust: float64 agrees with the reference, and each float level with the reference and the scalar one."""
+"""The chain of trust: float64 agrees with the reference, and each float level with the reference and the
+scalar one."""
 
 import functools
 from dataclasses import replace
@@ -8,7 +9,18 @@ import pytest
 import torch
 
 import scenes
-from native_helpers import ARRAYS, BACKGROUND, FLOAT_IMAGES, FLOAT_LEVELS, IMAGES, LEVELS, backward, image_weights, relative_l2, render
+from native_helpers import (
+    ARRAYS,
+    BACKGROUND,
+    FLOAT_IMAGES,
+    FLOAT_LEVELS,
+    IMAGES,
+    LEVELS,
+    backward,
+    image_weights,
+    relative_l2,
+    render,
+)
 from reference import rasterize as ref
 from svrgs_addon.native.rasterizer import COUNTS
 
@@ -32,7 +44,9 @@ def options_of(kind: str, full: bool, antialiased: bool) -> dict:
     return {"mask_kind": kind, "full": full, "antialiased": antialiased}
 
 
-def reference_images(params, masks, camera, *, mask_kind, full, antialiased, **rest) -> dict[str, torch.Tensor]:
+def reference_images(
+    params, masks, camera, *, mask_kind, full, antialiased, **rest
+) -> dict[str, torch.Tensor]:
     """The reference's images under the native names and options."""
     kind, gradient = ("svr", "self") if mask_kind == "self" else (mask_kind, "exact")
     result = scenes.reference_render(
@@ -54,7 +68,8 @@ def prepared(name: str):
 
 @functools.cache
 def reference(name: str) -> tuple[dict, dict]:
-    """The reference's images, and the gradients of their sum weighted by image_weights; the gradient of F reaches M only."""
+    """The reference's images, and the gradients of their sum weighted by image_weights; the gradient of F
+    reaches M only."""
     (scene, masks), camera = prepared(name), CAMERAS[name]
     params, M = scenes.leaves(scene), torch.tensor(masks, dtype=torch.float64, requires_grad=True)
     options = options_of(*CASES[name])
@@ -88,7 +103,9 @@ def test_float64_equals_the_reference(name):
         np.testing.assert_array_equal(images[count], expected[count])
     for array, gradient in expected_grads.items():
         scale = np.abs(gradient).max()
-        np.testing.assert_allclose(grads[array], gradient, rtol=1e-7, atol=1e-11 * max(scale, 1), err_msg=array)
+        np.testing.assert_allclose(
+            grads[array], gradient, rtol=1e-7, atol=1e-11 * max(scale, 1), err_msg=array
+        )
 
 
 def test_cases_cover_what_they_claim():
@@ -102,8 +119,9 @@ def test_cases_cover_what_they_claim():
         assert sum(np.abs(grads[array]).max() > 1e-3 for _, grads in results) >= 12, array
 
 
-# The contract is 2e-5 for images and 1e-4 relative L2 for gradients. These bounds are what is reached: they are frozen at about
-# 1.05 times the worst value seen, which is noted beside them. Processors differ in their estimates of 1/x and 1/sqrt(x).
+# The contract is 2e-5 for images and 1e-4 relative L2 for gradients. These bounds are what is reached: they
+# are frozen at about 1.05 times the worst value seen, which is noted beside them. Processors differ in their
+# estimates of 1/x and 1/sqrt(x).
 IMAGE_BOUND = {
     "rgb": 4.6e-7,  # 4.39e-7
     "depth": 2.35e-6,  # 2.20e-6
@@ -152,7 +170,9 @@ def test_active_sh_degree_is_that_of_the_reference():
     scene, masks = scenes.away_from_thresholds(scene, camera, scenes.random_masks(30, 5), rounds=60)
     for degree in (0, 1, 2):
         params = scenes.leaves(scene)
-        expected = reference_images(params, masks, camera, mask_kind="svr", full=True, antialiased=False, sh_degree=degree)
+        expected = reference_images(
+            params, masks, camera, mask_kind="svr", full=True, antialiased=False, sh_degree=degree
+        )
         weights = {"rgb": image_weights(camera)["rgb"]}
         (expected["rgb"] * torch.tensor(weights["rgb"])).sum().backward()
         images = render("float64", scene, camera, masks, sh_degree=degree)
@@ -172,7 +192,9 @@ def depth_limit(name: str) -> np.ndarray:
     z = scene.means @ camera.viewmat[2, :3] + camera.viewmat[2, 3]
     rng, shape = np.random.default_rng(1), (camera.height, camera.width)
     limit = rng.uniform(z.min(), z.max(), shape)
-    return np.where(rng.random(shape) < 0.2, rng.choice([0.0, -1.0, np.inf, np.nan], shape), limit).astype(np.float32)
+    return np.where(rng.random(shape) < 0.2, rng.choice([0.0, -1.0, np.inf, np.nan], shape), limit).astype(
+        np.float32
+    )
 
 
 @pytest.mark.parametrize("level", LEVELS)
@@ -182,7 +204,12 @@ def test_nothing_behind_a_depth_limit_is_taken(name, level):
     options = options_of(*CASES[name])
     images = render(level, scene, camera, masks, depth_limit=limit, **options)
     params = scenes.leaves(scene, requires_grad=False)
-    expected = {k: image.numpy() for k, image in reference_images(params, masks, camera, depth_limit=torch.tensor(limit), **options).items()}
+    expected = {
+        k: image.numpy()
+        for k, image in reference_images(
+            params, masks, camera, depth_limit=torch.tensor(limit), **options
+        ).items()
+    }
     for image, error in image_errors(images, expected).items():
         assert error <= (1e-9 if level == "float64" else IMAGE_BOUND[image]), (image, error)
     for count in COUNTS:
@@ -193,7 +220,10 @@ def test_depth_limits_bite():
     """Cut rays, empty ones and whole ones all occur."""
     for name in ("plain", "tiles", "parallel_rotated"):
         (scene, masks), camera = prepared(name), CAMERAS[name]
-        cut, whole = (render("float64", scene, camera, masks, depth_limit=limit)["hits"] for limit in (depth_limit(name), None))
+        cut, whole = (
+            render("float64", scene, camera, masks, depth_limit=limit)["hits"]
+            for limit in (depth_limit(name), None)
+        )
         assert all(share.mean() > 0.04 for share in (cut == 0, (0 < cut) & (cut < whole), cut == whole))
 
 
@@ -205,7 +235,9 @@ def test_scenario_epsilon_reaches_the_kernel():
     masks = scenes.random_masks(20, 4)
     for eps in (1e-6, 1e-1):
         options = {"mask_kind": "a", "full": True, "antialiased": False}
-        expected = reference_images(scenes.leaves(scene), masks, camera, eps_a=eps, **options)["mask"].detach()
+        expected = reference_images(scenes.leaves(scene), masks, camera, eps_a=eps, **options)[
+            "mask"
+        ].detach()
         image = render("float64", scene, camera, masks, eps_a=eps, **options)["mask"]
         np.testing.assert_allclose(image, expected, rtol=1e-9)
 
@@ -220,7 +252,8 @@ def test_antialiasing_is_an_option_not_a_property_of_the_scene():
 
 @pytest.mark.parametrize("level", LEVELS)
 def test_even_scales_the_mask_gradient_of_f_to_one_footprint(level):
-    """EVEN: dL/dM from F times 256 pixels over the Gaussian's own 1/255 ellipse; the colours' share is not touched."""
+    """EVEN: dL/dM from F times 256 pixels over the Gaussian's own 1/255 ellipse; the colours' share is not
+    touched."""
     scene, camera = scenes.random_scene(60, seed=9, scale=0.2, opacity=1.0), scenes.CAMERAS["plain"]
     masks = scenes.random_masks(60, seed=2)
     weights = image_weights(camera, seed=4)
@@ -238,6 +271,8 @@ def test_even_scales_the_mask_gradient_of_f_to_one_footprint(level):
     area = np.full(60, np.inf)
     area[splats.index] = 2 * np.pi * torch.log(255 * splats.opacity) / torch.sqrt(xx * yy - xy**2)
     seen = grads["svr", "F"] != 0
-    np.testing.assert_allclose(grads["even", "F"][seen], (grads["svr", "F"] * 256 / np.maximum(area, 1))[seen], rtol=1e-3)
+    np.testing.assert_allclose(
+        grads["even", "F"][seen], (grads["svr", "F"] * 256 / np.maximum(area, 1))[seen], rtol=1e-3
+    )
     np.testing.assert_array_equal(grads["even", "rgb"], grads["svr", "rgb"])
     assert seen.sum() > 30

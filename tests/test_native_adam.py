@@ -17,17 +17,27 @@ def steps_of(n: int, width: int, dtype, steps: int = 20, seed: int = 0):
     rng = np.random.default_rng(seed)
     shape = (n, width) if width > 1 else (n,)
     scale = 10.0 ** rng.uniform(-6, 1, shape)
-    return rng.normal(size=shape).astype(dtype), [(rng.normal(size=shape) * scale).astype(dtype) for _ in range(steps)]
+    return rng.normal(size=shape).astype(dtype), [
+        (rng.normal(size=shape) * scale).astype(dtype) for _ in range(steps)
+    ]
 
 
-def torch_step(param, moments, grad, step: int, groups: list[dict], **settings) -> tuple[np.ndarray, np.ndarray]:
+def torch_step(
+    param, moments, grad, step: int, groups: list[dict], **settings
+) -> tuple[np.ndarray, np.ndarray]:
     """(param, moments) after one step of torch's Adam from the same; groups: the settings of each column."""
     twins = [torch.tensor(column) for column in columns_of(param)]
-    optimiser = torch.optim.Adam([{"params": [twin], **group} for twin, group in zip(twins, groups, strict=True)], **settings)
+    optimiser = torch.optim.Adam(
+        [{"params": [twin], **group} for twin, group in zip(twins, groups, strict=True)], **settings
+    )
     state = [columns_of(moment) for moment in unpacked(moments, param.shape)]
     for twin, g, m, v in zip(twins, columns_of(grad), *state, strict=True):
         twin.grad = torch.tensor(g)
-        optimiser.state[twin] = {"step": torch.tensor(step - 1.0), "exp_avg": torch.tensor(m), "exp_avg_sq": torch.tensor(v)}
+        optimiser.state[twin] = {
+            "step": torch.tensor(step - 1.0),
+            "exp_avg": torch.tensor(m),
+            "exp_avg_sq": torch.tensor(v),
+        }
     optimiser.step()
     states = [optimiser.state[twin] for twin in twins]
     m, v = (np.stack([s[name] for s in states], 1).reshape(param.shape) for name in ("exp_avg", "exp_avg_sq"))
@@ -38,7 +48,8 @@ def columns_of(array: np.ndarray) -> list[np.ndarray]:
     return [column.copy() for column in array.reshape(len(array), -1).T]
 
 
-PACKED_ALIKE = 0.985  # words the same as torch's, packed by finetune/moments.py; the others were nearly rounded the other way
+# words the same as torch's, packed by finetune/moments.py; the others were nearly rounded the other way
+PACKED_ALIKE = 0.985
 
 
 def assert_moments_agree(found: np.ndarray, expected: np.ndarray, dtype):
@@ -75,7 +86,9 @@ def test_adam_takes_other_settings_and_a_rate_per_column(level):
     param, moments = start.copy(), zero_moments(start)
     tolerance = 2e-6 if r.dtype == np.float32 else 1e-12
     for step, grad in enumerate(grads, 1):
-        expected, _ = torch_step(param, moments, grad, step, [{"lr": rate} for rate in rates], betas=(0.8, 0.95), eps=1e-3)
+        expected, _ = torch_step(
+            param, moments, grad, step, [{"lr": rate} for rate in rates], betas=(0.8, 0.95), eps=1e-3
+        )
         r.adam(param, moments, grad, None, lr=rates, step=step, betas=(0.8, 0.95), eps=1e-3)
         np.testing.assert_allclose(param, expected, rtol=tolerance, atol=tolerance)
     np.testing.assert_array_equal(param[:, 1], start[:, 1])
@@ -83,7 +96,8 @@ def test_adam_takes_other_settings_and_a_rate_per_column(level):
 
 @pytest.mark.parametrize("level", FLOAT_LEVELS)
 def test_packed_moments_follow_those_in_64_bits_without_bias(level):
-    """Over 3,000 steps: m 0.013 % of the gradient's spread about the true one, v 14 % of itself, both in the mean on it."""
+    """Over 3,000 steps: m 0.013 % of the gradient's spread about the true one, v 14 % of itself, both in the
+    mean on it."""
     r, rng = rasterizer(level), np.random.default_rng(4)
     scale = 10.0 ** rng.uniform(-8, 1, 4096)
     param = np.zeros(4096, r.dtype)
@@ -110,7 +124,11 @@ def test_sparse_adam_updates_only_its_rows(level, width):
     before = [x.copy() for x in sparse]
     for step, grad in enumerate(grads[:3], 1):
         rows = np.ascontiguousarray(grad[ids])
-        assert r.adam(*sparse, rows, ids, lr=0.02, step=step) == r.adam(*dense, rows, None, lr=0.02, step=step) == 0
+        assert (
+            r.adam(*sparse, rows, ids, lr=0.02, step=step)
+            == r.adam(*dense, rows, None, lr=0.02, step=step)
+            == 0
+        )
     others = np.setdiff1d(np.arange(203), ids)
     for now, alone, was in zip(sparse, dense, before, strict=True):
         assert now[ids].tobytes() == alone.tobytes()
@@ -147,7 +165,10 @@ def test_adam_with_zero_gradient_and_moments_stays_put(level):
 def test_adam_of_no_rows_does_nothing(level):
     r = rasterizer(level)
     param = np.ones((9, 3), r.dtype)
-    assert r.adam(param, zero_moments(param), np.empty((0, 3), r.dtype), np.empty(0, np.uint32), lr=1.0, step=1) == 0
+    assert (
+        r.adam(param, zero_moments(param), np.empty((0, 3), r.dtype), np.empty(0, np.uint32), lr=1.0, step=1)
+        == 0
+    )
     assert (param == 1).all()
 
 
@@ -156,7 +177,9 @@ def test_adam_refuses_rows_outside_the_array_or_out_of_order(ids):
     r = rasterizer("scalar")
     param = np.ones((9, 3), np.float32)
     with pytest.raises(ValueError, match="ids"):
-        r.adam(param, zero_moments(param), np.ones((2, 3), np.float32), np.array(ids, np.uint32), lr=1.0, step=1)
+        r.adam(
+            param, zero_moments(param), np.ones((2, 3), np.float32), np.array(ids, np.uint32), lr=1.0, step=1
+        )
     assert (param == 1).all()
 
 
@@ -187,10 +210,15 @@ def shared_step(param, m, v, grad, step: int, rates, betas=(0.9, 0.999), eps=1e-
 
 
 def sh_steps_of(n: int, coefficients: int, dtype):
-    """Parameters (n, K, 3), rates of their columns, and gradients over many magnitudes, each Gaussian's of one."""
+    """Parameters (n, K, 3), rates of their columns, and gradients over many magnitudes, each Gaussian's of
+    one."""
     rng, shape = np.random.default_rng(coefficients), (n, coefficients, 3)
     scale = 10.0 ** rng.uniform(-6, 1, (n, 1, 1))
-    return rng.normal(size=shape).astype(dtype), rng.uniform(1e-3, 1e-1, 3 * coefficients), [(rng.normal(size=shape) * scale).astype(dtype) for _ in range(20)]
+    return (
+        rng.normal(size=shape).astype(dtype),
+        rng.uniform(1e-3, 1e-1, 3 * coefficients),
+        [(rng.normal(size=shape) * scale).astype(dtype) for _ in range(20)],
+    )
 
 
 @pytest.mark.parametrize("coefficients", [1, 4, 9, 16])
@@ -205,10 +233,15 @@ def test_sh_coefficients_share_the_second_moment_of_degree_0(level, coefficients
         expected, m, v = shared_step(*state, grad.astype(np.float64), step, rates)
         assert r.adam(param, moments, grad, None, lr=rates, step=step) == 0
         found_m, found_v = unpacked(moments, param.shape)
-        np.testing.assert_allclose(param, expected, rtol=2e-6 if single else 1e-12, atol=2e-6 if single else 1e-12)
+        np.testing.assert_allclose(
+            param, expected, rtol=2e-6 if single else 1e-12, atol=2e-6 if single else 1e-12
+        )
         np.testing.assert_allclose(found_m, m, rtol=2**-7 if single else 1e-12, atol=1e-12)
         np.testing.assert_allclose(found_v, v, rtol=1e-6 if single else 1e-12)
-        assert (packed(found_m, found_v, 0).shape, packed(found_m, found_v, 0).dtype) == (moments.shape, moments.dtype)
+        assert (packed(found_m, found_v, 0).shape, packed(found_m, found_v, 0).dtype) == (
+            moments.shape,
+            moments.dtype,
+        )
     assert np.median(np.abs(param - start)) > 1e-2
 
 
@@ -225,12 +258,15 @@ def test_shared_moments_are_packed_as_said(level, coefficients):
     if r.dtype == np.float64:
         np.testing.assert_allclose(moments, expected, rtol=1e-12)
     else:
-        assert (moments.view(np.uint16) == expected.view(np.uint16))[:, : 3 * coefficients].mean() >= PACKED_ALIKE
+        assert (moments.view(np.uint16) == expected.view(np.uint16))[
+            :, : 3 * coefficients
+        ].mean() >= PACKED_ALIKE
 
 
 @pytest.mark.parametrize("level", FLOAT_LEVELS)
 def test_first_moments_in_16_bits_follow_those_in_64_without_bias(level):
-    """Over 1,000 steps of gradients that hardly change: rounded to nearest, m would stop short of them by up to 2 %."""
+    """Over 1,000 steps of gradients that hardly change: rounded to nearest, m would stop short of them by up
+    to 2 %."""
     r, rng = rasterizer(level), np.random.default_rng(4)
     param = np.zeros((256, 16, 3), r.dtype)
     goal = 10.0 ** rng.uniform(-8, 1, (256, 1, 1)) * rng.normal(size=param.shape)
@@ -246,7 +282,8 @@ def test_first_moments_in_16_bits_follow_those_in_64_without_bias(level):
 @pytest.mark.parametrize("coefficients", [1, 9, 16])
 @pytest.mark.parametrize("level", LEVELS)
 def test_sh_of_some_rows_and_rows_that_are_not_finite(level, coefficients):
-    """The same bits as a dense step on those rows alone; other rows, and those with a NaN, keep theirs and are counted."""
+    """The same bits as a dense step on those rows alone; other rows, and those with a NaN, keep theirs and
+    are counted."""
     r = rasterizer(level)
     start, rates, grads = sh_steps_of(90, coefficients, r.dtype)
     ids = np.sort(np.random.default_rng(1).choice(90, 40, replace=False)).astype(np.uint32)

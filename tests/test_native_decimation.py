@@ -20,7 +20,13 @@ def cloud(count: int = COUNT, seed: int = 0, coefficients: int = 4) -> Scene:
     rng = np.random.default_rng(seed)
     means = rng.normal(size=(count, 3)) * [1, 1, 0.5]
     scales = rng.uniform(-4, -2.5, size=(count, 3))
-    return Scene.of(means, scales, rng.normal(size=(count, 4)), rng.normal(size=count) + 1, 0.3 * rng.normal(size=(count, coefficients, 3)))
+    return Scene.of(
+        means,
+        scales,
+        rng.normal(size=(count, 4)),
+        rng.normal(size=count) + 1,
+        0.3 * rng.normal(size=(count, coefficients, 3)),
+    )
 
 
 def cameras() -> list[Camera]:
@@ -57,7 +63,13 @@ def ordered(scene: Scene, least: int, **more):
 def test_visibility_holds_the_scores_and_the_removal_error():
     scene, rasterizer = cloud(), Rasterizer("float64")
     arrays, n = _as_double(scene), scene.count
-    sums, peaks, pixels, transmittance, error = np.zeros(n), np.zeros(n, np.float32), np.zeros(n, np.int64), np.zeros(n), np.zeros(n)
+    sums, peaks, pixels, transmittance, error = (
+        np.zeros(n),
+        np.zeros(n, np.float32),
+        np.zeros(n, np.int64),
+        np.zeros(n),
+        np.zeros(n),
+    )
     views = np.zeros(n)
     for camera in cameras():
         before = pixels.copy()
@@ -66,7 +78,13 @@ def test_visibility_holds_the_scores_and_the_removal_error():
         rasterizer.add_removal(error, np.zeros((camera.height, camera.width, 3)))
         views += pixels > before
     found = dict(zip(VISIBILITY, visibility_of(scene, "float64").T, strict=True))
-    for name, expected in (("weights", sums), ("transmittance", transmittance), ("pixels", pixels), ("squares", error), ("views", views)):
+    for name, expected in (
+        ("weights", sums),
+        ("transmittance", transmittance),
+        ("pixels", pixels),
+        ("squares", error),
+        ("views", views),
+    ):
         np.testing.assert_allclose(found[name], expected, rtol=1e-9, atol=1e-12, err_msg=name)
     assert ((found["density"] > 0) == (views > 0)).all()
 
@@ -87,7 +105,9 @@ def test_an_order_leaves_each_row_in_one_place():
     gone = np.concatenate([order.a, order.b[merges]]).astype(np.int64)
     assert len(np.unique(gone)) == len(gone), "a row is used twice"
     born = COUNT + np.cumsum(merges) - 1  # the result of the operation, where it is a merge
-    assert (order.a < born + ~merges).all() and (order.b[merges] < born[merges]).all(), "a row is used before it is there"
+    assert (order.a < born + ~merges).all() and (order.b[merges] < born[merges]).all(), (
+        "a row is used before it is there"
+    )
     assert len(order.results["means"]) == merges.sum()
     for name, array in order.results.items():
         assert np.isfinite(array).all(), name
@@ -100,7 +120,11 @@ def test_the_bits_do_not_depend_on_the_number_of_threads():
         found.append(ordered(scene, 200))
     library.set_threads(0)
     for other in found[1:]:
-        assert (found[0].a == other.a).all() and (found[0].b == other.b).all() and (found[0].costs == other.costs).all()
+        assert (
+            (found[0].a == other.a).all()
+            and (found[0].b == other.b).all()
+            and (found[0].costs == other.costs).all()
+        )
         assert all((found[0].results[name] == other.results[name]).all() for name in other.results)
 
 
@@ -108,15 +132,28 @@ def _pair(distance: float, second: float = 0.4) -> Scene:
     """Two isotropic Gaussians of scale 0.1 and one opacity, whose colours are 0.4 and `second` above grey."""
     sh = np.zeros((2, 1, 3))
     sh[:, 0] = np.array([[0.4], [second]]) / 0.28209479177387814
-    return Scene.of([[0, 0, 0], [distance, 0, 0]], np.full((2, 3), np.log(0.1)), [[1, 0, 0, 0]] * 2, np.zeros(2), sh)
+    return Scene.of(
+        [[0, 0, 0], [distance, 0, 0]], np.full((2, 3), np.log(0.1)), [[1, 0, 0, 0]] * 2, np.zeros(2), sh
+    )
 
 
 def _seen(scene: Scene, colour: np.ndarray) -> np.ndarray:
-    """Visibility of Gaussians that are seen without occlusion by one view with 100 x 100 pixels per unit of area, blur included."""
+    """Visibility of Gaussians that are seen without occlusion by one view with 100 x 100 pixels per unit of
+    area, blur included."""
     area, density = 2 * np.pi * (0.1**2 + 0.2 / 1e4), 1e4
     opacity = 1 / (1 + np.exp(-scene.opacity_logits.astype(np.float64)))
     weights = opacity * area * density
-    return np.column_stack([weights, np.ones(2), np.ones(2), np.full(2, 1e9), *(weights[:, None] * colour).T, np.ones(2), np.full(2, density)])
+    return np.column_stack(
+        [
+            weights,
+            np.ones(2),
+            np.ones(2),
+            np.full(2, 1e9),
+            *(weights[:, None] * colour).T,
+            np.ones(2),
+            np.full(2, density),
+        ]
+    )
 
 
 @pytest.mark.parametrize("distance", (0.02, 0.1, 0.3))
@@ -135,7 +172,9 @@ def test_the_cost_of_a_merge_is_the_change_of_the_pictures(distance, level):
     opacity = 1 / (1 + np.exp(-merged["opacity_logits"]))
     total = 0.0
     for axes in ([1, 2], [0, 2], [0, 1]):
-        picture = lambda mean, c, o, axes=axes: o * _gaussian(x - mean[axes[0]], y - mean[axes[1]], c[np.ix_(axes, axes)] + blur * np.eye(2))  # noqa: E731
+        picture = lambda mean, c, o, axes=axes: (
+            o * _gaussian(x - mean[axes[0]], y - mean[axes[1]], c[np.ix_(axes, axes)] + blur * np.eye(2))
+        )
         a, b = (picture(scene.means[k].astype(np.float64), 0.01 * np.eye(3), 0.5) for k in range(2))
         change = 0.4 * a + 0.1 * b - colour.mean() * picture(merged["means"], cov, opacity)
         total += 3 * (change**2).sum() * cell / 3
@@ -162,7 +201,8 @@ def test_equal_gaussians_merge_into_one_like_them():
     scene = _pair(0.0)
     order = decimate(scene, _seen(scene, np.full((2, 3), 0.4)), np.zeros(3), 0.01, 1)
     np.testing.assert_allclose(order.results["log_scales"][0], np.log(0.1), atol=1e-4)
-    assert 1 / (1 + np.exp(-order.results["opacity_logits"][0])) == pytest.approx(0.99, abs=1e-3)  # twice 0.5, clamped
+    # twice 0.5, clamped
+    assert 1 / (1 + np.exp(-order.results["opacity_logits"][0])) == pytest.approx(0.99, abs=1e-3)
     np.testing.assert_allclose(order.results["sh"][0], scene.sh[0], rtol=1e-6)
 
 
@@ -173,7 +213,11 @@ def test_gaussians_that_no_view_sees_go_first():
     unseen = np.flatnonzero(seen[:, 0] == 0)
     assert COUNT // 2 <= len(unseen) < COUNT
     order = decimate(scene, seen, np.zeros(3), 0.05, COUNT - len(unseen))
-    assert (order.b == REMOVED).all() and set(order.a.tolist()) == set(unseen.tolist()) and (order.costs == 0).all()
+    assert (
+        (order.b == REMOVED).all()
+        and set(order.a.tolist()) == set(unseen.tolist())
+        and (order.costs == 0).all()
+    )
 
 
 def test_extreme_values_end_in_finite_results():

@@ -1,4 +1,5 @@
-"""Slopes of the colours in a Gaussian's value (Speedy-Splat), and the pixels that a Gaussian dominates, against the float64 reference."""
+"""Slopes of the colours in a Gaussian's value (Speedy-Splat), and the pixels that a Gaussian dominates,
+against the float64 reference."""
 
 from __future__ import annotations
 
@@ -19,21 +20,28 @@ CAMERA = scenes.camera(37, 29)
 @pytest.mark.parametrize("masked", [False, True])
 @pytest.mark.parametrize("antialiased", [False, True])
 def test_slopes_are_those_of_the_reference(level, masked, antialiased):
-    """Opaque Gaussians among them, whose alpha is clamped. Worst seen, of the largest: 1e-15 in float64, 7e-7 in float32."""
-    scene, _ = scenes.away_from_thresholds(scenes.random_scene(COUNT, 5, 1, scale=0.3), CAMERA, np.ones(COUNT))
+    """Opaque Gaussians among them, whose alpha is clamped. Worst seen, of the largest: 1e-15 in float64, 7e-7
+    in float32."""
+    scene, _ = scenes.away_from_thresholds(
+        scenes.random_scene(COUNT, 5, 1, scale=0.3), CAMERA, np.ones(COUNT)
+    )
     scene.opacity_logits[:6] = 9.0
     masks = scenes.random_masks(scene.count, 3) if masked else np.ones(scene.count)
     render(level, scene, CAMERA, masks, ("rgb",), antialiased=antialiased)
     found, expected = np.zeros(scene.count), expected_slopes(scene, masks, CAMERA, antialiased)
     rasterizer(level).add_slopes(found)
     assert (expected > 0).sum() > 10 and (parts(scene, CAMERA)[1] == reference.ALPHA_MAX).any()
-    np.testing.assert_allclose(found, expected, rtol=0, atol=(1e-13 if level == "float64" else 1e-5) * expected.max())
+    np.testing.assert_allclose(
+        found, expected, rtol=0, atol=(1e-13 if level == "float64" else 1e-5) * expected.max()
+    )
 
 
 @pytest.mark.parametrize("level", LEVELS)
 @pytest.mark.parametrize("masked", [False, True])
 def test_each_pixel_is_dominated_by_its_largest_weight(level, masked):
-    scene, _ = scenes.away_from_thresholds(scenes.random_scene(COUNT, 6, 1, scale=0.3), CAMERA, np.ones(COUNT))
+    scene, _ = scenes.away_from_thresholds(
+        scenes.random_scene(COUNT, 6, 1, scale=0.3), CAMERA, np.ones(COUNT)
+    )
     masks = scenes.random_masks(scene.count, 3) if masked else np.ones(scene.count)
     alpha = render(level, scene, CAMERA, masks, ("alpha",))["alpha"]
     found, expected = np.zeros(scene.count), expected_dominance(scene, masks, CAMERA)
@@ -61,10 +69,17 @@ def test_sums_do_not_depend_on_the_number_of_threads(level):
 
 @pytest.mark.parametrize("level", LEVELS)
 def test_of_equal_weights_the_nearest_dominates(level):
-    """In front alpha is 1/2 at the middle of each pixel's ray, behind it 0.99 times 1/2; then the other way round."""
+    """In front alpha is 1/2 at the middle of each pixel's ray, behind it 0.99 times 1/2; then the other way
+    round."""
     camera = frontal(16, 16)
     for opacity, expected in (((0.5, 1 - 1e-9), (256, 0)), ((0.25, 1 - 1e-9), (0, 256))):
-        render(level, isotropic([(0, 0, 4), (0, 0, 5)], scale=1e4, opacity=np.array(opacity)), camera, None, ("rgb",))
+        render(
+            level,
+            isotropic([(0, 0, 4), (0, 0, 5)], scale=1e4, opacity=np.array(opacity)),
+            camera,
+            None,
+            ("rgb",),
+        )
         pixels = np.zeros(2)
         rasterizer(level).add_dominance(pixels)
         assert tuple(pixels) == expected

@@ -24,7 +24,11 @@ DIFFERENCE_CASES = {
     "stopping": (scenes.opaque_stack(24, 4, 0), scenes.camera(5, 4), {}),
     "stopping_visible": (scenes.opaque_stack(24, 4, 0), scenes.camera(5, 4), {"full": False}),
     "clamped": (scenes.off_screen(8, 5, 0), scenes.camera(6, 8), {}),
-    "orthographic": (scenes.random_scene(6, 6, 3, scale=0.3), scenes.parallel(scenes.CAMERAS["rotated"].resized(9, 7)), {}),
+    "orthographic": (
+        scenes.random_scene(6, 6, 3, scale=0.3),
+        scenes.parallel(scenes.CAMERAS["rotated"].resized(9, 7)),
+        {},
+    ),
     "orthographic_antialiased": (
         scenes.random_scene(8, 7, 2, scale=0.2, antialiased=True),
         scenes.parallel(scenes.camera(8, 9, shift=(0.4, -0.3), aspect=0.8)),
@@ -44,7 +48,8 @@ def difference_case(name: str):
 @pytest.mark.parametrize("name", DIFFERENCE_CASES)
 def test_every_gradient_is_the_finite_difference(name):
     scene, masks, camera, options = difference_case(name)
-    weights = {k: w / w[..., :1].size for k, w in image_weights(camera).items() if k != "mask"}  # F has a gradient to masks only
+    # F has a gradient to masks only
+    weights = {k: w / w[..., :1].size for k, w in image_weights(camera).items() if k != "mask"}
     params = typed(scene, np.float64)
 
     def value() -> float:
@@ -67,7 +72,8 @@ def test_every_gradient_is_the_finite_difference(name):
 
 @pytest.mark.parametrize("kind", ["svr", "b"])
 def test_mask_gradient_is_the_difference_between_present_and_absent(kind):
-    """C, depth, alpha, F and F_B are linear in each M_i: where nothing stops, the step from 0 to 1 is the derivative."""
+    """C, depth, alpha, F and F_B are linear in each M_i: where nothing stops, the step from 0 to 1 is the
+    derivative."""
     scene, camera = scenes.random_scene(12, 3, 1, scale=0.3, opacity=0.0), scenes.camera(21, 18)
     masks, weights = scenes.random_masks(12, 3, keep=0.5), image_weights(camera)
     assert render("float64", scene, camera, np.ones(12))["transmittance"].min() > 2e-4

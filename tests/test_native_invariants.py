@@ -63,7 +63,11 @@ def test_masked_out_gaussians_learn_only_whether_to_exist(level, kind):
     for name in (*ARRAYS, "means2d"):
         assert not result[f"d{name}"][absent].any(), name
         assert result[f"d{name}"][~absent].any(), name
-    assert not result["sum"][absent].any() and not result["max"][absent].any() and not result["pixels"][absent].any()
+    assert (
+        not result["sum"][absent].any()
+        and not result["max"][absent].any()
+        and not result["pixels"][absent].any()
+    )
 
 
 @pytest.mark.parametrize("level", LEVELS)
@@ -82,7 +86,8 @@ def test_culled_gaussians_change_no_bit(level):
     aside.means[:, 0] += 500
     culled = joined(behind, faint, aside)
     order = np.random.default_rng(0).permutation(120)
-    order = order[np.argsort(np.where(order < 60, order, -1), kind="stable")]  # those of the scene keep their order
+    # those of the scene keep their order
+    order = order[np.argsort(np.where(order < 60, order, -1), kind="stable")]
     slots = np.random.default_rng(1).permutation(120) < 60
     index = np.empty(120, int)
     index[slots], index[~slots] = np.arange(60), order[:60]
@@ -121,7 +126,9 @@ def test_mask_is_its_closed_form(level, full):
     scene, masks = scenes.opaque_stack(40, 5, 0), scenes.random_masks(40, 5)
     image = render(level, scene, CAMERA, masks, full=full)
     N, K, T = (image[name].astype(np.float64) for name in ("hits", "kept", "transmittance"))
-    np.testing.assert_allclose(image["mask"], (K - 1 + T) / np.log1p(N), rtol=3e-7 if level != "float64" else 1e-15)
+    np.testing.assert_allclose(
+        image["mask"], (K - 1 + T) / np.log1p(N), rtol=3e-7 if level != "float64" else 1e-15
+    )
     assert N.min() > 0 and (K < N).any()
 
 
@@ -132,17 +139,22 @@ def test_mask_gradient_lies_in_its_range(level):
     image = render(level, scene, camera, masks)
     gradient = backward(level, {"mask": np.ones((1, 1))}, 30, ("masks",))["masks"]
     assert 5 < np.count_nonzero(gradient) == image["hits"].item()
-    assert gradient.min() >= 0 and gradient.max() <= np.float32(1 / np.log1p(image["hits"].item())) * (1 + 1e-7)
+    assert gradient.min() >= 0 and gradient.max() <= np.float32(1 / np.log1p(image["hits"].item())) * (
+        1 + 1e-7
+    )
 
 
 @pytest.mark.parametrize("level", LEVELS)
 @pytest.mark.parametrize("make", [scenes.random_scene, scenes.opaque_stack])
 def test_weights_and_remaining_transmittance_sum_to_one(level, make):
-    """Over a whole image: the scores' sum of alpha T against the T that is left, which stops with the colours."""
+    """Over a whole image: the scores' sum of alpha T against the T that is left, which stops with the
+    colours."""
     scene, masks = make(80, 6, 1), scenes.random_masks(80, 6)
     result = everything(level, scene, masks, full=False)
     pixels = CAMERA.width * CAMERA.height
-    assert result["sum"].sum() + result["transmittance"].sum(dtype=np.float64) == pytest.approx(pixels, rel=1e-6)
+    assert result["sum"].sum() + result["transmittance"].sum(dtype=np.float64) == pytest.approx(
+        pixels, rel=1e-6
+    )
     np.testing.assert_allclose(result["alpha"] + result["transmittance"], 1, rtol=0, atol=6e-8)
 
 
@@ -152,7 +164,11 @@ def test_full_and_visible_differ_in_the_mask_only(level):
     full, visible = (render(level, scene, CAMERA, masks, full=full) for full in (True, False))
     assert_same_bits(*({k: i[k] for k in ("rgb", "depth", "alpha")} for i in (full, visible)))
     stopped = full["hits"] > visible["hits"]
-    assert stopped.mean() > 0.5 and (full["hits"] >= visible["hits"]).all() and (full["kept"] >= visible["kept"]).all()
+    assert (
+        stopped.mean() > 0.5
+        and (full["hits"] >= visible["hits"]).all()
+        and (full["kept"] >= visible["kept"]).all()
+    )
     assert (full["transmittance"][stopped] < 1e-4).all() and (visible["transmittance"] >= 1e-4).all()
     thin = scenes.random_scene(40, 7, 0, opacity=-1.0)
     modes = [everything(level, thin, masks, full=full) for full in (True, False)]
@@ -183,19 +199,26 @@ def test_the_spatial_mask_reaches_the_masks_only(level, kind):
 @pytest.mark.parametrize("level", LEVELS)
 def test_gradients_are_linear_in_the_image_gradients(level):
     """Four images at once equal the sum of one at a time."""
-    scene, masks, weights = scenes.random_scene(40, 9, 1, scale=0.3), scenes.random_masks(40, 9), image_weights(CAMERA)
+    scene, masks, weights = (
+        scenes.random_scene(40, 9, 1, scale=0.3),
+        scenes.random_masks(40, 9),
+        image_weights(CAMERA),
+    )
     render(level, scene, CAMERA, masks)
     together = backward(level, weights, 40)
     parts = [backward(level, {name: w}, 40) for name, w in weights.items()]
     for name, gradient in together.items():
         total = sum(part[name].astype(np.float64) for part in parts)
         scale = max(np.abs(part[name]).max() for part in parts)
-        np.testing.assert_allclose(gradient, total, atol=(1e-5 if level != "float64" else 1e-13) * scale, err_msg=name)
+        np.testing.assert_allclose(
+            gradient, total, atol=(1e-5 if level != "float64" else 1e-13) * scale, err_msg=name
+        )
 
 
 @pytest.mark.parametrize("level", LEVELS)
 def test_parallel_rays_show_the_same_from_any_distance(level):
-    """A step of 8 along the camera's axis: other depths, and not a colour else; no gradient pulls along the axis."""
+    """A step of 8 along the camera's axis: other depths, and not a colour else; no gradient pulls along the
+    axis."""
     scene, camera = scenes.random_scene(80, 3, 2, scale=0.3), scenes.ORTHOGRAPHIC["parallel_plain"]
     back = replace(camera, viewmat=camera.viewmat + np.outer((0, 0, 1, 0), (0, 0, 0, 8)))
     near, far = render(level, scene, camera, full=False), render(level, scene, back, full=False)

@@ -1,4 +1,5 @@
-"""What the library says of itself: thresholds, names; and that the table of outputs is that of its interface."""
+"""What the library says of itself: thresholds, names; and that the table of outputs is that of its
+interface."""
 
 from __future__ import annotations
 
@@ -19,7 +20,12 @@ def fields(struct: str) -> list[str]:
     bodies = re.findall(r"typedef struct \{(.*?)\} (\w+);", HEADER, re.DOTALL)
     body = next(body for body, name in bodies if name == struct)
     statements = re.sub(r"/\*.*?\*/", "", body, flags=re.DOTALL).split(";")
-    return [re.findall(r"\w+", name)[-1] for statement in statements for name in statement.split(",") if name.strip()]
+    return [
+        re.findall(r"\w+", name)[-1]
+        for statement in statements
+        for name in statement.split(",")
+        if name.strip()
+    ]
 
 
 def enum(name: str) -> list[str]:
@@ -50,7 +56,9 @@ def test_names_are_those_of_the_enums():
     assert of(library.mask_kinds(), "SVRGS_MASK") == enum("svrgs_mask_kind")[:-1]
     assert of(library.stages(), "SVRGS") == enum("svrgs_stage")[:-1]
     assert of(library.skips(), "SVRGS") == enum("svrgs_skip")[:-1]
-    assert [name.replace("DOUBLE", "FLOAT64") for name in enum("svrgs_level")[:-1]] == of(library.levels(), "SVRGS")
+    assert [name.replace("DOUBLE", "FLOAT64") for name in enum("svrgs_level")[:-1]] == of(
+        library.levels(), "SVRGS"
+    )
     assert list(library.skips().values()) == [1, 2, 4, 8]
 
 

@@ -11,7 +11,8 @@ from svrgs_addon.native import library
 from svrgs_addon.native.pictures import linear_colours
 
 SRGB = np.eye(3)
-WIDE = np.array([[0.627, 0.069, 0.016], [0.329, 0.920, 0.088], [0.043, 0.011, 0.896]])  # about that of Rec. 2020
+# about that of Rec. 2020
+WIDE = np.array([[0.627, 0.069, 0.016], [0.329, 0.920, 0.088], [0.043, 0.011, 0.896]])
 BOUND = {"float64": 1e-14}  # of colours up to 1, absolute
 FLOAT_BOUND = 4e-7  # worst seen: 3.5e-7
 
@@ -35,7 +36,8 @@ def drawn(height: int, width: int, dtype) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("level", LEVELS)
 @pytest.mark.parametrize("space", [SRGB, WIDE], ids=["srgb", "wide"])
-@pytest.mark.parametrize("size", [(1, 1), (3, 37), (90, 101)], ids=str)  # ends within a vector, and within a task of the pool
+# ends within a vector, and within a task of the pool
+@pytest.mark.parametrize("size", [(1, 1), (3, 37), (90, 101)], ids=str)
 def test_linear_colours_are_those_of_the_transfer_function(level, space, size):
     rgb, alpha = drawn(*size, np.float64 if level == "float64" else np.float32)
     found = linear_colours(rgb, alpha, space, level)
@@ -51,7 +53,9 @@ def test_colours_outside_0_to_1_follow_the_same_formulas(level):
     values = np.array([-3.0, -0.2, -1e-9, 0.0, 1.0, 1.5, 40.0, 1e6], dtype)
     rgb, alpha = np.repeat(values[None, :, None], 3, axis=2), np.ones((1, len(values)), dtype)
     found = linear_colours(rgb, alpha, SRGB, level)[0, :, 0]
-    np.testing.assert_allclose(found, expected(rgb, alpha, SRGB)[0, :, 0], rtol=5e-6 if dtype == np.float32 else 1e-12)
+    np.testing.assert_allclose(
+        found, expected(rgb, alpha, SRGB)[0, :, 0], rtol=5e-6 if dtype == np.float32 else 1e-12
+    )
     np.testing.assert_allclose(found, srgb_to_linear(values), rtol=5e-6)
     assert np.isfinite(linear_colours(np.full_like(rgb, 1e30), np.full_like(alpha, 1e-3), SRGB, level)).all()
 

@@ -13,7 +13,8 @@ pytestmark = pytest.mark.usefixtures("default_threads")
 
 VALUE_BOUND = 1.0e-7  # relative; worst seen 8.4e-8, scalar and baseline
 LOSS_GRADIENT_BOUND = 5.2e-7  # relative L2; worst seen 4.82e-7, scalar and baseline
-SIZES = [(1, 1), (1, 40), (3, 5), (11, 11), (17, 33), (40, 29), (95, 170)]  # three smaller than the window, one of four tiles
+# three smaller than the window, one of four tiles
+SIZES = [(1, 1), (1, 40), (3, 5), (11, 11), (17, 33), (40, 29), (95, 170)]
 
 
 def image_pair(height: int, width: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:

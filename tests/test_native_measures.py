@@ -30,10 +30,17 @@ def test_a_skip_changes_no_image_and_no_gradient(scene, level, skip, full):
     results = []
     for disabled in ((), (skip,)):
         images = render(level, scene, CAMERA, masks(scene), full=full, disabled_skips=disabled)
-        results.append(images | {f"d{name}": g for name, g in backward(level, image_weights(CAMERA), scene.count).items()})
-    assert_same_bits(*({name: image for name, image in result.items() if name in IMAGES} for result in results))
+        results.append(
+            images
+            | {f"d{name}": g for name, g in backward(level, image_weights(CAMERA), scene.count).items()}
+        )
+    assert_same_bits(
+        *({name: image for name, image in result.items() if name in IMAGES} for result in results)
+    )
     for name, values in results[0].items():  # another grouping of the same sums
-        np.testing.assert_allclose(values, results[1][name], rtol=0, atol=2e-5 * max(1, np.abs(values).max()), err_msg=name)
+        np.testing.assert_allclose(
+            values, results[1][name], rtol=0, atol=2e-5 * max(1, np.abs(values).max()), err_msg=name
+        )
 
 
 @pytest.mark.parametrize("level", LEVELS)
@@ -41,7 +48,11 @@ def test_work_is_counted_alike_on_every_level_and_agrees_with_the_images(scene, 
     images = render(level, scene, CAMERA, full=False)
     work = rasterizer(level).work(count_pixels=True)
     assert work["contributing"] == images["kept"].sum() <= work["hits"]
-    assert work["hit_blocks"] <= work["blocks"] and work["used_pairs"] <= work["pairs"] and work["evaluated"] == 16 * work["blocks"]
+    assert (
+        work["hit_blocks"] <= work["blocks"]
+        and work["used_pairs"] <= work["pairs"]
+        and work["evaluated"] == 16 * work["blocks"]
+    )
     assert work["visible"] == len(rasterizer(level).visible()) > 50
     images = render(level, scene, CAMERA)
     assert rasterizer(level).work(count_pixels=True)["hits"] == images["hits"].sum()

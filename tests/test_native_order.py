@@ -1,4 +1,5 @@
-"""Each pixel takes its Gaussians nearest first, whatever their depths are like: compared with the sum in that order."""
+"""Each pixel takes its Gaussians nearest first, whatever their depths are like: compared with the sum in that
+order."""
 
 from __future__ import annotations
 
@@ -16,7 +17,8 @@ def near_each_other(rng) -> np.ndarray:
 
 
 def with_one_far_behind(rng) -> np.ndarray:
-    """So that their keys differ in the last bits only, and one in the first: what a sort by leading bits leaves undone."""
+    """So that their keys differ in the last bits only, and one in the first: what a sort by leading bits
+    leaves undone."""
     return np.r_[near_each_other(rng)[1:], 1e6]
 
 

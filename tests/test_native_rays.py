@@ -43,7 +43,11 @@ def on_ray(level, M, image, kind="svr", alpha=ALPHA, colour=COLOUR, background=B
     weight = np.array([[[1.0, 0, 0]]]) if image == "rgb" else np.ones((1, 1))
     grads = backward(level, {image: weight}, len(alpha), ("masks", "opacity_logits"))
     a = np.array(alpha)
-    return {k: image.ravel()[0] for k, image in images.items()}, grads["masks"], grads["opacity_logits"] / (a * (1 - a))
+    return (
+        {k: image.ravel()[0] for k, image in images.items()},
+        grads["masks"],
+        grads["opacity_logits"] / (a * (1 - a)),
+    )
 
 
 @pytest.mark.parametrize("level", LEVELS)
@@ -96,7 +100,9 @@ def test_early_stop_is_where_the_reference_stops(level):
     """alpha 0.8: T = 3.2e-4 after five; the sixth stops and is not blended. Clamped alphas stop after two."""
     for alpha, blended in (([0.8] * 12, 5), ([0.9999] * 4, 1)):
         a = min(alpha[0], 0.99)
-        full, *_ = on_ray(level, [1] * len(alpha), "rgb", alpha=alpha, colour=[0.5] * len(alpha), background=0.0)
+        full, *_ = on_ray(
+            level, [1] * len(alpha), "rgb", alpha=alpha, colour=[0.5] * len(alpha), background=0.0
+        )
         assert full["alpha"] == pytest.approx(1 - (1 - a) ** blended, rel=1e-6)
         assert full["rgb"] == pytest.approx(0.5 * (1 - (1 - a) ** blended), rel=1e-6)
         assert full["transmittance"] == pytest.approx((1 - a) ** len(alpha), rel=3e-5)

@@ -42,7 +42,9 @@ def test_cost_is_the_error_without_the_gaussian(level, masked):
         without[i] = 0
         expected[i] = error(without) - error(masks)
     assert (expected > 0).any() and (expected < 0).any()
-    np.testing.assert_allclose(cost, expected, rtol=0, atol=BOUND.get(level, FLOAT_BOUND) * np.abs(expected).max())
+    np.testing.assert_allclose(
+        cost, expected, rtol=0, atol=BOUND.get(level, FLOAT_BOUND) * np.abs(expected).max()
+    )
 
 
 @pytest.mark.parametrize("level", LEVELS)

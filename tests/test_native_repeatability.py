@@ -30,7 +30,11 @@ pytestmark = pytest.mark.usefixtures("default_threads")
 @pytest.mark.parametrize("level", LEVELS)
 @pytest.mark.parametrize("kind", ["svr", "b"])
 def test_each_gradient_alone_has_the_same_bits(level, kind):
-    scene, masks, weights = scenes.random_scene(60, 3, 3, scale=0.3), scenes.random_masks(60, 3), image_weights(CAMERA)
+    scene, masks, weights = (
+        scenes.random_scene(60, 3, 3, scale=0.3),
+        scenes.random_masks(60, 3),
+        image_weights(CAMERA),
+    )
     render(level, scene, CAMERA, masks, mask_kind=kind)
     together = backward(level, weights, 60)
     assert all(g.any() for g in together.values())
@@ -100,7 +104,10 @@ def test_depth_limits_keep_their_bits_for_any_threads_and_skips(level, full):
 def test_a_limit_beyond_everything_changes_no_bit(level):
     scene, masks = scenes.opaque_stack(60, 2, 1), scenes.random_masks(60, 2)
     for kind, full in (("none", True), ("svr", True), ("svr", False), ("a", True)):
-        whole, far = (render(level, scene, CAMERA, masks, mask_kind=kind, full=full, depth_limit=limit) for limit in (None, np.full((27, 40), np.inf)))
+        whole, far = (
+            render(level, scene, CAMERA, masks, mask_kind=kind, full=full, depth_limit=limit)
+            for limit in (None, np.full((27, 40), np.inf))
+        )
         assert_same_bits(far, whole)
 
 

@@ -18,7 +18,8 @@ def draw(logit: float, n: int, seed: int = 1, step: int = 0):
 
 
 def noise_of(n: int, seed: int, step: int) -> np.ndarray:
-    """The logistic noise, read from a draw at logit 0: slope = y (1 − y), M tells on which side of 1/2 y lies."""
+    """The logistic noise, read from a draw at logit 0: slope = y (1 − y), M tells on which side of 1/2 y
+    lies."""
     masks, slope = draw(0, n, seed, step)
     root = np.sqrt(1 - 4 * slope.astype(np.float64).clip(max=0.25))
     small = 2 * slope / (1 + root)  # the smaller of y and 1 − y, without cancellation
@@ -69,7 +70,8 @@ def test_draws_depend_on_seed_step_and_index_alone():
     for array, again in zip(expected, draw(0.5, n, 7, 8), strict=True):
         np.testing.assert_array_equal(array, again)
     for array, longer in zip(expected, draw(0.5, n + 12_345, 7, 8), strict=True):
-        np.testing.assert_array_equal(array, longer[:n])  # a Gaussian's draw does not depend on how many follow
+        # a Gaussian's draw does not depend on how many follow
+        np.testing.assert_array_equal(array, longer[:n])
     assert draw(0.5, n, 2**64 - 1, 2**64 - 1)[0].mean() == pytest.approx(sigmoid(0.5), abs=0.03)
 
 
@@ -82,7 +84,10 @@ def test_draws_differ_without_correlation():
         for second in keys[i + 1 :]:
             assert abs(np.corrcoef(series[first], series[second])[0, 1]) < 5 / np.sqrt(n), (first, second)
         for lag in (1, 2, 64):
-            assert abs(np.corrcoef(series[first][lag:], series[first][:-lag])[0, 1]) < 5 / np.sqrt(n), (first, lag)
+            assert abs(np.corrcoef(series[first][lag:], series[first][:-lag])[0, 1]) < 5 / np.sqrt(n), (
+                first,
+                lag,
+            )
     assert len({values.tobytes() for values in series.values()}) == len(keys)
 
 
@@ -105,7 +110,9 @@ def test_ten_draws_remove_a_one_in_ten_gaussian_with_probability_0_3487():
     assert (~drawn).mean() == pytest.approx(p, abs=5 * np.sqrt(p * (1 - p) / n))
 
 
-@pytest.mark.parametrize(("logit", "mask"), [(np.inf, 1), (1e30, 1), (60, 1), (-60, 0), (-1e30, 0), (-np.inf, 0)])
+@pytest.mark.parametrize(
+    ("logit", "mask"), [(np.inf, 1), (1e30, 1), (60, 1), (-60, 0), (-1e30, 0), (-np.inf, 0)]
+)
 def test_settled_logits_draw_a_certain_mask_with_a_finite_slope(logit, mask):
     masks, slope = draw(logit, 10_000)
     assert (masks == mask).all() and (slope >= 0).all() and slope.max() < 1e-15

@@ -7,7 +7,16 @@ import pytest
 import torch
 
 import scenes
-from native_helpers import CAMERA, LEVELS, assert_same_bits, backward, everything, image_weights, rasterizer, render
+from native_helpers import (
+    CAMERA,
+    LEVELS,
+    assert_same_bits,
+    backward,
+    everything,
+    image_weights,
+    rasterizer,
+    render,
+)
 from reference import rasterize as ref
 from svrgs_addon.scene.gaussians import Scene
 
@@ -52,7 +61,11 @@ def scored(name: str):
 @pytest.mark.parametrize("full", [True, False])
 def test_scores_add_up_over_views(level, name, full):
     scene, masks, weights = scored(name)
-    sum_, max_, pixels = np.zeros(scene.count), np.zeros(scene.count, np.float32), np.zeros(scene.count, np.int64)
+    sum_, max_, pixels = (
+        np.zeros(scene.count),
+        np.zeros(scene.count, np.float32),
+        np.zeros(scene.count, np.int64),
+    )
     for camera in SCORED[name][1]:
         render(level, scene, camera, masks, full=full)
         rasterizer(level).add_scores(sum_, max_, pixels)
@@ -68,7 +81,9 @@ def test_pictures_do_not_change_without_what_no_open_ray_hits(level, name):
     scene, masks, weights = scored(name)
     for view, camera in enumerate(SCORED[name][1]):
         reached = np.zeros(scene.count, np.uint8)
-        colours = functools.partial(render, level, camera=camera, outputs=("rgb", "depth", "alpha"), full=False)
+        colours = functools.partial(
+            render, level, camera=camera, outputs=("rgb", "depth", "alpha"), full=False
+        )
         whole = colours(scene, masks=masks)
         rasterizer(level).add_scores(reached=reached)
         few = np.flatnonzero(reached)
@@ -78,17 +93,28 @@ def test_pictures_do_not_change_without_what_no_open_ray_hits(level, name):
 
 @pytest.mark.parametrize("level", LEVELS)
 def test_a_gaussian_that_stops_all_its_rays_is_reached_though_it_is_blended_nowhere(level):
-    alphas = np.array([0.95, 0.95, 0.95, 0.95, 0.1])  # T: 5e-2, 2.5e-3, 1.25e-4, then it would be below 1e-4; only the last one would not stop the rays
+    # T: 5e-2, 2.5e-3, 1.25e-4, then it would be below 1e-4; only the last one would not stop the rays
+    alphas = np.array([0.95, 0.95, 0.95, 0.95, 0.1])
     places = np.stack([np.zeros(5), np.zeros(5), np.arange(1.0, 6.0)], 1).astype(np.float32)
     colours = np.random.default_rng(0).normal(size=(5, 1, 3)).astype(np.float32)
     logits = np.log(alphas / (1 - alphas)).astype(np.float32)
-    walls = Scene(places, np.full((5, 3), 5, np.float32), np.tile(np.float32([1, 0, 0, 0]), (5, 1)), logits, colours)
+    walls = Scene(
+        places, np.full((5, 3), 5, np.float32), np.tile(np.float32([1, 0, 0, 0]), (5, 1)), logits, colours
+    )
     reached, pixels, outputs = np.zeros(5, np.uint8), np.zeros(5, np.int64), ("rgb", "depth", "alpha")
     whole = render(level, walls, CAMERA, outputs=outputs, full=False)
     rasterizer(level).add_scores(hits=pixels, reached=reached)
     assert reached.tolist() == [1, 1, 1, 1, 0] and (pixels > 0).tolist() == [True, True, True, False, False]
     assert_same_bits(render(level, walls.select(np.arange(4)), CAMERA, outputs=outputs, full=False), whole)
-    assert np.abs(render(level, walls.select(np.array([0, 1, 2, 4])), CAMERA, outputs=("alpha",), full=False)["alpha"] - whole["alpha"]).min() > 5e-6
+    assert (
+        np.abs(
+            render(level, walls.select(np.array([0, 1, 2, 4])), CAMERA, outputs=("alpha",), full=False)[
+                "alpha"
+            ]
+            - whole["alpha"]
+        ).min()
+        > 5e-6
+    )
     render(level, walls, CAMERA, outputs=("mask",), full=True)
     rasterizer(level).add_scores(reached=reached)
     assert reached.all(), "F counts to the end of the rays"
@@ -107,7 +133,9 @@ def test_scores_and_gradients_do_not_disturb_each_other(level):
 
 
 @pytest.mark.parametrize("level", LEVELS)
-@pytest.mark.parametrize("model", [lambda camera: camera, scenes.parallel], ids=["perspective", "orthographic"])
+@pytest.mark.parametrize(
+    "model", [lambda camera: camera, scenes.parallel], ids=["perspective", "orthographic"]
+)
 def test_visible_are_ascending_and_hold_every_hit(level, model):
     scene, masks = scenes.random_scene(300, 4, 0, scale=0.05), scenes.random_masks(300, 4)
     camera = model(scenes.camera(40, 27, fov=25))

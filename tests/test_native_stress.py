@@ -1,4 +1,5 @@
-"""Hostile scenes, opacities at the cut, many Gaussians on one pixel, and far places: the native core stays finite."""
+"""Hostile scenes, opacities at the cut, many Gaussians on one pixel, and far places: the native core stays
+finite."""
 
 import math
 from dataclasses import replace
@@ -29,7 +30,18 @@ CAMERAS = scenes.CAMERAS | scenes.ORTHOGRAPHIC
 # --- hostile scenes
 
 
-HOSTILE_CAMERAS = ("plain", "rotated", "off_centre", "outside", "wide", "narrow", "inside", "pixel", "parallel_plain", "parallel_inside")
+HOSTILE_CAMERAS = (
+    "plain",
+    "rotated",
+    "off_centre",
+    "outside",
+    "wide",
+    "narrow",
+    "inside",
+    "pixel",
+    "parallel_plain",
+    "parallel_inside",
+)
 
 
 @pytest.mark.parametrize("level", LEVELS)
@@ -39,7 +51,9 @@ def test_hostile_scenes_stay_finite(kind, level):
     for seed, name in enumerate(HOSTILE_CAMERAS):
         scene, masks = scenes.HOSTILE_SCENES[kind](60, seed, seed % 4), scenes.random_masks(60, seed)
         for antialiased, mask_kind in ((False, "svr"), (True, "a"), (False, "b")):
-            images, grads = view_and_gradients(level, scene, CAMERAS[name], masks, antialiased=antialiased, mask_kind=mask_kind)
+            images, grads = view_and_gradients(
+                level, scene, CAMERAS[name], masks, antialiased=antialiased, mask_kind=mask_kind
+            )
             assert_in_range(images)
             assert_finite(grads)
             drawn += images["hits"].sum()
@@ -52,7 +66,9 @@ def test_hostile_scenes_are_those_of_the_reference(kind):
     scene, masks = scenes.HOSTILE_SCENES[kind](50, 3, 1), scenes.random_masks(50, 3)
     for name in ("plain", "off_centre", "inside", "parallel_rotated"):
         camera = CAMERAS[name]
-        expected = scenes.reference_render(scenes.leaves(scene, requires_grad=False), masks, camera, BACKGROUND)
+        expected = scenes.reference_render(
+            scenes.leaves(scene, requires_grad=False), masks, camera, BACKGROUND
+        )
         exact = render("float64", scene, camera, masks)
         np.testing.assert_allclose(exact["rgb"], expected.rgb, rtol=1e-9, atol=1e-9)
         np.testing.assert_array_equal(exact["hits"], expected.N)
@@ -66,7 +82,8 @@ def test_hostile_scenes_are_those_of_the_reference(kind):
 @pytest.mark.parametrize("level", LEVELS)
 @pytest.mark.parametrize("seed", range(4))
 def test_ranges_no_scene_has_stay_finite(level, seed):
-    """Log-scales −30 … 45, quaternions 1e±28, distances to 1e30, needles 1e20 long beside the view, all mixed."""
+    """Log-scales −30 … 45, quaternions 1e±28, distances to 1e30, needles 1e20 long beside the view, all
+    mixed."""
     rng = np.random.default_rng(seed)
     n, drawn = 60, 0
     for family in range(4):
@@ -119,7 +136,11 @@ def test_support_collapses_continuously_towards_the_cut(level):
 @pytest.mark.parametrize("level", LEVELS)
 def test_logits_of_plus_and_minus_40(level):
     scene = isotropic([(0, 0, 2), (0, 0, 3), (0, 0, 4)])
-    for logits, visible, alpha in (((40, -40, 40), [0, 2], 0.99), ((-40, 40, -40), [1], 0.99), ((-40,) * 3, [], 0.0)):
+    for logits, visible, alpha in (
+        ((40, -40, 40), [0, 2], 0.99),
+        ((-40, 40, -40), [1], 0.99),
+        ((-40,) * 3, [], 0.0),
+    ):
         scene.opacity_logits[:] = logits
         images, grads = view_and_gradients(level, scene, frontal(1, 1))
         np.testing.assert_array_equal(rasterizer(level).visible(), visible)
@@ -169,7 +190,14 @@ def test_screen_filling_gaussians_touch_every_tile(level):
 
 @pytest.mark.parametrize("level", LEVELS)
 def test_near_plane(level):
-    for z, visible in ((-1.0, False), (0.0, False), (0.1999999, False), (0.2000001, True), (1e10, True), (1e20, False)):
+    for z, visible in (
+        (-1.0, False),
+        (0.0, False),
+        (0.1999999, False),
+        (0.2000001, True),
+        (1e10, True),
+        (1e20, False),
+    ):
         scene = isotropic([(0, 0, z)], scale=max(z, 0.1))
         images, grads = view_and_gradients(level, scene, frontal(5, 5))
         assert bool(len(rasterizer(level).visible())) == visible == bool(images["hits"].any()), z
@@ -193,7 +221,8 @@ def moved(scene, camera: Camera, offset) -> tuple[SimpleNamespace, Camera]:
     """The same view in a world whose origin lies elsewhere."""
     far, viewmat = typed(scene, np.float64), camera.viewmat.copy()
     far.means += offset
-    viewmat[:3, 3] = viewmat[:3, 3] - viewmat[:3, :3].astype(np.longdouble) @ offset  # rounded once, on every processor
+    # rounded once, on every processor
+    viewmat[:3, 3] = viewmat[:3, 3] - viewmat[:3, :3].astype(np.longdouble) @ offset
     return far, replace(camera, viewmat=viewmat)
 
 

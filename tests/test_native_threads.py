@@ -23,7 +23,10 @@ def test_cancel_stops_every_call_and_the_next_one_works():
     r, scene = Rasterizer(), scenes.random_scene(50, 1, 1)
     arrays, options = typed(scene, r.dtype), RenderOptions(mask_kind="svr")
     expected = r.forward(arrays, CAMERA, options, outputs=FLOAT_IMAGES)
-    ones, scores = np.ones((27, 40), r.dtype), (np.zeros(50), np.zeros(50, np.float32), np.zeros(50, np.int64))
+    ones, scores = (
+        np.ones((27, 40), r.dtype),
+        (np.zeros(50), np.zeros(50, np.float32), np.zeros(50, np.int64)),
+    )
     gradient = r.backward({"alpha": ones}, ("masks",))["masks"].copy()
     r.cancel[0] = 1
     for call in (
@@ -74,9 +77,10 @@ def test_renderers_work_side_by_side():
 def test_fewer_threads_where_the_system_gives_no_more():
     """In a process of its own whose address space holds few stacks."""
     code = (
-        "import resource\nfrom svrgs_addon.native import library\nfrom svrgs_addon.system.memory_limits import proc_bytes\n"
-        "library.threads()\nlimit = proc_bytes('self/status', 'VmSize') + (100 << 20)\n"
-        "resource.setrlimit(resource.RLIMIT_AS, (limit, limit))\nlibrary.set_threads(32)\nassert 1 <= library.threads() < 32, library.threads()\n"
+        "import resource\nfrom svrgs_addon.native import library\nfrom svrgs_addon.system.memory_limits"
+        " import proc_bytes\nlibrary.threads()\nlimit = proc_bytes('self/status', 'VmSize') + (100 <<"
+        " 20)\nresource.setrlimit(resource.RLIMIT_AS, (limit, limit))\nlibrary.set_threads(32)\nassert 1 <="
+        " library.threads() < 32, library.threads()\n"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
@@ -89,12 +93,17 @@ def test_threads_that_would_only_wait_are_not_started(asked, default_threads):
 
 
 def test_thousands_of_short_jobs_with_more_threads_than_cores():
-    """In a process of its own: a thread that left a job too late would change a bit, and one that does not tell that it has left would let it wait for ever."""
+    """In a process of its own: a thread that left a job too late would change a bit, and one that does not
+    tell that it has left would let it wait for ever."""
     code = (
-        "import time\nimport numpy as np\nfrom svrgs_addon.native import library\nfrom svrgs_addon.native.rasterizer import sample_masks\n"
+        "import time\nimport numpy as np\nfrom svrgs_addon.native import library\nfrom"
+        " svrgs_addon.native.rasterizer import sample_masks\n"
         "logits = np.random.default_rng(5).normal(0, 1, 3 * 8192 + 5).astype(np.float32)\n"  # four tasks
-        "draw = lambda: sample_masks(logits, 1, 2)[0].tobytes()\nlibrary.set_threads(1)\nexpected = draw()\nlibrary.set_threads(9)\n"
-        "for k in range(3000):\n    assert draw() == expected, k\n    if k % 50 == 0:\n        time.sleep(0.001)\n"  # long enough for the threads to sleep
+        "draw = lambda: sample_masks(logits, 1, 2)[0].tobytes()\nlibrary.set_threads(1)\nexpected ="
+        " draw()\nlibrary.set_threads(9)\n"
+        # long enough for the threads to sleep
+        "for k in range(3000):\n    assert draw() == expected, k\n    if k % 50 == 0:\n       "
+        " time.sleep(0.001)\n"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr

@@ -44,26 +44,38 @@ def in_two_calls(r, scene, frozen=None):
     rates, ids = rates_of(scene), r.visible()
     trained = np.ones(len(ids), bool) if frozen is None else frozen[ids] == 0
     grads, ids = {name: rows[trained] for name, rows in grads.items()}, ids[trained]
-    bad = sum(r.adam(getattr(scene, name), scene.moments[name], grads[name], ids, lr=rates[name], step=7) for name in ARRAYS)
+    bad = sum(
+        r.adam(getattr(scene, name), scene.moments[name], grads[name], ids, lr=rates[name], step=7)
+        for name in ARRAYS
+    )
     return {name: grads[name] for name in ("masks", "means2d")}, bad
 
 
 def in_one_call(r, scene, frozen=None):
     render(r, scene)
     tensors = {name: (getattr(scene, name), scene.moments[name]) for name in ARRAYS}
-    return r.backward_update(scene.weights, tensors, rates_of(scene), step=7, frozen=frozen, wanted=("masks", "means2d"))
+    return r.backward_update(
+        scene.weights, tensors, rates_of(scene), step=7, frozen=frozen, wanted=("masks", "means2d")
+    )
 
 
 def assert_same(a, b):
     for name in ARRAYS:
-        for left, right in zip((getattr(a, name), a.moments[name]), (getattr(b, name), b.moments[name]), strict=True):
+        for left, right in zip(
+            (getattr(a, name), a.moments[name]), (getattr(b, name), b.moments[name]), strict=True
+        ):
             assert left.tobytes() == right.tobytes(), name
 
 
 @pytest.mark.parametrize("sh_degree", [0, 1, 3])
 @pytest.mark.parametrize("level", LEVELS)
 def test_one_call_does_what_two_do(level, sh_degree):
-    r, two, one, before = rasterizer(level), world(level, sh_degree), world(level, sh_degree), world(level, sh_degree)
+    r, two, one, before = (
+        rasterizer(level),
+        world(level, sh_degree),
+        world(level, sh_degree),
+        world(level, sh_degree),
+    )
     (expected, bad), (grads, bad_in_one) = in_two_calls(r, two), in_one_call(r, one)
     assert bad == bad_in_one == 0
     for name in expected:
@@ -124,7 +136,8 @@ def test_existence_logits_need_their_slopes():
 
 @pytest.mark.parametrize("count", [16, 262, 264, 520])
 def test_parameters_may_end_anywhere(count):
-    """Within the whole vectors that narrow rows are updated in, and these across the blocks gradients are made in."""
+    """Within the whole vectors that narrow rows are updated in, and these across the blocks gradients are
+    made in."""
     level = library.best_level()
     r, two, one = rasterizer(level), world(level, 1, count), world(level, 1, count)
     for scene in (two, one):
@@ -137,7 +150,9 @@ def test_parameters_may_end_anywhere(count):
 
 @pytest.mark.parametrize("apart", [("opacity_logits",), ("log_scales",), ("means", "quats")])
 def test_what_is_not_updated_has_its_gradients_instead(apart):
-    r, two, one, before = (make(library.best_level()) for make in (rasterizer, *[lambda level: world(level, 3)] * 3))
+    r, two, one, before = (
+        make(library.best_level()) for make in (rasterizer, *[lambda level: world(level, 3)] * 3)
+    )
     render(r, one)
     tensors = {name: (getattr(one, name), one.moments[name]) for name in ARRAYS if name not in apart}
     grads, bad = r.backward_update(one.weights, tensors, rates_of(one), step=7, wanted=("masks", *apart))
@@ -195,6 +210,11 @@ def test_what_is_updated_must_be_the_rendered_scene_in_shape():
     render(r, scene)
     tensors = {name: (getattr(scene, name), scene.moments[name]) for name in ARRAYS}
     with pytest.raises(TypeError, match="moments of quats"):
-        r.backward_update(scene.weights, tensors | {"quats": (scene.quats, scene.moments["quats"][:3])}, rates_of(scene), step=1)
+        r.backward_update(
+            scene.weights,
+            tensors | {"quats": (scene.quats, scene.moments["quats"][:3])},
+            rates_of(scene),
+            step=1,
+        )
     with pytest.raises(ValueError, match="not stored: means"):
         r.backward_update(scene.weights, tensors, rates_of(scene), step=1, wanted=("means",))

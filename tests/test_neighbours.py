@@ -16,7 +16,8 @@ CLOUDS = {
     "plane": np.c_[RNG.uniform(size=(3000, 2)), np.zeros(3000)],
     "line": np.c_[RNG.uniform(size=3000), np.zeros((3000, 2))],
     "far outliers": RNG.standard_cauchy(size=(5000, 3)) ** 3,
-    "clusters": RNG.normal(size=(20, 1, 3)).repeat(150, axis=1).reshape(-1, 3) * 100 + RNG.normal(size=(3000, 3)),
+    "clusters": RNG.normal(size=(20, 1, 3)).repeat(150, axis=1).reshape(-1, 3) * 100
+    + RNG.normal(size=(3000, 3)),
     "every point five times": RNG.normal(size=(400, 3)).repeat(5, axis=0),
     "one place": np.ones((500, 3)),
 }
@@ -35,9 +36,13 @@ def test_the_nearest_of_all_pairs(name):
 def test_the_nearest_rows_have_the_smallest_distances(name):
     points = CLOUDS[name].astype(np.float32).astype(np.float64)
     rows = nearest_rows(points, 30)
-    assert (np.diff(np.sort(rows, axis=1), axis=1) > 0).all() and (rows != np.arange(len(points))[:, None]).all()
+    assert (np.diff(np.sort(rows, axis=1), axis=1) > 0).all() and (
+        rows != np.arange(len(points))[:, None]
+    ).all()
     dx, dy, dz = (points[:, None, axis] - points[rows, axis] for axis in range(3))
-    assert np.array_equal(np.sqrt(np.sort(dx * dx + dy * dy + dz * dz, axis=1)), nearest_distances(points, 30))
+    assert np.array_equal(
+        np.sqrt(np.sort(dx * dx + dy * dy + dz * dz, axis=1)), nearest_distances(points, 30)
+    )
 
 
 @pytest.mark.parametrize("name", ["cube", "far outliers", "every point five times"])

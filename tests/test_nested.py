@@ -1,4 +1,5 @@
-"""Nested results (`svrgs prune --nested`, `--levels`): smaller numbers of Gaussians are trained, ordered and written."""
+"""Nested results (`svrgs prune --nested`, `--levels`): smaller numbers of Gaussians are trained, ordered and
+written."""
 
 import json
 from dataclasses import replace
@@ -83,12 +84,16 @@ def test_half_of_the_steps_of_the_recovery_train_fewer_gaussians():
     assert set(sizes) == {1_000, *smaller_sizes(1_000, SMALLEST)}
     assert np.mean(np.array(sizes) == 1_000) == pytest.approx(0.5, abs=0.05)
     assert {size_of_step(SETTINGS, first, iteration, 1_000) for iteration in range(100)} == {1_000}
-    assert {size_of_step(replace(SETTINGS, nested=0.0), recover, iteration, 1_000) for iteration in range(100)} == {1_000}
+    assert {
+        size_of_step(replace(SETTINGS, nested=0.0), recover, iteration, 1_000) for iteration in range(100)
+    } == {1_000}
 
 
 def test_a_step_changes_the_first_rows_alone():
     """Without the mean that takes the place of the values after the last step."""
-    run = until(run_of(replace(SETTINGS, phases=tuple(replace(phase, averaged=0.0) for phase in SETTINGS.phases))), 17)
+    run = until(
+        run_of(replace(SETTINGS, phases=tuple(replace(phase, averaged=0.0) for phase in SETTINGS.phases))), 17
+    )
     changed = set()
     while not run.finished:
         size = size_of_step(SETTINGS, run.phase()[0], run.iteration, run.model.count)
@@ -143,21 +148,40 @@ def test_a_stopped_run_ends_as_if_it_had_not_been(tiny, data, tmp_path, iteratio
 
     train_and_prune.prune(tiny.splat, data, settings, train_and_prune.JobContext(tmp_path / "whole.ply"))
     with pytest.raises(Cancelled):
-        train_and_prune.prune(tiny.splat, data, settings, train_and_prune.JobContext(tmp_path / "o.ply", stop=stop))
-    train_and_prune.prune(tiny.splat, data, settings, train_and_prune.JobContext(tmp_path / "o.ply", resume=True))
+        train_and_prune.prune(
+            tiny.splat, data, settings, train_and_prune.JobContext(tmp_path / "o.ply", stop=stop)
+        )
+    train_and_prune.prune(
+        tiny.splat, data, settings, train_and_prune.JobContext(tmp_path / "o.ply", resume=True)
+    )
     assert (tmp_path / "o.ply").read_bytes() == (tmp_path / "whole.ply").read_bytes()
 
 
 def test_without_it_nothing_changes():
     plain = replace(SETTINGS, nested=0.0)
-    assert bits(to_the_end(run_of(plain)).model) == bits(to_the_end(run_of(prune_settings("removal", 16, 60, target=40))).model)
+    assert bits(to_the_end(run_of(plain)).model) == bits(
+        to_the_end(run_of(prune_settings("removal", 16, 60, target=40))).model
+    )
 
 
 # --- levels of detail on the command line
 
 
 def test_levels_are_the_first_rows_of_the_output(tiny, svrgs, tmp_path):
-    words = ["prune", tiny.splat, "--colmap", tiny.folder, *SHORT, "--target", 0.4, "--levels", "0.5,0.125", "--json", "--out", tmp_path / "o.ply"]
+    words = [
+        "prune",
+        tiny.splat,
+        "--colmap",
+        tiny.folder,
+        *SHORT,
+        "--target",
+        0.4,
+        "--levels",
+        "0.5,0.125",
+        "--json",
+        "--out",
+        tmp_path / "o.ply",
+    ]
     levels = json.loads(svrgs(*words).out)["levels"]
     assert sorted(files(tmp_path)) == ["o.ply", "o_12.5.ply", "o_50.ply"]
     whole = read_ply(tmp_path / "o.ply")
@@ -171,7 +195,10 @@ def test_levels_are_the_first_rows_of_the_output(tiny, svrgs, tmp_path):
 def test_what_cannot_be_is_one_sentence(tiny, svrgs, tmp_path):
     words = ["prune", tiny.splat, "--colmap", tiny.folder, "--target", 0.4, "--out", tmp_path / "o.ply"]
     refused(svrgs(*words, "--nested", 0.1, "--recovery", 0), "give --recovery a number above 0")
-    refused(svrgs(*words, "--levels", "0.5,0.5"), "is not shares above 0 and below 1 with commas between, each once")
+    refused(
+        svrgs(*words, "--levels", "0.5,0.5"),
+        "is not shares above 0 and below 1 with commas between, each once",
+    )
     refused(svrgs(*words, "--levels", "0.3333333,0.33333331"), "each once")  # their files would have one name
     refused(svrgs(*words, "--levels", "1"), "is not shares above 0 and below 1")
     refused(svrgs(*words, "--nested", 1), "is not a share above 0 and below 1")
@@ -181,14 +208,30 @@ def test_what_cannot_be_is_one_sentence(tiny, svrgs, tmp_path):
 def test_a_level_is_never_the_input(tiny, svrgs, tmp_path):
     source = tmp_path / "o_50.ply"
     source.write_bytes(tiny.splat.read_bytes())
-    refused(svrgs("prune", source, "--colmap", tiny.folder, "--levels", "0.5", "--out", tmp_path / "o.ply"), "o_50.ply: is the input itself")
+    refused(
+        svrgs("prune", source, "--colmap", tiny.folder, "--levels", "0.5", "--out", tmp_path / "o.ply"),
+        "o_50.ply: is the input itself",
+    )
     assert source.read_bytes() == tiny.splat.read_bytes() and list(tmp_path.iterdir()) == [source]
 
 
 def test_a_finished_scene_without_its_levels_is_not_passed_over_in_silence(tiny, svrgs, tmp_path):
     (tmp_path / "o.ply").touch()
-    done = svrgs("prune", tiny.splat, "--colmap", tiny.folder, "--levels", "0.5", "--batch", "--out", tmp_path / "o.ply")
-    assert json.loads(done.out)["skipped"] == "the output exists, not all its levels: add --overwrite" and done.status == 0
+    done = svrgs(
+        "prune",
+        tiny.splat,
+        "--colmap",
+        tiny.folder,
+        "--levels",
+        "0.5",
+        "--batch",
+        "--out",
+        tmp_path / "o.ply",
+    )
+    assert (
+        json.loads(done.out)["skipped"] == "the output exists, not all its levels: add --overwrite"
+        and done.status == 0
+    )
 
 
 def test_a_level_never_replaces_a_scene(tmp_path):
@@ -224,5 +267,8 @@ def test_a_job_ranks_its_result_as_it_was_trained(tiny, tmp_path):
 
 def psnr_of(scene, tiny) -> float:
     rasterizer = Rasterizer()
-    renders = ((rasterizer.forward(scene, c)["rgb"].clip(0, 1), rasterizer.forward(tiny.truth, c)["rgb"].clip(0, 1)) for c in tiny.cameras)
+    renders = (
+        (rasterizer.forward(scene, c)["rgb"].clip(0, 1), rasterizer.forward(tiny.truth, c)["rgb"].clip(0, 1))
+        for c in tiny.cameras
+    )
     return float(-10 * np.log10(np.mean([np.mean((a - b) ** 2) for a, b in renders])))

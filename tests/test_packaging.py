@@ -1,4 +1,5 @@
-"""The zips and wheels of `make package`: which there are, what their manifests say, what those in dist/ hold."""
+"""The zips and wheels of `make package`: which there are, what their manifests say, what those in dist/
+hold."""
 
 from __future__ import annotations
 
@@ -43,7 +44,11 @@ def manifest(variant: platforms.Variant) -> dict:
 def test_every_platform_has_a_zip_for_any_python():
     without = [variant.platform for variant in platforms.variants() if variant.blender == "any-python"]
     assert without == list(platforms.TABLE["platform"])
-    assert {variant.platform for variant in platforms.variants() if variant.facts["packages"]} == {"linux-x64", "windows-x64", "macos-arm64"}
+    assert {variant.platform for variant in platforms.variants() if variant.facts["packages"]} == {
+        "linux-x64",
+        "windows-x64",
+        "macos-arm64",
+    }
 
 
 def test_manifests_differ_in_platform_blenders_and_wheels_alone(wheels):
@@ -51,30 +56,45 @@ def test_manifests_differ_in_platform_blenders_and_wheels_alone(wheels):
     added = {"version", "platforms", "wheels", "blender_version_min", "blender_version_max"}
     for variant in platforms.variants():
         made = manifest(variant)
-        assert {key: made[key] for key in made if key not in added} == template and made["version"] == platforms.VERSION
+        assert {key: made[key] for key in made if key not in added} == template and made[
+            "version"
+        ] == platforms.VERSION
         assert made["platforms"] == [variant.platform] and made["blender_version_min"] == variant.facts["min"]
         assert made.get("blender_version_max") == variant.facts.get("max")
         assert len(made.get("wheels", [])) == len(variant.facts["packages"])
-        assert all(variant.facts["python"] in wheel and (wheels / Path(wheel).name).exists() for wheel in made.get("wheels", []))
+        assert all(
+            variant.facts["python"] in wheel and (wheels / Path(wheel).name).exists()
+            for wheel in made.get("wheels", [])
+        )
 
 
 def test_no_two_zips_of_the_repository_fit_one_blender():
     """Of the same platform and Python. Blender reads the Python from the names of the wheels."""
-    found = [(variant.platform, variant.facts.get("python")) for variant in platforms.variants() if build_extension.in_repository(variant)]
+    found = [
+        (variant.platform, variant.facts.get("python"))
+        for variant in platforms.variants()
+        if build_extension.in_repository(variant)
+    ]
     assert len(found) == len(set(found))
     assert {platform for platform, _ in found} == set(platforms.TABLE["platform"])
 
 
 def test_a_missing_wheel_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr(platforms, "WHEELS", tmp_path)
-    with pytest.raises(FileNotFoundError, match=r"pycolmap 4\.2\.1 for windows-x64, cp313 is not in .*: run tools/fetch_wheels.py --all"):
+    with pytest.raises(
+        FileNotFoundError,
+        match=r"pycolmap 4\.2\.1 for windows-x64, cp313 is not in .*: run tools/fetch_wheels.py --all",
+    ):
         platforms.Variant("windows-x64", "blender-5.1-or-later").wheels()
 
 
 @pytest.mark.parametrize("python", ["cp311", "cp310"])
 def test_a_python_without_wheels_gets_the_zip_without(python, monkeypatch):
     monkeypatch.setattr(platforms, "this_platform", lambda: "linux-x64")
-    assert platforms.variant_for(python).blender == {"cp311": "blender-4.2-to-5.0", "cp310": "any-python"}[python]
+    assert (
+        platforms.variant_for(python).blender
+        == {"cp311": "blender-4.2-to-5.0", "cp310": "any-python"}[python]
+    )
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="the library has another name")
@@ -82,7 +102,10 @@ def test_what_a_zip_will_hold(tmp_path):
     variant = platforms.Variant("windows-x64", "any-python")
     (tmp_path / "built.dll").write_bytes(b"a library")
     build_extension.stage(variant, tmp_path / "built.dll", tmp_path / "stage")
-    assert {path.name for path in (tmp_path / "stage").iterdir()} == {*build_extension.PRODUCT, "blender_manifest.toml"}
+    assert {path.name for path in (tmp_path / "stage").iterdir()} == {
+        *build_extension.PRODUCT,
+        "blender_manifest.toml",
+    }
     assert [path.name for path in (tmp_path / "stage/svrgs_addon").glob("*svrgs.*")] == ["svrgs.dll"]
     assert not list((tmp_path / "stage").rglob("__pycache__"))
 
@@ -91,37 +114,80 @@ def test_what_a_zip_will_hold(tmp_path):
 
 
 def test_an_installed_wheel_needs_no_compiler(tmp_path):
-    """Built here by the compiler of this machine, installed into an empty environment, used from another folder."""
-    if reason := variants.missing_tools() or ("" if importlib.util.find_spec("scikit_build_core") else "scikit-build-core is not installed"):
+    """Built here by the compiler of this machine, installed into an empty environment, used from another
+    folder."""
+    if reason := variants.missing_tools() or (
+        "" if importlib.util.find_spec("scikit_build_core") else "scikit-build-core is not installed"
+    ):
         pytest.skip(reason)
-    environment = os.environ | {"PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}", "PYTHONPATH": ""}
-    build = [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "--no-build-isolation", "-w", tmp_path, "-C", f"build-dir={tmp_path}/build", ROOT]
+    environment = os.environ | {
+        "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
+        "PYTHONPATH": "",
+    }
+    build = [
+        sys.executable,
+        "-m",
+        "pip",
+        "wheel",
+        "-q",
+        "--no-deps",
+        "--no-build-isolation",
+        "-w",
+        tmp_path,
+        "-C",
+        f"build-dir={tmp_path}/build",
+        ROOT,
+    ]
     subprocess.run(build, env=environment, check=True)
     (wheel,) = tmp_path.glob("*.whl")
     assert wheel.name.startswith(f"svrgs_addon-{platforms.VERSION}-py3-none-")
     python = tmp_path / "env/bin/python"
     subprocess.run([sys.executable, "-m", "venv", "--system-site-packages", tmp_path / "env"], check=True)
-    subprocess.run([python, "-m", "pip", "install", "-q", "--no-deps", "--no-index", "--force-reinstall", wheel], env=environment, check=True)
+    subprocess.run(
+        [python, "-m", "pip", "install", "-q", "--no-deps", "--no-index", "--force-reinstall", wheel],
+        env=environment,
+        check=True,
+    )
     code = (
-        "import svrgs_addon, svrgs_addon.native.rasterizer as n; print(svrgs_addon.__version__, svrgs_addon.__file__, n.best_level() in n.supported_levels())"
+        "import svrgs_addon, svrgs_addon.native.rasterizer as n; print(svrgs_addon.__version__,"
+        " svrgs_addon.__file__, n.best_level() in n.supported_levels())"
     )
     done = subprocess.run([python, "-c", code], env=environment, cwd=tmp_path, capture_output=True, text=True)
     version, file, works = done.stdout.split()
-    assert (version, works) == (platforms.VERSION, "True") and Path(file).is_relative_to(tmp_path / "env"), done.stderr
-    assert subprocess.run([tmp_path / "env/bin/svrgs", "--version"], env=environment, cwd=tmp_path, capture_output=True, text=True).stdout.strip() == version
+    assert (version, works) == (platforms.VERSION, "True") and Path(file).is_relative_to(tmp_path / "env"), (
+        done.stderr
+    )
+    assert (
+        subprocess.run(
+            [tmp_path / "env/bin/svrgs", "--version"],
+            env=environment,
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+        ).stdout.strip()
+        == version
+    )
 
 
 # --- what `make package` has made
 
 
 def wheel_for_pip(platform: str) -> Path:
-    return DIST / "wheels" / f"svrgs_addon-{platforms.VERSION}-py3-none-{platforms.TABLE['platform'][platform]['pip']}.whl"
+    return (
+        DIST
+        / "wheels"
+        / f"svrgs_addon-{platforms.VERSION}-py3-none-{platforms.TABLE['platform'][platform]['pip']}.whl"
+    )
 
 
 @pytest.fixture(scope="module")
 def packaged() -> dict[platforms.Variant, Path]:
     made = {variant: DIST / f"{variant.name}.zip" for variant in platforms.variants()}
-    if missing := [path for path in (*made.values(), *map(wheel_for_pip, platforms.TABLE["platform"])) if not path.exists()]:
+    if missing := [
+        path
+        for path in (*made.values(), *map(wheel_for_pip, platforms.TABLE["platform"]))
+        if not path.exists()
+    ]:
         pytest.skip(f"'make package' has not made {missing[0].relative_to(ROOT)} yet")
     return made
 
@@ -137,7 +203,11 @@ def test_packaged_zips_differ_in_manifest_library_and_wheels_alone(packaged):
     for variant, path in packaged.items():
         assert path.stat().st_size <= LIMIT
         files = contents(path)
-        own = {"blender_manifest.toml", f"svrgs_addon/{variant.library}", *(name for name in files if name.startswith("wheels/"))}
+        own = {
+            "blender_manifest.toml",
+            f"svrgs_addon/{variant.library}",
+            *(name for name in files if name.startswith("wheels/")),
+        }
         assert own <= set(files)
         common.add(frozenset((name, crc) for name, crc in files.items() if name not in own))
     assert len(common) == 1

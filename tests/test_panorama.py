@@ -1,4 +1,5 @@
-"""Equirectangular panoramas: their views, against known pictures of all directions, and against narrow perspective views in float64."""
+"""Equirectangular panoramas: their views, against known pictures of all directions, and against narrow
+perspective views in float64."""
 
 from __future__ import annotations
 
@@ -13,7 +14,14 @@ from svrgs_addon.native.pictures import add_view
 from svrgs_addon.native.rasterizer import Rasterizer, RenderOptions
 from svrgs_addon.render.composite import FAR, Composite, composite, split
 from svrgs_addon.render.meshes import surface
-from svrgs_addon.render.panorama import Panorama, Patch, composite_panorama, composite_view, directions, patches
+from svrgs_addon.render.panorama import (
+    Panorama,
+    Patch,
+    composite_panorama,
+    composite_view,
+    directions,
+    patches,
+)
 from svrgs_addon.scene.camera import Camera
 from svrgs_addon.system.errors import Cancelled, NativeError
 from svrgs_bench.scenes import room
@@ -23,7 +31,9 @@ PART = Panorama(np.eye(4), 70, 90, (-0.4, 1.9), (-0.2, 1.5))
 MIRRORED = replace(PART, longitude=(1.0, -2.0))
 TINY = Panorama(np.eye(4), 1, 1, (0.1, 0.2), (0.3, 0.35))
 BEYOND = replace(FULL, longitude=(-1.5 * np.pi, 1.5 * np.pi), width=240)
-PANORAMAS = pytest.mark.parametrize("panorama", [FULL, PART, MIRRORED, TINY, BEYOND], ids=["full", "part", "mirrored", "tiny", "beyond"])
+PANORAMAS = pytest.mark.parametrize(
+    "panorama", [FULL, PART, MIRRORED, TINY, BEYOND], ids=["full", "part", "mirrored", "tiny", "beyond"]
+)
 TURN = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
 
 
@@ -44,14 +54,22 @@ def waves(d: np.ndarray) -> np.ndarray:
 
 
 def analytic(camera: Camera) -> Composite:
-    """A picture of waves on a sphere of radius 3, half transparent where x < 0, and nothing at all where x < -0.5."""
+    """A picture of waves on a sphere of radius 3, half transparent where x < 0, and nothing at all where x <
+    -0.5."""
     rgb = image_of(camera, waves).astype(np.float32)
     x = image_of(camera, lambda d: d[..., 0])
     coverage = np.where(x < -0.5, 0, np.where(x < 0, 0.5, 1)).astype(np.float32)
     y, column = np.mgrid[: camera.height, : camera.width] + 0.5
     z = 3 / np.linalg.norm(np.stack([column, y, np.ones_like(y)], -1) @ np.linalg.inv(camera.K).T, axis=-1)
-    images = {"depth": np.where(coverage > 0, z, FAR).astype(np.float32), "alpha": coverage, "mask": rgb[..., 0], "hits": 10 * rgb[..., 1]}
-    return Composite(rgb, coverage, (1 - coverage) / 2, images, np.concatenate([rgb[..., ::-1], coverage[..., None]], 2))
+    images = {
+        "depth": np.where(coverage > 0, z, FAR).astype(np.float32),
+        "alpha": coverage,
+        "mask": rgb[..., 0],
+        "hits": 10 * rgb[..., 1],
+    }
+    return Composite(
+        rgb, coverage, (1 - coverage) / 2, images, np.concatenate([rgb[..., ::-1], coverage[..., None]], 2)
+    )
 
 
 def share(patch: Patch) -> np.ndarray:
@@ -70,7 +88,11 @@ def test_a_view_sees_all_of_its_pixels_near_its_middle(panorama):
         rays = all_directions(panorama)[share(patch) > 0] @ patch.turn.T
         assert (rays[:, 2] > np.cos(np.radians(45))).all()
         x, y = patch.camera.pixels(rays).T
-        assert min(x.min(), y.min()) >= 2 and x.max() <= patch.camera.width - 2 and y.max() <= patch.camera.height - 2
+        assert (
+            min(x.min(), y.min()) >= 2
+            and x.max() <= patch.camera.width - 2
+            and y.max() <= patch.camera.height - 2
+        )
         np.testing.assert_allclose(patch.turn @ panorama.viewmat[:3, :3], patch.camera.viewmat[:3, :3])
 
 
@@ -79,7 +101,11 @@ def test_a_picture_of_all_directions_is_found_again(panorama):
     turned = replace(panorama, viewmat=np.block([[TURN, np.zeros((3, 1))], [0, 0, 0, 1]]))
     picture, expected = composite_panorama(analytic, turned), waves(all_directions(turned) @ TURN)
     assert picture.rgb.shape == (panorama.height, panorama.width, 3)
-    for found, known in ((picture.rgb, expected), (picture.images["mask"], expected[..., 0]), (picture.images["hits"] / 10, expected[..., 1])):
+    for found, known in (
+        (picture.rgb, expected),
+        (picture.images["mask"], expected[..., 0]),
+        (picture.images["hits"] / 10, expected[..., 1]),
+    ):
         np.testing.assert_allclose(found, known, atol=2e-3)
     np.testing.assert_allclose(picture.behind[..., :3], expected[..., ::-1], atol=2e-3)
     x = (all_directions(turned) @ TURN)[..., 0]
@@ -96,7 +122,10 @@ def test_pixels_are_those_of_perspective_views_in_their_direction():
     viewmat = np.eye(4)
     viewmat[:3, :3], viewmat[:3, 3] = TURN, (0.3, 0.2, 0.5)
     panorama = Panorama(viewmat, 1024, 512)
-    picture, exact = composite_panorama(lambda camera: composite(Rasterizer(), scene, camera), panorama), typed(scene, np.float64)
+    picture, exact = (
+        composite_panorama(lambda camera: composite(Rasterizer(), scene, camera), panorama),
+        typed(scene, np.float64),
+    )
     rows, columns = rng.integers(0, 512, 80), rng.integers(0, 1024, 80)
     errors = []
     for row, column in zip(rows, columns, strict=True):
@@ -108,7 +137,9 @@ def test_pixels_are_those_of_perspective_views_in_their_direction():
         right = np.cross(forward, (0, -1, 0)) / np.linalg.norm(np.cross(forward, (0, -1, 0)))
         view, n = np.eye(4), 2 * int(np.tan(np.radians(25)) * panorama.focal) + 1
         view[:3] = np.stack([right, np.cross(forward, right), forward]) @ viewmat[:3]
-        camera = Camera(view, np.array([[panorama.focal, 0, n / 2], [0, panorama.focal, n / 2], [0, 0, 1]]), n, n)
+        camera = Camera(
+            view, np.array([[panorama.focal, 0, n / 2], [0, panorama.focal, n / 2], [0, 0, 1]]), n, n
+        )
         expected = r64.forward(exact, camera, RenderOptions(), outputs=("rgb",))["rgb"][n // 2, n // 2]
         errors.append(255 * np.abs(picture.rgb[row, column] - expected).mean())
     assert np.mean(errors) < 2 and np.percentile(errors, 95) < 8, (np.mean(errors), np.percentile(errors, 95))
@@ -116,13 +147,16 @@ def test_pixels_are_those_of_perspective_views_in_their_direction():
 
 @pytest.mark.parametrize("axis", [0, 1], ids=["rows", "columns"])
 def test_there_are_no_seams(axis):
-    """Each pixel is drawn once more with the shares that the views have in the next pixel: less than one level of 255.
+    """Each pixel is drawn once more with the shares that the views have in the next pixel: less than one
+    level of 255.
 
     A part of a panorama that would be 2048 pixels wide.
     """
     scene, viewmat = room(60_000), np.eye(4)
     viewmat[:3, 3] = 0.3, 0.2, 0.5
-    panorama = Panorama(viewmat, 400, 400, (0.1, 0.1 + 400 / 2048 * 2 * np.pi), (-0.4, -0.4 + 400 / 2048 * 2 * np.pi))
+    panorama = Panorama(
+        viewmat, 400, 400, (0.1, 0.1 + 400 / 2048 * 2 * np.pi), (-0.4, -0.4 + 400 / 2048 * 2 * np.pi)
+    )
     sums = np.zeros((2, 400, 400, 4), np.float32)
     for patch in patches(panorama):
         rgb = composite(Rasterizer(), scene, patch.camera).rgb
@@ -131,7 +165,16 @@ def test_there_are_no_seams(axis):
         for moved in (0, 1):
             if moved:
                 weights[axis] = np.where(weights[axis] > 0, np.append(weights[axis][1:], 0), 0)
-            add_view(image, patch.turn, patch.camera.K, -1, sums[moved], panorama.latitudes, panorama.longitudes, *weights)
+            add_view(
+                image,
+                patch.turn,
+                patch.camera.K,
+                -1,
+                sums[moved],
+                panorama.latitudes,
+                panorama.longitudes,
+                *weights,
+            )
     one, other = (part[..., :3] / np.maximum(part[..., 3:], 1e-6) for part in sums)
     inner = (slice(0, -1), slice(None)) if axis == 0 else (slice(None), slice(0, -1))
     largest = 255 * np.abs(one - other)[inner].max()
@@ -144,12 +187,16 @@ def test_meshes_are_cut_to_their_share_and_at_their_distance():
     sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     triangles = np.concatenate([corners[[[a, b, c], [a, c, d]]] for a, b, c, d in sides])
     mesh, empty = plain_triangles(triangles, np.full((12, 3), 0.5)), room(10).select(np.arange(0))
-    picture = composite_panorama(lambda camera: composite(Rasterizer(), empty, camera, surface=surface(mesh, camera)), FULL)
+    picture = composite_panorama(
+        lambda camera: composite(Rasterizer(), empty, camera, surface=surface(mesh, camera)), FULL
+    )
     expected = 2 / np.abs(all_directions(FULL)).max(axis=2)
     np.testing.assert_allclose(picture.depth, expected, rtol=0.02)
     np.testing.assert_allclose(picture.coverage, 1, atol=1e-6)
     assert picture.holes.max() < 1e-6
-    apart = composite_panorama(lambda camera: split(Rasterizer(), room(500), camera, surface=surface(mesh, camera)), FULL)
+    apart = composite_panorama(
+        lambda camera: split(Rasterizer(), room(500), camera, surface=surface(mesh, camera)), FULL
+    )
     assert apart.behind.shape == (80, 160, 4) and apart.behind[..., 3].max() <= 1
 
 
@@ -163,7 +210,12 @@ def test_a_perspective_view_is_drawn_as_it_is_and_a_stop_comes_through():
 
 
 def test_wrong_views_are_refused():
-    image, sums, rows, columns = np.zeros((5, 6, 2), np.float32), np.zeros((3, 4, 2), np.float32), np.zeros(3), np.zeros(4)
+    image, sums, rows, columns = (
+        np.zeros((5, 6, 2), np.float32),
+        np.zeros((3, 4, 2), np.float32),
+        np.zeros(3),
+        np.zeros(4),
+    )
     good = {
         "image": image, "turn": np.eye(3), "K": np.eye(3), "along": 1, "sums": sums, "latitudes": rows, "longitudes": columns,
         "row_weights": rows, "column_weights": columns,
@@ -176,4 +228,6 @@ def test_wrong_views_are_refused():
         with pytest.raises(TypeError):
             add_view(**good | change)
     with pytest.raises(NativeError, match="1 to 64 channels"):
-        add_view(**good | {"image": np.zeros((5, 6, 65), np.float32), "sums": np.zeros((3, 4, 65), np.float32)})
+        add_view(
+            **good | {"image": np.zeros((5, 6, 65), np.float32), "sums": np.zeros((3, 4, 65), np.float32)}
+        )

@@ -17,8 +17,13 @@ OUTPUTS = (*IMAGES, *COUNTS)
 def views(level: str, mask_kind: str = "svr", camera=CAMERA, count: int = 60, **more):
     """The same view, kept and not."""
     r = rasterizer(level)
-    scene, masks = typed(scenes.random_scene(count, 1, 2, scale=0.3), r.dtype), scenes.random_masks(count, 1).astype(np.uint8)
-    draw = lambda only: r.forward(scene, camera, RenderOptions(mask_kind=mask_kind, picture_only=only), masks, OUTPUTS, **more)  # noqa: E731
+    scene, masks = (
+        typed(scenes.random_scene(count, 1, 2, scale=0.3), r.dtype),
+        scenes.random_masks(count, 1).astype(np.uint8),
+    )
+    draw = lambda only: r.forward(
+        scene, camera, RenderOptions(mask_kind=mask_kind, picture_only=only), masks, OUTPUTS, **more
+    )
     return draw(False), draw(True)
 
 
@@ -50,7 +55,11 @@ def test_the_view_has_no_gradients_and_no_statistics():
     r.forward(arrays, CAMERA, RenderOptions(), outputs=("alpha",))
     visible = r.visible()
     r.forward(arrays, CAMERA, RenderOptions(picture_only=True), outputs=("alpha",))
-    for call in (lambda: r.backward({"alpha": ones}, ("masks",)), lambda: r.add_scores(*sums), lambda: r.work(count_pixels=True)):
+    for call in (
+        lambda: r.backward({"alpha": ones}, ("masks",)),
+        lambda: r.add_scores(*sums),
+        lambda: r.work(count_pixels=True),
+    ):
         with pytest.raises(NativeError, match="svrgs_forward"):
             call()
     assert not sums[0].any() and r.work()["visible"] == len(visible)

@@ -15,12 +15,18 @@ def test_colour_maps_become_lighter_from_low_to_high(name):
     rgb = color_maps.colored(np.linspace(-1, 3, 200), 2.0, name)
     luminance = rgb @ (0.2126, 0.7152, 0.0722)
     assert (np.diff(luminance) >= -1e-3).all() and luminance[-1] > 0.7
-    assert (rgb[:50] == rgb[0]).all() and (rgb[-50:] == rgb[-1]).all(), "what is outside 0 to top has the colours at the ends"
+    assert (rgb[:50] == rgb[0]).all() and (rgb[-50:] == rgb[-1]).all(), (
+        "what is outside 0 to top has the colours at the ends"
+    )
 
 
 def test_pixels_are_linear_colours_or_the_numbers_themselves():
     values = np.linspace(0, 5, 12).reshape(3, 4)
-    np.testing.assert_allclose(linear_to_srgb(color_maps.pixels(values, 5, "viridis")), color_maps.colored(values, 5, "viridis"), atol=1e-6)
+    np.testing.assert_allclose(
+        linear_to_srgb(color_maps.pixels(values, 5, "viridis")),
+        color_maps.colored(values, 5, "viridis"),
+        atol=1e-6,
+    )
     np.testing.assert_array_equal(color_maps.pixels(values, 5, "values"), np.stack([values] * 3, -1))
 
 
@@ -31,7 +37,9 @@ def test_a_wipe_has_the_left_picture_on_the_left():
 
 def test_a_contact_sheet_holds_every_picture_whole():
     rng = np.random.default_rng(0)
-    rows = [[rng.integers(1, 255, (h, w, 3), np.uint8) for _ in range(3)] for h, w in ((4, 6), (5, 3), (2, 8))]
+    rows = [
+        [rng.integers(1, 255, (h, w, 3), np.uint8) for _ in range(3)] for h, w in ((4, 6), (5, 3), (2, 8))
+    ]
     sheet = contact_sheet(rows, columns=2, gap=1)
     assert sheet.shape == (5 + 1 + 2, 3 * 6 + 2 + 3 + 3 * 3 + 2, 3)
     np.testing.assert_array_equal(sheet[:4, 7:13], rows[0][1])

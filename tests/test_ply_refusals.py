@@ -29,9 +29,14 @@ def test_truncated_body(tmp_path, fmt):
 def test_how_much_is_missing_is_said(tmp_path):
     data = ply_bytes(count=1000)
     whole = f"{len(data) / 1e3:.1f}"
-    for size, sentence in ((5_000, f"5.0 of {whole} kB"), (len(data) - 10, f"10 bytes of {whole} kB are missing")):
+    for size, sentence in (
+        (5_000, f"5.0 of {whole} kB"),
+        (len(data) - 10, f"10 bytes of {whole} kB are missing"),
+    ):
         (tmp_path / "trunc.ply").write_bytes(data[:size])
-        with pytest.raises(FormatError, match=rf"/trunc\.ply is incomplete: {sentence}; copy or export it again$"):
+        with pytest.raises(
+            FormatError, match=rf"/trunc\.ply is incomplete: {sentence}; copy or export it again$"
+        ):
             read_ply(tmp_path / "trunc.ply")
 
 

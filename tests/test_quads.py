@@ -24,27 +24,42 @@ def test_each_gaussian_has_its_mean_opacity_and_covariance_once():
     np.testing.assert_array_equal(quads(scene, 20).geometry, cloud.geometry[:20])
     assert sorted(cloud.rows) == list(range(500)) and (np.diff(cloud.rows) < 0).any()
     np.testing.assert_array_equal(cloud.means, scene.means[cloud.rows])
-    np.testing.assert_array_equal(cloud.geometry[:, 0], np.column_stack([cloud.means, opacities(scene.opacity_logits)[cloud.rows]]))
+    np.testing.assert_array_equal(
+        cloud.geometry[:, 0], np.column_stack([cloud.means, opacities(scene.opacity_logits)[cloud.rows]])
+    )
     R, S = rotation_matrices(scene.quats), np.exp(2 * scene.log_scales.astype(np.float64))
     covariance = np.einsum("nij,nj,nkj->nik", R, S, R)[cloud.rows]
     np.testing.assert_allclose(cloud.geometry[:, 1, :3], covariance[:, 0], rtol=1e-5, atol=1e-6)
-    np.testing.assert_allclose(cloud.geometry[:, 2, :3], covariance[:, [1, 1, 2], [1, 2, 2]], rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(
+        cloud.geometry[:, 2, :3], covariance[:, [1, 1, 2], [1, 2, 2]], rtol=1e-5, atol=1e-6
+    )
 
 
 @pytest.mark.parametrize(
-    "values", [np.random.default_rng(0).normal(size=5000), np.repeat([3.0, -1.0, 0.0, 1e30, -1e-30], 40), np.array([0.0, -0.0, 0.0]), np.empty(0)]
+    "values",
+    [
+        np.random.default_rng(0).normal(size=5000),
+        np.repeat([3.0, -1.0, 0.0, 1e30, -1e-30], 40),
+        np.array([0.0, -0.0, 0.0]),
+        np.empty(0),
+    ],
 )
 def test_the_order_is_that_of_the_depths(values):
     means = np.zeros((len(values), 3), np.float32)
     means[:, 2] = values
-    np.testing.assert_array_equal(depth_order(means, np.array([0, 0, 1.0])), np.argsort(-means[:, 2], kind="stable"))
+    np.testing.assert_array_equal(
+        depth_order(means, np.array([0, 0, 1.0])), np.argsort(-means[:, 2], kind="stable")
+    )
 
 
 @pytest.mark.parametrize("orthographic", [False, True])
 def test_colours_are_the_rasterizers(orthographic):
     scene, camera = room(300), replace(orbit_camera(32, 32), orthographic=orthographic)
     rows = np.arange(300)[::-1].copy()
-    means, sh, viewmat = (torch.tensor(array, dtype=torch.float64) for array in (scene.means[rows], scene.sh[rows], camera.viewmat))
+    means, sh, viewmat = (
+        torch.tensor(array, dtype=torch.float64)
+        for array in (scene.means[rows], scene.sh[rows], camera.viewmat)
+    )
     expected = ref.view_colours(means, sh, viewmat, 3, orthographic)
     np.testing.assert_allclose(colors(scene, rows, camera), expected.clamp(min=0), atol=1e-5)
 
@@ -52,7 +67,9 @@ def test_colours_are_the_rasterizers(orthographic):
 def test_a_recoloured_scene_has_these_colours_from_everywhere():
     scene, rgb = room(50), np.random.default_rng(0).random((50, 3))
     for turn in (0.0, 120.0):
-        np.testing.assert_allclose(colors(recolored(scene, rgb), np.arange(50), orbit_camera(32, 32, turn)), rgb, atol=1e-6)
+        np.testing.assert_allclose(
+            colors(recolored(scene, rgb), np.arange(50), orbit_camera(32, 32, turn)), rgb, atol=1e-6
+        )
 
 
 def test_marked_gaussians_are_tinted_and_the_others_stay():

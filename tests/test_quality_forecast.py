@@ -1,4 +1,5 @@
-"""The quality that an estimate foresees: its law, what it measures on views, and how near it is to a run on the tiny scene."""
+"""The quality that an estimate foresees: its law, what it measures on views, and how near it is to a run on
+the tiny scene."""
 
 from __future__ import annotations
 
@@ -31,7 +32,9 @@ def all_test_views(monkeypatch):
 def trained(tiny, tmp_path_factory):
     """The splat of the tiny scene, trained to its end."""
     out = tmp_path_factory.mktemp("trained") / "trained.ply"
-    prune_scene(PruneOptions(scene=tiny.splat, colmap=tiny.folder, method="3dgs", recovery=1500, quiet=True, out=out))
+    prune_scene(
+        PruneOptions(scene=tiny.splat, colmap=tiny.folder, method="3dgs", recovery=1500, quiet=True, out=out)
+    )
     return out
 
 
@@ -59,7 +62,9 @@ def test_the_fewer_stay_the_lower_it_is(scene, data, ranking):
 def test_where_nothing_is_removed_it_is_the_psnr_of_now(scene, data, ranking):
     found = foreseen(scene, data, ranking, 1.0)
     now = mean_psnr(scene, data, data.test_indices, Rasterizer(), render_options(scene))
-    assert found.before == found.removed == pytest.approx(now, abs=1e-6) and found.after == pytest.approx(now, abs=1e-6)
+    assert found.before == found.removed == pytest.approx(now, abs=1e-6) and found.after == pytest.approx(
+        now, abs=1e-6
+    )
 
 
 def test_a_removal_without_steps_wins_nothing_back():
@@ -90,7 +95,11 @@ def test_a_removal_that_makes_the_views_better_promises_nothing():
 )
 def test_what_was_not_measured_is_not_foreseen(scene, data, ranking, plan):
     found = foreseen(scene, data, ranking, 0.5, plan)
-    assert found.before == foreseen(scene, data, ranking, 0.5).before and found.removed is None and found.after is None
+    assert (
+        found.before == foreseen(scene, data, ranking, 0.5).before
+        and found.removed is None
+        and found.after is None
+    )
 
 
 def test_every_fitted_number_belongs_to_a_method():
@@ -110,14 +119,27 @@ def test_the_first_views_are_spread_over_all():
 def test_a_busy_machine_renders_at_least_two_views(scene, data, monkeypatch):
     monkeypatch.setattr(quality_forecast, "SECONDS", -1.0)
     rendered = []
-    monkeypatch.setattr(type(data), "image", lambda self, index, image=type(data).image: rendered.append(index) or image(self, index))
+    monkeypatch.setattr(
+        type(data),
+        "image",
+        lambda self, index, image=type(data).image: rendered.append(index) or image(self, index),
+    )
     quality_forecast._mean_psnrs(scene, data, [None])
     assert len(rendered) == len(set(rendered)) == quality_forecast.LEAST <= len(data.test_indices)
 
 
 def test_it_is_near_what_a_short_run_reaches(trained, tiny, tmp_path):
     """Seen: 40.9 dB now, 40.9 dB foreseen, 44.2 dB reached: it is never foreseen to become better."""
-    options = PruneOptions(scene=trained, colmap=tiny.folder, method="removal", target=0.5, iterations=300, recovery=500, quiet=True, out=tmp_path / "half.ply")
+    options = PruneOptions(
+        scene=trained,
+        colmap=tiny.folder,
+        method="removal",
+        target=0.5,
+        iterations=300,
+        recovery=500,
+        quiet=True,
+        out=tmp_path / "half.ply",
+    )
     found, reached = estimate(options), prune_scene(options)
     assert found["kept"] == reached["count"]
     assert found["psnr_before"] == pytest.approx(reached["before"]["psnr"], abs=1e-6)
@@ -130,7 +152,14 @@ def test_an_allowed_drop_keeps_no_more_than_foreseen(trained, tiny, tmp_path):
     kept = []
     for drop in (0.3, 3.0):
         options = PruneOptions(
-            scene=trained, colmap=tiny.folder, method="removal", max_drop=drop, iterations=300, recovery=500, quiet=True, out=tmp_path / "o.ply"
+            scene=trained,
+            colmap=tiny.folder,
+            method="removal",
+            max_drop=drop,
+            iterations=300,
+            recovery=500,
+            quiet=True,
+            out=tmp_path / "o.ply",
         )
         found, reached = estimate(options), prune_scene(options)
         assert found["at_most"] and reached["count"] <= found["kept"] < found["count"]

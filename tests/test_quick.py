@@ -53,19 +53,28 @@ def test_an_order_gives_every_number(ordered):
     for count in (50, 51, 333, 1_000, scene.count - 1, scene.count):
         found = order.at(count)
         assert found.count == count
-        assert all(np.isfinite(getattr(found, name)).all() for name in ("means", "log_scales", "quats", "opacity_logits", "sh"))
+        assert all(
+            np.isfinite(getattr(found, name)).all()
+            for name in ("means", "log_scales", "quats", "opacity_logits", "sh")
+        )
 
 
 def test_pictures_that_nobody_wants_are_not_rendered(ordered):
     scene, _, pictures, rasterizer = ordered
     cameras, options = cameras_around(scene, 12, 128), render_options(scene)
-    with_pictures, without = looks(scene, cameras, rasterizer, options), looks(scene, cameras, rasterizer, options, pictures=False)
+    with_pictures, without = (
+        looks(scene, cameras, rasterizer, options),
+        looks(scene, cameras, rasterizer, options, pictures=False),
+    )
     assert len(pictures) == 12 and without[1] == [] and (with_pictures[0] == without[0]).all()
 
 
 def test_the_whole_scene_is_the_original(ordered):
     scene, order, *_ = ordered
-    assert all((getattr(order.at(scene.count), name) == getattr(scene, name)).all() for name in ("means", "log_scales", "quats", "opacity_logits", "sh"))
+    assert all(
+        (getattr(order.at(scene.count), name) == getattr(scene, name)).all()
+        for name in ("means", "log_scales", "quats", "opacity_logits", "sh")
+    )
 
 
 def test_merging_keeps_the_pictures_better_than_removing_the_faintest(ordered):
@@ -75,14 +84,20 @@ def test_merging_keeps_the_pictures_better_than_removing_the_faintest(ordered):
 
     def quality(small: Scene) -> float:
         images = (rasterizer.forward(small, camera, options)["rgb"].clip(0, 1) for camera in cameras)
-        return float(np.mean([psnr(image, picture.clip(0, 1)) for image, picture in zip(images, pictures, strict=True)]))
+        return float(
+            np.mean(
+                [psnr(image, picture.clip(0, 1)) for image, picture in zip(images, pictures, strict=True)]
+            )
+        )
 
     assert quality(order.at(500)) > quality(scene.select(chosen)) + 6
     assert quality(order.at(1_000)) > quality(order.at(500)) > quality(order.at(100))
 
 
 def test_the_command_writes_a_smaller_splat(svrgs, splat):
-    result = svrgs("prune", splat, "--quick", "--target", 0.25, "--out", splat.with_name("out.ply"), "--json").json
+    result = svrgs(
+        "prune", splat, "--quick", "--target", 0.25, "--out", splat.with_name("out.ply"), "--json"
+    ).json
     assert read_ply(splat.with_name("out.ply")).count == result["count"] == 500
     assert result["psnr"] > 28 and result["before"]["count"] == 2_000 and result["method"] == "quick"
     assert result["bytes"] == splat.with_name("out.ply").stat().st_size
@@ -112,7 +127,12 @@ def test_scenes_of_every_place_and_size(tmp_path, case):
 
 
 def _joined(a: Scene, b: Scene) -> Scene:
-    return Scene.of(*(np.concatenate([getattr(a, name), getattr(b, name)]) for name in ("means", "log_scales", "quats", "opacity_logits", "sh")))
+    return Scene.of(
+        *(
+            np.concatenate([getattr(a, name), getattr(b, name)])
+            for name in ("means", "log_scales", "quats", "opacity_logits", "sh")
+        )
+    )
 
 
 def test_one_gaussian(tmp_path):
@@ -155,7 +175,9 @@ def test_options_that_it_does_not_have_are_refused(splat, more, words):
 
 def test_several_splats_in_one_command(svrgs, splat, tmp_path):
     write_ply(tmp_path / "second.ply", ball(1_000, seed=1))
-    done = svrgs("prune", splat, tmp_path / "second.ply", "--quick", "--target", 0.5, "--out", tmp_path / "out")
+    done = svrgs(
+        "prune", splat, tmp_path / "second.ply", "--quick", "--target", 0.5, "--out", tmp_path / "out"
+    )
     assert done.status == 0, done.out + done.err
     assert [json.loads(line)["count"] for line in done.out.splitlines()] == [1_000, 500]
 
@@ -181,7 +203,11 @@ def test_steps_that_do_harm_are_taken_back(splat, monkeypatch, target):
     from svrgs_addon.prune import quick
 
     before = []
-    monkeypatch.setattr(quick, "refit", lambda scene, *_: before.append(scene) or dataclasses.replace(scene, sh=np.zeros_like(scene.sh)))
+    monkeypatch.setattr(
+        quick,
+        "refit",
+        lambda scene, *_: before.append(scene) or dataclasses.replace(scene, sh=np.zeros_like(scene.sh)),
+    )
     run(splat, target=target)
     assert (read_ply(splat.with_name("small.ply")).sh == before[0].sh).all()
 
@@ -191,7 +217,9 @@ def test_scenes_are_interpolated():
     for share in (0.0, 0.25, 1.0):
         found = interpolated(first, second, share)
         for name in ("means", "log_scales", "quats", "opacity_logits", "sh"):
-            assert getattr(found, name) == pytest.approx((1 - share) * getattr(first, name) + share * getattr(second, name), abs=1e-6)
+            assert getattr(found, name) == pytest.approx(
+                (1 - share) * getattr(first, name) + share * getattr(second, name), abs=1e-6
+            )
 
 
 def test_a_full_disk_costs_the_order_and_not_the_result(splat, monkeypatch, tmp_path):
@@ -200,7 +228,9 @@ def test_a_full_disk_costs_the_order_and_not_the_result(splat, monkeypatch, tmp_
 
     monkeypatch.setattr("svrgs_addon.prune.quick.write_order", full)
     out = splat.with_name("small.ply")
-    result = prune_quick(PruneOptions(scene=splat, out=out, target=0.5, quick=True), JobContext(out, order=tmp_path))
+    result = prune_quick(
+        PruneOptions(scene=splat, out=out, target=0.5, quick=True), JobContext(out, order=tmp_path)
+    )
     assert read_ply(out).count == result["count"] == 1_000 and "the disk is full" in result["notes"][-1]
 
 
@@ -222,13 +252,29 @@ def test_an_allowed_drop_decides_how_many_stay(splat):
 def test_the_smallest_file_within_a_drop_is_chosen_by_count_and_steps_together(splat, tmp_path, monkeypatch):
     """Coarser steps of SH that hardly show make the file smaller than more pruning does."""
     scene, chance = ball(), np.random.default_rng(0)
-    write_ply(splat, dataclasses.replace(scene, sh=np.concatenate([scene.sh[:, :1], 0.02 * chance.standard_normal((2_000, 15, 3), np.float32)], axis=1)))
+    write_ply(
+        splat,
+        dataclasses.replace(
+            scene,
+            sh=np.concatenate(
+                [scene.sh[:, :1], 0.02 * chance.standard_normal((2_000, 15, 3), np.float32)], axis=1
+            ),
+        ),
+    )
     out = tmp_path / "a.spz"
     together = run(splat, out=out, target=None, max_drop=0.5)
-    assert any("--quantise" in note for note in together["notes"]) and together["bytes"] == out.stat().st_size and together["drop"] < 0.5
+    assert (
+        any("--quantise" in note for note in together["notes"])
+        and together["bytes"] == out.stat().st_size
+        and together["drop"] < 0.5
+    )
     monkeypatch.setattr(smallest_file, "FACTORS", (1.0,))
     alone = run(splat, out=out, target=None, max_drop=0.5)
-    assert together["bytes"] < alone["bytes"] and together["count"] >= alone["count"] and not any("--quantise" in note for note in alone["notes"])
+    assert (
+        together["bytes"] < alone["bytes"]
+        and together["count"] >= alone["count"]
+        and not any("--quantise" in note for note in alone["notes"])
+    )
 
 
 @pytest.mark.parametrize("suffix", (".ply", ".sog"))
@@ -246,7 +292,9 @@ def test_levels_of_detail_go_into_one_streamed_sog(splat, tmp_path):
     out = tmp_path / "town" / "lod-meta.json"
     result = run(splat, out=out, target=None, levels=(0.5, 0.25))
     assert [sum(part.count for part in read_level(out, level)) for level in range(3)] == [2000, 1000, 500]
-    assert result["bytes"] > result["levels"][0]["bytes"] > result["levels"][1]["bytes"] > 0 and {level["out"] for level in result["levels"]} == {str(out)}
+    assert result["bytes"] > result["levels"][0]["bytes"] > result["levels"][1]["bytes"] > 0 and {
+        level["out"] for level in result["levels"]
+    } == {str(out)}
     alone = run(splat, out=tmp_path / "half.sog", target=0.5)
     assert abs(alone["psnr"] - result["levels"][0]["psnr"]) < 0.5
 
@@ -263,7 +311,8 @@ def test_an_allowed_drop_counts_what_the_format_loses(splat, tmp_path):
 @pytest.mark.parametrize("suffix, told", [(".ply", False), (".splat", True)])
 def test_a_format_that_loses_more_than_pruning_is_told(tmp_path, suffix, told):
     scene = ball()
-    scene.sh[:, 1:] = np.random.default_rng(0).normal(0, 0.1, scene.sh[:, 1:].shape)  # a .splat has degree 0 alone
+    # a .splat has degree 0 alone
+    scene.sh[:, 1:] = np.random.default_rng(0).normal(0, 0.1, scene.sh[:, 1:].shape)
     write_ply(tmp_path / "noise.ply", scene)
     notes = run(tmp_path / "noise.ply", target=0.9, out=tmp_path / f"o{suffix}")["notes"]
     assert any("the format of the output loses more than pruning" in note for note in notes) == told

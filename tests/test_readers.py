@@ -1,4 +1,5 @@
-"""Whatever the bytes are, a reader gives something valid or one sentence, within a second and bounded memory."""
+"""Whatever the bytes are, a reader gives something valid or one sentence, within a second and bounded
+memory."""
 
 from __future__ import annotations
 
@@ -59,14 +60,37 @@ def test_every_truncated_header_and_200_bodies(seeds):
         cuts = {*range(body), *np.linspace(body, len(data) - 1, 200).astype(int).tolist()}
         whole = [cut for cut in sorted(cuts) if ply(data[:cut])]
         # complete: the first element of a file with more of them, the last number of a text
-        assert not whole or b"element face" in data or (b"ascii" in data and min(whole) > len(data) - 9), whole[:5]
+        assert not whole or b"element face" in data or (b"ascii" in data and min(whole) > len(data) - 9), (
+            whole[:5]
+        )
 
 
 HEADER_LINES = st.one_of(
-    st.sampled_from([b"property float x", b"property float y", b"property uchar y", b"property list uchar int a", b"property", b"comment", b"obj_info x"]),
-    st.sampled_from([b"format ascii 1.0", b"format binary_little_endian 1.0", b"format binary_big_endian 1.0", b"end_header", b"ply", b""]),
+    st.sampled_from(
+        [
+            b"property float x",
+            b"property float y",
+            b"property uchar y",
+            b"property list uchar int a",
+            b"property",
+            b"comment",
+            b"obj_info x",
+        ]
+    ),
+    st.sampled_from(
+        [
+            b"format ascii 1.0",
+            b"format binary_little_endian 1.0",
+            b"format binary_big_endian 1.0",
+            b"end_header",
+            b"ply",
+            b"",
+        ]
+    ),
     st.builds(
-        lambda name, n: b"element %s %d" % (name, n), st.sampled_from([b"vertex", b"face", b"chunk"]), st.sampled_from([0, 1, 5, 2**31, 2**32, 2**63, 10**9])
+        lambda name, n: b"element %s %d" % (name, n),
+        st.sampled_from([b"vertex", b"face", b"chunk"]),
+        st.sampled_from([0, 1, 5, 2**31, 2**32, 2**63, 10**9]),
     ),
     st.binary(max_size=30),
 )
@@ -91,9 +115,16 @@ def test_files_of_a_megabyte(seeds, kind):
     data = {
         "properties": header + b"".join(b"property float a%d\n" % i for i in range(44_000)) + b"end_header\n",
         "comments": header + b"comment\n" * 120_000 + b"end_header\n" + body,
-        "elements": header + b"".join(b"element e%d 4294967295\n" % i for i in range(900)) + b"end_header\n" + body,
-        "zeros": header.replace(b"vertex 5", b"vertex %d" % ((size - 1000) // 68)) + b"end_header\n" + bytes((size - 1000) // 68 * 68),
-        "numbers": text.replace(b"vertex 5", b"vertex %d" % (size // 40)) + b"end_header\n" + b"1 " * (size // 2 - 500),
+        "elements": header
+        + b"".join(b"element e%d 4294967295\n" % i for i in range(900))
+        + b"end_header\n"
+        + body,
+        "zeros": header.replace(b"vertex 5", b"vertex %d" % ((size - 1000) // 68))
+        + b"end_header\n"
+        + bytes((size - 1000) // 68 * 68),
+        "numbers": text.replace(b"vertex 5", b"vertex %d" % (size // 40))
+        + b"end_header\n"
+        + b"1 " * (size // 2 - 500),
         "count": header.replace(b"vertex 5", b"vertex 9999999999") + b"end_header\n" + bytes(size - 1000),
     }[kind]
     assert 900_000 < len(data) < 1_000_000 or kind == "elements"
@@ -165,7 +196,10 @@ def test_what_is_written_is_read(tmp_path_factory, scene):
 
 JSON = st.recursive(
     st.none() | st.booleans() | st.floats() | st.integers(-(10**20), 10**20) | st.text(max_size=8),
-    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.sampled_from(list(camera_entries(1)[0])), inner, max_size=4),
+    lambda inner: (
+        st.lists(inner, max_size=4)
+        | st.dictionaries(st.sampled_from(list(camera_entries(1)[0])), inner, max_size=4)
+    ),
     max_leaves=12,
 )
 
@@ -181,7 +215,15 @@ def test_hostile_camera_files():
     whole = json.dumps(camera_entries()).encode()
     assert cameras_json(whole)
     assert not any(cameras_json(whole[:cut]) for cut in range(len(whole)))
-    for data in (b"[" * 400_000, b"1" * 900_000, b"[1e999]", b'"' + b"a" * 900_000, b"[" + b"{}," * 300_000 + b"{}]", b"\xff\xfe" + whole, bytes(900_000)):
+    for data in (
+        b"[" * 400_000,
+        b"1" * 900_000,
+        b"[1e999]",
+        b'"' + b"a" * 900_000,
+        b"[" + b"{}," * 300_000 + b"{}]",
+        b"\xff\xfe" + whole,
+        bytes(900_000),
+    ):
         assert not in_time_and_memory(cameras_json, data)
     many = json.dumps(camera_entries(4500)).encode()
     assert len(many) < 1_000_000 and in_time_and_memory(cameras_json, many)

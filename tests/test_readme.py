@@ -1,7 +1,8 @@
-"""Every command of README.md, run as it stands in a folder that holds the files it names. A new line must be added here.
+"""Every command of README.md, run as it stands in a folder that holds the files it names. A new line must be
+added here.
 
-`blender` is Blender as a Python module behind run_as_blender.py, or the Blender that SVRGS_BLENDER names (a command that takes
-Blender's arguments).
+`blender` is Blender as a Python module behind run_as_blender.py, or the Blender that SVRGS_BLENDER names (a
+command that takes Blender's arguments).
 """
 
 from __future__ import annotations
@@ -30,22 +31,40 @@ README = (ROOT / "README.md").read_text()
 RUNS: dict[str, tuple[str, ...]] = {  # command: what it writes
     "svrgs info scene.ply": (),
     "svrgs train --colmap DATASET --out trained.ply": ("trained.ply",),
-    "svrgs prune trained.ply --colmap DATASET --out pruned.ply --report report": ("pruned.ply", "report/index.html"),
+    "svrgs prune trained.ply --colmap DATASET --out pruned.ply --report report": (
+        "pruned.ply",
+        "report/index.html",
+    ),
     "svrgs prune trained.ply --colmap DATASET --target 0.25 --out quarter.ply": ("quarter.ply",),
     "svrgs prune trained.ply --colmap DATASET --target 0.25 --time 60 --out quarter.ply": ("quarter.ply",),
-    "svrgs prune trained.ply --colmap DATASET --target 0.25 --levels 0.5,0.1 --out quarter.ply": ("quarter.ply", "quarter_50.ply", "quarter_10.ply"),
+    "svrgs prune trained.ply --colmap DATASET --target 0.25 --levels 0.5,0.1 --out quarter.ply": (
+        "quarter.ply",
+        "quarter_50.ply",
+        "quarter_10.ply",
+    ),
     "svrgs prune scene.ply --target 0.25 --time 90 --out quarter.ply": ("quarter.ply",),
     "svrgs rig scene.ply --out cameras.json --preview rig.png": ("cameras.json", "rig.png"),
     "svrgs prune scene.ply --quick --target 0.25 --out quarter.ply": ("quarter.ply",),
     "svrgs select scene.ply --floaters --invert --out clean.ply": ("clean.ply",),
     "svrgs convert pruned.ply pruned.spz": ("pruned.spz",),
-    "svrgs prune scene.ply --quick --levels 0.5,0.25,0.12 --out scene/lod-meta.json": ("scene/lod-meta.json", "scene/3_0/meta.json"),
+    "svrgs prune scene.ply --quick --levels 0.5,0.25,0.12 --out scene/lod-meta.json": (
+        "scene/lod-meta.json",
+        "scene/3_0/meta.json",
+    ),
     "svrgs eval pruned.ply --colmap DATASET": (),
-    "svrgs farm export FOLDER --out JOB --methods removal,lightgaussian --targets 0.5,0.25": ("JOB/job.json", "JOB/template.json"),
-    "svrgs render pruned.ply --colmap DATASET --views test --outputs rgb,mask --out pictures": ("pictures/00.rgb.png", "pictures/00.mask.png"),
+    "svrgs farm export FOLDER --out JOB --methods removal,lightgaussian --targets 0.5,0.25": (
+        "JOB/job.json",
+        "JOB/template.json",
+    ),
+    "svrgs render pruned.ply --colmap DATASET --views test --outputs rgb,mask --out pictures": (
+        "pictures/00.rgb.png",
+        "pictures/00.mask.png",
+    ),
     "svrgs compare trained.ply pruned.ply --colmap DATASET --out comparison": ("comparison/index.html",),
     "blender --command svrgs prune trained.ply --colmap DATASET --out pruned.ply": ("pruned.ply",),
-    """blender -b FILE.blend --python-expr "import bpy; bpy.ops.svrgs.prune(colmap='DATASET', target=0.25)\"""": ("scene_pruned.ply",),
+    """blender -b FILE.blend --python-expr "import bpy; bpy.ops.svrgs.prune(colmap='DATASET', target=0.25)\"""": (
+        "scene_pruned.ply",
+    ),
     "blender -b --python svrgs_addon/batch.py -- prune FOLDER --out PRUNED": ("PRUNED/one.ply",),
 }
 SHORTER = {  # added, since 30,000 steps take minutes
@@ -62,22 +81,32 @@ NOT_RUN = {
 
 def commands(text: str) -> list[str]:
     """The commands of all code blocks, indented or fenced, without comments and with single blanks."""
-    blocks = re.findall(r"(?<=\n\n)(?: {4}.*\n)+", text) + re.findall(r"^```.*\n([\s\S]*?)^```", text, re.MULTILINE)
+    blocks = re.findall(r"(?<=\n\n)(?: {4}.*\n)+", text) + re.findall(
+        r"^```.*\n([\s\S]*?)^```", text, re.MULTILINE
+    )
     lines = "\n".join(blocks).replace("\\\n", " ").splitlines()
     return [" ".join(re.sub(r"\s# .*", "", line).split()) for line in lines if line.strip()]
 
 
 @pytest.fixture(scope="module")
 def tools(request, tmp_path_factory) -> dict[str, str]:
-    """Environment in which `svrgs` and `blender` are on PATH. The extension is installed in this Blender, unless it cannot be built."""
+    """Environment in which `svrgs` and `blender` are on PATH. The extension is installed in this Blender,
+    unless it cannot be built."""
     folder = tmp_path_factory.mktemp("tools")
-    programs = {"svrgs": [sys.executable, "-m", "svrgs_addon"], "blender": [sys.executable, ROOT / "tests/run_as_blender.py"]}
+    programs = {
+        "svrgs": [sys.executable, "-m", "svrgs_addon"],
+        "blender": [sys.executable, ROOT / "tests/run_as_blender.py"],
+    }
     if os.environ.get("SVRGS_BLENDER"):
         programs["blender"] = shlex.split(os.environ["SVRGS_BLENDER"])
     for name, words in programs.items():
         (folder / name).write_text(f'#!/bin/sh\nexec {shlex.join(map(str, words))} "$@"\n')
         (folder / name).chmod(0o755)
-    variables = {"PYTHONPATH": str(ROOT), "BLENDER_USER_RESOURCES": str(folder / "user"), "XDG_CACHE_HOME": str(folder / "cache")}
+    variables = {
+        "PYTHONPATH": str(ROOT),
+        "BLENDER_USER_RESOURCES": str(folder / "user"),
+        "XDG_CACHE_HOME": str(folder / "cache"),
+    }
     return {**os.environ, **variables, "PATH": f"{folder}:{os.environ['PATH']}"}
 
 
@@ -95,17 +124,25 @@ def inputs(tools, tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def blend(tools, inputs, extension_zip) -> Path:  # noqa: F811
-    """A .blend whose active object is the splat "scene", made by the Blender in which the extension is now installed."""
+    """A .blend whose active object is the splat "scene", made by the Blender in which the extension is now
+    installed."""
     made = extension_zip(shutil.which("blender", path=tools["PATH"]), "-b", "--python-expr")
-    assert "STATUS Installed" in run(f"blender --command extension install-file -r user_default -e {made}", tools, inputs)
-    code = "import bpy; bpy.ops.svrgs.import_ply(filepath='scene.ply'); bpy.ops.wm.save_as_mainfile(filepath='FILE.blend')"
+    assert "STATUS Installed" in run(
+        f"blender --command extension install-file -r user_default -e {made}", tools, inputs
+    )
+    code = (
+        "import bpy; bpy.ops.svrgs.import_ply(filepath='scene.ply');"
+        " bpy.ops.wm.save_as_mainfile(filepath='FILE.blend')"
+    )
     run(f'blender -b --python-expr "{code}"', tools, inputs)
     return inputs / "FILE.blend"
 
 
 def run(line: str, variables: dict[str, str], folder: Path) -> str:
     """stdout of a line in a shell."""
-    done = subprocess.run(["bash", "-c", line], env=variables, cwd=folder, capture_output=True, text=True, timeout=300)
+    done = subprocess.run(
+        ["bash", "-c", line], env=variables, cwd=folder, capture_output=True, text=True, timeout=300
+    )
     assert done.returncode == 0 and "Traceback" not in done.stderr, done.stdout[-2000:] + done.stderr[-4000:]
     return done.stdout
 
@@ -132,8 +169,13 @@ def test_every_command_is_known_here():
 def test_wheels_have_the_names_that_make_package_gives_them():
     """tests/test_packaging.py looks into the wheels, and installs one."""
     named = [line for line in commands(README) if line.startswith("pip install ")]
-    made = [f"svrgs_addon-{platforms.VERSION}-py3-none-{facts['pip']}.whl" for facts in platforms.TABLE["platform"].values()]
-    assert named and all(line == f'pip install "{wheel}[colmap]"' for line in named for wheel in made if wheel in line)
+    made = [
+        f"svrgs_addon-{platforms.VERSION}-py3-none-{facts['pip']}.whl"
+        for facts in platforms.TABLE["platform"].values()
+    ]
+    assert named and all(
+        line == f'pip install "{wheel}[colmap]"' for line in named for wheel in made if wheel in line
+    )
     assert all(any(wheel in line for wheel in made) for line in named)
 
 
@@ -142,9 +184,17 @@ def test_every_command_that_is_not_run_exists():
     assert set(re.findall(r"(?<![\w.])make ([a-z-]+)", README)) <= set(targets)
     for line in NOT_RUN:
         program, command = line.split()
-        assert command in targets if program == "make" else subprocess.run([sys.executable, "-m", "svrgs_addon", command, "--help"], cwd=ROOT).returncode == 0
+        assert (
+            command in targets
+            if program == "make"
+            else subprocess.run([sys.executable, "-m", "svrgs_addon", command, "--help"], cwd=ROOT).returncode
+            == 0
+        )
 
 
 def test_commands_are_found_in_every_kind_of_block():
-    text = "Text:\n\n    a  --b   # comment\n\n    c \\\n      --d\n\n1. item\n    no code\n\n```sh\ne '#1'\n\nf\n```\n"
+    text = (
+        "Text:\n\n    a  --b   # comment\n\n    c \\\n      --d\n\n1. item\n    no code\n\n```sh\ne"
+        " '#1'\n\nf\n```\n"
+    )
     assert commands(text) == ["a --b", "c --d", "e '#1'", "f"]

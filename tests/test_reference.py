@@ -1,4 +1,5 @@
-"""The reference rasterizer: gradients against finite differences, one Gaussian and spherical harmonics by hand."""
+"""The reference rasterizer: gradients against finite differences, one Gaussian and spherical harmonics by
+hand."""
 
 import math
 
@@ -21,11 +22,19 @@ CASES = {
         scenes.CAMERAS["rotated"].resized(10, 8),
         {"mask_kind": "b"},
     ),
-    "scenario_a": (scenes.random_scene(8, 3, 0, scale=0.3), scenes.camera(7, 9, shift=(0.4, -0.3)), {"mask_kind": "a"}),
+    "scenario_a": (
+        scenes.random_scene(8, 3, 0, scale=0.3),
+        scenes.camera(7, 9, shift=(0.4, -0.3)),
+        {"mask_kind": "a"},
+    ),
     "stopping": (scenes.opaque_stack(24, 4, 0), scenes.camera(5, 4), {"mode": "full"}),
     "stopping_visible": (scenes.opaque_stack(24, 4, 0), scenes.camera(5, 4), {"mode": "visible"}),
     "clamped": (scenes.off_screen(8, 5, 0), scenes.camera(6, 8), {}),
-    "orthographic": (scenes.random_scene(6, 6, 3, scale=0.3), scenes.parallel(scenes.CAMERAS["rotated"].resized(9, 7)), {}),
+    "orthographic": (
+        scenes.random_scene(6, 6, 3, scale=0.3),
+        scenes.parallel(scenes.CAMERAS["rotated"].resized(9, 7)),
+        {},
+    ),
 }
 
 
@@ -93,7 +102,8 @@ def test_clamped_alpha_passes_gradient_to_the_mask_only():
 
 @pytest.mark.parametrize("antialiased", [False, True])
 def test_isotropic_gaussian_by_hand(antialiased):
-    """Focal 20, depth 2, σ 0.1: one px², plus the blur 1.3 px²; the pixel (6, 4) is (2, 1) px from the centre."""
+    """Focal 20, depth 2, σ 0.1: one px², plus the blur 1.3 px²; the pixel (6, 4) is (2, 1) px from the
+    centre."""
     params = gaussians([(0, 0, 2)], scale=0.1, opacity=0.5, dc=0.4)
     image = images(params, [1], frontal(9, 7), antialiased=antialiased)
     alpha = (0.5 / 1.3 if antialiased else 0.5) * math.exp(-0.5 * (2**2 + 1**2) / 1.3)
@@ -140,7 +150,9 @@ def test_jacobian_is_clamped_at_1_3_half_views():
     np.testing.assert_allclose(low, -high)
     K_off = K + torch.tensor([[0, 0, 8.0], [0, 0, -3.0], [0, 0, 0]])  # principal point at (28, 7)
     limits = ref.frustum_limits(K_off, 40, 20)
-    np.testing.assert_allclose(torch.stack(limits), [[-(28 + 6) / 20, -(7 + 3) / 20], [(12 + 6) / 20, (13 + 3) / 20]])
+    np.testing.assert_allclose(
+        torch.stack(limits), [[-(28 + 6) / 20, -(7 + 3) / 20], [(12 + 6) / 20, (13 + 3) / 20]]
+    )
     J = ref.projection_jacobian(torch.tensor([[10.0, 0.5, 2.0]], dtype=torch.float64), K, 40, 20)[0]
     np.testing.assert_allclose(J, [[10, 0, -20 * 1.3 / 2], [0, 10, -20 * 0.25 / 2]])
 
@@ -183,7 +195,8 @@ def test_active_degree_ignores_higher_bands():
 
 
 def test_colour_is_seen_from_the_camera_centre():
-    """Band one, red only in the x coefficient: seen along +x it is 0.5 − c·sh, whatever the camera's rotation."""
+    """Band one, red only in the x coefficient: seen along +x it is 0.5 − c·sh, whatever the camera's
+    rotation."""
     params = gaussians([(0, 0, 0)])
     sh = torch.zeros(1, 4, 3, dtype=torch.float64)
     sh[0, 3, 0] = 0.6

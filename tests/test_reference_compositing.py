@@ -20,7 +20,9 @@ def walk(alpha, hit, M, colour, z, mode, kind, eps) -> dict[str, object]:
         if not stopped and T * (1 - M[i] * alpha[i]) < 1e-4:
             stopped = True
         if not stopped:
-            C, depth, A = (total + M[i] * alpha[i] * T * x for total, x in ((C, colour[i]), (depth, z[i]), (A, 1)))
+            C, depth, A = (
+                total + M[i] * alpha[i] * T * x for total, x in ((C, colour[i]), (depth, z[i]), (A, 1))
+            )
             T *= 1 - M[i] * alpha[i]
         if mode == "full" or not stopped:
             counted.append((alpha[i], M[i], T_full))
@@ -29,7 +31,9 @@ def walk(alpha, hit, M, colour, z, mode, kind, eps) -> dict[str, object]:
     terms = {
         "svr": lambda: sum(m * (1 - a * t) for a, m, t in counted) / math.log(1 + N),
         "b": lambda: sum(m * (1 - t) for _, m, t in counted) / math.log(1 + N),
-        "a": lambda: sum(m / (a * t + eps) for a, m, t in counted) / sum(1 / (a * t + eps) for a, _, t in counted),
+        "a": lambda: (
+            sum(m / (a * t + eps) for a, m, t in counted) / sum(1 / (a * t + eps) for a, _, t in counted)
+        ),
     }
     F = terms[kind]() if N else 0.0
     rgb = C + T * np.array(BACKGROUND)
@@ -42,7 +46,9 @@ def test_compositing_is_the_literal_walk(mode, kind):
     scene, camera = scenes.opaque_stack(30, 2, 1), scenes.camera(6, 5)
     params, masks = scenes.leaves(scene, requires_grad=False), scenes.random_masks(30, 2)
     image = images(params, masks, camera, mode=mode, mask_kind=kind, eps_a=1e-2)
-    splats = ref.project(*params.values(), torch.tensor(camera.viewmat), torch.tensor(camera.K), 6, 5, 1, False)
+    splats = ref.project(
+        *params.values(), torch.tensor(camera.viewmat), torch.tensor(camera.K), 6, 5, 1, False
+    )
     alpha, hit = ref.alphas(splats, ref.pixel_centres(6, 5))
     for p in range(30):
         expected = walk(
@@ -54,7 +60,8 @@ def test_compositing_is_the_literal_walk(mode, kind):
 
 
 def test_full_and_visible_differ_behind_the_stop_only():
-    """α = 0.8: T = 0.2, …, 3.2e-4 after five splats; the sixth stops. One masked-out hit in front of it, one behind."""
+    """α = 0.8: T = 0.2, …, 3.2e-4 after five splats; the sixth stops. One masked-out hit in front of it, one
+    behind."""
     params = gaussians([(0, 0, z) for z in range(2, 14)], scale=50, opacity=0.8)
     masks = np.ones(12)
     masks[[1, 9]] = 0
@@ -97,7 +104,9 @@ def test_masked_equals_deleted():
     for render in renders:
         weighted_sum(replace(render, F=render.F.detach())).backward()
     for name in both[0]:
-        np.testing.assert_allclose(both[0][name].grad[kept], both[1][name].grad, rtol=1e-9, atol=1e-13, err_msg=name)
+        np.testing.assert_allclose(
+            both[0][name].grad[kept], both[1][name].grad, rtol=1e-9, atol=1e-13, err_msg=name
+        )
 
 
 def test_permutation_changes_nothing():
@@ -112,7 +121,9 @@ def test_permutation_changes_nothing():
         weighted_sum(render).backward()
     np.testing.assert_allclose(M[0].grad[order], M[1].grad, atol=1e-14)
     for name in both[0]:
-        np.testing.assert_allclose(both[0][name].grad[order], both[1][name].grad, rtol=1e-9, atol=1e-13, err_msg=name)
+        np.testing.assert_allclose(
+            both[0][name].grad[order], both[1][name].grad, rtol=1e-9, atol=1e-13, err_msg=name
+        )
 
 
 def test_equal_depths_keep_index_order():
@@ -131,7 +142,11 @@ def test_near_plane():
 
 
 def test_nothing_to_draw_is_the_background():
-    for params in (scenes.leaves(scenes.empty_scene()), gaussians([(0, 0, -1)]), gaussians([(0, 0, 2)], opacity=1e-3)):
+    for params in (
+        scenes.leaves(scenes.empty_scene()),
+        gaussians([(0, 0, -1)]),
+        gaussians([(0, 0, 2)], opacity=1e-3),
+    ):
         masks = torch.ones(len(params["means"]), dtype=torch.float64, requires_grad=True)
         render = scenes.reference_render(params, masks, frontal(3, 2), BACKGROUND)
         np.testing.assert_array_equal(render.rgb.detach(), np.broadcast_to(BACKGROUND, (2, 3, 3)))
@@ -142,7 +157,8 @@ def test_nothing_to_draw_is_the_background():
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 5), (5, 1)])
 def test_thin_images_are_pieces_of_larger_ones(size):
-    """A crop is the same camera with its principal point moved, as long as no Jacobian is clamped in either."""
+    """A crop is the same camera with its principal point moved, as long as no Jacobian is clamped in
+    either."""
     (w, h), (x, y) = size, (4, 3)
     whole = scenes.camera(9, 9)
     K = whole.K.copy()
@@ -163,7 +179,9 @@ def test_hostile_scenes_stay_finite(kind):
     scene, masks = scenes.HOSTILE_SCENES[kind](40, 1, 1), scenes.random_masks(40, 1)
     params = scenes.leaves(scene)
     for name in ("plain", "off_centre", "inside", "pixel"):
-        render = scenes.reference_render(params, masks, scenes.CAMERAS[name], BACKGROUND, antialiased=name == "plain")
+        render = scenes.reference_render(
+            params, masks, scenes.CAMERAS[name], BACKGROUND, antialiased=name == "plain"
+        )
         weighted_sum(render).backward()
         assert all(torch.isfinite(getattr(render, image)).all() for image in IMAGES)
     assert all(torch.isfinite(x.grad).all() for x in params.values())

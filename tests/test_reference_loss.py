@@ -19,7 +19,9 @@ def test_ssim_at_a_corner_by_hand():
     mx, my = (w * px).sum(), (w * py).sum()
     vx, vy, cov = (w * px * px).sum() - mx**2, (w * py * py).sum() - my**2, (w * px * py).sum() - mx * my
     expected = (2 * mx * my + 1e-4) * (2 * cov + 9e-4) / ((mx**2 + my**2 + 1e-4) * (vx + vy + 9e-4))
-    assert loss.ssim_map(torch.tensor(x), torch.tensor(y))[1, 0, 1].item() == pytest.approx(expected, rel=1e-12)
+    assert loss.ssim_map(torch.tensor(x), torch.tensor(y))[1, 0, 1].item() == pytest.approx(
+        expected, rel=1e-12
+    )
 
 
 def test_loss_of_equal_images_is_zero_and_weights_are_as_published():

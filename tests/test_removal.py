@@ -52,7 +52,10 @@ def test_saliency_is_the_removal_error_over_the_mask_penalty():
     r, options = Rasterizer("float64"), RenderOptions(mask_kind="svr")
     double = Model.of(scene, np.float64)
     found = saliency(double, [camera], r, options)
-    whole = {name: image.copy() for name, image in r.forward(double, camera, options, outputs=("rgb", "mask", "hits")).items()}
+    whole = {
+        name: image.copy()
+        for name, image in r.forward(double, camera, options, outputs=("rgb", "mask", "hits")).items()
+    }
     for i in range(scene.count):
         masks = np.ones(scene.count, np.uint8)
         masks[i] = 0
@@ -102,13 +105,20 @@ def test_those_of_lowest_removal_error_go_first(monkeypatch):
 def test_the_target_is_approached_quickly_at_first_and_met(method, monkeypatch):
     monkeypatch.setattr(removal, "STEPS_PER_LOOK", 2)
     counts = counts_of(run_of(replace(prune_settings(method, 32, 4), target=15)))
-    np.testing.assert_allclose(counts[:32:2], [COUNT * (15 / COUNT) ** math.sqrt(k / LOOKS) for k in range(1, LOOKS + 1)], atol=1)
-    assert counts[0] == counts[1] and counts[30] == counts[-1] == 15, "a look after the first step of each part"
+    np.testing.assert_allclose(
+        counts[:32:2], [COUNT * (15 / COUNT) ** math.sqrt(k / LOOKS) for k in range(1, LOOKS + 1)], atol=1
+    )
+    assert counts[0] == counts[1] and counts[30] == counts[-1] == 15, (
+        "a look after the first step of each part"
+    )
 
 
 def test_a_short_run_takes_larger_steps_and_a_long_one_those_of_3dgs():
     for steps, larger in ((12_800, 1), (3_200, 2), (800, 4), (100, 4)):
-        first, recover = (phase.rates.at(1, 1.0) for phase in prune_settings("removal", steps * 3 // 8, steps * 5 // 8).phases)
+        first, recover = (
+            phase.rates.at(1, 1.0)
+            for phase in prune_settings("removal", steps * 3 // 8, steps * 5 // 8).phases
+        )
         usual = Rates().at(0, 1.0)
         for name in ("log_scales", "quats", "sh", "sh_rest"):
             assert first[name] == recover[name] == pytest.approx(larger * usual[name], rel=1e-3)
@@ -126,7 +136,10 @@ def test_the_fewer_are_left_the_larger_the_steps(left, larger):
         usual, rates = phase.rates.at(7, run.extent), run.method.rates(run, phase, 7)
         for name in ("log_scales", "quats", "sh", "sh_rest"):
             assert rates[name] == pytest.approx(larger * usual[name])
-        assert rates["means"] == pytest.approx(min(larger, 2) * usual["means"]) and rates["opacity_logits"] == usual["opacity_logits"]
+        assert (
+            rates["means"] == pytest.approx(min(larger, 2) * usual["means"])
+            and rates["opacity_logits"] == usual["opacity_logits"]
+        )
 
 
 def test_steps_are_never_larger_than_four_times_those_of_3dgs():
@@ -144,7 +157,9 @@ def test_training_keeps_its_rates_until_gaussians_are_removed():
 def test_a_short_phase_has_fewer_looks():
     counts = counts_of(run_of(replace(prune_settings("removal", 32, 4), target=15)))
     assert len(set(counts)) == FEWEST < LOOKS and counts[-1] == 15
-    assert [number_of_looks(steps) for steps in (1, FEWEST, 8 * STEPS_PER_LOOK, LOOKS * STEPS_PER_LOOK, 10_000)] == [1, FEWEST, 8, LOOKS, LOOKS]
+    assert [
+        number_of_looks(steps) for steps in (1, FEWEST, 8 * STEPS_PER_LOOK, LOOKS * STEPS_PER_LOOK, 10_000)
+    ] == [1, FEWEST, 8, LOOKS, LOOKS]
 
 
 @pytest.mark.parametrize("steps", [1, 5, 17])
@@ -166,7 +181,15 @@ def test_nothing_but_the_image_loss_acts_on_those_that_stay():
 
 @pytest.mark.parametrize(
     ("steps", "factor", "odds"),
-    [(0, 1, 1), (30, 1, 0.1**0.5), (60, 1, 0.1), (240, 0.5, 0.1), (960, 0.25, 0.1), (6_000, 0.1, 0.1), (100_000, 0.1, 0.1)],
+    [
+        (0, 1, 1),
+        (30, 1, 0.1**0.5),
+        (60, 1, 0.1),
+        (240, 0.5, 0.1),
+        (960, 0.25, 0.1),
+        (6_000, 0.1, 0.1),
+        (100_000, 0.1, 0.1),
+    ],
 )
 def test_the_more_steps_can_raise_opacities_the_lower_they_begin(steps, factor, odds):
     assert removal.lowering(steps) == pytest.approx((factor, odds))
@@ -179,7 +202,9 @@ def test_opacities_are_lowered_before_the_first_step_but_not_of_what_no_view_see
     seen = views_that_see(run.model, run.training_cameras, run.engine.rasterizer, run.score_options)
     assert not seen[:3].any() and seen[3:].all()
     run._prepare(*run.phase())
-    before, after = (1 / (1 + np.exp(-values.astype(float))) for values in (scene.opacity_logits, run.model.opacity_logits))
+    before, after = (
+        1 / (1 + np.exp(-values.astype(float))) for values in (scene.opacity_logits, run.model.opacity_logits)
+    )
     run.close()
     factor, odds = removal.lowering(240 * seen.mean() / len(run.training_cameras))
     assert 0.4 < factor < 0.7 and odds == 0.1
@@ -195,12 +220,18 @@ def test_lowered_opacities_may_rise_faster_at_first(steps, soon):
     last = phase.rates.at(1, 1.0)["opacity_logits"]
     for lowered, factors in ((True, [8 - 7 / soon, 4.5, 1, 1]), (False, [1, 1, 1, 1])):
         run.method.lowered = lowered
-        found = [run.method.rates(run, phase, number)["opacity_logits"] / last for number in (1, soon // 2, soon, steps)]
+        found = [
+            run.method.rates(run, phase, number)["opacity_logits"] / last
+            for number in (1, soon // 2, soon, steps)
+        ]
         assert found == pytest.approx(factors)
     run.close()
 
 
-@pytest.mark.parametrize(("opaque", "more", "lowered"), [(3, {"target": 15}, True), (2, {"target": 15}, False), (3, {"max_drop": 1.0}, True)])
+@pytest.mark.parametrize(
+    ("opaque", "more", "lowered"),
+    [(3, {"target": 15}, True), (2, {"target": 15}, False), (3, {"max_drop": 1.0}, True)],
+)
 def test_nothing_is_lowered_where_few_gaussians_are_opaque(opaque, more, lowered):
     scene, data = scene_and_data()
     scene.opacity_logits[:] = np.where(np.arange(COUNT) < opaque, 2.2, 2.1)  # opacities 0.900 and 0.891
@@ -231,6 +262,10 @@ def test_no_more_is_lost_than_allowed():
 
 def test_in_training_removal_comes_after_densification():
     phases = train_settings("removal", 23, 5, target=30).phases
-    assert [(phase.name, phase.steps, phase.active) for phase in phases] == [("train", 15, False), ("prune", 8, True), ("recover", 5, False)]
+    assert [(phase.name, phase.steps, phase.active) for phase in phases] == [
+        ("train", 15, False),
+        ("prune", 8, True),
+        ("recover", 5, False),
+    ]
     counts = counts_of(run_of(train_settings("removal", 23, 5, target=30)))
     assert counts[14] == COUNT > counts[15] > counts[22] == counts[-1] == 30

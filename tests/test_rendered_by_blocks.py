@@ -1,4 +1,5 @@
-"""`svrgs render`, `eval` and `compare` of scenes that are too large for memory: they go over to blocks, say so, and give the same pictures and figures."""
+"""`svrgs render`, `eval` and `compare` of scenes that are too large for memory: they go over to blocks, say
+so, and give the same pictures and figures."""
 
 from __future__ import annotations
 
@@ -25,7 +26,9 @@ from svrgs_bench.scenes import orbit_camera, room
 
 COUNT = 5_000
 SAID = "it is done by blocks in "
-mapped_files_are_listed = pytest.mark.skipif(not os.path.exists("/proc/self/maps"), reason="the system does not list what is mapped")
+mapped_files_are_listed = pytest.mark.skipif(
+    not os.path.exists("/proc/self/maps"), reason="the system does not list what is mapped"
+)
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +41,9 @@ def source(tmp_path_factory):
 @pytest.fixture(scope="module")
 def cameras(source):
     path = source.with_name("cameras.json")
-    write_cameras_json(path, [replace(orbit_camera(160, 120, turn), name=f"{turn}.png") for turn in (0.0, 0.3, 0.7)])
+    write_cameras_json(
+        path, [replace(orbit_camera(160, 120, turn), name=f"{turn}.png") for turn in (0.0, 0.3, 0.7)]
+    )
     return path
 
 
@@ -54,24 +59,45 @@ def short(monkeypatch, tmp_path):
 
 
 def rendered(svrgs, source, cameras, out, outputs=",".join(PICTURES)):
-    done = svrgs("render", source, "--cameras", cameras, "--outputs", outputs, "--format", "npy", "--background", "0.2,0.5,0.1", "--out", out)
+    done = svrgs(
+        "render",
+        source,
+        "--cameras",
+        cameras,
+        "--outputs",
+        outputs,
+        "--format",
+        "npy",
+        "--background",
+        "0.2,0.5,0.1",
+        "--out",
+        out,
+    )
     assert done.status == 0, done.err
     return {path.name: np.load(path) for path in sorted(out.iterdir())}
 
 
-def test_pictures_are_those_of_the_scene_in_memory(svrgs, monkeypatch, source, cameras, tmp_path, request, caplog):
+def test_pictures_are_those_of_the_scene_in_memory(
+    svrgs, monkeypatch, source, cameras, tmp_path, request, caplog
+):
     in_memory = rendered(svrgs, source, cameras, tmp_path / "whole")
     assert SAID not in caplog.text
     place = request.getfixturevalue("short")
     in_blocks = rendered(svrgs, source, cameras, tmp_path / "blocks")
-    assert f"{SAID}{place} (TMPDIR), which takes longer" in caplog.text and "svrgs convert" not in caplog.text and not any(place.iterdir())
+    assert (
+        f"{SAID}{place} (TMPDIR), which takes longer" in caplog.text
+        and "svrgs convert" not in caplog.text
+        and not any(place.iterdir())
+    )
     assert in_memory.keys() == in_blocks.keys() and len(in_memory) == 3 * len(PICTURES)
     for name, picture in in_memory.items():
         bound = 0 if name.endswith(("depth.npy", "alpha.npy")) else 1e-6 * np.abs(picture).max()
         assert np.ptp(picture) > 0.1 and np.abs(in_blocks[name] - picture).max() <= bound, name
 
 
-def test_memory_holds_one_block_of_those_that_the_spatial_mask_counts(svrgs, short, source, cameras, tmp_path, monkeypatch):
+def test_memory_holds_one_block_of_those_that_the_spatial_mask_counts(
+    svrgs, short, source, cameras, tmp_path, monkeypatch
+):
     counts, forward = [], Rasterizer.forward
 
     def note(self, scene, *more, outputs=("rgb",), **named):
@@ -98,17 +124,31 @@ def test_scenes_are_compared_by_blocks(svrgs, tiny, tmp_path, request, caplog):
     in_memory = svrgs(*words, "--out", tmp_path / "whole").json
     request.getfixturevalue("short")
     found = svrgs(*words, "--out", tmp_path / "blocks").json
-    assert caplog.text.count(SAID) == 2 and found["a"]["psnr"] == pytest.approx(in_memory["a"]["psnr"], abs=1e-4)
-    assert sorted(path.name for path in (tmp_path / "blocks").iterdir()) == sorted(path.name for path in (tmp_path / "whole").iterdir())
-    assert 'Time per frame</th><td class="soft" colspan="3">not measured' in (tmp_path / "blocks/index.html").read_text()
+    assert caplog.text.count(SAID) == 2 and found["a"]["psnr"] == pytest.approx(
+        in_memory["a"]["psnr"], abs=1e-4
+    )
+    assert sorted(path.name for path in (tmp_path / "blocks").iterdir()) == sorted(
+        path.name for path in (tmp_path / "whole").iterdir()
+    )
+    assert (
+        'Time per frame</th><td class="soft" colspan="3">not measured'
+        in (tmp_path / "blocks/index.html").read_text()
+    )
 
 
-def test_pictures_of_a_divided_scene_take_the_place_of_photographs(svrgs, source, cameras, tmp_path, request, caplog):
+def test_pictures_of_a_divided_scene_take_the_place_of_photographs(
+    svrgs, source, cameras, tmp_path, request, caplog
+):
     words = ["compare", source, source, "--cameras", cameras, "--json"]
     assert svrgs(*words, "--out", tmp_path / "whole").json["b"]["psnr"] is None
     request.getfixturevalue("short")
     found = svrgs(*words, "--out", tmp_path / "blocks").json
-    assert caplog.text.count(SAID) == 2 and found["a"].keys() == {"count", "bytes"} and found["b"]["psnr"] is None and len(found["pictures"]) == 3
+    assert (
+        caplog.text.count(SAID) == 2
+        and found["a"].keys() == {"count", "bytes"}
+        and found["b"]["psnr"] is None
+        and len(found["pictures"]) == 3
+    )
 
 
 def test_other_cameras_are_refused(svrgs, short, tiny, tmp_path):
@@ -117,11 +157,17 @@ def test_other_cameras_are_refused(svrgs, short, tiny, tmp_path):
     scene.means[:] += 1e6
     write_scene(far, scene)
     said = svrgs("eval", far, "--colmap", tiny.folder)
-    assert said.status == 2 and "none of its Gaussians is near a camera" in said.err and not any(short.iterdir())
+    assert (
+        said.status == 2 and "none of its Gaussians is near a camera" in said.err and not any(short.iterdir())
+    )
 
 
-def test_pictures_that_are_too_large_are_refused_at_once(svrgs, short, monkeypatch, source, cameras, tmp_path):
-    monkeypatch.setattr("svrgs_addon.prune.blocks.block_rasterizer.divide", lambda *_: pytest.fail("the scene was divided"))
+def test_pictures_that_are_too_large_are_refused_at_once(
+    svrgs, short, monkeypatch, source, cameras, tmp_path
+):
+    monkeypatch.setattr(
+        "svrgs_addon.prune.blocks.block_rasterizer.divide", lambda *_: pytest.fail("the scene was divided")
+    )
     monkeypatch.setattr(memory, "available", lambda: 100_000)
     said = svrgs("render", source, "--cameras", cameras, "--out", tmp_path / "out")
     assert said.status == 2 and "of memory" in said.err and not (tmp_path / "out").exists()
@@ -131,11 +177,25 @@ def test_pictures_that_are_too_large_are_refused_at_once(svrgs, short, monkeypat
 def test_no_block_is_mapped_where_it_is_removed(svrgs, short, monkeypatch, source, cameras, tmp_path):
     """Windows removes no file that is."""
     mapped, cleanup = [], tempfile.TemporaryDirectory.cleanup
-    monkeypatch.setattr(tempfile.TemporaryDirectory, "cleanup", lambda self: (mapped.append(all_mapped()), cleanup(self)))
+    monkeypatch.setattr(
+        tempfile.TemporaryDirectory, "cleanup", lambda self: (mapped.append(all_mapped()), cleanup(self))
+    )
     rendered(svrgs, source, cameras, tmp_path / "out")
     assert len(mapped) == 1 and "svrgs-blocks-" not in mapped[0]
     monkeypatch.setattr(whole, "remove", lambda work: (mapped.append(all_mapped()), folder.remove(work)))
-    done = svrgs("large", "prune", source, "--cameras", cameras, "--target", 0.5, "--out", tmp_path / "pruned.ply", "--block", COUNT // 3)
+    done = svrgs(
+        "large",
+        "prune",
+        source,
+        "--cameras",
+        cameras,
+        "--target",
+        0.5,
+        "--out",
+        tmp_path / "pruned.ply",
+        "--block",
+        COUNT // 3,
+    )
     assert done.status == 0 and len(mapped) == 2 and "pruned.ply.blocks" not in mapped[1]
 
 
@@ -146,12 +206,34 @@ def all_mapped() -> str:
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGTERM for other processes")
 def test_a_stop_leaves_no_blocks_behind(source, cameras, tmp_path):
     (tmp_path / "temporary").mkdir()
-    code = "from svrgs_addon import memory; from svrgs_addon.cli.main import main; memory.reading = lambda _: 10**15; "
-    code += "import svrgs_addon.prune.blocks.block_rasterizer as o, time, sys; o.seen = lambda *a, **k: time.sleep(60); sys.exit(main(sys.argv[1:]))"
-    words = [sys.executable, "-c", code, "render", str(source), "--cameras", str(cameras), "--out", str(tmp_path / "out")]
-    process = subprocess.Popen(words, env={**os.environ, "TMPDIR": str(tmp_path / "temporary")}, stderr=subprocess.PIPE, text=True)
+    code = (
+        "from svrgs_addon import memory; from svrgs_addon.cli.main import main; memory.reading = lambda _:"
+        " 10**15; "
+    )
+    code += (
+        "import svrgs_addon.prune.blocks.block_rasterizer as o, time, sys; o.seen = lambda *a, **k:"
+        " time.sleep(60); sys.exit(main(sys.argv[1:]))"
+    )
+    words = [
+        sys.executable,
+        "-c",
+        code,
+        "render",
+        str(source),
+        "--cameras",
+        str(cameras),
+        "--out",
+        str(tmp_path / "out"),
+    ]
+    process = subprocess.Popen(
+        words, env={**os.environ, "TMPDIR": str(tmp_path / "temporary")}, stderr=subprocess.PIPE, text=True
+    )
     end = time.monotonic() + 50
-    while not list((tmp_path / "temporary").glob("*/blocks.json")) and process.poll() is None and time.monotonic() < end:
+    while (
+        not list((tmp_path / "temporary").glob("*/blocks.json"))
+        and process.poll() is None
+        and time.monotonic() < end
+    ):
         time.sleep(0.02)
     process.send_signal(signal.SIGTERM)
     assert "interrupted" in process.communicate(timeout=30)[1] and process.returncode == 130

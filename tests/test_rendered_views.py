@@ -47,7 +47,13 @@ def splat(tmp_path):
 
 
 def prune(path, **more) -> dict:
-    options = {"target": 0.25, "recovery": 40, "out": path.with_name("small.ply"), "scene": path, "quiet": True} | more
+    options = {
+        "target": 0.25,
+        "recovery": 40,
+        "out": path.with_name("small.ply"),
+        "scene": path,
+        "quiet": True,
+    } | more
     return prune_scene(PruneOptions(**options))
 
 
@@ -55,7 +61,9 @@ def test_pictures_are_those_of_the_scene(splat):
     dataset, scene = rendered_dataset(PruneOptions(scene=splat, background=(0.2, 0.4, 0.6))), read_ply(splat)
     for index in (0, len(dataset.cameras) - 1):
         image = dataset.image(index)
-        rgb = Rasterizer().forward(scene, dataset.cameras[index], render_options(scene, (0.2, 0.4, 0.6)))["rgb"]
+        rgb = Rasterizer().forward(scene, dataset.cameras[index], render_options(scene, (0.2, 0.4, 0.6)))[
+            "rgb"
+        ]
         assert image.dtype == np.uint8 and np.abs(to_float(image) - rgb.clip(0, 1)).max() < 0.51 / 255
         assert not image.flags.writeable
     assert set(dataset.train_indices) | set(dataset.test_indices) == set(range(len(dataset.cameras)))
@@ -77,8 +85,14 @@ def test_methods_of_every_kind_prune_on_them(splat, method):
     result = prune(splat, method=method, iterations=40, **more)
     assert result["method"] == method and read_ply(splat.with_name("small.ply")).count == result["count"]
     assert result["count"] == 250 or method == "svr"
-    assert "psnr" not in result["before"] and result["before"]["count"] == 1_000 and result["psnr"] > (20 if method == "merge" else 8)
-    assert result["rig"] == {"given": 0} | {name: result["rig"][name] for name in ("views", "held_out", "inside_out", "seen", "width", "height")}
+    assert (
+        "psnr" not in result["before"]
+        and result["before"]["count"] == 1_000
+        and result["psnr"] > (20 if method == "merge" else 8)
+    )
+    assert result["rig"] == {"given": 0} | {
+        name: result["rig"][name] for name in ("views", "held_out", "inside_out", "seen", "width", "height")
+    }
     assert any("the splat's own pictures take their place" in note for note in result["notes"])
 
 
@@ -99,7 +113,10 @@ def test_the_same_job_gives_the_same_bytes_on_any_number_of_threads_and_after_a_
     asked = iter(range(100))
     with pytest.raises(Cancelled):
         prune_scene(options, lambda job: dataclasses.replace(job, stop=lambda: next(asked) == 17))
-    assert not options.out.exists() and prune_scene(dataclasses.replace(options, resume=True))["iterations"] == 40
+    assert (
+        not options.out.exists()
+        and prune_scene(dataclasses.replace(options, resume=True))["iterations"] == 40
+    )
     first = splat.with_name("a.ply").read_bytes()
     assert splat.with_name("b.ply").read_bytes() == first == options.out.read_bytes()
 
@@ -114,7 +131,10 @@ def test_a_stopped_job_of_another_splat_does_not_go_on(splat):
 
 def test_columns_that_merging_loses_are_named(splat):
     scene = ball(1_000)
-    write_ply(splat, dataclasses.replace(scene, attributes={"label": np.arange(1_000, dtype=np.int32)}, property_order=()))
+    write_ply(
+        splat,
+        dataclasses.replace(scene, attributes={"label": np.arange(1_000, dtype=np.int32)}, property_order=()),
+    )
     assert any("these columns of the file were left out: label" in note for note in prune(splat)["notes"])
     assert not any("columns" in note for note in prune(splat, method="opacity")["notes"])
 
@@ -124,7 +144,9 @@ def test_a_larger_allowed_drop_keeps_fewer(splat):
     results = [prune(splat, target=None, max_drop=drop, iterations=60) for drop in (0.2, 2.0)]
     assert 50 <= results[1]["count"] < results[0]["count"] < 1_000
     assert all(result["drop"] is not None and np.isfinite(result["drop"]) for result in results)
-    assert with_error(30.0, 1e-3) == pytest.approx(30 - 3.0103, abs=1e-4) and with_error(np.inf, 1e-3) == pytest.approx(30)
+    assert with_error(30.0, 1e-3) == pytest.approx(30 - 3.0103, abs=1e-4) and with_error(
+        np.inf, 1e-3
+    ) == pytest.approx(30)
 
 
 def test_a_report_and_levels_are_written(splat):
@@ -136,7 +158,12 @@ def test_a_report_and_levels_are_written(splat):
 
 def test_what_is_foreseen(splat):
     found = estimate(PruneOptions(scene=splat, target=0.25, recovery=100))
-    assert found["kept"] == 250 and found["psnr_before"] is None and found["steps"] == 100 and found["seconds"] > 0
+    assert (
+        found["kept"] == 250
+        and found["psnr_before"] is None
+        and found["steps"] == 100
+        and found["seconds"] > 0
+    )
 
 
 def test_the_time_of_the_quick_way_is_foreseen(splat):
@@ -148,7 +175,11 @@ def test_the_time_of_the_quick_way_is_foreseen(splat):
 
 def test_a_job_folder_holds_a_job_without_photographs(splat, tmp_path, jobs):
     """Quick and fine-tuned: the result has merged Gaussians, so there is no ranking of the original's."""
-    for name, options in (("quick", {"quick": True}), ("tuned", {"recovery": 30, "iterations": 0}), ("removal", {"method": "opacity", "recovery": 30})):
+    for name, options in (
+        ("quick", {"quick": True}),
+        ("tuned", {"recovery": 30, "iterations": 0}),
+        ("removal", {"method": "opacity", "recovery": 30}),
+    ):
         folder = JobFolder.create(tmp_path / name, read_ply(splat), {"target_count": 250, **options})
         job = Job(folder)
         jobs.append(job)
@@ -163,7 +194,17 @@ def test_a_job_folder_holds_a_job_without_photographs(splat, tmp_path, jobs):
 
 def test_a_batch_runs_with_given_cameras(svrgs, splat):
     write_cameras_json(splat.with_name("shot.json"), front(read_ply(splat)))
-    words = ("--cameras", splat.with_name("shot.json"), "--seen-from-only", "--target", 0.4, "--recovery", 5, "--quiet", "--batch")
+    words = (
+        "--cameras",
+        splat.with_name("shot.json"),
+        "--seen-from-only",
+        "--target",
+        0.4,
+        "--recovery",
+        5,
+        "--quiet",
+        "--batch",
+    )
     done = svrgs("prune", splat, *words, "--out", splat.with_name("small.ply"))
     assert done.status == 0 and json.loads(done.out)["rig"] == {"given": 6}
 
@@ -173,28 +214,53 @@ def test_a_batch_runs_with_given_cameras(svrgs, splat):
 
 def front(scene, count: int = 6, width: int = 96, height: int = 64) -> list[Camera]:
     """Views from one side, z < 0."""
-    cameras = [camera.resized(width, height) for camera in cameras_around(scene, 60, 96) if camera.position[2] < -0.7 * np.linalg.norm(camera.position)]
-    return [dataclasses.replace(camera, name=f"shot_{number:02}.png") for number, camera in enumerate(cameras[:count])]
+    cameras = [
+        camera.resized(width, height)
+        for camera in cameras_around(scene, 60, 96)
+        if camera.position[2] < -0.7 * np.linalg.norm(camera.position)
+    ]
+    return [
+        dataclasses.replace(camera, name=f"shot_{number:02}.png")
+        for number, camera in enumerate(cameras[:count])
+    ]
 
 
 def test_a_shot_that_sees_the_front_drops_the_back(splat):
     scene = ball(1_000)
-    scene = dataclasses.replace(scene, opacity_logits=np.full(1_000, 6, np.float32), log_scales=scene.log_scales + np.float32(1))  # without gaps
+    # without gaps
+    scene = dataclasses.replace(
+        scene, opacity_logits=np.full(1_000, 6, np.float32), log_scales=scene.log_scales + np.float32(1)
+    )
     write_ply(splat, scene)
     write_cameras_json(splat.with_name("shot.json"), front(scene))
     options = {"cameras": splat.with_name("shot.json"), "target": 0.4}
-    only, both = prune(splat, **options, seen_from_only=True, out=splat.with_name("o.ply")), prune(splat, **options, out=splat.with_name("b.ply"))
-    behind = lambda name: int((read_ply(splat.with_name(name)).means[:, 2] > 2.0).sum())  # noqa: E731
+    only, both = (
+        prune(splat, **options, seen_from_only=True, out=splat.with_name("o.ply")),
+        prune(splat, **options, out=splat.with_name("b.ply")),
+    )
+    behind = lambda name: int((read_ply(splat.with_name(name)).means[:, 2] > 2.0).sum())
     assert behind("o.ply") == 0 < 20 < behind("b.ply")
     assert only["rig"] == {"given": 6} and both["rig"]["given"] == 6 and both["rig"]["views"] >= 8
     assert any("what they do not see may be removed" in note for note in only["notes"])
-    assert len(rendered_dataset(PruneOptions(scene=splat, cameras=options["cameras"], holdout=3, seen_from_only=True)).test_indices) == 2
+    assert (
+        len(
+            rendered_dataset(
+                PruneOptions(scene=splat, cameras=options["cameras"], holdout=3, seen_from_only=True)
+            ).test_indices
+        )
+        == 2
+    )
 
 
 def test_large_views_are_reduced(splat):
     write_cameras_json(splat.with_name("shot.json"), front(read_ply(splat), 1, 3840, 2160))
-    dataset = rendered_dataset(PruneOptions(scene=splat, cameras=splat.with_name("shot.json"), seen_from_only=True))
-    assert (dataset.cameras[0].width, dataset.cameras[0].height) == (LONGEST, 900) and dataset.train_indices == [0]
+    dataset = rendered_dataset(
+        PruneOptions(scene=splat, cameras=splat.with_name("shot.json"), seen_from_only=True)
+    )
+    assert (dataset.cameras[0].width, dataset.cameras[0].height) == (
+        LONGEST,
+        900,
+    ) and dataset.train_indices == [0]
 
 
 @pytest.mark.parametrize(
@@ -212,7 +278,10 @@ def test_what_cannot_be_is_one_sentence(splat, more, words):
     away = camera.viewmat.copy()
     away[2, 3] -= 1e4
     write_cameras_json(splat.with_name("away.json"), [dataclasses.replace(camera, viewmat=away)])
-    more = {name: splat.with_name(value) if name in ("cameras", "colmap") else value for name, value in more.items()}
+    more = {
+        name: splat.with_name(value) if name in ("cameras", "colmap") else value
+        for name, value in more.items()
+    }
     with pytest.raises((SceneError, FormatError), match=words):
         prune(splat, **more)
     assert not splat.with_name("small.ply").exists()
@@ -253,11 +322,31 @@ def test_a_transforms_json_gives_the_same_pictures(splat, tmp_path):
 
 
 def test_the_command_writes_cameras_and_a_picture(svrgs, splat):
-    result = svrgs("rig", splat, "--views", 8, "--out", splat.with_name("rig.json"), "--preview", splat.with_name("rig.png"), "--json").json
+    result = svrgs(
+        "rig",
+        splat,
+        "--views",
+        8,
+        "--out",
+        splat.with_name("rig.json"),
+        "--preview",
+        splat.with_name("rig.png"),
+        "--json",
+    ).json
     cameras = load_cameras_json(splat.with_name("rig.json"))
     assert result["views"] == 8 and len(cameras) == 8 + result["held_out"] and 0 < result["seen"] <= 1
     assert splat.with_name("rig.png").stat().st_size > 10_000
-    rendered = svrgs("render", splat, "--cameras", splat.with_name("rig.json"), "--views", "rig_000", "--out", splat.with_name("pictures"), "--json").json
+    rendered = svrgs(
+        "render",
+        splat,
+        "--cameras",
+        splat.with_name("rig.json"),
+        "--views",
+        "rig_000",
+        "--out",
+        splat.with_name("pictures"),
+        "--json",
+    ).json
     assert len(rendered["files"]) == 1
     failed = svrgs("rig", splat, "--out", splat)
     assert failed.status and "is the input itself" in failed.err

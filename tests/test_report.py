@@ -154,7 +154,10 @@ def test_facts_of_the_run(full):
 
 def test_curves_carry_phase_names(full):
     assert len(full.attributes("svg")) == 2
-    assert all("Gaussians" in attrs["aria-label"] or "PSNR" in attrs["aria-label"] for attrs in full.attributes("svg"))
+    assert all(
+        "Gaussians" in attrs["aria-label"] or "PSNR" in attrs["aria-label"]
+        for attrs in full.attributes("svg")
+    )
     assert full.text.count("recovery") == 2
 
 
@@ -185,14 +188,23 @@ def decoded(oiio, uri: str) -> np.ndarray:
 
 def test_masks_share_one_colour_range():
     low, high = np.full((4, 4), 1.0), np.full((4, 4), 10.0)
-    views = tuple(View(name, picture(0), picture(1), mask_before=mask) for name, mask in (("a", low), ("b", high)))
+    views = tuple(
+        View(name, picture(0), picture(1), mask_before=mask) for name, mask in (("a", low), ("b", high))
+    )
     assert page(full_report(views=views)).count("≥ 10<") == 2
 
 
 def test_names_cannot_break_out_of_the_page(tmp_path):
     evil = '"><script>alert(1)</script>'
     view = View(evil, picture(0), picture(1))
-    report = full_report(scene=evil, method=evil, names=(evil, evil), versions={evil: evil}, phases=(Phase(evil, 1, 0),), views=(view,))
+    report = full_report(
+        scene=evil,
+        method=evil,
+        names=(evil, evil),
+        versions={evil: evil},
+        phases=(Phase(evil, 1, 0),),
+        views=(view,),
+    )
     parsed = written(tmp_path, report)
     assert len(parsed.attributes("script")) == 1
     assert parsed.text.count("alert(1)") > 5
@@ -206,7 +218,10 @@ def test_a_comparison_uses_its_own_names_and_leaves_out_the_run(tmp_path):
 
 
 def test_missing_and_infinite_figures(tmp_path):
-    parsed = written(tmp_path, Report("garden", {"psnr": 30.0, "count": 0}, {"psnr": float("inf"), "count": 0, "flip": 0.1}))
+    parsed = written(
+        tmp_path,
+        Report("garden", {"psnr": 30.0, "count": 0}, {"psnr": float("inf"), "count": 0, "flip": 0.1}),
+    )
     assert parsed.row("PSNR") == ["30.00 dB", "∞", "–"]
     assert parsed.row("FLIP") == ["–", "0.1000", "–"]
     assert parsed.row("Gaussians") == ["0", "0", "–"]

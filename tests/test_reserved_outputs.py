@@ -33,8 +33,13 @@ def test_a_reserved_path_is_refused_until_it_is_free(tmp_path):
 
 
 def test_a_path_is_free_when_its_holder_was_killed(tmp_path):
-    code = "import sys, time\nfrom svrgs_addon.files.atomic import reserved\nwith reserved(sys.argv[1]):\n    print(1, flush=True)\n    time.sleep(60)"
-    with subprocess.Popen([sys.executable, "-c", code, tmp_path / "o.ply"], cwd=ROOT, stdout=subprocess.PIPE) as holder:
+    code = (
+        "import sys, time\nfrom svrgs_addon.files.atomic import reserved\nwith reserved(sys.argv[1]):\n   "
+        " print(1, flush=True)\n    time.sleep(60)"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", code, tmp_path / "o.ply"], cwd=ROOT, stdout=subprocess.PIPE
+    ) as holder:
         holder.stdout.readline()
         with pytest.raises(SceneError, match="another job"), reserved(tmp_path / "o.ply"):
             pass
@@ -46,16 +51,42 @@ def test_a_path_is_free_when_its_holder_was_killed(tmp_path):
 
 def test_a_link_and_its_target_are_one_output(tmp_path):
     os.symlink(tmp_path / "o.ply", tmp_path / "link.ply")
-    with reserved(tmp_path / "o.ply"), pytest.raises(SceneError, match="link.ply: another job"), reserved(tmp_path / "link.ply"):
+    with (
+        reserved(tmp_path / "o.ply"),
+        pytest.raises(SceneError, match="link.ply: another job"),
+        reserved(tmp_path / "link.ply"),
+    ):
         pass
 
 
 def test_a_second_job_on_the_same_output_is_refused_and_the_first_goes_on(tiny, tmp_path):
-    command = [sys.executable, "-m", "svrgs_addon", "prune", tiny.splat, "--colmap", tiny.folder, "--out", tmp_path / "o.ply", "--target", 0.5]
-    first = subprocess.Popen([*map(str, command), "--iterations", "1500", "--recovery", "0"], cwd=ROOT, stderr=subprocess.PIPE, text=True)
+    command = [
+        sys.executable,
+        "-m",
+        "svrgs_addon",
+        "prune",
+        tiny.splat,
+        "--colmap",
+        tiny.folder,
+        "--out",
+        tmp_path / "o.ply",
+        "--target",
+        0.5,
+    ]
+    first = subprocess.Popen(
+        [*map(str, command), "--iterations", "1500", "--recovery", "0"],
+        cwd=ROOT,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
     assert "Gaussians" in first.stderr.readline()
     began = time.monotonic()
-    second = subprocess.run([*map(str, command), "--iterations", "10", "--recovery", "0"], cwd=ROOT, capture_output=True, text=True)
+    second = subprocess.run(
+        [*map(str, command), "--iterations", "10", "--recovery", "0"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+    )
     assert time.monotonic() - began < 30 and second.returncode == 2
     assert "o.ply: another job is writing this file" in second.stderr and "Traceback" not in second.stderr
     assert first.poll() is None, "the first job should still run"

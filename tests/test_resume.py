@@ -1,4 +1,5 @@
-"""A stopped job goes on where it was, bit for bit; a checkpoint of another job is refused; a seed gives the same bytes."""
+"""A stopped job goes on where it was, bit for bit; a checkpoint of another job is refused; a seed gives the
+same bytes."""
 
 from __future__ import annotations
 
@@ -32,7 +33,12 @@ class StopAt:
         self.iteration, self.seen = iteration, []
 
     def options(self, out: Path, resume: bool = False) -> train_and_prune.JobContext:
-        return train_and_prune.JobContext(out, resume=resume, observe=lambda p: self.seen.append(p.iteration), stop=lambda: self.seen[-1] >= self.iteration)
+        return train_and_prune.JobContext(
+            out,
+            resume=resume,
+            observe=lambda p: self.seen.append(p.iteration),
+            stop=lambda: self.seen[-1] >= self.iteration,
+        )
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +58,9 @@ def test_resume_after_stops(tiny, data, whole, tmp_path, iterations):
         stop = StopAt(iteration)
         with pytest.raises(Cancelled):
             train_and_prune.prune(tiny.splat, data, SETTINGS, stop.options(out, resume=True))
-        assert stop.seen == list(range(before + 1, iteration + 1)), "resuming must go on where the last run stopped"
+        assert stop.seen == list(range(before + 1, iteration + 1)), (
+            "resuming must go on where the last run stopped"
+        )
         assert checkpoints(out)[-1] == f"{iteration:07d}" and not out.exists()
         before = iteration
     assert prune(tiny, data, out, resume=True) == whole
@@ -91,8 +99,12 @@ def test_resume_while_values_are_averaged(tiny, data, tmp_path, iteration):
     samples = max(0, iteration - 75)
     assert read_manifest(folder)["averaged"] == samples
     with np.load(folder / "arrays.npz") as arrays:
-        size, coefficients = sum(array.nbytes for name, array in arrays.items() if not name.startswith("views")), arrays["values.sh"].shape[1]
-    assert 0.9 <= size / checkpoint_bytes(12, coefficients, 12 if samples else 0) <= 1  # the estimate has room for existence logits
+        size, coefficients = (
+            sum(array.nbytes for name, array in arrays.items() if not name.startswith("views")),
+            arrays["values.sh"].shape[1],
+        )
+    # the estimate has room for existence logits
+    assert 0.9 <= size / checkpoint_bytes(12, coefficients, 12 if samples else 0) <= 1
     assert prune(tiny, data, tmp_path / "o.ply", settings, resume=True) == expected
 
 
@@ -142,11 +154,20 @@ def damage_no_arrays(newest: Path):
     (newest / "arrays.npz").unlink()
 
 
-DAMAGES = [damage_truncate, damage_flip, damage_no_manifest, damage_torn_manifest, damage_empty_manifest, damage_no_arrays]
+DAMAGES = [
+    damage_truncate,
+    damage_flip,
+    damage_no_manifest,
+    damage_torn_manifest,
+    damage_empty_manifest,
+    damage_no_arrays,
+]
 
 
 @pytest.mark.parametrize("damage", DAMAGES, ids=lambda damage: damage.__name__)
-def test_a_torn_checkpoint_falls_back_to_the_one_before(tiny, data, whole, tmp_path, monkeypatch, caplog, damage):
+def test_a_torn_checkpoint_falls_back_to_the_one_before(
+    tiny, data, whole, tmp_path, monkeypatch, caplog, damage
+):
     out = tmp_path / "o.ply"
     stopped(tiny, data, out, monkeypatch)
     damage(tmp_path / "o.ply.job" / "0000045")
@@ -193,7 +214,10 @@ OTHER = {
 
 
 def refuse_resume(tiny, data, out: Path, settings=SETTINGS, **options):
-    with pytest.raises(FormatError, match="this checkpoint is of a run with other settings or inputs; delete .*o.ply.job to start again"):
+    with pytest.raises(
+        FormatError,
+        match="this checkpoint is of a run with other settings or inputs; delete .*o.ply.job to start again",
+    ):
         prune(tiny, data, out, settings, resume=True, **options)
 
 
@@ -206,9 +230,12 @@ def test_resume_with_other_settings_is_refused(tiny, data, whole, tmp_path, monk
     refuse_resume(tiny, data, out, engine="torch")
     other = tmp_path / "photograph"
     photograph = data.photos[0].path.read_bytes()
-    for changed in (photograph + b"more", photograph[:-1] + bytes([photograph[-1] ^ 1])):  # the second has the same size
+    # the second has the same size
+    for changed in (photograph + b"more", photograph[:-1] + bytes([photograph[-1] ^ 1])):
         other.write_bytes(changed)
-        refuse_resume(tiny, replace(data, photos=[replace(data.photos[0], path=other), *data.photos[1:]]), out)
+        refuse_resume(
+            tiny, replace(data, photos=[replace(data.photos[0], path=other), *data.photos[1:]]), out
+        )
     other.unlink()
     scene = read_ply(tiny.splat)
     scene.sh[0, 0, 0] += 0.1

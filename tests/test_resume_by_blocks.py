@@ -1,4 +1,5 @@
-"""A job by blocks on photographs that was stopped goes on where it was: with the tasks that are left, and within a block from a checkpoint."""
+"""A job by blocks on photographs that was stopped goes on where it was: with the tasks that are left, and
+within a block from a checkpoint."""
 
 from __future__ import annotations
 
@@ -58,7 +59,11 @@ def stopping(at: float):
 
 
 def files_of(folder: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in folder.glob("[0-9]*") if path.suffix in (".geometry", ".sh", ".rows")}
+    return {
+        path.name: path.read_bytes()
+        for path in folder.glob("[0-9]*")
+        if path.suffix in (".geometry", ".sh", ".rows")
+    }
 
 
 @pytest.mark.parametrize("method", ["removal", "svr"])
@@ -84,7 +89,10 @@ def test_a_task_that_was_stopped_goes_on_within_its_block(tiny, data, tmp_path, 
 def test_a_checkpoint_of_other_settings_or_photographs_is_not_taken(tiny, tmp_path, steps):
     shutil.copytree(tiny.folder, tmp_path / "data")
     data = load_dataset(tmp_path / "data")
-    divided, plan = ready(tiny.splat, data, tmp_path / "work", 130), prune_settings("removal", 40, 0, full=False)
+    divided, plan = (
+        ready(tiny.splat, data, tmp_path / "work", 130),
+        prune_settings("removal", 40, 0, full=False),
+    )
     for change in ({"seed": 7}, {}):
         with pytest.raises(Cancelled):
             decide(divided, 0, data, replace(plan, **change), 60, stopping(0.8))
@@ -96,7 +104,10 @@ def test_a_checkpoint_of_other_settings_or_photographs_is_not_taken(tiny, tmp_pa
 
 
 def test_a_disk_that_is_full_costs_the_checkpoint_alone(tiny, data, tmp_path, monkeypatch, caplog):
-    divided, plan = ready(tiny.splat, data, tmp_path / "work", 130), prune_settings("removal", 20, 0, full=False)
+    divided, plan = (
+        ready(tiny.splat, data, tmp_path / "work", 130),
+        prune_settings("removal", 20, 0, full=False),
+    )
 
     def full(*_):
         raise SceneError("arrays.npz: needs 1 GB, but only 1 MB are free")
@@ -104,7 +115,10 @@ def test_a_disk_that_is_full_costs_the_checkpoint_alone(tiny, data, tmp_path, mo
     monkeypatch.setattr(loop, "CHECKPOINT_SECONDS", 0)
     monkeypatch.setattr(checkpoint, "save", full)
     decide(divided, 0, data, plan, 60)
-    assert "the block 0 goes on without a checkpoint" in caplog.text and (tmp_path / "work" / CUT / "0.rows").stat().st_size == 60 * 4
+    assert (
+        "the block 0 goes on without a checkpoint" in caplog.text
+        and (tmp_path / "work" / CUT / "0.rows").stat().st_size == 60 * 4
+    )
 
 
 GOALS = {"target": ["--target", 0.5], "drop": ["--max-drop", 2.0]}
@@ -113,7 +127,9 @@ GOALS = {"target": ["--target", 0.5], "drop": ["--max-drop", 2.0]}
 @pytest.mark.parametrize("goal, step, at", [
     ("target", "decide", 3.7 / 6), ("target", "recover", 4.7 / 6), ("target", "recover", 0.0), ("target", "measure", 0.0), ("drop", "decide", 4.7 / 7),
 ])  # fmt: skip
-def test_a_job_that_was_stopped_goes_on_with_resume(svrgs, short, stop_at, tiny, tmp_path, steps, goal, step, at):
+def test_a_job_that_was_stopped_goes_on_with_resume(
+    svrgs, short, stop_at, tiny, tmp_path, steps, goal, step, at
+):
     words = ["prune", tiny.splat, "--colmap", tiny.folder, *GOALS[goal], "--iterations", 40, "--recovery", 20]
     assert svrgs(*words, "--out", tmp_path / "whole.ply").status == 0
     done = len(steps)
@@ -121,7 +137,9 @@ def test_a_job_that_was_stopped_goes_on_with_resume(svrgs, short, stop_at, tiny,
     stop_at(step, at)
     stopped = svrgs(*words, "--out", tmp_path / "o.ply")
     assert stopped.status == 130 and "continue from the last checkpoint with --resume" in stopped.err
-    assert (tmp_path / "o.ply").exists() == (step == "measure") and progress(tmp_path / "o.ply.blocks")[0] >= 3
+    assert (tmp_path / "o.ply").exists() == (step == "measure") and progress(tmp_path / "o.ply.blocks")[
+        0
+    ] >= 3
     result = svrgs(*words, "--out", tmp_path / "o.ply", "--resume", "--json").json
     assert len(steps) == done and result["scene"] == str(tiny.splat)
     assert (tmp_path / "o.ply").read_bytes() == (tmp_path / "whole.ply").read_bytes()
@@ -130,9 +148,20 @@ def test_a_job_that_was_stopped_goes_on_with_resume(svrgs, short, stop_at, tiny,
 
 @pytest.fixture
 def whole_and_stopped(svrgs, short, stop_at, tiny, tmp_path, monkeypatch) -> list:
-    """The words of a job. Memory was too short for it: whole.ply is its result by blocks; another start was stopped, and o.ply would be its output. Memory
-    suffices from here on."""
-    words = ["prune", tiny.splat, "--colmap", tiny.folder, "--target", 0.5, "--iterations", 40, "--recovery", 20]
+    """The words of a job. Memory was too short for it: whole.ply is its result by blocks; another start was
+    stopped, and o.ply would be its output. Memory suffices from here on."""
+    words = [
+        "prune",
+        tiny.splat,
+        "--colmap",
+        tiny.folder,
+        "--target",
+        0.5,
+        "--iterations",
+        40,
+        "--recovery",
+        20,
+    ]
     assert svrgs(*words, "--out", tmp_path / "whole.ply").status == 0
     stop_at("recover")
     assert svrgs(*words, "--out", tmp_path / "o.ply").status == 130 and (tmp_path / "o.ply.blocks").is_dir()
@@ -143,7 +172,9 @@ def whole_and_stopped(svrgs, short, stop_at, tiny, tmp_path, monkeypatch) -> lis
 def test_what_was_begun_by_blocks_goes_on_by_blocks(svrgs, whole_and_stopped, tmp_path, caplog):
     assert svrgs(*whole_and_stopped, "--out", tmp_path / "o.ply", "--resume").status == 0
     assert "its blocks are there from an earlier start; it is pruned by blocks" in caplog.text
-    assert (tmp_path / "o.ply").read_bytes() == (tmp_path / "whole.ply").read_bytes() and not (tmp_path / "o.ply.blocks").exists()
+    assert (tmp_path / "o.ply").read_bytes() == (tmp_path / "whole.ply").read_bytes() and not (
+        tmp_path / "o.ply.blocks"
+    ).exists()
 
 
 def test_a_job_that_begins_again_leaves_no_blocks(svrgs, whole_and_stopped, tmp_path):
@@ -152,21 +183,40 @@ def test_a_job_that_begins_again_leaves_no_blocks(svrgs, whole_and_stopped, tmp_
     for name in ("o.ply", "p.ply"):
         assert svrgs(*whole_and_stopped, "--out", tmp_path / name).status == 0
     assert (tmp_path / "o.ply").read_bytes() != (tmp_path / "whole.ply").read_bytes(), "it was done in memory"
-    assert not (tmp_path / "o.ply.blocks").exists() and (tmp_path / "p.ply.blocks/0.rows").read_text() == "mine"
+    assert (
+        not (tmp_path / "o.ply.blocks").exists() and (tmp_path / "p.ply.blocks/0.rows").read_text() == "mine"
+    )
 
 
 def words_for(tiny, out: Path, *more) -> list:
-    words = ["large", "prune", tiny.splat, "--colmap", tiny.folder, "--method", "removal", "--iterations", 40, "--recovery", 20]
+    words = [
+        "large",
+        "prune",
+        tiny.splat,
+        "--colmap",
+        tiny.folder,
+        "--method",
+        "removal",
+        "--iterations",
+        40,
+        "--recovery",
+        20,
+    ]
     return [*words, "--block", 130, "--out", out, *more]
 
 
 @pytest.fixture
 def stopped(svrgs, tiny, tmp_path, monkeypatch) -> Path:
-    """The folder of a job of two blocks that was killed while the second one recovered; o.ply would be its output."""
+    """The folder of a job of two blocks that was killed while the second one recovered; o.ply would be its
+    output."""
     advance = Run.advance
 
     def kill(run: Run):
-        if run.settings.phases[0].active or not run.iteration or not list(tmp_path.glob("o.ply.blocks/tuned/0.rows")):
+        if (
+            run.settings.phases[0].active
+            or not run.iteration
+            or not list(tmp_path.glob("o.ply.blocks/tuned/0.rows"))
+        ):
             return advance(run)
         raise RuntimeError("killed")
 
@@ -184,10 +234,16 @@ def test_what_is_done_is_not_done_again(svrgs, tiny, tmp_path, steps, stopped):
     assert steps == list(range(20)) and not stopped.exists()
 
 
-@pytest.mark.parametrize("change", [["--target", 0.4], ["--target", 0.5, "--lambda-f", 0.5], ["--target", 0.5, "--seed", 3]])
+@pytest.mark.parametrize(
+    "change", [["--target", 0.4], ["--target", 0.5, "--lambda-f", 0.5], ["--target", 0.5, "--seed", 3]]
+)
 def test_another_job_is_not_continued(svrgs, tiny, tmp_path, stopped, change):
     done = svrgs(*words_for(tiny, tmp_path / "o.ply", *change, "--resume"))
-    assert done.status == 2 and "is one with other settings or inputs; delete" in done.err and progress(stopped) == (6, 7)
+    assert (
+        done.status == 2
+        and "is one with other settings or inputs; delete" in done.err
+        and progress(stopped) == (6, 7)
+    )
 
 
 def test_without_resume_a_job_starts_again(svrgs, tiny, tmp_path, steps, stopped):
@@ -204,7 +260,18 @@ def test_a_list_of_tasks_that_is_damaged_is_as_none(svrgs, tiny, tmp_path, steps
 
 
 def test_removals_and_merges_have_nothing_to_resume(svrgs, tiny, tmp_path):
-    done = svrgs("large", "prune", tiny.splat, "--colmap", tiny.folder, "--target", 0.5, "--resume", "--out", tmp_path / "o.ply")
+    done = svrgs(
+        "large",
+        "prune",
+        tiny.splat,
+        "--colmap",
+        tiny.folder,
+        "--target",
+        0.5,
+        "--resume",
+        "--out",
+        tmp_path / "o.ply",
+    )
     assert done.status == 2 and "--resume is for methods that decide on photographs" in done.err
 
 
@@ -218,14 +285,24 @@ def interrupted(tiny, folder: Path) -> JobFolder:
     """The folder of a job of Blender that was stopped while it recovered."""
     job = create(folder, tiny, method="removal", iterations=40, recovery=20, target=0.5)
     with pytest.raises(Cancelled):
-        run_job.prune_scene(job.options(), lambda context: replace(context, stop=lambda: progress(folder / "recovered.ply.blocks")[0] >= 4))
+        run_job.prune_scene(
+            job.options(),
+            lambda context: replace(context, stop=lambda: progress(folder / "recovered.ply.blocks")[0] >= 4),
+        )
     return job
 
 
 def test_a_job_of_blender_says_what_it_goes_on_with_and_can_be_moved(tiny, tmp_path, short, steps):
     folder = interrupted(tiny, tmp_path / "job")
-    assert Job(folder).resume_point() == ("Resume continues: {done} of {tasks} tasks by blocks are done", {"done": 4, "tasks": 5})
-    assert folder.size() > sum(path.stat().st_size for path in (folder / "recovered.ply.blocks").glob("*")) > 50_000
+    assert Job(folder).resume_point() == (
+        "Resume continues: {done} of {tasks} tasks by blocks are done",
+        {"done": 4, "tasks": 5},
+    )
+    assert (
+        folder.size()
+        > sum(path.stat().st_size for path in (folder / "recovered.ply.blocks").glob("*"))
+        > 50_000
+    )
     shutil.move(folder.path, tmp_path / "moved")
     moved = JobFolder(tmp_path / "moved")
     steps.clear()
@@ -235,10 +312,21 @@ def test_a_job_of_blender_says_what_it_goes_on_with_and_can_be_moved(tiny, tmp_p
 
 
 def test_a_job_by_blocks_says_how_much_of_it_is_done(tiny, tmp_path, short):
-    job, told = create(tmp_path / "job", tiny, method="removal", iterations=40, recovery=20, target=0.5), list[tuple[str, float]]()
-    run_job.prune_scene(job.options(), lambda context: replace(context, part=lambda text, share: told.append((text, share))))
+    job, told = (
+        create(tmp_path / "job", tiny, method="removal", iterations=40, recovery=20, target=0.5),
+        list[tuple[str, float]](),
+    )
+    run_job.prune_scene(
+        job.options(), lambda context: replace(context, part=lambda text, share: told.append((text, share)))
+    )
     starts = {text.split(":")[0]: share for text, share in reversed(told)}
-    assert starts["divide"] == 0 and starts["score"] == 1 / 6 and starts["decide"] == 3 / 6 and starts["recover"] == 4 / 6 and starts["measure"] == 5.5 / 6
+    assert (
+        starts["divide"] == 0
+        and starts["score"] == 1 / 6
+        and starts["decide"] == 3 / 6
+        and starts["recover"] == 4 / 6
+        and starts["measure"] == 5.5 / 6
+    )
     shares = [share for _, share in told]
     assert shares == sorted(shares) and len(set(shares)) > 20 and shares[-1] < 1
     ended = Job(job)

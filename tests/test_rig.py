@@ -22,7 +22,13 @@ from svrgs_addon.views.rig.preview import COLORS, preview
 def scene_of(means: np.ndarray, scale: float) -> Scene:
     n = len(means)
     rng = np.random.default_rng(1)
-    return Scene.of(means, np.full((n, 3), np.log(scale)), rng.normal(size=(n, 4)), np.full(n, 2.0), rng.normal(size=(n, 1, 3)))
+    return Scene.of(
+        means,
+        np.full((n, 3), np.log(scale)),
+        rng.normal(size=(n, 4)),
+        np.full(n, 2.0),
+        rng.normal(size=(n, 1, 3)),
+    )
 
 
 def solid(count: int = 3_000, radius: float = 2.0, middle=(0.0, 0.0, 0.0)) -> Scene:
@@ -36,7 +42,11 @@ def solid(count: int = 3_000, radius: float = 2.0, middle=(0.0, 0.0, 0.0)) -> Sc
 def dense() -> Scene:
     """A ball whose Gaussians are opaque and overlap: views see its surface alone."""
     scene = solid()
-    return dataclasses.replace(scene, log_scales=scene.log_scales + np.float32(np.log(1.5)), opacity_logits=np.full(scene.count, 5, np.float32))
+    return dataclasses.replace(
+        scene,
+        log_scales=scene.log_scales + np.float32(np.log(1.5)),
+        opacity_logits=np.full(scene.count, 5, np.float32),
+    )
 
 
 def room(count: int = 12_000, side: float = 6.0) -> Scene:
@@ -72,14 +82,22 @@ def test_a_room_is_looked_at_from_inside():
 def test_a_room_whose_walls_show_from_outside_is_looked_at_from_there_too():
     rig = place_rig(room(), held_out=8)
     outside = ~within_the_room(rig)
-    assert rig.inside_out and outside[: len(rig.cameras)].sum() == OUTSIDE and outside[len(rig.cameras) :].sum() == 2
+    assert (
+        rig.inside_out
+        and outside[: len(rig.cameras)].sum() == OUTSIDE
+        and outside[len(rig.cameras) :].sum() == 2
+    )
     assert (np.linalg.norm(eyes(rig)[outside], axis=1) > 3 * 3**0.5).all(), "a camera is in a wall"
 
 
 def test_what_hides_behind_the_walls_of_a_room_is_looked_at_from_inside_alone():
     """A room full of small things, with walls that let nothing through."""
     walls, things = room(), solid(30_000, 1.5)
-    walls = dataclasses.replace(walls, opacity_logits=np.full(walls.count, 6, np.float32), log_scales=walls.log_scales + np.float32(np.log(2)))
+    walls = dataclasses.replace(
+        walls,
+        opacity_logits=np.full(walls.count, 6, np.float32),
+        log_scales=walls.log_scales + np.float32(np.log(2)),
+    )
     scene = merged([walls, dataclasses.replace(things, log_scales=things.log_scales - 2)])
     rig = place_rig(scene, held_out=8)
     assert rig.inside_out and within_the_room(rig).all()
@@ -114,7 +132,9 @@ def test_a_picture_shows_the_cameras_and_hides_those_behind_the_scene():
     assert (picture == orange).all(axis=2).sum() > 500 and (picture == blue).all(axis=2).sum() > 100
     assert not (without == blue).all(axis=2).any()
     open_space = preview(dataclasses.replace(scene, opacity_logits=np.full(scene.count, -9, np.float32)), rig)
-    assert (open_space == orange).all(axis=2).sum() > (picture == orange).all(axis=2).sum(), "the ball hides some"
+    assert (open_space == orange).all(axis=2).sum() > (picture == orange).all(axis=2).sum(), (
+        "the ball hides some"
+    )
 
 
 def test_held_out_views_are_not_those_of_the_rig():
@@ -130,14 +150,23 @@ def test_the_same_seed_gives_the_same_rig_on_any_number_of_threads(default_threa
     for threads in (1, 3):
         library.set_threads(threads)
         rigs.append(place_rig(solid(1_000), views=32, seed=4))
-    assert all((a.viewmat == b.viewmat).all() and (a.K == b.K).all() for a, b in zip(rigs[0].cameras, rigs[1].cameras, strict=True))
+    assert all(
+        (a.viewmat == b.viewmat).all() and (a.K == b.K).all()
+        for a, b in zip(rigs[0].cameras, rigs[1].cameras, strict=True)
+    )
     assert (place_rig(solid(1_000), views=32, seed=5).cameras[0].viewmat != rigs[0].cameras[0].viewmat).any()
 
 
-@pytest.mark.parametrize("scene", (solid(middle=(1e6, -1e6, 1e6), radius=40.0), solid(1), solid(1_000, radius=1e-3)), ids=("far", "one", "tiny"))
+@pytest.mark.parametrize(
+    "scene",
+    (solid(middle=(1e6, -1e6, 1e6), radius=40.0), solid(1), solid(1_000, radius=1e-3)),
+    ids=("far", "one", "tiny"),
+)
 def test_scenes_of_every_place_and_size(scene):
     rig = quick_rig(scene)
-    assert rig.cameras and all(np.isfinite(camera.viewmat).all() and np.isfinite(camera.K).all() for camera in rig.cameras)
+    assert rig.cameras and all(
+        np.isfinite(camera.viewmat).all() and np.isfinite(camera.K).all() for camera in rig.cameras
+    )
     assert 512 <= rig.width == rig.height <= 1024
 
 

@@ -1,4 +1,5 @@
-"""Pool and kernels run without a data race, and what the fuzzer has found is kept. More: `make sanitize`, `make fuzz`."""
+"""Pool and kernels run without a data race, and what the fuzzer has found is kept. More: `make sanitize`,
+`make fuzz`."""
 
 from __future__ import annotations
 
@@ -21,21 +22,47 @@ def runtime() -> str:
     """The thread sanitizer's library; empty where the compiler or the library is missing."""
     if variants.missing_tools() or platform.system() != "Linux":
         return ""
-    found = subprocess.run([CXX, "-print-file-name=libtsan.so"], capture_output=True, text=True).stdout.strip()
+    found = subprocess.run(
+        [CXX, "-print-file-name=libtsan.so"], capture_output=True, text=True
+    ).stdout.strip()
     return found if os.path.isabs(found) else ""
 
 
 def compiled(folder: Path, target: str, flags: str) -> subprocess.CompletedProcess:
     """Builds a target of native/CMakeLists.txt with these flags."""
-    configure = [variants.cmake(), "-S", ROOT / "native", "-B", folder, f"-DCMAKE_CXX_FLAGS_RELEASE={flags}", f"-DCMAKE_CXX_COMPILER={CXX}"]
+    configure = [
+        variants.cmake(),
+        "-S",
+        ROOT / "native",
+        "-B",
+        folder,
+        f"-DCMAKE_CXX_FLAGS_RELEASE={flags}",
+        f"-DCMAKE_CXX_COMPILER={CXX}",
+    ]
     subprocess.run(configure, check=True, capture_output=True)
-    return subprocess.run([variants.cmake(), "--build", folder, "--target", target, "--parallel", "2"], capture_output=True, text=True)
+    return subprocess.run(
+        [variants.cmake(), "--build", folder, "--target", target, "--parallel", "2"],
+        capture_output=True,
+        text=True,
+    )
 
 
 def program(out: Path, library: Path, *words: str):
     """Compiles sources of tests/sanitizers/ with the library."""
     words = [ROOT / "tests/sanitizers" / word if word.endswith(".cc") else word for word in words]
-    command = [CXX, "-std=c++20", "-O1", "-g", "-pthread", f"-I{ROOT / 'native/include'}", *words, library, f"-Wl,-rpath,{library.parent}", "-o", out]
+    command = [
+        CXX,
+        "-std=c++20",
+        "-O1",
+        "-g",
+        "-pthread",
+        f"-I{ROOT / 'native/include'}",
+        *words,
+        library,
+        f"-Wl,-rpath,{library.parent}",
+        "-o",
+        out,
+    ]
     subprocess.run(command, check=True)
 
 
@@ -44,7 +71,12 @@ def test_no_data_races(tmp_path):
     folder = ROOT / "build" / "sanitize" / "tsan"  # kept: built anew only after a change
     assert compiled(folder, "svrgs-debug", "-O1 -fsanitize=thread").returncode == 0
     program(tmp_path / "threads", folder / "libsvrgs-debug.so", "threads.cc", "-fsanitize=thread")
-    done = subprocess.run([tmp_path / "threads"], env=os.environ | {"TSAN_OPTIONS": "halt_on_error=1"}, capture_output=True, text=True)
+    done = subprocess.run(
+        [tmp_path / "threads"],
+        env=os.environ | {"TSAN_OPTIONS": "halt_on_error=1"},
+        capture_output=True,
+        text=True,
+    )
     assert (done.returncode, done.stdout) == (0, "clean\n"), done.stderr[-3000:]
 
 
@@ -56,7 +88,8 @@ def test_no_warnings(tmp_path):
 
 @pytest.mark.skipif(not shutil.which(CXX) or platform.system() != "Linux", reason="there is no compiler")
 def test_what_the_fuzzer_has_found(tmp_path):
-    """Each input is refused, or drawn finite and alike at one and at three threads; coverage led to them (make fuzz)."""
+    """Each input is refused, or drawn finite and alike at one and at three threads; coverage led to them
+    (make fuzz)."""
     program(tmp_path / "replay", ROOT / "svrgs_addon" / "libsvrgs.so", "fuzz.cc", "replay.cc")
     done = subprocess.run([tmp_path / "replay", *CORPUS], capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (0, f"{len(CORPUS)}\n"), done.stderr

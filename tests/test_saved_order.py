@@ -37,7 +37,9 @@ def ordered():
     scene.opacity_logits[::10] = -12
     rows = np.flatnonzero(np.arange(600) % 10)
     visible = scene.select(rows)
-    sums, _ = looks(visible, cameras_around(visible, 12, 128), Rasterizer(), render_options(visible), pictures=False)
+    sums, _ = looks(
+        visible, cameras_around(visible, 12, 128), Rasterizer(), render_options(visible), pictures=False
+    )
     return scene, rows, order_of(visible, sums, 7)
 
 
@@ -64,17 +66,23 @@ def test_numbers_beyond_its_ends_give_the_ends(ordered, saved):
 def test_lengths_are_those_of_the_source(ordered, tmp_path):
     scene, rows, order = ordered
     write_order(tmp_path, order, rows, scene.count, 0.5)
-    small = dataclasses.replace(scene, means=0.5 * scene.means, log_scales=scene.log_scales + np.float32(np.log(0.5)))
+    small = dataclasses.replace(
+        scene, means=0.5 * scene.means, log_scales=scene.log_scales + np.float32(np.log(0.5))
+    )
     halved, whole = read_order(tmp_path, small).at(7), order.at(7)
     assert np.sort(halved.means.ravel()) == pytest.approx(np.sort(0.5 * whole.means.ravel()), abs=1e-6)
-    assert np.sort(halved.log_scales.ravel()) == pytest.approx(np.sort(whole.log_scales.ravel() + np.log(0.5)), abs=1e-5)
+    assert np.sort(halved.log_scales.ravel()) == pytest.approx(
+        np.sort(whole.log_scales.ravel() + np.log(0.5)), abs=1e-5
+    )
 
 
 def test_it_moves_as_the_scene_does(ordered, saved):
     matrix = np.eye(4)
     matrix[:3, 3] = 1, 2, 3
     found = read_order(saved, ordered[0])
-    assert found.moved(matrix).at(50).means == pytest.approx(found.at(50).means + np.array([1, 2, 3], np.float32), abs=1e-5)
+    assert found.moved(matrix).at(50).means == pytest.approx(
+        found.at(50).means + np.array([1, 2, 3], np.float32), abs=1e-5
+    )
 
 
 @pytest.mark.parametrize("case", ["absent", "cut", "shape", "row", "twice", "born", "gap", "merged"])
@@ -88,7 +96,11 @@ def test_damaged_files_get_one_sentence(ordered, saved, case):
         made = read_ply(saved / MERGED)
         write_ply(saved / MERGED, made.select(np.arange(made.count - 1)))
     else:
-        changed = {"shape": table[:, :2], "row": table + [[10_000, 0, 0]], "twice": np.concatenate([table[:1], table[:-1]])}
+        changed = {
+            "shape": table[:, :2],
+            "row": table + [[10_000, 0, 0]],
+            "twice": np.concatenate([table[:1], table[:-1]]),
+        }
         changed |= {"born": np.where([[0, 1, 0]], table + 50, table), "gap": table[1:]}
         np.save(saved / ORDER, changed[case].astype(np.int32))
     with pytest.raises(SplatError) as raised:

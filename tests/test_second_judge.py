@@ -20,14 +20,27 @@ NEAR = 0.004  # a step of the formats' colours: it rounds to another one where a
 def judged(path: Path) -> Scene:
     """The scene as gsply reads it. It leaves the axes of SPZ as they are."""
     data = gsply.read_spz(path) if path.suffix == ".spz" else gsply.plyread(path)
-    scene = Scene.of(data.means, data.scales, data.quats, data.opacities, np.concatenate([data.sh0[:, None], data.shN], axis=1))
+    scene = Scene.of(
+        data.means,
+        data.scales,
+        data.quats,
+        data.opacities,
+        np.concatenate([data.sh0[:, None], data.shN], axis=1),
+    )
     return turned_over(scene) if path.suffix == ".spz" else scene
 
 
 def by_gsply(scene: Scene, path: Path, **words):
     scene = turned_over(scene) if path.suffix == ".spz" else scene
     unit = scene.quats / np.linalg.norm(scene.quats, axis=1, keepdims=True)
-    data = gsply.GSData.from_arrays(scene.means, scene.log_scales, unit, scene.opacity_logits, scene.sh[:, 0].copy(), scene.sh[:, 1:].copy())
+    data = gsply.GSData.from_arrays(
+        scene.means,
+        scene.log_scales,
+        unit,
+        scene.opacity_logits,
+        scene.sh[:, 0].copy(),
+        scene.sh[:, 1:].copy(),
+    )
     if path.suffix == ".spz":
         gsply.write_spz(path, data, **words)
     else:
@@ -48,7 +61,9 @@ def test_it_reads_every_version_of_our_spz_as_we_do(tmp_path, version):
     assert max(found.values()) < 0.002, found
 
 
-@pytest.mark.parametrize("name, words", [("b.compressed.ply", {}), ("b.spz", {"version": 3}), ("b.spz", {"version": 4})])
+@pytest.mark.parametrize(
+    "name, words", [("b.compressed.ply", {}), ("b.spz", {"version": 3}), ("b.spz", {"version": 4})]
+)
 def test_we_read_what_it_writes_as_it_does(tmp_path, name, words):
     by_gsply(like_trained(3), tmp_path / name, **words)
     found = differences(read_scene(tmp_path / name), judged(tmp_path / name))

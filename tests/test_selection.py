@@ -39,7 +39,12 @@ def chosen(scene: Scene = SCENE, **wanted) -> list[bool]:
 
 def test_box():
     corners = (0.5, -1.0, 0.3, -0.7, 2.0, -2.0)  # the axes in any order
-    expected = loop(lambda row: all(min(corners[k], corners[k + 3]) <= SCENE.means[row, k] <= max(corners[k], corners[k + 3]) for k in range(3)))
+    expected = loop(
+        lambda row: all(
+            min(corners[k], corners[k + 3]) <= SCENE.means[row, k] <= max(corners[k], corners[k + 3])
+            for k in range(3)
+        )
+    )
     assert chosen(box=corners) == expected and 10 < sum(expected) < 190
 
 
@@ -53,7 +58,9 @@ def test_a_matrix_moves_centres_to_the_box_or_sphere(shape):
     matrix = np.eye(4)
     matrix[:3, :3] = np.diag([0.5, 2.0, 1.0]) @ [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
     matrix[:3, 3] = 0.3, 0.0, -0.2
-    moved = replace(SCENE, means=np.ascontiguousarray(SCENE.means @ matrix[:3, :3].T + matrix[:3, 3], np.float32))
+    moved = replace(
+        SCENE, means=np.ascontiguousarray(SCENE.means @ matrix[:3, :3].T + matrix[:3, 3], np.float32)
+    )
     assert selected(SCENE, Criteria(**shape), views, matrix).tolist() == chosen(moved, **shape)
 
 
@@ -65,7 +72,8 @@ def test_opacity_and_size():
 
 
 def sums(name: str) -> np.ndarray:
-    """Contribution, or removal error, from first principles: one picture with and one without the Gaussian."""
+    """Contribution, or removal error, from first principles: one picture with and one without the
+    Gaussian."""
     rasterizer, options, result = Rasterizer(), render_options(SCENE), np.zeros(SCENE.count)
     for camera in CAMERAS:
         whole = rasterizer.forward(SCENE, camera, options)["rgb"].copy()
@@ -81,7 +89,9 @@ def test_removal_error_is_that_of_removing_one_gaussian(monkeypatch):
     expected = sums("removal_error")
     middle = float(np.median(expected))
     sure = np.abs(expected / middle - 1) > 0.02
-    assert (np.array(chosen(removal_error=(middle, math.inf))) == (expected >= middle))[sure].all() and sure.sum() > 150
+    assert (np.array(chosen(removal_error=(middle, math.inf))) == (expected >= middle))[
+        sure
+    ].all() and sure.sum() > 150
 
 
 def test_contribution_and_views_are_those_of_the_rasterizer():
@@ -102,7 +112,11 @@ def test_all_criteria_must_hold():
 
 
 def test_nothing_and_everything():
-    assert not any(chosen(opacity=(2.0, 3.0))) and all(chosen(opacity=(0.0, 1.0))) and all(chosen(lowest_contribution=1.0))
+    assert (
+        not any(chosen(opacity=(2.0, 3.0)))
+        and all(chosen(opacity=(0.0, 1.0)))
+        and all(chosen(lowest_contribution=1.0))
+    )
     assert selected(scenes.empty_scene(), Criteria(opacity=(0, 1)), views).shape == (0,)
 
 
@@ -123,7 +137,11 @@ def test_what_is_missing_is_one_sentence():
         chosen()
     for name in OF_VIEWS:
         with pytest.raises(SceneError, match="no views"):
-            selected(SCENE, Criteria(**{name: "all" if name == "seen_by" else 0.5 if "lowest" in name else (0, 1)}), lambda _: [])
+            selected(
+                SCENE,
+                Criteria(**{name: "all" if name == "seen_by" else 0.5 if "lowest" in name else (0, 1)}),
+                lambda _: [],
+            )
 
 
 # --- floaters
@@ -134,13 +152,25 @@ def solid(count: int = 4000, seed: int = 1) -> Scene:
     rng = np.random.default_rng(seed)
     means = rng.normal(size=(count, 3))
     means /= np.linalg.norm(means, axis=1, keepdims=True)
-    return Scene.of(means, np.full((count, 3), np.log(0.02)), np.tile([1, 0, 0, 0], (count, 1)), np.full(count, 3), rng.normal(size=(count, 1, 3)))
+    return Scene.of(
+        means,
+        np.full((count, 3), np.log(0.02)),
+        np.tile([1, 0, 0, 0], (count, 1)),
+        np.full(count, 3),
+        rng.normal(size=(count, 1, 3)),
+    )
 
 
 def with_points(scene: Scene, points: np.ndarray, log_scales: float, logits: float = 3.0) -> Scene:
     """The scene with further round Gaussians at points (P, 3)."""
     p, arrays = len(points), (scene.means, scene.log_scales, scene.quats, scene.opacity_logits, scene.sh)
-    more = points, np.full((p, 3), log_scales), np.tile([1, 0, 0, 0], (p, 1)), np.full(p, logits), np.zeros((p, 1, 3))
+    more = (
+        points,
+        np.full((p, 3), log_scales),
+        np.tile([1, 0, 0, 0], (p, 1)),
+        np.full(p, logits),
+        np.zeros((p, 1, 3)),
+    )
     return Scene.of(*(np.concatenate(pair) for pair in zip(arrays, more, strict=True)))
 
 
@@ -154,16 +184,28 @@ def test_lone_gaussians_are_floaters_and_a_rod_is_none():
 def test_a_large_island_and_a_wide_background_are_no_floaters():
     other = solid(400, seed=2).means * 0.3 + [3, 0, 0]
     sky = solid(400, seed=4).means * 40
-    assert not on_small_islands(with_points(with_points(solid(), other, np.log(0.02)), sky, np.log(3.0))).any()
+    assert not on_small_islands(
+        with_points(with_points(solid(), other, np.log(0.02)), sky, np.log(3.0))
+    ).any()
 
 
 def test_invisible_gaussians_are_no_floaters_and_no_bridge():
     rod = np.c_[np.linspace(1.05, 2.0, 40), np.zeros((40, 2))]
-    scene = with_points(with_points(solid(), rod, np.log(0.02), logits=-9.0), np.array([[2.0, 0, 0]]), np.log(0.02))
+    scene = with_points(
+        with_points(solid(), rod, np.log(0.02), logits=-9.0), np.array([[2.0, 0, 0]]), np.log(0.02)
+    )
     assert np.flatnonzero(on_small_islands(scene)).tolist() == [4040] and invisible(scene).sum() == 40
 
 
-@pytest.mark.parametrize("scene", [scenes.empty_scene(), scenes.random_scene(1), scenes.random_scene(31), scenes.random_scene(40, spread=0.0)])
+@pytest.mark.parametrize(
+    "scene",
+    [
+        scenes.empty_scene(),
+        scenes.random_scene(1),
+        scenes.random_scene(31),
+        scenes.random_scene(40, spread=0.0),
+    ],
+)
 def test_small_and_degenerate_scenes_have_no_floaters(scene):
     assert not on_small_islands(scene).any()
 
@@ -182,11 +224,14 @@ def ring(count: int) -> list[Camera]:
 
 
 def test_haze_hangs_before_cameras_and_thin_things_do_not():
-    rod = np.c_[np.zeros((200, 2)), np.linspace(1, 3.2, 200)]  # towards a camera at (0, 0, 4): as near as the haze
+    # towards a camera at (0, 0, 4): as near as the haze
+    rod = np.c_[np.zeros((200, 2)), np.linspace(1, 3.2, 200)]
     air = np.array([[0.14, 0.14, 3.0], [3.2, -0.1, 0.05]])
     scene = with_points(with_points(solid(), rod, np.log(0.02)), air, np.log(0.15), logits=-2.0)
     cameras = ring(12)
     mask = haze.hangs_before_cameras(scene, cameras, Rasterizer(), render_options(scene))
     assert mask[-2:].all() and not mask[:-2].any()
-    assert not haze.hangs_before_cameras(scene, cameras[: haze.LEAST_VIEWS - 1], Rasterizer(), render_options(scene)).any()
+    assert not haze.hangs_before_cameras(
+        scene, cameras[: haze.LEAST_VIEWS - 1], Rasterizer(), render_options(scene)
+    ).any()
     assert criteria.floaters(scene, cameras)[-2:].all()

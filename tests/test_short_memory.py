@@ -1,4 +1,5 @@
-"""Work by blocks where memory is short for more than the whole scene: smaller blocks, and smaller parts of a view."""
+"""Work by blocks where memory is short for more than the whole scene: smaller blocks, and smaller parts of a
+view."""
 
 from __future__ import annotations
 
@@ -33,7 +34,9 @@ def test_a_view_is_looked_at_in_smaller_parts_where_memory_is_short(source, tmp_
     many = visible.seen(divided, CAMERA, rasterizer)[0]
     parts: list[int] = []
     blended = visible._blended
-    monkeypatch.setattr(visible, "_blended", lambda *words: parts.append(sum(map(len, words[2]))) or blended(*words))
+    monkeypatch.setattr(
+        visible, "_blended", lambda *words: parts.append(sum(map(len, words[2]))) or blended(*words)
+    )
     monkeypatch.setattr(visible, "FEWEST", COUNT // 100), monkeypatch.setattr(visible, "REACH", np.inf)
     monkeypatch.setattr(memory, "available", lambda: visible._needed(many.count + COUNT // 10, CAMERA))
     few = visible.seen(divided, CAMERA, rasterizer)[0]
@@ -46,7 +49,13 @@ def test_a_view_is_looked_at_in_smaller_parts_where_memory_is_short(source, tmp_
 
 
 @pytest.mark.parametrize(
-    "count, free, most", [(50_000_000, 10**12, MOST), (1_000_000, 10**12, 1_000_000), (1_000_000, 10**9, 500_000), (1_000_000, 10**7, 125_000)]
+    "count, free, most",
+    [
+        (50_000_000, 10**12, MOST),
+        (1_000_000, 10**12, 1_000_000),
+        (1_000_000, 10**9, 500_000),
+        (1_000_000, 10**7, 125_000),
+    ],
 )
 def test_blocks_are_as_large_as_memory_allows(count, free, most, monkeypatch):
     """A Gaussian of degree 3 takes about 0.6 kB while it is tuned; half of the memory may be used."""

@@ -19,7 +19,9 @@ from test_formats import by_gaussforge, like_trained
 def folder(tmp_path) -> Path:
     """The files of a SOG of 100 Gaussians, SH degree 1."""
     write_scene(tmp_path / "a.ply", like_trained(1, 100))
-    with zipfile.ZipFile(io.BytesIO(by_gaussforge((tmp_path / "a.ply").read_bytes(), ".ply", ".sog"))) as bundle:
+    with zipfile.ZipFile(
+        io.BytesIO(by_gaussforge((tmp_path / "a.ply").read_bytes(), ".ply", ".sog"))
+    ) as bundle:
         bundle.extractall(tmp_path / "sog")
     assert read_scene(tmp_path / "sog").count == 100
     return tmp_path / "sog"

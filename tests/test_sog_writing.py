@@ -1,4 +1,5 @@
-"""SOG as output: tables and palettes with little error where it is seen, a folder that is replaced as a whole, the same bytes each time."""
+"""SOG as output: tables and palettes with little error where it is seen, a folder that is replaced as a
+whole, the same bytes each time."""
 
 from __future__ import annotations
 
@@ -33,7 +34,12 @@ def test_a_table_is_nearly_the_best_one(rng):
     best = np.inf
     for cuts in combinations(range(1, 40), 2):  # every way to cut the sorted values into three
         parts = np.split(order, cuts)
-        best = min(best, error_of(values, weights, np.array([np.average(values[part], weights=weights[part]) for part in parts])))
+        best = min(
+            best,
+            error_of(
+                values, weights, np.array([np.average(values[part], weights=weights[part]) for part in parts])
+            ),
+        )
     assert error_of(values, weights, table(values, weights, 3)) <= 1.1 * best
 
 
@@ -112,7 +118,12 @@ def test_a_folder_is_replaced_as_a_whole(tmp_path, monkeypatch):
     write_scene(out, like_trained(1, 500))
     assert read_scene(out.parent).count == 500 and len(list(out.parent.iterdir())) == 2 + len(NAMES)
     assert (out.parent / "photo.webp").read_bytes() == b"mine"
-    named = [name for part in json.loads(out.read_text()).values() if isinstance(part, dict) for name in part.get("files", ())]
+    named = [
+        name
+        for part in json.loads(out.read_text()).values()
+        if isinstance(part, dict)
+        for name in part.get("files", ())
+    ]
     assert len(named) == len(NAMES) and all((out.parent / name).is_file() for name in named)
 
 

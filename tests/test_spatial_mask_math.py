@@ -1,4 +1,5 @@
-"""The spatial mask on one ray: closed form = the paper's sum, printed gradients = autograd = finite differences."""
+"""The spatial mask on one ray: closed form = the paper's sum, printed gradients = autograd = finite
+differences."""
 
 import math
 
@@ -77,7 +78,16 @@ def one_ray_F(alpha, M, kind: str, **options) -> torch.Tensor:
     """F of the rasterizer's own compositing for one ray."""
     nothing = torch.zeros(len(alpha), dtype=torch.float64)
     hit = torch.ones(1, len(alpha), dtype=torch.bool)
-    images = ref.blend(alpha[None], hit, M, nothing[:, None].expand(-1, 3), nothing, torch.zeros(3), mask_kind=kind, **options)
+    images = ref.blend(
+        alpha[None],
+        hit,
+        M,
+        nothing[:, None].expand(-1, 3),
+        nothing,
+        torch.zeros(3),
+        mask_kind=kind,
+        **options,
+    )
     return images[3][0]
 
 
@@ -88,7 +98,8 @@ def test_closed_form_is_the_papers_sum():
 
 def test_closed_gradient_is_the_printed_gradient():
     for alpha, M in rays():
-        np.testing.assert_allclose(g.closed_dF_dM(alpha, M), g.paper_dF_dM(alpha, M), atol=1e-14)  # worst seen 1e-16
+        # worst seen 1e-16
+        np.testing.assert_allclose(g.closed_dF_dM(alpha, M), g.paper_dF_dM(alpha, M), atol=1e-14)
 
 
 @pytest.mark.parametrize("kind", FORMS)
@@ -197,7 +208,9 @@ def test_colour_gradient_is_the_exact_difference_of_existing():
         for i, gradient in enumerate(g.dC_dM(alpha, M, c, 0.3)):
             on, off = M.copy(), M.copy()
             on[i], off[i] = 1, 0
-            assert gradient == pytest.approx(g.colour(alpha, on, c, 0.3) - g.colour(alpha, off, c, 0.3), abs=1e-14)
+            assert gradient == pytest.approx(
+                g.colour(alpha, on, c, 0.3) - g.colour(alpha, off, c, 0.3), abs=1e-14
+            )
 
 
 def test_masked_equals_deleted():

@@ -1,4 +1,5 @@
-"""Signals and kills: a job in a process of its own stops after its step, or goes on from its last checkpoint."""
+"""Signals and kills: a job in a process of its own stops after its step, or goes on from its last
+checkpoint."""
 
 from __future__ import annotations
 
@@ -34,12 +35,28 @@ FREQUENT = RUN.format(change="loop.CHECKPOINT_SECONDS = 0")
 
 
 def words_for(tiny, out: Path, iterations: int, recovery: int) -> list[str]:
-    words = ["prune", tiny.splat, "--colmap", tiny.folder, "--iterations", iterations, "--recovery", recovery, "--target", 0.5, "--resume", "--out", out]
+    words = [
+        "prune",
+        tiny.splat,
+        "--colmap",
+        tiny.folder,
+        "--iterations",
+        iterations,
+        "--recovery",
+        recovery,
+        "--target",
+        0.5,
+        "--resume",
+        "--out",
+        out,
+    ]
     return [str(word) for word in words]
 
 
 def start(*command: str) -> subprocess.Popen:
-    return subprocess.Popen([sys.executable, *command], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    return subprocess.Popen(
+        [sys.executable, *command], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
 
 
 def run(*command: str) -> subprocess.CompletedProcess:
@@ -94,7 +111,11 @@ def test_stop_signals_finish_the_step(tiny, tmp_path, number):
 
 
 def test_a_job_under_nohup_outlives_its_terminal(tiny, tmp_path):
-    process = start("-c", RUN.format(change="import signal; signal.signal(signal.SIGHUP, signal.SIG_IGN)"), *words_for(tiny, tmp_path / "o.ply", 2000, 0))
+    process = start(
+        "-c",
+        RUN.format(change="import signal; signal.signal(signal.SIGHUP, signal.SIG_IGN)"),
+        *words_for(tiny, tmp_path / "o.ply", 2000, 0),
+    )
     assert "prune 1/" in process.stderr.readline()
     process.send_signal(signal.SIGHUP)
     process.communicate(timeout=120)
@@ -114,7 +135,8 @@ def test_ctrl_c_then_resume_is_bit_identical(tiny, whole_command, tmp_path):
 
 
 def test_a_stop_request_hears_both_signals():
-    """A batch passes Ctrl-C on as SIGTERM beside the terminal's own: in either order the two are one request."""
+    """A batch passes Ctrl-C on as SIGTERM beside the terminal's own: in either order the two are one
+    request."""
     told, before = [], [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
     for order in ((signal.SIGTERM, signal.SIGINT), (signal.SIGINT, signal.SIGTERM)):
         with StopRequest(lambda: told.append("asked")) as stop:
@@ -141,6 +163,9 @@ def test_a_second_ctrl_c_ends_at_once(tiny, tmp_path):
 
 
 def test_sigterm_while_nothing_can_be_kept_ends_without_a_stack_trace():
-    code = "import os, signal\nfrom svrgs_addon.views.colmap import import_pycolmap\nimport_pycolmap()\nos.kill(os.getpid(), signal.SIGTERM)"
+    code = (
+        "import os, signal\nfrom svrgs_addon.views.colmap import"
+        " import_pycolmap\nimport_pycolmap()\nos.kill(os.getpid(), signal.SIGTERM)"
+    )
     done = run("-c", code)
     assert (done.returncode, done.stderr) == (-signal.SIGTERM, "")

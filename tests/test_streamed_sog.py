@@ -1,4 +1,5 @@
-"""Streamed SOG: every Gaussian of every level is in one leaf, inside its box; what viewers need is in lod-meta.json; damaged ones are told."""
+"""Streamed SOG: every Gaussian of every level is in one leaf, inside its box; what viewers need is in
+lod-meta.json; damaged ones are told."""
 
 from __future__ import annotations
 
@@ -52,9 +53,16 @@ def leaves(node: dict) -> list[dict]:
 
 def test_the_leaves_hold_each_gaussian_once_and_inside_their_box(town):
     meta = json.loads(town.read_text())
-    assert (meta["version"], meta["lodLevels"], meta["counts"], meta["count"]) == (1, 3, [6000, 3000, 750], 9750)
+    assert (meta["version"], meta["lodLevels"], meta["counts"], meta["count"]) == (
+        1,
+        3,
+        [6000, 3000, 750],
+        9750,
+    )
     found = leaves(meta["tree"])
-    assert len(found) > 8 and all(sum(lod["count"] for lod in leaf["lods"].values()) <= 1000 for leaf in found)
+    assert len(found) > 8 and all(
+        sum(lod["count"] for lod in leaf["lods"].values()) <= 1000 for leaf in found
+    )
     units = {name: read_scene(town.parent / name) for name in meta["filenames"]}
     ends = dict.fromkeys(units, 0)
     for leaf in found:
@@ -73,7 +81,9 @@ def test_boxes_hold_those_below_them(town):
     while nodes:
         node = nodes.pop()
         for child in node.get("children", []):
-            assert (np.array(child["bound"]["min"]) >= node["bound"]["min"]).all() and (np.array(child["bound"]["max"]) <= node["bound"]["max"]).all()
+            assert (np.array(child["bound"]["min"]) >= node["bound"]["min"]).all() and (
+                np.array(child["bound"]["max"]) <= node["bound"]["max"]
+            ).all()
             nodes.append(child)
 
 
@@ -87,7 +97,11 @@ def test_every_level_is_what_was_written(town):
 
 def test_it_is_read_as_its_finest_level(town):
     assert read_scene(town).count == read_scene(town.parent).count == 6000
-    assert describe(town)["bytes"] == size_on_disk(town.parent) == sum(file.stat().st_size for file in town.parent.rglob("*") if file.is_file())
+    assert (
+        describe(town)["bytes"]
+        == size_on_disk(town.parent)
+        == sum(file.stat().st_size for file in town.parent.rglob("*") if file.is_file())
+    )
     assert split_name(town)[0] == "town"
     with pytest.raises(FormatError, match="level 3"):
         list(read_level(town, 3))
@@ -99,7 +113,9 @@ def test_an_older_one_is_replaced_with_its_files(town):
     assert read_scene(town).count == 1500
     meta = json.loads(town.read_text())
     folders = {file.name for file in town.parent.iterdir() if file.is_dir()}
-    assert folders == {name.split("/")[0] for name in meta["filenames"]} and (town.parent / "mine.txt").exists()
+    assert (
+        folders == {name.split("/")[0] for name in meta["filenames"]} and (town.parent / "mine.txt").exists()
+    )
 
 
 def test_an_older_one_stays_until_the_new_one_is_complete(town, monkeypatch):
@@ -166,5 +182,10 @@ def test_a_streamed_sog_of_one_level_equals_the_sog(tmp_path):
     write_scene(tmp_path / "a.sog", scene)
     write_scene(tmp_path / "b" / "lod-meta.json", scene)
     one, other = read_scene(tmp_path / "a.sog"), read_scene(tmp_path / "b")
-    assert all((getattr(one, name) == getattr(other, name)).all() for name in ("means", "log_scales", "quats", "sh"))
-    assert dataclasses.asdict(one).keys() == dataclasses.asdict(other).keys() and sog.degree_of(tmp_path / "b" / "0_0" / "meta.json") == 1
+    assert all(
+        (getattr(one, name) == getattr(other, name)).all() for name in ("means", "log_scales", "quats", "sh")
+    )
+    assert (
+        dataclasses.asdict(one).keys() == dataclasses.asdict(other).keys()
+        and sog.degree_of(tmp_path / "b" / "0_0" / "meta.json") == 1
+    )

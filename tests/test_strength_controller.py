@@ -31,7 +31,8 @@ STEPS = 2_000
 
 
 class Plant:
-    """Stands in for a run whose q moves by itself, faster the stronger it is pressed, after a dead time and with a lag."""
+    """Stands in for a run whose q moves by itself, faster the stronger it is pressed, after a dead time and
+    with a lag."""
 
     own = None  # the target is about all of it
 
@@ -52,7 +53,8 @@ class Plant:
 @pytest.mark.parametrize("dead", [0, 300, 700])
 @pytest.mark.parametrize("ease", [0.1, 0.3, 1.0, 3.0])
 def test_the_goal_is_reached_whatever_the_scene_is_like(monkeypatch, ease, dead, lag):
-    """q moves from 10 times too slowly to 3 times too fast at strength 1; it never turns back. Worst seen: 0.054 beyond."""
+    """q moves from 10 times too slowly to 3 times too fast at strength 1; it never turns back. Worst seen:
+    0.054 beyond."""
     plant, steered = Plant(ease, dead, lag), StrengthController(start=1.0)
     monkeypatch.setattr(StrengthController, "progress", lambda self, run, settled: run.q)
     for number in range(1, STEPS + 1):
@@ -72,7 +74,10 @@ def test_the_strength_stays_within_limits(monkeypatch, method, largest):
     assert steered.strength == pytest.approx(largest)
 
 
-@pytest.mark.parametrize(("changes", "steered"), [({}, False), ({"target": 5}, True), ({"share": 0.5}, True), ({"max_drop": 0.5}, True)])
+@pytest.mark.parametrize(
+    ("changes", "steered"),
+    [({}, False), ({"target": 5}, True), ({"share": 0.5}, True), ({"max_drop": 0.5}, True)],
+)
 def test_only_what_is_asked_for_is_steered(changes, steered):
     settings = Settings((), **changes)
     assert (controller_for(settings, True, 10.0) is not None) == steered
@@ -102,8 +107,8 @@ def test_masks_alone_come_near_the_target(tiny, data, method, target):
 
 
 def test_the_drop_asked_for_is_used_up_and_not_exceeded(tiny, data):
-    """In most runs: one Gaussian of this tiny scene can be worth tenths of a dB, and now and then a run loses several or next to nothing.
-    Of 21 seeds two lost more than asked; the median was 0.66 dB."""
+    """In most runs: one Gaussian of this tiny scene can be worth tenths of a dB, and now and then a run loses
+    several or next to nothing. Of 21 seeds two lost more than asked; the median was 0.66 dB."""
     drops = []
     for seed in range(1, 12):
         run = to_the_end(steered_run(tiny, data, "svr", max_drop=1.0, seed=seed))
@@ -112,15 +117,23 @@ def test_the_drop_asked_for_is_used_up_and_not_exceeded(tiny, data):
     assert 0.1 < sorted(drops)[5] <= 1.0 and sum(drop <= 1.0 for drop in drops) >= 7, drops
 
 
-@pytest.mark.parametrize(("method", "allowed"), [("removal", 0.2), ("removal", 0.4), ("svr", 0.5), ("svr", 1.0), ("gns", 1.0)])
+@pytest.mark.parametrize(
+    ("method", "allowed"), [("removal", 0.2), ("removal", 0.4), ("svr", 0.5), ("svr", 1.0), ("gns", 1.0)]
+)
 def test_what_the_recovery_wins_back_is_spent(tiny, data, tmp_path, method, allowed):
-    """In most runs: one Gaussian of this tiny scene can be worth tenths of a dB. With `removal` a twentieth, the least that stays, loses about 0.3 dB."""
+    """In most runs: one Gaussian of this tiny scene can be worth tenths of a dB. With `removal` a twentieth,
+    the least that stays, loses about 0.3 dB."""
     drops, cuts = [], []
     for seed in range(3):
         settings = replace(prune_settings(method, 300, 200), max_drop=allowed, seed=seed)
-        result = train_and_prune.prune(tiny.splat, data, settings, train_and_prune.JobContext(tmp_path / f"{seed}.ply"))
+        result = train_and_prune.prune(
+            tiny.splat, data, settings, train_and_prune.JobContext(tmp_path / f"{seed}.ply")
+        )
         left = result["curves"]["count"]
-        drops.append(result["drop"]), cuts.append(left[-1] < left[list(result["curves"]["iteration"]).index(300)])
+        (
+            drops.append(result["drop"]),
+            cuts.append(left[-1] < left[list(result["curves"]["iteration"]).index(300)]),
+        )
     assert allowed - 0.7 < sorted(drops)[1] < allowed + 0.4 and sum(cuts) >= 2, (drops, cuts)
 
 
@@ -129,13 +142,17 @@ def test_more_is_cut_where_more_is_won_back():
     first = RecoveryPruning(start=30.0)
     assert first.recovered_share(31.0) == recovery_pruning.RECOVERED
     for now, share in ((29.5, recovery_pruning.DECAY * 0.5), (28.5, 0.0), (31.0, recovery_pruning.RECOVERED)):
-        assert RecoveryPruning(start=30.0, before_cut=30.0, after_cut=29.0).recovered_share(now) == pytest.approx(share)
+        assert RecoveryPruning(start=30.0, before_cut=30.0, after_cut=29.0).recovered_share(
+            now
+        ) == pytest.approx(share)
 
 
 @pytest.mark.parametrize("stop", [501, 650, 651, 790])
 def test_a_recovery_that_cuts_goes_on_from_a_checkpoint_bit_for_bit(tiny, data, tmp_path, stop):
     settings = replace(prune_settings("removal", 500, 300), max_drop=0.2)
-    whole, first, second = (Run(Model.of(load_scene(tiny.splat).scene), data, settings, NativeEngine()) for _ in range(3))
+    whole, first, second = (
+        Run(Model.of(load_scene(tiny.splat).scene), data, settings, NativeEngine()) for _ in range(3)
+    )
     while first.iteration < stop:
         first.advance()
     first.close()
@@ -147,7 +164,9 @@ def test_a_recovery_that_cuts_goes_on_from_a_checkpoint_bit_for_bit(tiny, data, 
     to_the_end(second), to_the_end(whole)
     assert second.recovery_pruning == whole.recovery_pruning and whole.recovery_pruning.after_cut > 0
     assert whole.model.count < removed, "the recovery cuts"
-    assert all(value.tobytes() == whole.model.values[name].tobytes() for name, value in second.model.values.items())
+    assert all(
+        value.tobytes() == whole.model.values[name].tobytes() for name, value in second.model.values.items()
+    )
 
 
 @pytest.mark.parametrize("goal", [{"target": 90}, {"max_drop": 1.0}], ids=["target", "max-drop"])
@@ -157,10 +176,14 @@ def test_a_steered_run_restored_from_a_checkpoint_goes_on_bit_for_bit(tiny, data
         first.advance()
     first.close()
     checkpoint.save(first, tmp_path, "same")
-    assert checkpoint.restore(second, tmp_path, "same") and asdict(second.controller) == asdict(first.controller) != asdict(StrengthController())
+    assert checkpoint.restore(second, tmp_path, "same") and asdict(second.controller) == asdict(
+        first.controller
+    ) != asdict(StrengthController())
     to_the_end(second), to_the_end(whole)
     assert asdict(second.controller) == asdict(whole.controller)
-    assert all(value.tobytes() == whole.model.values[name].tobytes() for name, value in second.model.values.items())
+    assert all(
+        value.tobytes() == whole.model.values[name].tobytes() for name, value in second.model.values.items()
+    )
 
 
 @pytest.mark.parametrize("method", ["opacity", "lightgaussian", "3dgs"])
@@ -171,7 +194,18 @@ def test_a_drop_cannot_be_asked_of_methods_without_masks(data, method):
 
 
 def test_the_command_line_reaches_the_drop(tiny, svrgs, tmp_path):
-    words = ("--max-drop", 2, "--iterations", 600, "--recovery", 0, "--quiet", "--json", "--out", tmp_path / "o.ply")
+    words = (
+        "--max-drop",
+        2,
+        "--iterations",
+        600,
+        "--recovery",
+        0,
+        "--quiet",
+        "--json",
+        "--out",
+        tmp_path / "o.ply",
+    )
     result = svrgs("prune", tiny.splat, "--colmap", tiny.folder, *words).json
     assert result["count"] < tiny_dataset.COUNT and result["target"] is None and result["strength"] > 0
     refused = svrgs("prune", tiny.splat, "--colmap", tiny.folder, "--target", 0.5, *words)
@@ -179,12 +213,21 @@ def test_the_command_line_reaches_the_drop(tiny, svrgs, tmp_path):
 
 
 def test_an_allowed_drop_keeps_a_twentieth_at_least_and_needs_photographs_that_show_something(tiny, data):
-    run = Run(Model.of(load_scene(tiny.splat).scene), data, replace(prune_settings("removal", 60, 0), max_drop=1.0), NativeEngine())
-    assert fewest_within(run, np.arange(run.model.count), -10.0).sum() == math.ceil(quality.LEAST * run.model.count)
+    run = Run(
+        Model.of(load_scene(tiny.splat).scene),
+        data,
+        replace(prune_settings("removal", 60, 0), max_drop=1.0),
+        NativeEngine(),
+    )
+    assert fewest_within(run, np.arange(run.model.count), -10.0).sum() == math.ceil(
+        quality.LEAST * run.model.count
+    )
     run.recovery_pruning.before_step(run)
     black = replace(run.settings, max_drop=60.0)
     with pytest.raises(SceneError, match="even an empty scene loses less than the 60 dB allowed"):
-        RecoveryPruning().before_step(Run(Model.of(load_scene(tiny.splat).scene), data, black, NativeEngine()))
+        RecoveryPruning().before_step(
+            Run(Model.of(load_scene(tiny.splat).scene), data, black, NativeEngine())
+        )
 
 
 def test_a_drop_is_measured_on_test_views_and_on_training_views_if_there_are_none(data):
@@ -203,13 +246,25 @@ def test_a_drop_counts_from_the_scene_before_its_first_cut(tiny, data, tmp_path)
 
 def test_a_drop_counts_what_the_format_of_the_output_loses(tiny, data, tmp_path):
     settings = replace(prune_settings("svr", 60, 0), max_drop=2.0)
-    result = train_and_prune.prune(tiny.splat, data, settings, train_and_prune.JobContext(tmp_path / "o.compressed.ply"))
+    result = train_and_prune.prune(
+        tiny.splat, data, settings, train_and_prune.JobContext(tmp_path / "o.compressed.ply")
+    )
     assert result["drop"] == pytest.approx(result["before"]["psnr"] - result["psnr"], abs=1e-3)
     source, held = load_scene(tiny.splat).scene, result["before"]["psnr"]
     left = train_and_prune.without_format_loss(source, data, settings, tmp_path / "o.compressed.ply").max_drop
-    seen = train_and_prune.measured(as_held(source, compressed_ply.FORMAT), data, train_and_prune.JobContext(tmp_path / "o.compressed.ply"), tiny.splat)
+    seen = train_and_prune.measured(
+        as_held(source, compressed_ply.FORMAT),
+        data,
+        train_and_prune.JobContext(tmp_path / "o.compressed.ply"),
+        tiny.splat,
+    )
     assert 2.0 - left == pytest.approx(max(0.0, held - seen["psnr"]), abs=1e-3) and left < 2.0
     assert train_and_prune.without_format_loss(source, data, settings, tmp_path / "o.ply").max_drop == 2.0
     with pytest.raises(SceneError, match="o.splat: the format alone loses"):
-        train_and_prune.prune(tiny.splat, data, replace(settings, max_drop=0.01), train_and_prune.JobContext(tmp_path / "o.splat"))
+        train_and_prune.prune(
+            tiny.splat,
+            data,
+            replace(settings, max_drop=0.01),
+            train_and_prune.JobContext(tmp_path / "o.splat"),
+        )
     assert not (tmp_path / "o.splat").exists()

@@ -1,4 +1,5 @@
-"""`svrgs bench --stress`: every hostile row stays finite and close to float64 at every SIMD level, and its figures are told."""
+"""`svrgs bench --stress`: every hostile row stays finite and close to float64 at every SIMD level, and its
+figures are told."""
 
 from __future__ import annotations
 
@@ -13,7 +14,8 @@ from svrgs_bench.stress_rows import rows
 
 IMAGE_BOUND = 1e-5  # worst seen 9.1e-7
 GRADIENT_BOUND = 5e-4  # worst seen 4.3e-5
-CROSSED_BOUND = 1e-3  # share of pixels where rounding decides otherwise whether a Gaussian hits; worst seen 1.5e-5
+# share of pixels where rounding decides otherwise whether a Gaussian hits; worst seen 1.5e-5
+CROSSED_BOUND = 1e-3
 DRIFT_IMAGE, DRIFT_PARAMETERS = 0.05, 0.3  # after 1,000 steps; seen 1.1e-2 and 0.10
 # What float32 does not draw, while float64 does: Gaussians of more than 1e9 pixels.
 BEYOND_FLOAT = {"log-scale": {20, 25, 30, 35, 40}, "bad-values": {"1e+38", "3.4028e+38"}}
@@ -27,7 +29,9 @@ def test_every_row_is_finite_and_close_to_float64(level):
         assert entry["nonfinite"] == 0, entry["row"]
         assert entry["image_max"] <= IMAGE_BOUND and entry["grad_rel_l2"] <= GRADIENT_BOUND, entry
         for point in entry["points"]:
-            assert point["crossed"] <= CROSSED_BOUND or point["value"] in BEYOND_FLOAT.get(entry["row"], ()), (entry["row"], point)
+            assert point["crossed"] <= CROSSED_BOUND or point["value"] in BEYOND_FLOAT.get(
+                entry["row"], ()
+            ), (entry["row"], point)
 
 
 def test_every_row_draws_something():

@@ -1,4 +1,5 @@
-"""Files that other programs have open, and owners that were killed, on Windows; most of it against a model of Windows on other systems."""
+"""Files that other programs have open, and owners that were killed, on Windows; most of it against a model of
+Windows on other systems."""
 
 from __future__ import annotations
 
@@ -50,7 +51,13 @@ def test_a_file_is_replaced(windows, old):
 
 
 def test_an_output_that_a_viewer_has_open_is_refused_before_the_work(windows, old):
-    with viewer(windows, old), pytest.raises(SceneError, match=r"größe \(1\).ply: is open in another program and cannot be replaced; close it there, or"):
+    with (
+        viewer(windows, old),
+        pytest.raises(
+            SceneError,
+            match=r"größe \(1\).ply: is open in another program and cannot be replaced; close it there, or",
+        ),
+    ):
         check_writable(old)
     check_writable(old)
     assert names(old.parent) == [old.name]
@@ -61,10 +68,17 @@ def test_a_result_is_kept_under_another_name_while_a_viewer_has_the_old_one_open
         with viewer(windows, old):
             check_space(old, 10)
             with pytest.raises(
-                SceneError, match=rf"was not replaced, probably because another program has it open; .* next to it as 'größe \(1\) \(new{number}\).ply'$"
+                SceneError,
+                match=(
+                    r"was not replaced, probably because another program has it open; .* next to it as"
+                    rf" 'größe \(1\) \(new{number}\).ply'$"
+                ),
             ):
                 write(old, b"new" + number.encode())
-        assert old.read_bytes() == b"old" and old.with_stem(f"{old.stem} (new{number})").read_bytes() == b"new" + number.encode()
+        assert (
+            old.read_bytes() == b"old"
+            and old.with_stem(f"{old.stem} (new{number})").read_bytes() == b"new" + number.encode()
+        )
     assert len(names(old.parent)) == 3
 
 
@@ -87,7 +101,9 @@ def test_a_viewer_that_closes_the_file_soon_is_waited_for(windows, old, monkeypa
 
 def test_a_reader_waits_while_a_file_is_being_replaced(windows, old):
     closed = threading.Event()
-    descriptor = system_calls.create_file(old, system_calls.GENERIC_READ, system_calls.SHARE_NOTHING, system_calls.OPEN_EXISTING)
+    descriptor = system_calls.create_file(
+        old, system_calls.GENERIC_READ, system_calls.SHARE_NOTHING, system_calls.OPEN_EXISTING
+    )
     timer = threading.Timer(0.1, lambda: (closed.set(), os.close(descriptor)))
     timer.start()
     assert replacing.read_bytes(old) == b"old" and closed.is_set()
@@ -95,13 +111,18 @@ def test_a_reader_waits_while_a_file_is_being_replaced(windows, old):
 
 
 def test_no_result_is_lost_to_a_program_that_lets_others_rename_the_file(windows, old):
-    """The check before the work cannot see what will happen: Windows 7 to 10 refuse, later versions may replace the file."""
-    descriptor = system_calls.create_file(old, system_calls.GENERIC_READ, system_calls.SHARE_ALL, system_calls.OPEN_EXISTING)
+    """The check before the work cannot see what will happen: Windows 7 to 10 refuse, later versions may
+    replace the file."""
+    descriptor = system_calls.create_file(
+        old, system_calls.GENERIC_READ, system_calls.SHARE_ALL, system_calls.OPEN_EXISTING
+    )
     check_writable(old)
     with contextlib.suppress(SceneError):
         write(old, b"new")
     os.close(descriptor)
-    assert [path.read_bytes() for path in old.parent.iterdir() if path != old or path.read_bytes() == b"new"] == [b"new"]
+    assert [
+        path.read_bytes() for path in old.parent.iterdir() if path != old or path.read_bytes() == b"new"
+    ] == [b"new"]
 
 
 def test_a_missing_file_is_not_waited_for(windows, tmp_path):
@@ -142,7 +163,10 @@ def test_what_a_virus_scanner_reads_is_removed_later(windows, tmp_path):
 def test_an_output_has_one_owner(windows, tmp_path):
     with reserved(tmp_path / "o.ply"):
         check_writable(tmp_path / "o.ply")
-        with pytest.raises(SceneError, match="o.ply: another job is writing this file"), reserved(tmp_path / "o.ply"):
+        with (
+            pytest.raises(SceneError, match="o.ply: another job is writing this file"),
+            reserved(tmp_path / "o.ply"),
+        ):
             pass
         with reserved(tmp_path / "other.ply"):
             pass

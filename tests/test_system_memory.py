@@ -65,7 +65,8 @@ class FakeKernel:
     def host_statistics64(self, host, kind, statistics, count):
         assert (host.value, kind, count._obj.value) == (0x1203, 4, 38)
         struct.pack_into("<IIII", statistics._obj, 0, 1000, 7, 500, 11)  # free, active, inactive, wired
-        struct.pack_into("<II", statistics._obj, 88, 300, 200)  # purgeable, speculative: they are in the inactive and the free ones
+        # purgeable, speculative: they are in the inactive and the free ones
+        struct.pack_into("<II", statistics._obj, 88, 300, 200)
         return self.status
 
 

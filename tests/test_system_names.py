@@ -1,4 +1,5 @@
-"""Names and lengths of paths: what Windows forbids, and folders of 300 characters with spaces and umlauts through whole commands."""
+"""Names and lengths of paths: what Windows forbids, and folders of 300 characters with spaces and umlauts
+through whole commands."""
 
 from __future__ import annotations
 
@@ -48,14 +49,28 @@ def test_a_name_that_windows_forbids_is_refused(windows, tmp_path, path, reason)
     assert str(caught.value) == f"{path}: cannot be written because {reason}; choose another name"
 
 
-@pytest.mark.parametrize("path", ["C:\\out\\console.ply", "..\\.\\nulls\\.a\\b c.ply", "\\\\server\\share\\größe.ply", "COM0.ply", "com10", LONG])
+@pytest.mark.parametrize(
+    "path",
+    [
+        "C:\\out\\console.ply",
+        "..\\.\\nulls\\.a\\b c.ply",
+        "\\\\server\\share\\größe.ply",
+        "COM0.ply",
+        "com10",
+        LONG,
+    ],
+)
 def test_other_names_are_allowed(windows, path):
     assert what_is_forbidden(path) == ""
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="this is Windows")
 def test_other_systems_forbid_nothing():
-    assert what_is_forbidden("NUL./a:b ") == "" and extended("/" + "x" * 300) == Path("/" + "x" * 300) and shown("\\\\?\\a") == "\\\\?\\a"
+    assert (
+        what_is_forbidden("NUL./a:b ") == ""
+        and extended("/" + "x" * 300) == Path("/" + "x" * 300)
+        and shown("\\\\?\\a") == "\\\\?\\a"
+    )
 
 
 @pytest.mark.parametrize(
@@ -81,10 +96,19 @@ def test_a_relative_path_is_measured_from_the_current_folder(windows, monkeypatc
 
 def test_messages_show_the_path_without_the_prefix(windows):
     path = extended(LONG + "\\größe.ply")
-    assert printable(str(FileNotFoundError(2, "missing", str(path)))) == "[Errno 2] missing: " + repr(f"{LONG}\\größe.ply")
-    assert str(FormatError(f"{path}: is incomplete")) == printable(f"{path}: is incomplete") == f"{LONG}\\größe.ply: is incomplete"
+    assert printable(str(FileNotFoundError(2, "missing", str(path)))) == "[Errno 2] missing: " + repr(
+        f"{LONG}\\größe.ply"
+    )
+    assert (
+        str(FormatError(f"{path}: is incomplete"))
+        == printable(f"{path}: is incomplete")
+        == f"{LONG}\\größe.ply: is incomplete"
+    )
     share = extended("\\\\server\\share\\" + "x" * 300)
-    assert plain({"out": str(share), "files": [str(path)]}) == {"out": "\\\\server\\share\\" + "x" * 300, "files": [f"{LONG}\\größe.ply"]}
+    assert plain({"out": str(share), "files": [str(path)]}) == {
+        "out": "\\\\server\\share\\" + "x" * 300,
+        "files": [f"{LONG}\\größe.ply"],
+    }
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="only Windows has drives")
@@ -99,7 +123,13 @@ def test_a_junction_of_windows_is_a_link(tmp_path, monkeypatch):
     lstat = os.lstat
     for name in ("junction", "in the cloud", "folder"):
         (tmp_path / name).mkdir()
-    monkeypatch.setattr(os, "lstat", lambda path: SimpleNamespace(st_reparse_tag=tags.get(os.fspath(path), 0), st_mode=lstat(path).st_mode))
+    monkeypatch.setattr(
+        os,
+        "lstat",
+        lambda path: SimpleNamespace(
+            st_reparse_tag=tags.get(os.fspath(path), 0), st_mode=lstat(path).st_mode
+        ),
+    )
     with os.scandir(tmp_path) as entries:
         assert sorted(entry.name for entry in entries if is_link(entry)) == ["junction"]
 
@@ -128,13 +158,20 @@ def place(tiny, tmp_path) -> Path:
 
 
 def run(*words: object, **environment: str) -> subprocess.CompletedProcess[bytes]:
-    return subprocess.run([sys.executable, "-m", "svrgs_addon", *map(str, words)], cwd=ROOT, capture_output=True, env=os.environ | environment)
+    return subprocess.run(
+        [sys.executable, "-m", "svrgs_addon", *map(str, words)],
+        cwd=ROOT,
+        capture_output=True,
+        env=os.environ | environment,
+    )
 
 
 COMMANDS = {
     "info": "info {}/scene.ply",
     "render": "render {}/scene.ply --colmap {} --views test --out {}/out",
-    "prune": "prune {}/scene.ply --colmap {} --iterations 3 --recovery 3 --quiet --out {}/ö.ply --report {}/report",
+    "prune": (
+        "prune {}/scene.ply --colmap {} --iterations 3 --recovery 3 --quiet --out {}/ö.ply --report {}/report"
+    ),
     "batch": "prune {} --iterations 3 --recovery 3 --quiet --batch --out {}/ö.ply",
     "train": "train --colmap {} --iterations 3 --quiet --out {}/ö.ply",
     "eval": "eval {}/scene.ply --colmap {}",
@@ -142,7 +179,11 @@ COMMANDS = {
 }
 
 
-@pytest.mark.parametrize("console", [{"PYTHONIOENCODING": "cp1252"}, {"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0"}], ids=["cp1252", "C"])
+@pytest.mark.parametrize(
+    "console",
+    [{"PYTHONIOENCODING": "cp1252"}, {"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0"}],
+    ids=["cp1252", "C"],
+)
 @pytest.mark.parametrize("command", COMMANDS)
 def test_long_paths_with_umlauts_and_spaces(place, command, console):
     words = [word.format(*[place] * 4) for word in COMMANDS[command].split()]
@@ -152,13 +193,20 @@ def test_long_paths_with_umlauts_and_spaces(place, command, console):
     if command in ("prune", "batch"):
         result = json.loads(done.stdout)
         assert result["out"] == str(place / "ö.ply") and extended(place / "ö.ply").is_file()
-    left = [path.name for path in extended(place).iterdir() if path.name.startswith(".svrgs-") or path.suffix == ".job"]
+    left = [
+        path.name
+        for path in extended(place).iterdir()
+        if path.name.startswith(".svrgs-") or path.suffix == ".job"
+    ]
     assert not left
 
 
 def test_a_sentence_on_a_console_that_lacks_the_letters(tmp_path):
     done = run("info", tmp_path / "größe-λ.ply", PYTHONIOENCODING="cp850")
-    assert done.returncode == 2 and "größe-".encode("cp850") + rb"\u03bb.ply: there is no such file" in done.stderr
+    assert (
+        done.returncode == 2
+        and "größe-".encode("cp850") + rb"\u03bb.ply: there is no such file" in done.stderr
+    )
 
 
 def test_the_system_is_known():

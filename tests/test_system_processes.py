@@ -17,7 +17,10 @@ from svrgs_addon.system.processes import ChildProcess, ProcessGroup, killed_from
 
 ROOT = Path(__file__).resolve().parents[1]
 ALIVE = "import sys, time\nwhile True:\n    open(sys.argv[1], 'ab').write(b'.')\n    time.sleep(0.02)"
-PARENT = "import subprocess, sys, time\nsubprocess.Popen([sys.executable, '-c', sys.argv[1], sys.argv[2]])\ntime.sleep(60)"
+PARENT = (
+    "import subprocess, sys, time\nsubprocess.Popen([sys.executable, '-c', sys.argv[1],"
+    " sys.argv[2]])\ntime.sleep(60)"
+)
 SLEEP = "import time; print(1, flush=True); time.sleep(60)"
 
 
@@ -57,7 +60,10 @@ def test_who_was_killed_is_told_by_the_exit_status():
 
 def test_an_output_line_and_a_status_of_windows_are_told_apart(monkeypatch):
     monkeypatch.setattr(here, "WINDOWS", True)
-    assert [killed_from_outside(status, silent) for status, silent in ((1, True), (1, False), (0, True), (130, True))] == [True, False, False, False]
+    assert [
+        killed_from_outside(status, silent)
+        for status, silent in ((1, True), (1, False), (0, True), (130, True))
+    ] == [True, False, False, False]
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="there the console asks")
@@ -93,7 +99,11 @@ def test_a_child_shares_the_console_or_has_none(windows, started, console, flags
     windows.console = console
     child = ChildProcess(["svrgs"])
     (job,) = windows.jobs.values()
-    assert started.options == {"creationflags": flags} and job == {"processes": [77], "flags": 0x2000, "ended": False}
+    assert started.options == {"creationflags": flags} and job == {
+        "processes": [77],
+        "flags": 0x2000,
+        "ended": False,
+    }
     child.ask_to_stop()
     assert not job["ended"], "the console has asked it"
     del child
@@ -103,7 +113,11 @@ def test_a_child_shares_the_console_or_has_none(windows, started, console, flags
 def test_a_group_has_no_console_and_outlives_this_process(windows, started):
     group = ProcessGroup(["svrgs"])
     (job,) = windows.jobs.values()
-    assert started.options == {"creationflags": 0x08000200} and job == {"processes": [77], "flags": 0, "ended": False}
+    assert started.options == {"creationflags": 0x08000200} and job == {
+        "processes": [77],
+        "flags": 0,
+        "ended": False,
+    }
     group.kill()
     assert job["ended"]
     job["ended"] = False
@@ -147,10 +161,15 @@ print("stopped", flush=True)
 """
 
 
-@pytest.mark.skipif(sys.platform != "win32" or not system_calls.has_console(), reason="only a console of Windows sends Ctrl-Break")
+@pytest.mark.skipif(
+    sys.platform != "win32" or not system_calls.has_console(),
+    reason="only a console of Windows sends Ctrl-Break",
+)
 def test_ctrl_break_from_the_console_stops_a_process():
     group = subprocess.CREATE_NEW_PROCESS_GROUP
-    with subprocess.Popen([sys.executable, "-c", CTRL_BREAK, str(ROOT)], stdout=subprocess.PIPE, text=True, creationflags=group) as process:
+    with subprocess.Popen(
+        [sys.executable, "-c", CTRL_BREAK, str(ROOT)], stdout=subprocess.PIPE, text=True, creationflags=group
+    ) as process:
         assert process.stdout.readline() == "ready\n"
         process.send_signal(signal.CTRL_BREAK_EVENT)
         assert process.communicate(timeout=20)[0] == "stopped\n" and process.returncode == 0
@@ -158,7 +177,27 @@ def test_ctrl_break_from_the_console_stops_a_process():
 
 def test_nothing_else_asks_for_the_system():
     """Each branch for a system is in svrgs_addon/system."""
-    words = ("sys.platform", "os.name", "fcntl", "msvcrt", "import resource", "creationflags", "WinDLL", "killpg", "start_new_session")
-    others = [path for folder in ("svrgs_addon", "operators", "panels") for path in (ROOT / folder).rglob("*.py") if path.parent.name != "system"]
-    found = [f"{path.relative_to(ROOT)}: {word}" for path in others for word in words if word in path.read_text(encoding="utf-8")]
+    words = (
+        "sys.platform",
+        "os.name",
+        "fcntl",
+        "msvcrt",
+        "import resource",
+        "creationflags",
+        "WinDLL",
+        "killpg",
+        "start_new_session",
+    )
+    others = [
+        path
+        for folder in ("svrgs_addon", "operators", "panels")
+        for path in (ROOT / folder).rglob("*.py")
+        if path.parent.name != "system"
+    ]
+    found = [
+        f"{path.relative_to(ROOT)}: {word}"
+        for path in others
+        for word in words
+        if word in path.read_text(encoding="utf-8")
+    ]
     assert not found and processes.__file__

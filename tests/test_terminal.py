@@ -1,4 +1,5 @@
-"""The command line in any terminal: paths and encodings that are not UTF-8, closed streams, control characters, Ctrl-C at the start."""
+"""The command line in any terminal: paths and encodings that are not UTF-8, closed streams, control
+characters, Ctrl-C at the start."""
 
 from __future__ import annotations
 
@@ -32,7 +33,16 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="names of files 
 
 def run(*words: object, redirect: str = "", **environment: str) -> subprocess.CompletedProcess[bytes]:
     """`svrgs WORDS` in a process of its own, with redirections of a shell."""
-    command = ["sh", "-c", f'exec "$@" {redirect}', "sh", sys.executable, "-m", "svrgs_addon", *map(str, words)]
+    command = [
+        "sh",
+        "-c",
+        f'exec "$@" {redirect}',
+        "sh",
+        sys.executable,
+        "-m",
+        "svrgs_addon",
+        *map(str, words),
+    ]
     return subprocess.run(command, cwd=ROOT, capture_output=True, env=os.environ | environment)
 
 
@@ -46,7 +56,13 @@ def place(tiny, tmp_path) -> Path:
 COMMANDS = {  # words, and the file whose name is printed
     "render": ("render {}/scene.ply --colmap {} --views test --out {}/out", "out/08.rgb.png"),
     "compare": ("compare {}/scene.ply {}/scene.ply --colmap {} --out {}/out", "out/index.html"),
-    "prune": ("prune {}/scene.ply --colmap {} --iterations 3 --recovery 3 --quiet --out {}/o.ply --report {}/report", "o.ply"),
+    "prune": (
+        (
+            "prune {}/scene.ply --colmap {} --iterations 3 --recovery 3 --quiet --out {}/o.ply --report"
+            " {}/report"
+        ),
+        "o.ply",
+    ),
     "train": ("train --colmap {} --iterations 3 --quiet --out {}/o.ply", "o.ply"),
     "eval": ("eval {}/scene.ply --colmap {}", ""),
 }
@@ -62,35 +78,79 @@ def test_paths_need_not_be_utf_8(place, command, encoding):
     if printed:
         assert os.fsencode(place / printed) in done.stdout and (place / printed).is_file()
     result = json.loads(run(*words, "--json", PYTHONIOENCODING=encoding).stdout)
-    assert not printed or str(place / printed) in (result.get("out"), result.get("report"), *result.get("files", ()))
+    assert not printed or str(place / printed) in (
+        result.get("out"),
+        result.get("report"),
+        *result.get("files", ()),
+    )
 
 
 def test_a_page_shows_a_name_that_is_not_utf_8(place):
     (place / "scene.ply").rename(place / f"{NAME}.ply")
-    assert run("prune", place / f"{NAME}.ply", "--colmap", place, *SHORT, "--out", place / "o.ply", "--report", place / "report").returncode == 0
-    assert "<h1>caf\N{REPLACEMENT CHARACTER}</h1>" in (place / "report/index.html").read_text(encoding="utf-8")
+    assert (
+        run(
+            "prune",
+            place / f"{NAME}.ply",
+            "--colmap",
+            place,
+            *SHORT,
+            "--out",
+            place / "o.ply",
+            "--report",
+            place / "report",
+        ).returncode
+        == 0
+    )
+    assert "<h1>caf\N{REPLACEMENT CHARACTER}</h1>" in (place / "report/index.html").read_text(
+        encoding="utf-8"
+    )
 
 
 def test_a_sentence_names_the_path_as_it_is(place):
     done = run("info", place / "none.ply")
-    assert done.returncode == 2 and done.stderr == b"svrgs: " + os.fsencode(place / "none.ply") + b": there is no such file; check the path\n"
+    assert (
+        done.returncode == 2
+        and done.stderr
+        == b"svrgs: " + os.fsencode(place / "none.ply") + b": there is no such file; check the path\n"
+    )
 
 
 def test_letters_that_an_encoding_lacks_are_escaped(tiny, tmp_path):
     done = run("info", tmp_path / "λ.ply", PYTHONIOENCODING="ascii")
-    assert done.returncode == 2 and rb"/\u03bb.ply: there is no such file" in done.stderr and b"Traceback" not in done.stderr
+    assert (
+        done.returncode == 2
+        and rb"/\u03bb.ply: there is no such file" in done.stderr
+        and b"Traceback" not in done.stderr
+    )
 
 
 def test_a_photograph_that_is_not_utf_8_is_named(place):
     (place / "images/00.png").write_bytes(b"\x89PNG no image")
     done = run("eval", place / "scene.ply", "--colmap", place)
-    assert done.returncode == 2 and os.fsencode(place / "images/00.png") + b": cannot be read as an image" in done.stderr
+    assert (
+        done.returncode == 2
+        and os.fsencode(place / "images/00.png") + b": cannot be read as an image" in done.stderr
+    )
 
 
-@pytest.mark.parametrize("redirect, printed", [("2>&-", True), (">&-", False), (">&- 2>&-", False), ("<&- >&- 2>&-", False)])
+@pytest.mark.parametrize(
+    "redirect, printed", [("2>&-", True), (">&-", False), (">&- 2>&-", False), ("<&- >&- 2>&-", False)]
+)
 def test_streams_may_be_closed(tiny, tmp_path, redirect, printed):
-    """The first file that is opened would otherwise get the number of stderr, and libraries would write their messages into it."""
-    words = ["prune", tiny.splat, "--colmap", tiny.folder, "--iterations", "3", "--recovery", "3", "--json", "--out"]
+    """The first file that is opened would otherwise get the number of stderr, and libraries would write their
+    messages into it."""
+    words = [
+        "prune",
+        tiny.splat,
+        "--colmap",
+        tiny.folder,
+        "--iterations",
+        "3",
+        "--recovery",
+        "3",
+        "--json",
+        "--out",
+    ]
     open_, closed = run(*words, tmp_path / "a.ply"), run(*words, tmp_path / "b.ply", redirect=redirect)
     assert open_.returncode == closed.returncode == 0
     assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
@@ -114,10 +174,32 @@ def test_names_do_not_command_the_terminal(place, command):
     name = red(place)
     words = ["eval", place / "scene.ply", "--colmap", place]
     if command in ("render", "views"):
-        words = ["render", place / "scene.ply", "--colmap", place, "--out", place / "out", "--views", "test" if command == "render" else "77"]
+        words = [
+            "render",
+            place / "scene.ply",
+            "--colmap",
+            place,
+            "--out",
+            place / "out",
+            "--views",
+            "test" if command == "render" else "77",
+        ]
     elif command in ("missing", "batch"):  # a batch has a process for each scene
         (place / "images" / name).unlink()
-        words = words if command == "missing" else ["prune", place / "scene.ply", "--colmap", place, *SHORT, "--batch", "--out", place / "o.ply"]
+        words = (
+            words
+            if command == "missing"
+            else [
+                "prune",
+                place / "scene.ply",
+                "--colmap",
+                place,
+                *SHORT,
+                "--batch",
+                "--out",
+                place / "o.ply",
+            ]
+        )
     elif command == "broken":
         (place / "images" / name).write_bytes(b"no image")
     else:
@@ -148,9 +230,30 @@ sys.exit(main(sys.argv[2:]))
 """
 
 
-@pytest.mark.parametrize("module", ["svrgs_addon.cli.terminal", "argparse", "svrgs_addon.cli.commands", "datetime", "numpy.linalg", "pycolmap._core"])
+@pytest.mark.parametrize(
+    "module",
+    [
+        "svrgs_addon.cli.terminal",
+        "argparse",
+        "svrgs_addon.cli.commands",
+        "datetime",
+        "numpy.linalg",
+        "pycolmap._core",
+    ],
+)
 def test_ctrl_c_while_modules_are_imported(tiny, module):
-    words = [sys.executable, "-c", INTERRUPTED, module, "render", tiny.splat, "--colmap", tiny.folder, "--out", tiny.folder / "none"]
+    words = [
+        sys.executable,
+        "-c",
+        INTERRUPTED,
+        module,
+        "render",
+        tiny.splat,
+        "--colmap",
+        tiny.folder,
+        "--out",
+        tiny.folder / "none",
+    ]
     done = subprocess.run(list(map(str, words)), cwd=ROOT, capture_output=True, text=True)
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "svrgs: interrupted\n")
 
@@ -169,5 +272,9 @@ def test_a_progress_line_fits_into_the_terminal_and_replaces_the_last_one(monkey
         report._next = 0.0
         report(Progress(iteration, 100, "prune", "pruning", count, 0.5, 10.0, 7.0))
     first, second = terminal.getvalue().removeprefix("\r").rstrip("\n").split("\r")
-    assert len(first) == len(second) < columns and ("[" in first) == bars and first.strip().startswith(("[", "prune 99/100"))
+    assert (
+        len(first) == len(second) < columns
+        and ("[" in first) == bars
+        and first.strip().startswith(("[", "prune 99/100"))
+    )
     assert second.rstrip() != second or columns == 30, "spaces clear the rest of the longer line"

@@ -30,12 +30,21 @@ def test_coarse_pictures_of_a_quarter_of_the_gaussians_are_as_like_the_exact_one
     exact = picture(scene, camera).reshape(45, 8, 80, 8, 3).mean(axis=(1, 3))
     few = thinned(scene)
     assert few.count == 30_001 and few.sh_degree == 1
-    coarse, thin, plain = (picture(one, camera.reduced(8)) for one in (scene, few, scene.select(np.arange(0, scene.count, GROUP))))
-    assert psnr(thin, exact) > psnr(coarse, exact) - 0.5 and psnr(thin, exact) > psnr(plain, exact) + 2, [psnr(one, exact) for one in (coarse, thin, plain)]
+    coarse, thin, plain = (
+        picture(one, camera.reduced(8))
+        for one in (scene, few, scene.select(np.arange(0, scene.count, GROUP)))
+    )
+    assert psnr(thin, exact) > psnr(coarse, exact) - 0.5 and psnr(thin, exact) > psnr(plain, exact) + 2, [
+        psnr(one, exact) for one in (coarse, thin, plain)
+    ]
 
 
 def test_one_for_several_is_as_large_as_they_are_in_their_mean_colour():
-    scene = replace(room(4, 0), log_scales=np.log(np.full((4, 3), 0.1, np.float32)), opacity_logits=np.zeros(4, np.float32))
+    scene = replace(
+        room(4, 0),
+        log_scales=np.log(np.full((4, 3), 0.1, np.float32)),
+        opacity_logits=np.zeros(4, np.float32),
+    )
     few = thinned(scene)
     assert few.count == 1 and (few.means[0] == scene.means[0]).all()
     np.testing.assert_allclose(np.exp(few.log_scales), 0.2, rtol=1e-5)
@@ -49,7 +58,10 @@ def test_parts_and_remainders_have_no_seams(scene, monkeypatch):
     whole = thinned(scene)
     monkeypatch.setattr(thinning, "PART", 1000)
     parts = thinned(scene)
-    assert all((getattr(whole, name) == getattr(parts, name)).all() for name in ("means", "log_scales", "quats", "opacity_logits", "sh"))
+    assert all(
+        (getattr(whole, name) == getattr(parts, name)).all()
+        for name in ("means", "log_scales", "quats", "opacity_logits", "sh")
+    )
 
 
 def test_only_where_many_are_seen_fewer_are_drawn(scene, monkeypatch):

@@ -1,4 +1,5 @@
-"""`--time`: the schedule that fits, what is refused, what the result says, and that a resumed job keeps its plan."""
+"""`--time`: the schedule that fits, what is refused, what the result says, and that a resumed job keeps its
+plan."""
 
 from __future__ import annotations
 
@@ -30,7 +31,19 @@ from svrgs_addon.prune.run_job import prune_scene, train_scene
 from svrgs_addon.prune.time_plan import GRID, LEAST, MOST, fitted
 from svrgs_addon.system.errors import Cancelled, FormatError, SceneError
 
-SLOW = Pace(count=250, step=0.1, power=0.4, look=0.5, drawn=0.02, point=0.04, measured=0.1, photograph=0.01, train_views=10, test_views=2, uncached=0.0)
+SLOW = Pace(
+    count=250,
+    step=0.1,
+    power=0.4,
+    look=0.5,
+    drawn=0.02,
+    point=0.04,
+    measured=0.1,
+    photograph=0.01,
+    train_views=10,
+    test_views=2,
+    uncached=0.0,
+)
 PRUNING = [name for name, method in METHODS.items() if method.prunes]
 SCHEDULES = (0.01, 0.02, 0.05, 0.1, 0.3, 1.0)
 
@@ -72,11 +85,25 @@ def test_a_longer_training_takes_longer(method, more):
     plan = train_settings(method, 30_000, 5_000, **more)
     seconds = [SLOW.training(at_schedule(plan, schedule)) for schedule in SCHEDULES]
     assert seconds == sorted(seconds) and seconds[-1] > 90 * seconds[0], "later steps have more Gaussians"
-    assert SLOW.training(replace(plan, phases=(replace(plan.phases[0], coarse_until=9_000), *plan.phases[1:]))) < seconds[-1]
-    assert repr(at_schedule(plan, 0.0375)) == repr(train_settings(method, 30_000, 5_000, schedule=0.0375, **more))
+    assert (
+        SLOW.training(replace(plan, phases=(replace(plan.phases[0], coarse_until=9_000), *plan.phases[1:])))
+        < seconds[-1]
+    )
+    assert repr(at_schedule(plan, 0.0375)) == repr(
+        train_settings(method, 30_000, 5_000, schedule=0.0375, **more)
+    )
 
 
-LOOKING = ("removal", "saliency", "speedy", "popspa", "minisplatting", "efficientgs", "opacity", "lightgaussian")
+LOOKING = (
+    "removal",
+    "saliency",
+    "speedy",
+    "popspa",
+    "minisplatting",
+    "efficientgs",
+    "opacity",
+    "lightgaussian",
+)
 
 
 @pytest.mark.parametrize("method", [*LOOKING, "reduced3dgs", "maskgs", "gns"])
@@ -84,9 +111,11 @@ def test_a_method_foresees_its_looks(method, data, tiny, monkeypatch):
     """As many as score() is called in a run, each over all training views, and views_that_see()."""
     plan, calls = prune_settings(method, 120, 10, target=60), []
     cls, scene = type(plan.method), read_ply(tiny.splat)
-    score = lambda self, scene, cameras, *rest, score=cls.score: calls.append(len(cameras)) or score(self, scene, cameras, *rest)  # noqa: E731
+    score = lambda self, scene, cameras, *rest, score=cls.score: (
+        calls.append(len(cameras)) or score(self, scene, cameras, *rest)
+    )
     monkeypatch.setattr(cls, "score", score)
-    seen = lambda scene, cameras, *rest: calls.append(len(cameras)) or views_that_see(scene, cameras, *rest)  # noqa: E731
+    seen = lambda scene, cameras, *rest: calls.append(len(cameras)) or views_that_see(scene, cameras, *rest)
     monkeypatch.setattr(removal, "views_that_see", seen)
     run = Run(Model.of(scene), data, plan, NativeEngine())
     if plan.method.ranks:
@@ -96,18 +125,22 @@ def test_a_method_foresees_its_looks(method, data, tiny, monkeypatch):
     run.close()
     foreseen = plan.method.looks(plan, 0 if plan.method.ranks else 120, 60 / scene.count)
     assert calls == [len(data.train_indices)] * len(foreseen) and bool(foreseen) == (method in LOOKING)
-    assert foreseen == sorted(foreseen, key=lambda look: look[0]) and all(left == pytest.approx(60 / scene.count) for _, left in foreseen[-1:])
+    assert foreseen == sorted(foreseen, key=lambda look: look[0]) and all(
+        left == pytest.approx(60 / scene.count) for _, left in foreseen[-1:]
+    )
 
 
 def test_a_longer_time_gives_as_many_steps_or_more_and_never_too_many():
     plan = whole("removal")
-    seconds = lambda some: SLOW.pruning(some, 0.2)  # noqa: E731
+    seconds = lambda some: SLOW.pruning(some, 0.2)
     found = [fitted(asked, plan, seconds, 3.0) for asked in (20, 25, 30, 60, 100, 300, 2_000, 10_000)]
     schedules = [one.schedule for one in found]
     assert schedules == sorted(schedules) and schedules[0] < 0.05 and schedules[-1] == MOST
     for one in found:
         assert one.foreseen == 3.0 + seconds(at_schedule(plan, one.schedule)) <= one.asked
-        assert one.schedule == MOST or 3.0 + seconds(at_schedule(plan, round(one.schedule * GRID + 1) / GRID)) > one.asked * (1 - time_plan.MARGIN)
+        assert one.schedule == MOST or 3.0 + seconds(
+            at_schedule(plan, round(one.schedule * GRID + 1) / GRID)
+        ) > one.asked * (1 - time_plan.MARGIN)
 
 
 def test_a_time_that_is_too_short_is_refused_with_one_that_is_enough():
@@ -129,32 +162,81 @@ def test_the_result_says_what_was_asked_foreseen_and_used_and_can_be_repeated(ti
     words = ["prune", tiny.splat, "--colmap", tiny.folder, "--target", 0.4, "--json"]
     done = svrgs(*words, "--time", 20, "--out", tmp_path / "a.ply")
     time = done.json["time"]
-    assert time["asked"] == 20 and 15 < time["foreseen"] <= 18.4 and time["used"] == 1.5 and LEAST < time["schedule"] < 0.1
+    assert (
+        time["asked"] == 20
+        and 15 < time["foreseen"] <= 18.4
+        and time["used"] == 1.5
+        and LEAST < time["schedule"] < 0.1
+    )
     (line,) = [line for line in done.err.splitlines() if line.startswith("--time 20: ")]
-    assert f"{done.json['iterations']:,} steps" in line and f"about {time['foreseen']:.0f} s" in line and f"--schedule {time['schedule']}" in line
+    assert (
+        f"{done.json['iterations']:,} steps" in line
+        and f"about {time['foreseen']:.0f} s" in line
+        and f"--schedule {time['schedule']}" in line
+    )
     again = svrgs(*words, "--schedule", time["schedule"], "--out", tmp_path / "b.ply")
     assert again.json["time"] is None and "--time" not in again.err
     assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
 
 
 def test_the_quality_is_said_where_it_is_foreseen(tiny, svrgs, slow, tmp_path):
-    done = svrgs("prune", tiny.splat, "--colmap", tiny.folder, "--target", 0.4, "--json", "--time", 110, "--out", tmp_path / "a.ply")
+    done = svrgs(
+        "prune",
+        tiny.splat,
+        "--colmap",
+        tiny.folder,
+        "--target",
+        0.4,
+        "--json",
+        "--time",
+        110,
+        "--out",
+        tmp_path / "a.ply",
+    )
     assert done.json["iterations"] >= 800 and " dB or more (now " in done.err
-    quiet = svrgs("prune", tiny.splat, "--colmap", tiny.folder, "--target", 0.4, "--json", "--time", 20, "--quiet", "--out", tmp_path / "a.ply")
+    quiet = svrgs(
+        "prune",
+        tiny.splat,
+        "--colmap",
+        tiny.folder,
+        "--target",
+        0.4,
+        "--json",
+        "--time",
+        20,
+        "--quiet",
+        "--out",
+        tmp_path / "a.ply",
+    )
     assert quiet.json["time"]["schedule"] and not quiet.err
 
 
 def test_a_budget_from_lambda_is_measured_on_the_way(tiny, svrgs, slow, tmp_path):
-    done = svrgs("prune", tiny.splat, "--colmap", tiny.folder, "--json", "--time", 20, "--out", tmp_path / "a.ply")
+    done = svrgs(
+        "prune", tiny.splat, "--colmap", tiny.folder, "--json", "--time", 20, "--out", tmp_path / "a.ply"
+    )
     assert done.json["count"] < 250 and f" of {done.json['before']['count']} Gaussians stay" in done.err
 
 
 def test_a_time_that_is_too_short_writes_nothing(tiny, svrgs, slow, tmp_path):
-    refused(svrgs("prune", tiny.splat, "--colmap", tiny.folder, "--time", 2, "--out", tmp_path / "a.ply"), "2 s are too short", "allow ")
+    refused(
+        svrgs("prune", tiny.splat, "--colmap", tiny.folder, "--time", 2, "--out", tmp_path / "a.ply"),
+        "2 s are too short",
+        "allow ",
+    )
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("words", [("--schedule", 0.1), ("--schedule", 1), ("--iterations", 3000), ("--recovery", 10), ("--recovery", 10, "--schedule", 2)])
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("--schedule", 0.1),
+        ("--schedule", 1),
+        ("--iterations", 3000),
+        ("--recovery", 10),
+        ("--recovery", 10, "--schedule", 2),
+    ],
+)
 @pytest.mark.parametrize("command", ["prune", "train"])
 def test_a_time_and_a_number_of_steps_exclude_each_other(tiny, svrgs, tmp_path, command, words):
     scene = [tiny.splat] if command == "prune" else []
@@ -164,14 +246,21 @@ def test_a_time_and_a_number_of_steps_exclude_each_other(tiny, svrgs, tmp_path, 
 
 @pytest.mark.parametrize("word", ["0", "-3", "nan", "inf", "soon"])
 def test_a_time_is_a_number_of_seconds(tiny, svrgs, tmp_path, word):
-    refused(svrgs("prune", tiny.splat, "--colmap", tiny.folder, "--out", tmp_path / "a.ply", "--time", word), "is not a number of seconds above 0")
+    refused(
+        svrgs("prune", tiny.splat, "--colmap", tiny.folder, "--out", tmp_path / "a.ply", "--time", word),
+        "is not a number of seconds above 0",
+    )
 
 
 def test_a_program_that_gives_both_is_told_so(tiny, tmp_path):
     with pytest.raises(SceneError, match="leave out --iterations"):
-        prune_scene(PruneOptions(scene=tiny.splat, colmap=tiny.folder, out=tmp_path / "a.ply", time=60, iterations=5))
+        prune_scene(
+            PruneOptions(scene=tiny.splat, colmap=tiny.folder, out=tmp_path / "a.ply", time=60, iterations=5)
+        )
     with pytest.raises(SceneError, match="leave out --recovery"):
-        JobFolder.create(tmp_path / "job", read_ply(tiny.splat), {"colmap": str(tiny.folder), "time": 60, "recovery": 5})
+        JobFolder.create(
+            tmp_path / "job", read_ply(tiny.splat), {"colmap": str(tiny.folder), "time": 60, "recovery": 5}
+        )
 
 
 # --- resuming
@@ -179,11 +268,23 @@ def test_a_program_that_gives_both_is_told_so(tiny, tmp_path):
 
 def job(tiny, out, stop_after: int = 0, **more) -> dict:
     """`svrgs prune --time 20 --resume`, stopped after so many steps."""
-    options = PruneOptions(scene=tiny.splat, colmap=tiny.folder, out=out, target=0.4, quiet=True, resume=True, **{"time": 20.0} | more)
+    options = PruneOptions(
+        scene=tiny.splat,
+        colmap=tiny.folder,
+        out=out,
+        target=0.4,
+        quiet=True,
+        resume=True,
+        **{"time": 20.0} | more,
+    )
     seen = [0]
 
     def adapt(context):
-        return replace(context, observe=lambda p: seen.append(p.iteration), stop=lambda: bool(stop_after) and seen[-1] >= stop_after)
+        return replace(
+            context,
+            observe=lambda p: seen.append(p.iteration),
+            stop=lambda: bool(stop_after) and seen[-1] >= stop_after,
+        )
 
     return prune_scene(options, adapt)
 
@@ -196,7 +297,9 @@ def test_a_resumed_job_goes_on_with_its_plan_on_a_faster_machine(tiny, slow, tmp
     resumed = job(tiny, tmp_path / "a.ply")
     assert resumed["time"]["schedule"] == planned["schedule"] and resumed["time"]["asked"] == 20
     assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "whole.ply").read_bytes()
-    assert job(tiny, tmp_path / "b.ply")["time"]["schedule"] > planned["schedule"], "a new job is planned for this machine"
+    assert job(tiny, tmp_path / "b.ply")["time"]["schedule"] > planned["schedule"], (
+        "a new job is planned for this machine"
+    )
 
 
 def test_a_checkpoint_for_another_time_is_not_continued(tiny, slow, tmp_path):
@@ -217,11 +320,22 @@ def test_a_job_with_a_time_can_be_continued_with_its_schedule(tiny, slow, tmp_pa
 
 def test_training_keeps_its_plan_too(tiny, slow, tmp_path, monkeypatch):
     def training(name: str, stop_after: int = 0, **more) -> dict:
-        options = TrainOptions(colmap=tiny.folder, out=tmp_path / name, quiet=True, resume=True, sh_degree=1, **{"time": 60.0} | more)
+        options = TrainOptions(
+            colmap=tiny.folder,
+            out=tmp_path / name,
+            quiet=True,
+            resume=True,
+            sh_degree=1,
+            **{"time": 60.0} | more,
+        )
         seen = [0]
 
         def adapt(context):
-            return replace(context, observe=lambda p: seen.append(p.iteration), stop=lambda: bool(stop_after) and seen[-1] >= stop_after)
+            return replace(
+                context,
+                observe=lambda p: seen.append(p.iteration),
+                stop=lambda: bool(stop_after) and seen[-1] >= stop_after,
+            )
 
         return train_scene(options, adapt)
 
@@ -232,7 +346,11 @@ def test_training_keeps_its_plan_too(tiny, slow, tmp_path, monkeypatch):
     monkeypatch.setattr(planning, "pace_of", lambda *_: replace(SLOW, step=1e-3))
     assert training("a.ply")["time"]["schedule"] == planned["schedule"]
     training("b.ply", time=0.0, schedule=planned["schedule"])
-    assert (tmp_path / "whole.ply").read_bytes() == (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
+    assert (
+        (tmp_path / "whole.ply").read_bytes()
+        == (tmp_path / "a.ply").read_bytes()
+        == (tmp_path / "b.ply").read_bytes()
+    )
 
 
 # --- what is measured
@@ -240,20 +358,34 @@ def test_training_keeps_its_plan_too(tiny, slow, tmp_path, monkeypatch):
 
 def test_speeds_are_measured_and_the_scene_stays_as_it_was(tiny, data):
     scene = read_ply(tiny.splat)
-    before = {name: getattr(scene, name).tobytes() for name in ("means", "log_scales", "quats", "opacity_logits", "sh")}
+    before = {
+        name: getattr(scene, name).tobytes()
+        for name in ("means", "log_scales", "quats", "opacity_logits", "sh")
+    }
     pace = pace_of(scene, data, whole("removal"))
     assert min(pace.step, pace.look, pace.drawn, pace.point, pace.measured, pace.photograph) > 0
-    assert (pace.train_views, pace.test_views, pace.uncached) == (len(data.train_indices), len(data.test_indices), 0)
+    assert (pace.train_views, pace.test_views, pace.uncached) == (
+        len(data.train_indices),
+        len(data.test_indices),
+        0,
+    )
     assert before == {name: getattr(scene, name).tobytes() for name in before}
     assert pace_of(scene, replace(data, memory_budget=0), whole("opacity")).uncached == 1
     assert pace_of(scene, data, whole("maskgs")).look == 0, "it looks at nothing between the steps"
 
 
 @pytest.mark.parametrize(("measured", "power"), [(0.7, 0.4), (0.0, 0.1), (1.0, 0.6)])
-def test_steps_gain_less_from_fewer_gaussians_where_pixels_take_most_of_their_time(tiny, data, monkeypatch, measured, power):
-    """measured: the power with some of the Gaussians. Of those that stay in a run it is 0.3 less, within limits. A training does not measure it."""
+def test_steps_gain_less_from_fewer_gaussians_where_pixels_take_most_of_their_time(
+    tiny, data, monkeypatch, measured, power
+):
+    """measured: the power with some of the Gaussians. Of those that stay in a run it is 0.3 less, within
+    limits. A training does not measure it."""
     scene, counts = read_ply(tiny.splat), []
-    monkeypatch.setattr(duration, "_step", lambda some, dataset, plan: counts.append(some.count) or 0.1 / duration.SOME**measured)
+    monkeypatch.setattr(
+        duration,
+        "_step",
+        lambda some, dataset, plan: counts.append(some.count) or 0.1 / duration.SOME**measured,
+    )
     assert duration._power(0.1, scene, data, whole("removal")) == pytest.approx(power)
     assert counts == [-(-scene.count // duration.SOME)]
     assert duration._power(0.1, scene, data, train_settings("3dgs", 300, 0)) == duration.TRAINING_POWER
@@ -263,7 +395,9 @@ def test_steps_gain_less_from_fewer_gaussians_where_pixels_take_most_of_their_ti
 def test_steps_on_merged_gaussians_are_measured_with_as_many_as_stay(tiny, data, monkeypatch, share, every):
     """Without a known number (an allowed drop), as for other methods."""
     scene, counts = read_ply(tiny.splat), []
-    monkeypatch.setattr(duration, "_step", lambda some, dataset, plan: counts.append(some.count) or 0.1 / every**0.8)
+    monkeypatch.setattr(
+        duration, "_step", lambda some, dataset, plan: counts.append(some.count) or 0.1 / every**0.8
+    )
     plan = replace(whole("merge"), target=round(share * scene.count) if share else 0)
     assert duration._power(0.1, scene, data, plan) == pytest.approx(0.75)
     assert counts == [-(-scene.count // every)]

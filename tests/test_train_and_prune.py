@@ -22,7 +22,18 @@ from tiny_jobs import SETTINGS, TRAINING, prune
 
 
 def test_the_command_line_reaches_the_skips(tiny, svrgs, tmp_path):
-    words = ("train", "--colmap", tiny.folder, "--iterations", 30, "--sh-degree", 0, "--quiet", "--json", "--out")
+    words = (
+        "train",
+        "--colmap",
+        tiny.folder,
+        "--iterations",
+        30,
+        "--sh-degree",
+        0,
+        "--quiet",
+        "--json",
+        "--out",
+    )
     outs = []
     for k, more in enumerate([(), ("--coarse-until", 0), ("--coarse-until", 15), ("--views-by-loss",)]):
         assert svrgs(*words, tmp_path / f"{k}.ply", *more).status == 0
@@ -37,7 +48,8 @@ def test_a_job_leaves_its_dataset_as_it_was(data, tmp_path):
 
 
 def test_a_pruned_file_keeps_the_order_of_its_source(tiny, data, tmp_path):
-    """Though rows were in another order while the job worked; further columns still belong to their Gaussians."""
+    """Though rows were in another order while the job worked; further columns still belong to their
+    Gaussians."""
     source = read_ply(tiny.splat)
     labels = np.arange(source.count, dtype=np.float32)
     write_ply(tmp_path / "labelled.ply", replace(source, attributes={"label": labels}, property_order=()))
@@ -51,17 +63,29 @@ def test_a_pruned_file_keeps_the_order_of_its_source(tiny, data, tmp_path):
 
 @pytest.mark.parametrize(
     ("method", "min_contribution", "target"),
-    [("removal", 0.0, 0), ("removal", 0.2, 0), ("removal", 0.9, 150), ("removal", 0.9, 230), ("contribution", 0.1, 40)],
+    [
+        ("removal", 0.0, 0),
+        ("removal", 0.2, 0),
+        ("removal", 0.9, 150),
+        ("removal", 0.9, 230),
+        ("contribution", 0.1, 40),
+    ],
 )
 def test_the_first_cut_is_that_of_one_look_after_the_other(tiny, data, method, min_contribution, target):
-    """Faint ones are no part of what is looked at, though all of a scene is drawn once: not even in place of those that no view shows."""
+    """Faint ones are no part of what is looked at, though all of a scene is drawn once: not even in place of
+    those that no view shows."""
     scene = load_scene(tiny.splat).scene
     scene = scene.select(np.arange(scene.count)[::-1])  # the faint ones first
     scene.means[100:120, 1] += 1e4  # out of every view
-    settings = prune_settings(method, 0 if method == "contribution" else 10, 0, target=target, min_contribution=min_contribution)
+    settings = prune_settings(
+        method, 0 if method == "contribution" else 10, 0, target=target, min_contribution=min_contribution
+    )
     views = [data.cameras[i] for i in data.train_indices]
     left = scene.select(~invisible(scene))
-    for limit, count in ((min_contribution, target), (np.inf, target if method == "contribution" else left.count)):
+    for limit, count in (
+        (min_contribution, target),
+        (np.inf, target if method == "contribution" else left.count),
+    ):
         score, peaks, _ = scores.contribution(left, views, Rasterizer(), RenderOptions())
         left = left.select((peaks >= limit) | scores.top(peaks if np.isfinite(limit) else score, count))
     cut = train_and_prune.first_cut(scene, data, settings)
@@ -73,7 +97,19 @@ def test_the_first_cut_is_that_of_one_look_after_the_other(tiny, data, method, m
 
 
 def test_threads_do_not_change_the_output(tiny, svrgs, tmp_path):
-    words = ("prune", tiny.splat, "--colmap", tiny.folder, "--iterations", 60, "--recovery", 20, "--target", 0.5, "--quiet")
+    words = (
+        "prune",
+        tiny.splat,
+        "--colmap",
+        tiny.folder,
+        "--iterations",
+        60,
+        "--recovery",
+        20,
+        "--target",
+        0.5,
+        "--quiet",
+    )
     for threads in (1, 2):
         assert svrgs(*words, "--threads", threads, "--out", tmp_path / f"{threads}.ply").status == 0
     assert svrgs(*words, "--threads", 1, "--seed", 1, "--out", tmp_path / "seed.ply").status == 0
@@ -82,8 +118,23 @@ def test_threads_do_not_change_the_output(tiny, svrgs, tmp_path):
 
 
 def test_threads_do_not_change_training(tiny, svrgs, tmp_path):
-    words = ("train", "--colmap", tiny.folder, "--iterations", 620, "--densify-until", 650, "--sh-degree", 1, "--quiet", "--json")
-    counts = [svrgs(*words, "--threads", threads, "--out", tmp_path / f"{threads}.ply").json["count"] for threads in (1, 2)]
+    words = (
+        "train",
+        "--colmap",
+        tiny.folder,
+        "--iterations",
+        620,
+        "--densify-until",
+        650,
+        "--sh-degree",
+        1,
+        "--quiet",
+        "--json",
+    )
+    counts = [
+        svrgs(*words, "--threads", threads, "--out", tmp_path / f"{threads}.ply").json["count"]
+        for threads in (1, 2)
+    ]
     assert counts[0] == counts[1] != tiny_dataset.SEEN, "densification should have happened"
     assert (tmp_path / "1.ply").read_bytes() == (tmp_path / "2.ply").read_bytes()
 
@@ -95,20 +146,34 @@ def test_a_target_may_be_as_small_as_is_asked_for(tiny, data, tmp_path):
     scene = read_ply(tiny.splat)
     write_ply(tmp_path / "big.ply", scene.select(np.repeat(np.arange(scene.count), 10)))
     for method in ("svr", "removal", "opacity"):
-        prune(replace(tiny, splat=tmp_path / "big.ply"), data, tmp_path / "o.ply", prune_settings(method, 30, 2, target=2))
+        prune(
+            replace(tiny, splat=tmp_path / "big.ply"),
+            data,
+            tmp_path / "o.ply",
+            prune_settings(method, 30, 2, target=2),
+        )
         assert read_ply(tmp_path / "o.ply").count == 2
 
 
 def test_a_target_needs_iterations_to_prune_in(data, tmp_path):
     for method in ("maskgs", "opacity", "saliency"):
-        with pytest.raises(SceneError, match=f"method '{method}' cannot reach a target without iterations in which it prunes"):
-            train_and_prune.train(data, train_settings(method, 0, 5, target=20), train_and_prune.JobContext(tmp_path / "o.ply"))
+        with pytest.raises(
+            SceneError, match=f"method '{method}' cannot reach a target without iterations in which it prunes"
+        ):
+            train_and_prune.train(
+                data, train_settings(method, 0, 5, target=20), train_and_prune.JobContext(tmp_path / "o.ply")
+            )
 
 
 def test_lambda_is_told_where_it_decided(tiny, data, tmp_path):
     def told(**settings):
         options = train_and_prune.JobContext(tmp_path / "o.ply")
-        return train_and_prune.prune(tiny.splat, data, prune_settings(settings.pop("method"), 20, 0, lambda_f=1e-5, **settings), options)["lambda_f"]
+        return train_and_prune.prune(
+            tiny.splat,
+            data,
+            prune_settings(settings.pop("method"), 20, 0, lambda_f=1e-5, **settings),
+            options,
+        )["lambda_f"]
 
     assert told(method="removal") == told(method="svr", target=100) == told(method="saliency") == 1e-5
     assert told(method="removal", target=100) is told(method="saliency", max_drop=3.0) is None

@@ -37,12 +37,19 @@ def test_a_job_trains_and_leaves_its_splat(done, tiny, svrgs, tmp_path):
     job, heard = done
     progress = [message for message in heard if message["type"] == "PROGRESS"]
     assert progress[-1]["iteration"] == progress[-1]["total"] == SHORT and progress[-1]["psnr"] > 5
-    assert any(message["type"] == "PREVIEW" for message in heard) and job.folder.metrics()["iteration"][-1] == SHORT
+    assert (
+        any(message["type"] == "PREVIEW" for message in heard)
+        and job.folder.metrics()["iteration"][-1] == SHORT
+    )
     result = job.folder.result()
-    assert result["count"] == read_ply(job.folder.output).count and result["out"] == str(job.folder / "trained.ply") == str(job.folder.output)
+    assert result["count"] == read_ply(job.folder.output).count and result["out"] == str(
+        job.folder / "trained.ply"
+    ) == str(job.folder.output)
     words = ("--iterations", SHORT, "--quiet", "--out", tmp_path / "shell.ply")
     assert svrgs("train", "--colmap", tiny.folder, *words).status == 0
-    assert (tmp_path / "shell.ply").read_bytes() == job.folder.output.read_bytes(), "what the command line does"
+    assert (tmp_path / "shell.ply").read_bytes() == job.folder.output.read_bytes(), (
+        "what the command line does"
+    )
     assert not (job.folder / "recovered.ply").exists() and not (job.folder / "recovered.ply.job").exists()
 
 
@@ -68,7 +75,9 @@ def test_what_a_job_needs_is_said(tiny, tmp_path, jobs):
     job = Job(create(tmp_path / "job", tiny, SHORT))
     (tmp_path / "none").mkdir()
     request = json.loads((job.folder / "job.json").read_text())
-    (job.folder / "job.json").write_text(json.dumps(request | {"options": {"colmap": str(tmp_path / "none"), "iterations": 5}}))
+    (job.folder / "job.json").write_text(
+        json.dumps(request | {"options": {"colmap": str(tmp_path / "none"), "iterations": 5}})
+    )
     jobs.append(job)
     job.start()
     follow(job)
@@ -76,7 +85,14 @@ def test_what_a_job_needs_is_said(tiny, tmp_path, jobs):
 
 
 @pytest.mark.parametrize(
-    "options", [{}, {"iterations": 5}, {"colmap": "x", "out": "/etc/x"}, {"colmap": "x", "target_count": "all"}, {"colmap": "x", "max_drop": 1.0}]
+    "options",
+    [
+        {},
+        {"iterations": 5},
+        {"colmap": "x", "out": "/etc/x"},
+        {"colmap": "x", "target_count": "all"},
+        {"colmap": "x", "max_drop": 1.0},
+    ],
 )
 def test_unusable_options(tmp_path, options):
     with pytest.raises(SceneError):
@@ -84,7 +100,10 @@ def test_unusable_options(tmp_path, options):
     assert not (tmp_path / "job").exists()
 
 
-@pytest.mark.parametrize("changes", [{"kind": "paint"}, {"kind": ["train"]}, {"kind": None}, {"kind": PRUNE}, {"count": -1}, {"count": None}])
+@pytest.mark.parametrize(
+    "changes",
+    [{"kind": "paint"}, {"kind": ["train"]}, {"kind": None}, {"kind": PRUNE}, {"count": -1}, {"count": None}],
+)
 def test_hostile_requests(tiny, tmp_path, changes):
     folder = create(tmp_path / "job", tiny, SHORT)
     assert folder.kind == TRAIN

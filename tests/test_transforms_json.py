@@ -26,7 +26,8 @@ FISHEYE = ("OPENCV_FISHEYE", [60.0, 58.0, 31.0, 25.0, 0.05, -0.01, 0.002, -0.001
 
 
 def both(folder, model=PINHOLE, size=(WIDTH, HEIGHT)) -> tuple[Dataset, dict]:
-    """The dataset as COLMAP has it, and the contents of transforms.json, which then stands alone in the folder."""
+    """The dataset as COLMAP has it, and the contents of transforms.json, which then stands alone in the
+    folder."""
     make_dataset(folder, model=model, size=size)
     facts, colmap = write_transforms(folder, read_model(folder / "sparse/0")), load_dataset(folder)
     for image in range(len(colmap.cameras)):
@@ -49,15 +50,23 @@ def test_the_same_dataset_as_from_colmap(tmp_path, model, scale, caplog):
         assert (a.name, a.width, a.height) == (b.name, b.width, b.height)
         assert np.abs(a.viewmat - b.viewmat).max() < 1e-9 and np.abs(a.K - b.K).max() < 1e-9
         assert np.array_equal(data.image(index), colmap.image(index))
-    assert np.array_equal(data.points, colmap.points) and np.array_equal(data.point_colors, colmap.point_colors)
-    assert data.notes == (f"the cameras are those of {tmp_path}/transforms.json",) and caplog.messages[-1:] == list(data.notes)
+    assert np.array_equal(data.points, colmap.points) and np.array_equal(
+        data.point_colors, colmap.point_colors
+    )
+    assert data.notes == (f"the cameras are those of {tmp_path}/transforms.json",) and caplog.messages[
+        -1:
+    ] == list(data.notes)
 
 
 def test_a_colmap_model_goes_first_and_it_is_said(tmp_path):
     make_dataset(tmp_path)
     write_transforms(tmp_path, read_model(tmp_path / "sparse/0"))
-    assert load_dataset(tmp_path).notes == (f"the cameras are those of {tmp_path}/sparse/0, not those of {tmp_path}/transforms.json",)
-    assert load_dataset(tmp_path / "transforms.json").notes == (f"the cameras are those of {tmp_path}/transforms.json",)
+    assert load_dataset(tmp_path).notes == (
+        f"the cameras are those of {tmp_path}/sparse/0, not those of {tmp_path}/transforms.json",
+    )
+    assert load_dataset(tmp_path / "transforms.json").notes == (
+        f"the cameras are those of {tmp_path}/transforms.json",
+    )
 
 
 def test_intrinsics_of_the_file_and_of_a_frame(tmp_path):
@@ -66,17 +75,30 @@ def test_intrinsics_of_the_file_and_of_a_frame(tmp_path):
     frames[0]["fl_x"] = 70.0
     rewrite(tmp_path, facts, frames=frames, w=float(WIDTH), h=HEIGHT, fl_x=60.0, fl_y=58.0)
     *others, last = load_dataset(tmp_path, cameras_only=True).cameras
-    assert all(np.array_equal(camera.K, [[60, 0, WIDTH / 2], [0, 58, HEIGHT / 2], [0, 0, 1]]) for camera in others) and last.K[0, 0] == 70
+    assert (
+        all(
+            np.array_equal(camera.K, [[60, 0, WIDTH / 2], [0, 58, HEIGHT / 2], [0, 0, 1]])
+            for camera in others
+        )
+        and last.K[0, 0] == 70
+    )
 
 
 def test_an_angle_of_view_and_the_size_of_the_photographs_are_enough(tmp_path):
     """As in files that Blender's exporters write; names without extension, too."""
     _, facts = both(tmp_path)
-    frames = [{"file_path": frame["file_path"].removesuffix(".png"), "transform_matrix": frame["transform_matrix"]} for frame in facts["frames"]]
+    frames = [
+        {"file_path": frame["file_path"].removesuffix(".png"), "transform_matrix": frame["transform_matrix"]}
+        for frame in facts["frames"]
+    ]
     rewrite(tmp_path, {"frames": frames, "camera_angle_x": 2 * math.atan(0.5)})
     data = load_dataset(tmp_path)
     assert np.allclose(data.cameras[3].K, [[WIDTH, 0, WIDTH / 2], [0, WIDTH, HEIGHT / 2], [0, 0, 1]])
-    assert data.cameras[3].name == "03" and np.array_equal(data.image(3), photo(3)) and data.points.shape == (0, 3)
+    assert (
+        data.cameras[3].name == "03"
+        and np.array_equal(data.image(3), photo(3))
+        and data.points.shape == (0, 3)
+    )
 
 
 def test_other_image_folders(tmp_path):
@@ -94,21 +116,28 @@ def test_photographs_of_several_folders_and_with_backslashes(tmp_path):
     facts["frames"][-1]["file_path"] = "left\\00.png"
     rewrite(tmp_path, facts)
     data = load_dataset(tmp_path)
-    assert [camera.name for camera in data.cameras][7:] == ["images/08.png", "left/00.png"] and np.array_equal(data.image(8), photo(0))
+    assert [camera.name for camera in data.cameras][7:] == [
+        "images/08.png",
+        "left/00.png",
+    ] and np.array_equal(data.image(8), photo(0))
 
 
 def test_a_third_radial_coefficient(tmp_path):
-    """OpenCV's k3 is r⁶ in the numerator; what the pinhole then shows is what the full model of COLMAP shows."""
+    """OpenCV's k3 is r⁶ in the numerator; what the pinhole then shows is what the full model of COLMAP
+    shows."""
     _, facts = both(tmp_path, OPENCV)
     rewrite(tmp_path, facts, frames=[frame | {"k3": 0.05} for frame in facts["frames"]])
     assert load_dataset(tmp_path).photos[0].distorted.model_name == "FULL_OPENCV"
     rewrite(tmp_path, facts, frames=[frame | {"k4": 0.05} for frame in facts["frames"]])
-    with pytest.raises(FormatError, match=r"k4 = 0.05, which is not supported; export photographs without distortion"):
+    with pytest.raises(
+        FormatError, match=r"k4 = 0.05, which is not supported; export photographs without distortion"
+    ):
         load_dataset(tmp_path)
 
 
 def test_the_world_of_a_splat_of_nerfstudio(tmp_path):
-    """dataparser_transforms.json leads from the world before applied_transform to that of the trained splat."""
+    """dataparser_transforms.json leads from the world before applied_transform to that of the trained
+    splat."""
     colmap, facts = both(tmp_path)
     applied, turn = np.eye(4)[[0, 2, 1, 3]] * [1, 1, -1, 1], np.eye(4)
     turn[:3, :3], turn[:3, 3] = scenes.CAMERAS["rotated"].viewmat[:3, :3], (1, 2, 3)
@@ -120,12 +149,19 @@ def test_the_world_of_a_splat_of_nerfstudio(tmp_path):
     assert np.allclose(data.points, world, atol=1e-6) and "moved into the world of the splat" in data.notes[1]
     for a, b in zip(data.cameras, colmap.cameras, strict=True):
         seen = POINTS @ b.viewmat[:3, :3].T + b.viewmat[:3, 3]
-        assert np.allclose(world @ a.viewmat[:3, :3].T + a.viewmat[:3, 3], 0.25 * seen) and np.allclose(a.K, b.K)
+        assert np.allclose(world @ a.viewmat[:3, :3].T + a.viewmat[:3, 3], 0.25 * seen) and np.allclose(
+            a.K, b.K
+        )
 
 
 def test_what_is_not_used_is_said(tmp_path):
     _, facts = both(tmp_path)
-    rewrite(tmp_path, facts, frames=[frame | {"mask_path": "masks/a.png"} for frame in facts["frames"]], ply_file_path="gone.ply")
+    rewrite(
+        tmp_path,
+        facts,
+        frames=[frame | {"mask_path": "masks/a.png"} for frame in facts["frames"]],
+        ply_file_path="gone.ply",
+    )
     assert load_dataset(tmp_path).notes[1:] == (
         f"{tmp_path}/gone.ply: the sparse points that transforms.json names are missing",
         f"{tmp_path}/transforms.json: its masks are not used",
@@ -158,7 +194,10 @@ FRAMES = {  # what is changed in one frame -> the reason
     "huge": ({"w": 2**20}, "its size is"),
     "half": ({"w": 63.5}, "its size is 63.5 x 48"),
     "distortion": ({"k1": math.inf}, "k1 is inf"),
-    "panorama": ({"camera_model": "EQUIRECTANGULAR"}, "'EQUIRECTANGULAR'; export photographs without distortion"),
+    "panorama": (
+        {"camera_model": "EQUIRECTANGULAR"},
+        "'EQUIRECTANGULAR'; export photographs without distortion",
+    ),
     "model": ({"camera_model": ["x"]}, "camera_model"),
 }
 
@@ -169,7 +208,9 @@ def test_frames_that_are_not_usable(tmp_path, name):
     _, facts = both(tmp_path)
     facts["frames"][3] |= changes
     rewrite(tmp_path, facts)
-    with pytest.raises(FormatError, match=r"transforms.json: (frame 3|05\.png) is not usable \(.*" + reason) as caught:
+    with pytest.raises(
+        FormatError, match=r"transforms.json: (frame 3|05\.png) is not usable \(.*" + reason
+    ) as caught:
         load_dataset(tmp_path)
     assert "\n" not in str(caught.value)
 
@@ -186,7 +227,11 @@ def test_frames_that_lack_a_key(tmp_path, key):
 def test_frames_without_focal_length_or_size(tmp_path):
     _, facts = both(tmp_path)
     frames = facts["frames"]
-    rewrite(tmp_path, facts, frames=[{k: v for k, v in frame.items() if k not in ("fl_x", "fl_y")} for frame in frames])
+    rewrite(
+        tmp_path,
+        facts,
+        frames=[{k: v for k, v in frame.items() if k not in ("fl_x", "fl_y")} for frame in frames],
+    )
     with pytest.raises(FormatError, match="neither fl_x nor camera_angle_x"):
         load_dataset(tmp_path)
     rewrite(tmp_path, facts, frames=[{k: v for k, v in frame.items() if k != "w"} for frame in frames])
@@ -203,7 +248,9 @@ def test_a_photograph_that_is_named_twice(tmp_path):
         load_dataset(tmp_path)
 
 
-@pytest.mark.parametrize("text", ["", "[]", "{}", '{"frames": []}', '{"frames": 3}', '{"frames": [3]}', "[" * 100_000, "\xff"])
+@pytest.mark.parametrize(
+    "text", ["", "[]", "{}", '{"frames": []}', '{"frames": 3}', '{"frames": [3]}', "[" * 100_000, "\xff"]
+)
 def test_other_json(tmp_path, text):
     both(tmp_path)
     (tmp_path / "transforms.json").write_text(text, encoding="latin-1")
@@ -211,7 +258,15 @@ def test_other_json(tmp_path, text):
         load_dataset(tmp_path)
 
 
-@pytest.mark.parametrize("parser", [{}, {"transform": MATRIX, "scale": 0}, {"transform": np.diag([2.0, 1, 1, 1]).tolist(), "scale": 1}, {"scale": 1}])
+@pytest.mark.parametrize(
+    "parser",
+    [
+        {},
+        {"transform": MATRIX, "scale": 0},
+        {"transform": np.diag([2.0, 1, 1, 1]).tolist(), "scale": 1},
+        {"scale": 1},
+    ],
+)
 def test_unusable_parser_transforms(tmp_path, parser):
     both(tmp_path)
     (tmp_path / "dataparser_transforms.json").write_text(json.dumps(parser))
@@ -239,7 +294,14 @@ def test_points_in_binary(tmp_path, kind):
 
 
 @pytest.mark.parametrize(
-    "damage", [("vertex 3", "vertex 4"), ("vertex 3", "vertex 99999999"), ("property float x", "property float w"), ("0.6", "1e39"), ("0.6", "six")]
+    "damage",
+    [
+        ("vertex 3", "vertex 4"),
+        ("vertex 3", "vertex 99999999"),
+        ("property float x", "property float w"),
+        ("0.6", "1e39"),
+        ("0.6", "six"),
+    ],
 )
 def test_damaged_points(tmp_path, damage):
     write_points(tmp_path / "p.ply", POINTS, np.full((3, 3), 9))
@@ -269,8 +331,16 @@ def test_colours_as_floats_and_no_colours(tmp_path):
             "cameras of Metashape are not read.*Export Cameras.*Colmap",
         ),
         ("job.psx", "<document/>", "cameras of Metashape"),
-        ("scan.rcproj", "<RealityCaptureProject/>", "cameras of RealityScan are not read.*Alignment > Registration"),
-        ("scan.csv", "#name,x,y,alt,heading,pitch,roll,f,px,py,k1,k2,k3,k4,t1,t2\n", "cameras of RealityScan"),
+        (
+            "scan.rcproj",
+            "<RealityCaptureProject/>",
+            "cameras of RealityScan are not read.*Alignment > Registration",
+        ),
+        (
+            "scan.csv",
+            "#name,x,y,alt,heading,pitch,roll,f,px,py,k1,k2,k3,k4,t1,t2\n",
+            "cameras of RealityScan",
+        ),
         ("list.csv", "a,b\n", "holds no COLMAP model .*, and no transforms.json"),
         ("page.xml", "<html/>", "holds no COLMAP model"),
     ],
@@ -289,13 +359,34 @@ def test_commands_take_it_like_colmap(tiny, svrgs, tmp_path):
     (tmp_path / "run").mkdir()
     splat = shutil.copy(tiny.splat, tmp_path / "run/scene.ply")
     write_transforms(tmp_path, read_model(tiny.folder / "sparse/0"))
-    a, b = (svrgs("eval", tiny.splat, "--colmap", folder, "--json").json for folder in (tiny.folder, tmp_path))
-    assert a["psnr"] == pytest.approx(b["psnr"], abs=1e-6) and b["notes"] == [f"the cameras are those of {tmp_path}/transforms.json"]
+    a, b = (
+        svrgs("eval", tiny.splat, "--colmap", folder, "--json").json for folder in (tiny.folder, tmp_path)
+    )
+    assert a["psnr"] == pytest.approx(b["psnr"], abs=1e-6) and b["notes"] == [
+        f"the cameras are those of {tmp_path}/transforms.json"
+    ]
     words = ("--method", "opacity", "--target", 0.5, "--recovery", 3, "--quiet", "--json")
     assert svrgs("prune", splat, *words).json["count"] == 125, "the dataset is found above the splat"
-    trained = svrgs("train", "--colmap", tmp_path, "--iterations", 5, "--quiet", "--json", "--out", tmp_path / "t.ply").json
+    trained = svrgs(
+        "train", "--colmap", tmp_path, "--iterations", 5, "--quiet", "--json", "--out", tmp_path / "t.ply"
+    ).json
     assert trained["count"] == len(tiny.truth.means)
-    assert len(svrgs("render", tiny.splat, "--colmap", tmp_path, "--views", "0,1", "--out", tmp_path / "out", "--json").json["files"]) == 2
+    assert (
+        len(
+            svrgs(
+                "render",
+                tiny.splat,
+                "--colmap",
+                tmp_path,
+                "--views",
+                "0,1",
+                "--out",
+                tmp_path / "out",
+                "--json",
+            ).json["files"]
+        )
+        == 2
+    )
 
 
 def test_the_real_dataset_as_transforms(shared_data, tmp_path):
@@ -308,16 +399,29 @@ def test_the_real_dataset_as_transforms(shared_data, tmp_path):
 
 
 def test_pinhole_cameras_need_no_pycolmap(tmp_path, monkeypatch):
-    """A Blender whose Python pycolmap does not support reads transforms.json all the same, and says what it cannot do."""
+    """A Blender whose Python pycolmap does not support reads transforms.json all the same, and says what it
+    cannot do."""
     make_dataset(tmp_path / "a"), make_dataset(tmp_path / "b", model=OPENCV)
     for folder in (tmp_path / "a", tmp_path / "b"):
         write_transforms(folder, read_model(folder / "sparse/0"))
     expected = load_dataset(tmp_path / "a")
     monkeypatch.setitem(sys.modules, "pycolmap", None)
     data = load_dataset(tmp_path / "a/transforms.json")
-    assert np.array_equal(data.image(0), expected.image(0)) and np.abs(data.cameras[0].K - expected.cameras[0].K).max() < 1e-9
-    with pytest.raises(SceneError, match="^reading a COLMAP model, unlike a transforms.json, needs the package pycolmap: run .* -m pip install pycolmap"):
+    assert (
+        np.array_equal(data.image(0), expected.image(0))
+        and np.abs(data.cameras[0].K - expected.cameras[0].K).max() < 1e-9
+    )
+    with pytest.raises(
+        SceneError,
+        match=(
+            "^reading a COLMAP model, unlike a transforms.json, needs the package pycolmap: run .* -m pip"
+            " install pycolmap"
+        ),
+    ):
         load_dataset(tmp_path / "a")
     monkeypatch.setenv(packages.MISSING_VARIABLE, "Python 3.12 lacks pycolmap: do this")
-    with pytest.raises(SceneError, match="^undistorting photographs needs the package pycolmap: Python 3.12 lacks pycolmap: do this$"):
+    with pytest.raises(
+        SceneError,
+        match="^undistorting photographs needs the package pycolmap: Python 3.12 lacks pycolmap: do this$",
+    ):
         load_dataset(tmp_path / "b/transforms.json").image(0)

@@ -1,4 +1,5 @@
-"""No text of Blender's panels and operators is hard-wired: each is in every catalogue, whole, and with the same fields."""
+"""No text of Blender's panels and operators is hard-wired: each is in every catalogue, whole, and with the
+same fields."""
 
 from __future__ import annotations
 
@@ -37,11 +38,16 @@ def label(file: Path) -> str:
 
 
 def docstrings(tree: ast.AST) -> set[ast.AST]:
-    return {node.value for node in ast.walk(tree) if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)}
+    return {
+        node.value
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+    }
 
 
 def glued(tree: ast.AST) -> Iterator[str]:
-    """f-strings, sums and products of text that hold words: in another language the words have another order."""
+    """f-strings, sums and products of text that hold words: in another language the words have another
+    order."""
     for node in ast.walk(tree):
         if isinstance(node, ast.JoinedStr):
             if any(WORD.search(part.value) for part in node.values if is_text(part)):
@@ -50,14 +56,17 @@ def glued(tree: ast.AST) -> Iterator[str]:
             if any(is_text(side) and WORD.search(side.value) for side in (node.left, node.right)):
                 yield ast.unparse(node)
         elif called(node) in TRANSLATED and not isinstance(
-            node.args[0], ast.Constant | ast.IfExp | ast.BoolOp | ast.Name | ast.Attribute | ast.Subscript | ast.Call
+            node.args[0],
+            ast.Constant | ast.IfExp | ast.BoolOp | ast.Name | ast.Attribute | ast.Subscript | ast.Call,
         ):
             yield ast.unparse(node)
 
 
 def sentences(tree: ast.AST) -> Iterator[str]:
     """Texts of two words or more."""
-    skipped = docstrings(tree) | {part for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for part in node.values}
+    skipped = docstrings(tree) | {
+        part for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for part in node.values
+    }
     for node in ast.walk(tree):
         if is_text(node) and node not in skipped and SENTENCE.search(node.value):
             yield node.value
@@ -69,8 +78,12 @@ def test_no_text_is_hard_wired(file):
         pytest.skip("its texts still have to be translated")
     tree = ast.parse(file.read_text("utf-8"))
     known = set.intersection(*map(set, CATALOGUES.values())) | NO_TEXT
-    assert not [text for text in glued(tree) if text not in NO_TEXT], "a whole sentence with named fields: tr('{count:,} Gaussians').format(count=…)"
-    assert label(file) in CODE or not [text for text in sentences(tree) if text not in known], "tr(), and an entry in each catalogue"
+    assert not [text for text in glued(tree) if text not in NO_TEXT], (
+        "a whole sentence with named fields: tr('{count:,} Gaussians').format(count=…)"
+    )
+    assert label(file) in CODE or not [text for text in sentences(tree) if text not in known], (
+        "tr(), and an entry in each catalogue"
+    )
 
 
 def test_every_file_that_still_has_to_be_translated_exists():
@@ -96,9 +109,13 @@ def test_catalogues_are_whole(locale):
     texts = CATALOGUES[locale]
     assert sorted(messages_of(ROOT) - texts.keys()) == [], "texts without a translation"
     assert not [text for text, said in texts.items() if not said.strip()]
-    assert not {text: said for text, said in texts.items() if fields(text) != fields(said)}, "other fields than the English text"
+    assert not {text: said for text, said in texts.items() if fields(text) != fields(said)}, (
+        "other fields than the English text"
+    )
     written = (ROOT / f"operators/catalogues/{locale}.json").read_text("utf-8")
-    assert written == json.dumps(texts, ensure_ascii=False, indent=0, sort_keys=True) + "\n", "sorted, one text a line, UTF-8"
+    assert written == json.dumps(texts, ensure_ascii=False, indent=0, sort_keys=True) + "\n", (
+        "sorted, one text a line, UTF-8"
+    )
 
 
 def test_there_are_catalogues_with_the_names_that_blender_uses():

@@ -31,7 +31,10 @@ CAPTURES = {
     "a quarter of them rolled": (noisy(RING + [(30 * i, 20, 90) for i in range(12)], 2), 2.0),
     "street": (noisy([(0, 0, 0)] * 30, 1), 8.0),
     "street, a quarter of them rolled": (noisy([(0, 0, 0)] * 30 + [(0, 0, -90)] * 10, 1), 8.0),
-    "drone, looking straight down": (noisy([(15 * (i % 5) + 180 * (i % 2), 90, 0) for i in range(30)], 1), 5.0),
+    "drone, looking straight down": (
+        noisy([(15 * (i % 5) + 180 * (i % 2), 90, 0) for i in range(30)], 1),
+        5.0,
+    ),
     "ceiling": (noisy([(10 * i, -75, 0) for i in range(36)], 2), 2.0),
 }
 
@@ -49,7 +52,9 @@ def test_no_up_without_a_consensus():
     anyhow = np.linalg.qr(rng.normal(size=(60, 3, 3)))[0]
     anyhow *= np.linalg.det(anyhow)[:, None, None]
     assert up_direction(anyhow) is None
-    assert up_direction(np.array([look(10 * i, 20, 180 * (i % 2)) for i in range(36)])) is None, "half of them upside down"
+    assert up_direction(np.array([look(10 * i, 20, 180 * (i % 2)) for i in range(36)])) is None, (
+        "half of them upside down"
+    )
     assert up_direction(np.array([look(0, 0), look(90, 0)])) is None, "two photographs are too few"
 
 
@@ -58,7 +63,11 @@ def test_real_captures(shared_data):
     pytest.importorskip("pycolmap")
     from svrgs_addon.views.dataset import load_dataset
 
-    for name, plane, bound in (("snowmiku_plush", (0, -0.83, -0.55), 10), ("lund_street", (0, -1, 0), 6), ("brighton_beach", (0, 0, -1), 11)):
+    for name, plane, bound in (
+        ("snowmiku_plush", (0, -0.83, -0.55), 10),
+        ("lund_street", (0, -1, 0), 6),
+        ("brighton_beach", (0, 0, -1), 11),
+    ):
         cameras = load_dataset(shared_data / name, cameras_only=True).cameras
         up = up_direction(np.array([camera.viewmat[:3, :3] for camera in cameras]))
         assert np.degrees(np.arccos(up @ np.array(plane) / np.linalg.norm(plane))) < bound, name

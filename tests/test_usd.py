@@ -1,4 +1,5 @@
-"""USD: the schema of OpenUSD is kept, stages of other programs are read where they place their splats, damaged ones end no process of ours."""
+"""USD: the schema of OpenUSD is kept, stages of other programs are read where they place their splats,
+damaged ones end no process of ours."""
 
 from __future__ import annotations
 
@@ -33,7 +34,8 @@ def add(stage: Usd.Stage, scene, path: str, half: bool = False):
         prim.CreatePositionshAttr(Vt.Vec3hArray.FromNumpy(scene.means.astype(np.float16)))
     else:
         prim.CreatePositionsAttr(Vt.Vec3fArray.FromNumpy(scene.means))
-    prim.CreateOrientationsAttr(Vt.QuatfArray([Gf.Quatf(*map(float, quat)) for quat in scene.quats]))  # w, x, y, z
+    # w, x, y, z
+    prim.CreateOrientationsAttr(Vt.QuatfArray([Gf.Quatf(*map(float, quat)) for quat in scene.quats]))
     prim.CreateScalesAttr(Vt.Vec3fArray.FromNumpy(np.exp(scene.log_scales)))
     prim.CreateOpacitiesAttr(Vt.FloatArray.FromNumpy(alphas))
     prim.CreateRadianceSphericalHarmonicsDegreeAttr(scene.sh_degree)
@@ -52,12 +54,16 @@ def test_the_prim_has_the_attributes_of_the_schema_and_no_others(tmp_path, suffi
     assert prim.IsA(UsdVol.ParticleField3DGaussianSplat) and prim.GetTypeName() == usd_arrays.TYPE
     schema = Usd.SchemaRegistry().FindConcretePrimDefinition(usd_arrays.TYPE)
     for attribute in prim.GetAuthoredAttributes():
-        assert schema.GetSchemaAttributeSpec(attribute.GetName()).typeName == attribute.GetTypeName(), attribute.GetName()
+        assert schema.GetSchemaAttributeSpec(attribute.GetName()).typeName == attribute.GetTypeName(), (
+            attribute.GetName()
+        )
     splat = UsdVol.ParticleField3DGaussianSplat(prim)
     count = len(splat.GetPositionsAttr().Get())
     assert count == 20 and len(splat.GetRadianceSphericalHarmonicsCoefficientsAttr().Get()) == 9 * count
     lows, highs = np.array(splat.GetExtentAttr().Get())
-    assert (np.array(splat.GetPositionsAttr().Get()) > lows).all() and (np.array(splat.GetPositionsAttr().Get()) < highs).all()
+    assert (np.array(splat.GetPositionsAttr().Get()) > lows).all() and (
+        np.array(splat.GetPositionsAttr().Get()) < highs
+    ).all()
     assert UsdGeom.GetStageUpAxis(stage) == "Y" and stage.HasDefaultPrim()
 
 
@@ -65,12 +71,16 @@ def test_the_prim_has_the_attributes_of_the_schema_and_no_others(tmp_path, suffi
 def test_a_stage_is_read_with_its_transforms_and_its_up_axis(tmp_path, up):
     scene = like_trained(1, 50)
     stage_of(scene, up).Export(str(tmp_path / "a.usdc"))
-    upright = np.eye(4) if up == "Y" else np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1.0]])
+    upright = (
+        np.eye(4) if up == "Y" else np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1.0]])
+    )
     expected = transformed(scene, TURN @ upright @ np.array(MATRIX, np.float64))
     scene = read_scene(tmp_path / "a.usdc")
     found = differences(scene, expected)
     assert found.pop("turn") < 2.1  # the axes of a Gaussian may have other signs
-    assert max(found.values()) < 1e-5 and np.abs(covariances(scene) - covariances(expected)).max() < 1e-4, found
+    assert max(found.values()) < 1e-5 and np.abs(covariances(scene) - covariances(expected)).max() < 1e-4, (
+        found
+    )
 
 
 def covariances(scene) -> np.ndarray:

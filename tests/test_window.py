@@ -1,7 +1,7 @@
 """The extension in a real window, driven with mouse and keyboard by the scripts in tests/window.
 
-SVRGS_BLENDER names the Blender (a command that takes Blender's arguments); without a screen an Xvfb is started, if there is one.
-SVRGS_PICTURES names a folder to keep the pictures in.
+SVRGS_BLENDER names the Blender (a command that takes Blender's arguments); without a screen an Xvfb is
+started, if there is one. SVRGS_PICTURES names a folder to keep the pictures in.
 """
 
 from __future__ import annotations
@@ -41,7 +41,10 @@ def screen():
         yield dict(os.environ)
         return
     read, write = os.pipe()
-    with subprocess.Popen(["Xvfb", "-displayfd", str(write), "-screen", "0", f"{SIZE[0]}x{SIZE[1]}x24", "-nolisten", "tcp"], pass_fds=[write]) as server:
+    with subprocess.Popen(
+        ["Xvfb", "-displayfd", str(write), "-screen", "0", f"{SIZE[0]}x{SIZE[1]}x24", "-nolisten", "tcp"],
+        pass_fds=[write],
+    ) as server:
         os.close(write)
         with os.fdopen(read) as display:
             yield {**os.environ, "DISPLAY": ":" + display.readline().strip(), "LIBGL_ALWAYS_SOFTWARE": "1"}
@@ -57,11 +60,36 @@ def drive(blender, extension_zip, tmp_path):  # noqa: F811
         out.mkdir(parents=True, exist_ok=True)
         with screen() as environment:
             environment["BLENDER_USER_RESOURCES"] = str(tmp_path / "user")
-            install = [*blender, "--command", "extension", "install-file", "-r", "user_default", "-e", str(extension_zip(*blender, "-b", "--python-expr"))]
+            install = [
+                *blender,
+                "--command",
+                "extension",
+                "install-file",
+                "-r",
+                "user_default",
+                "-e",
+                str(extension_zip(*blender, "-b", "--python-expr")),
+            ]
             done = subprocess.run(install, env=environment, capture_output=True, text=True, timeout=120)
-            assert "STATUS Installed" in done.stdout or "STATUS Reinstalled" in done.stdout, done.stdout + done.stderr
-            window = ["--window-geometry", "0", "0", *map(str, SIZE), "--enable-event-simulate", "-P", str(WINDOW / script)]
-            done = subprocess.run([*blender, *window, "--", str(data), str(out)], env=environment, capture_output=True, text=True, timeout=300)
+            assert "STATUS Installed" in done.stdout or "STATUS Reinstalled" in done.stdout, (
+                done.stdout + done.stderr
+            )
+            window = [
+                "--window-geometry",
+                "0",
+                "0",
+                *map(str, SIZE),
+                "--enable-event-simulate",
+                "-P",
+                str(WINDOW / script),
+            ]
+            done = subprocess.run(
+                [*blender, *window, "--", str(data), str(out)],
+                env=environment,
+                capture_output=True,
+                text=True,
+                timeout=300,
+            )
         assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
         return json.loads((out / "seen.json").read_text())
 
@@ -89,10 +117,27 @@ def test_looking_with_the_mouse(drive, tiny, tmp_path):
         "two sides in Solid and in Rendered; the mouse moves the line"
     )
     assert seen["opened"] == ["SVR-GS Wipe"]
-    assert seen["mask"]["camera"] == seen["compare"]["camera"] == seen["camera"] and seen["mask"]["largest"] > seen["mask"]["mean"] > 0
+    assert (
+        seen["mask"]["camera"] == seen["compare"]["camera"] == seen["camera"]
+        and seen["mask"]["largest"] > seen["mask"]["mean"] > 0
+    )
     original, pruned = seen["compare"]["original"], seen["compare"]["pruned"]
     assert (original["count"], pruned["count"]) == (250, 100) and min(original["psnr"], pruned["psnr"]) > 15
-    assert run_svrgs(["render", str(tiny.splat), "--colmap", str(tiny.folder), "--views", seen["camera"], "--out", str(tmp_path / "renders")]) == 0
+    assert (
+        run_svrgs(
+            [
+                "render",
+                str(tiny.splat),
+                "--colmap",
+                str(tiny.folder),
+                "--views",
+                seen["camera"],
+                "--out",
+                str(tmp_path / "renders"),
+            ]
+        )
+        == 0
+    )
     (expected,) = (tmp_path / "renders").iterdir()
     rendered, expected = (read_pixels(path).astype(int)[..., :3] for path in (Path(seen["f12"]), expected))
     assert rendered.shape == expected.shape and np.abs(rendered - expected).max() <= 1
@@ -100,11 +145,18 @@ def test_looking_with_the_mouse(drive, tiny, tmp_path):
 
 def test_splats_as_objects_with_keys(drive, tiny):
     seen = drive("objects.py", tiny.folder)
-    before, applied, joined = (read_pixels(Path(seen["out"]) / f"{name}.png").astype(int)[..., :3] for name in ("before", "applied", "joined"))
+    before, applied, joined = (
+        read_pixels(Path(seen["out"]) / f"{name}.png").astype(int)[..., :3]
+        for name in ("before", "applied", "joined")
+    )
     assert before.std() > 10 and np.abs(before - applied).max() <= 1 and np.abs(before - joined).max() <= 1
     assert (seen["moved"], seen["joined"]) == (250, 500)
     assert "another capture" not in seen["own"] and seen["parted"]
-    assert seen["reloaded"]["photo"] == [64, 48] and seen["reloaded"]["mask"] > 0 and "moved/dataset" in seen["reloaded"]["dataset"]
+    assert (
+        seen["reloaded"]["photo"] == [64, 48]
+        and seen["reloaded"]["mask"] > 0
+        and "moved/dataset" in seen["reloaded"]["dataset"]
+    )
     assert seen["after_new"] == [True, True], "a job goes on after File > New, and is known"
 
 
@@ -113,7 +165,9 @@ def test_frame_times_are_printed(drive, tiny, capsys):
     seen = drive("frames.py", tiny.folder)
     with capsys.disabled():
         for count, times in seen.items():
-            figures = ", ".join(f"{name} {1e3 * times[name]:.0f} ms" for name in ("first", "median", "largest", "without"))
+            figures = ", ".join(
+                f"{name} {1e3 * times[name]:.0f} ms" for name in ("first", "median", "largest", "without")
+            )
             print(f"\n{int(count):,} Gaussians: {figures}; level {times['levels']}")
     assert [int(count) for count in seen] == [196_000, 1_500_000]
     assert all(times["median"] > 0 and times["levels"] for times in seen.values()), seen

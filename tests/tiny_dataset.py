@@ -1,6 +1,8 @@
-"""A tiny dataset that fits together: photographs drawn from a scene, their COLMAP model, and a splat "trained" on them.
+"""A tiny dataset that fits together: photographs drawn from a scene, their COLMAP model, and a splat
+"trained" on them.
 
-The splat is that scene with every Gaussian doubled and a few that no view can show: there is something to prune.
+The splat is that scene with every Gaussian doubled and a few that no view can show: there is something to
+prune.
 """
 
 from __future__ import annotations
@@ -34,7 +36,8 @@ class Tiny:
 
 
 def write_tiny(folder: Path, seed: int = 0, seen: int = SEEN, cameras: list[Camera] | None = None) -> Tiny:
-    """Writes folder/images, folder/sparse/0 and folder/scene.ply. Same arguments, same bytes. cameras: default views()."""
+    """Writes folder/images, folder/sparse/0 and folder/scene.ply. Same arguments, same bytes. cameras:
+    default views()."""
     truth = scenes.random_scene(seen, seed, 1, spread=0.4, scale=0.15, opacity=2.0)
     cameras = cameras or views()
     rasterizer = Rasterizer()

@@ -25,7 +25,9 @@ def transforms_of(model: Model, images: str = "images") -> dict:
         intrinsics = dict(zip(KEYS[camera.model], map(float, camera.params), strict=True))
         pose = np.linalg.inv(view.viewmat) @ FLIP
         size = {"w": camera.width, "h": camera.height, "camera_model": camera.model}
-        frames.append({"file_path": f"./{images}/{view.name}", "transform_matrix": pose.tolist(), **size, **intrinsics})
+        frames.append(
+            {"file_path": f"./{images}/{view.name}", "transform_matrix": pose.tolist(), **size, **intrinsics}
+        )
     return {"frames": frames}
 
 
@@ -39,7 +41,14 @@ def write_transforms(folder: Path, model: Model) -> dict:
 
 def write_points(path: Path, points: np.ndarray, colors: np.ndarray):
     """An ASCII point cloud, as `ns-process-data` writes it."""
-    header = ["ply", "format ascii 1.0", f"element vertex {len(points)}", *(f"property float {name}" for name in "xyz")]
+    header = [
+        "ply",
+        "format ascii 1.0",
+        f"element vertex {len(points)}",
+        *(f"property float {name}" for name in "xyz"),
+    ]
     header += [f"property uint8 {name}" for name in ("red", "green", "blue")]
-    rows = [f"{x:.9g} {y:.9g} {z:.9g} {r} {g} {b}" for (x, y, z), (r, g, b) in zip(points, colors, strict=True)]
+    rows = [
+        f"{x:.9g} {y:.9g} {z:.9g} {r} {g} {b}" for (x, y, z), (r, g, b) in zip(points, colors, strict=True)
+    ]
     path.write_text("\n".join([*header, "end_header", *rows, ""]))

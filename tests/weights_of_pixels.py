@@ -1,4 +1,5 @@
-"""What the pixels of a view say of each Gaussian, by the float64 reference: slopes of colours, dominated pixels, sums of alpha T."""
+"""What the pixels of a view say of each Gaussian, by the float64 reference: slopes of colours, dominated
+pixels, sums of alpha T."""
 
 from __future__ import annotations
 
@@ -19,9 +20,11 @@ def parts(scene, camera, antialiased: bool = False):
 
 
 def expected_slopes(scene, masks: np.ndarray, camera, antialiased: bool = False) -> np.ndarray:
-    """(N,) by autograd: every pair of pixel and Gaussian has a G of its own, whose slope in the sum of the channels is squared and summed."""
+    """(N,) by autograd: every pair of pixel and Gaussian has a G of its own, whose slope in the sum of the
+    channels is squared and summed."""
     splats, alpha, hit = parts(scene, camera, antialiased)
-    G = torch.where(hit, alpha / splats.opacity, 0.0).requires_grad_()  # of a clamped alpha too: the clamp is not differentiated
+    # of a clamped alpha too: the clamp is not differentiated
+    G = torch.where(hit, alpha / splats.opacity, 0.0).requires_grad_()
     M = torch.tensor(np.asarray(masks, np.float64))[splats.index]
     background = torch.tensor(BACKGROUND, dtype=torch.float64)
     reference.blend(splats.opacity * G, hit, M, splats.colour, splats.z, background)[0].sum().backward()

@@ -1,8 +1,9 @@
 """Builds zips of the Blender extension in dist/ and checks them: python tools/build_extension.py [--all]
 
-Without --all: the one for this platform and this Python, with the native core of this checkout. With --all: every one of
-platforms.toml, with the native cores that tools/build_wheels.py has built, and a static repository of them, dist/repository/.
-Both is done by Blender's own builder, a script inside the bpy package. It runs without starting Blender.
+Without --all: the one for this platform and this Python, with the native core of this checkout. With --all:
+every one of platforms.toml, with the native cores that tools/build_wheels.py has built, and a static
+repository of them, dist/repository/. Both is done by Blender's own builder, a script inside the bpy package.
+It runs without starting Blender.
 """
 
 from __future__ import annotations
@@ -29,9 +30,12 @@ def builder() -> Path | None:
 
 
 def manifest(variant: Variant) -> str:
-    """The manifest of one zip: blender_manifest.toml with the version, the versions of Blender, the platform and the wheels."""
+    """The manifest of one zip: blender_manifest.toml with the version, the versions of Blender, the platform
+    and the wheels."""
     lines = [f'version = "{VERSION}"', f'platforms = ["{variant.platform}"]']
-    lines += [f'blender_version_{end} = "{variant.facts[end]}"' for end in ("min", "max") if end in variant.facts]
+    lines += [
+        f'blender_version_{end} = "{variant.facts[end]}"' for end in ("min", "max") if end in variant.facts
+    ]
     if wheels := variant.wheels():
         lines += ["wheels = [", *(f'  "./wheels/{wheel.name}",' for wheel in wheels), "]"]
     text = (ROOT / "blender_manifest.toml").read_text(encoding="utf-8")
@@ -44,7 +48,11 @@ def stage(variant: Variant, library: Path, folder: Path) -> None:
     folder.mkdir(parents=True)
     for name in PRODUCT:
         source = ROOT / name
-        shutil.copytree(source, folder / name, ignore=BUILT_HERE) if source.is_dir() else shutil.copy2(source, folder)
+        (
+            shutil.copytree(source, folder / name, ignore=BUILT_HERE)
+            if source.is_dir()
+            else shutil.copy2(source, folder)
+        )
     shutil.copy2(library, folder / "svrgs_addon" / variant.library)
     for wheel in variant.wheels():
         (folder / "wheels").mkdir(exist_ok=True)
@@ -53,7 +61,8 @@ def stage(variant: Variant, library: Path, folder: Path) -> None:
 
 
 def build(variant: Variant, library: Path, folder: Path) -> Path:
-    """Builds the zip of a variant in `folder` and validates it. Returns its path. Raises RuntimeError with what Blender's builder said."""
+    """Builds the zip of a variant in `folder` and validates it. Returns its path. Raises RuntimeError with
+    what Blender's builder said."""
     staged, made = STAGE / variant.name, folder / f"{variant.name}.zip"
     stage(variant, library, staged)
     folder.mkdir(parents=True, exist_ok=True)
@@ -77,20 +86,28 @@ def in_repository(variant: Variant) -> bool:
 
 
 def _blender_ext(*words: object) -> None:
-    done = subprocess.run([sys.executable, builder(), *map(str, words)], capture_output=True, encoding="utf-8")
+    done = subprocess.run(
+        [sys.executable, builder(), *map(str, words)], capture_output=True, encoding="utf-8"
+    )
     if done.returncode:
         raise RuntimeError(done.stdout + done.stderr)
 
 
 def main() -> int:
     if builder() is None:
-        print("the extension's builder is part of the Blender module (bpy), which exists for Python 3.11 and 3.13", file=sys.stderr)
+        print(
+            "the extension's builder is part of the Blender module (bpy), which exists for Python 3.11 and"
+            " 3.13",
+            file=sys.stderr,
+        )
         return 1
     for old in DIST.glob("*.zip"):
         old.unlink()
     if "--all" in sys.argv:
         made = {variant: build(variant, variant.built_library, DIST) for variant in variants()}
-        generate_repository([path for variant, path in made.items() if in_repository(variant)], DIST / "repository")
+        generate_repository(
+            [path for variant, path in made.items() if in_repository(variant)], DIST / "repository"
+        )
     else:
         variant = variant_for(f"cp{sys.version_info[0]}{sys.version_info[1]}")
         made = {variant: build(variant, ROOT / "svrgs_addon" / variant.library, DIST)}

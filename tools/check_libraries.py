@@ -1,6 +1,8 @@
-"""What the native libraries in build/platforms/ export and need, read from the files: python tools/check_libraries.py [PLATFORM...].
+"""What the native libraries in build/platforms/ export and need, read from the files: python
+tools/check_libraries.py [PLATFORM...].
 
-Prints a line per library and what is wrong with it; the exit status is 0 if nothing is. Needs lief (requirements-package.txt).
+Prints a line per library and what is wrong with it; the exit status is 0 if nothing is. Needs lief
+(requirements-package.txt).
 """
 
 from __future__ import annotations
@@ -21,7 +23,8 @@ ELF_NEEDS = r"(libc|libm|libpthread|libdl|librt)\.so\.\d|ld-linux[-\w]*\.so\.\d"
 WINDOWS_NEEDS = r"(KERNEL32|ntdll|api-ms-win-[-\w]+)\.dll"
 MACOS_NEEDS = ["/usr/lib/libSystem.B.dylib"]
 MACOS_VERSION = [11, 0, 0]
-# zig's linker for macOS has no way to hide these: operator new and delete, which are weak, and marks of the linker itself.
+# zig's linker for macOS has no way to hide these: operator new and delete, which are weak, and marks of the
+# linker itself.
 MACOS_MAY_EXPORT = r"__Z(nw|na|dl|da)\w+|__mh_dylib_header|___dso_handle"
 
 
@@ -38,7 +41,9 @@ def wrong_exports(names: set[str]) -> list[str]:
 def wrong_elf(library: lief.ELF.Binary) -> list[str]:
     found = wrong_exports({symbol.name for symbol in library.exported_symbols})
     found += [f"needs {name}" for name in library.libraries if not re.fullmatch(ELF_NEEDS, name)]
-    versions = {aux.name for needed in library.symbols_version_requirement for aux in needed.get_auxiliary_symbols()}
+    versions = {
+        aux.name for needed in library.symbols_version_requirement for aux in needed.get_auxiliary_symbols()
+    }
     for name in sorted(versions):
         version = re.fullmatch(r"GLIBC_([\d.]+)", name)
         if not version or tuple(map(int, version[1].split("."))) > GLIBC:
@@ -49,7 +54,11 @@ def wrong_elf(library: lief.ELF.Binary) -> list[str]:
 def wrong_pe(library: lief.PE.Binary) -> list[str]:
     export = library.get_export()
     found = wrong_exports({entry.name for entry in export.entries} if export else set())
-    return found + [f"needs {entry.name}" for entry in library.imports if not re.fullmatch(WINDOWS_NEEDS, entry.name, re.IGNORECASE)]
+    return found + [
+        f"needs {entry.name}"
+        for entry in library.imports
+        if not re.fullmatch(WINDOWS_NEEDS, entry.name, re.IGNORECASE)
+    ]
 
 
 def wrong_signature(signature: bytes, path: Path) -> list[str]:
@@ -62,7 +71,9 @@ def wrong_signature(signature: bytes, path: Path) -> list[str]:
     signed = path.read_bytes()[:limit]
     found = [hashlib.sha256(signed[k << bits : k + 1 << bits]).digest() for k in range(pages)]
     stored = [directory[hashes + k * size :][:size] for k in range(pages)]
-    return ["is not signed ad hoc"] * (not flags & 2 or kind != 2) + ["has been changed since it was signed"] * (found != stored)
+    return ["is not signed ad hoc"] * (not flags & 2 or kind != 2) + [
+        "has been changed since it was signed"
+    ] * (found != stored)
 
 
 def wrong_macho(library: lief.MachO.Binary, path: Path) -> list[str]:
@@ -76,7 +87,8 @@ def wrong_macho(library: lief.MachO.Binary, path: Path) -> list[str]:
         found.append("is not for macOS 11.0")
     if library.has_code_signature:
         return found + wrong_signature(bytes(library.code_signature.content), path)
-    needed = library.header.cpu_type == lief.MachO.Header.CPU_TYPE.ARM64  # Macs on Intel load what is not signed
+    # Macs on Intel load what is not signed
+    needed = library.header.cpu_type == lief.MachO.Header.CPU_TYPE.ARM64
     return found + ["is not signed"] * needed
 
 

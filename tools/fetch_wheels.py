@@ -28,7 +28,18 @@ def missing(variant: Variant) -> bool:
 
 
 def main() -> int:
-    command = [sys.executable, "-m", "pip", "download", "-qq", "--disable-pip-version-check", "--no-deps", "--only-binary=:all:", "--dest", str(WHEELS)]
+    command = [
+        sys.executable,
+        "-m",
+        "pip",
+        "download",
+        "-qq",
+        "--disable-pip-version-check",
+        "--no-deps",
+        "--only-binary=:all:",
+        "--dest",
+        str(WHEELS),
+    ]
     for variant in variants():
         if "--all" not in sys.argv and variant.platform != this_platform() or not missing(variant):
             continue

@@ -11,8 +11,11 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 TABLE = tomllib.loads((ROOT / "tools/platforms.toml").read_text(encoding="utf-8"))
-VERSION = re.search(r'^__version__ = "(.+)"$', (ROOT / "svrgs_addon/__init__.py").read_text(encoding="utf-8"), re.MULTILINE)[1]
-WHEELS, BUILT = ROOT / "wheels", ROOT / "build/platforms"  # wheels of packages; native libraries, in a folder for each target
+VERSION = re.search(
+    r'^__version__ = "(.+)"$', (ROOT / "svrgs_addon/__init__.py").read_text(encoding="utf-8"), re.MULTILINE
+)[1]
+# wheels of packages; native libraries, in a folder for each target
+WHEELS, BUILT = ROOT / "wheels", ROOT / "build/platforms"
 LIBRARIES = {"linux": "libsvrgs.so", "windows": "svrgs.dll", "macos": "libsvrgs.dylib"}
 MACHINES = {"x86_64": "x64", "amd64": "x64", "aarch64": "arm64", "arm64": "arm64"}
 SYSTEMS = {"linux": "linux", "win32": "windows", "darwin": "macos"}
@@ -54,7 +57,10 @@ class Variant:
         for found in sorted(WHEELS.glob(f"{package}-{version}-{python}-{python}-*.whl")):
             if set(found.stem.split("-")[-1].split(".")) & set(TABLE["platform"][self.platform]["wheels"]):
                 return found
-        raise FileNotFoundError(f"{package} {version} for {self.platform}, {python} is not in {WHEELS}: run tools/fetch_wheels.py --all")
+        raise FileNotFoundError(
+            f"{package} {version} for {self.platform}, {python} is not in {WHEELS}: run tools/fetch_wheels.py"
+            " --all"
+        )
 
 
 def variants() -> list[Variant]:
@@ -75,4 +81,6 @@ def this_platform() -> str:
 def variant_for(python: str) -> Variant:
     """The one for this platform and a Python (cp311); that without wheels if there is none with wheels."""
     here = this_platform()
-    return next((variant for variant in variants() if variant.fits(here, python)), Variant(here, "any-python"))
+    return next(
+        (variant for variant in variants() if variant.fits(here, python)), Variant(here, "any-python")
+    )

@@ -36,7 +36,9 @@ class Case:
         }
 
 
-def room_case(count: int = COUNTS[0], sh_degree: int = 3, width: int = SIZES[0][0], height: int = SIZES[0][1]) -> Case:
+def room_case(
+    count: int = COUNTS[0], sh_degree: int = 3, width: int = SIZES[0][0], height: int = SIZES[0][1]
+) -> Case:
     """A generated room. The defaults are those on which knobs and skips are measured."""
     return Case("room", room(count, sh_degree), orbit_camera(width, height))
 

@@ -1,7 +1,8 @@
 """A child process that runs one build of the native library on a generated room, one request at a time.
 
-Requests come on stdin and answers go to stdout, one JSON object per line. The request {"level": name or null} is answered by
-{"forward": seconds, "step": seconds} or {"error": sentence}. With "save": FILE, the image is written there first.
+Requests come on stdin and answers go to stdout, one JSON object per line. The request {"level": name or null}
+is answered by {"forward": seconds, "step": seconds} or {"error": sentence}. With "save": FILE, the image is
+written there first.
 """
 
 from __future__ import annotations
@@ -27,7 +28,8 @@ from .trial import Trial
 
 
 class Child:
-    """The parent's side. It starts the process with the given library (None: the installed one) and sends requests."""
+    """The parent's side. It starts the process with the given library (None: the installed one) and sends
+    requests."""
 
     def __init__(self, case: Case, library: Path | None = None):
         variables = subprocess_python.environment()
@@ -35,7 +37,9 @@ class Child:
             variables[LIBRARY_VARIABLE] = str(library)
         facts = [case.facts[name] for name in ("count", "sh_degree", "width", "height")]
         command = [sys.executable, "-m", "svrgs_bench.child", *map(str, (library.threads(), *facts))]
-        process = ChildProcess(command, encoding="utf-8", env=variables, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        process = ChildProcess(
+            command, encoding="utf-8", env=variables, stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        )
         assert process.stdin is not None and process.stdout is not None
         self._process, self._requests, self._answers = process, process.stdin, process.stdout
 

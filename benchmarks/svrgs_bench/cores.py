@@ -1,9 +1,12 @@
-"""What more cores would give: the serial part of a picture and of a step, and how evenly their tasks can be shared.
+"""What more cores would give: the serial part of a picture and of a step, and how evenly their tasks can be
+shared.
 
-With one thread, the library says how long each task of its thread pool takes. What a call takes beyond its tasks is serial. From both follows a lower bound of
-the time with any number of threads: each task goes to the thread that is free first, as in the pool. It knows nothing of memory and of caches that threads
-share, nor of the microseconds in which a thread wakes. The speed-up is also measured, with as many threads as there are cores at most. So is the speed-up of
-multiply-adds in registers: busy neighbours of a virtual machine, and a clock rate that falls as more cores work, slow both down.
+With one thread, the library says how long each task of its thread pool takes. What a call takes beyond its
+tasks is serial. From both follows a lower bound of the time with any number of threads: each task goes to the
+thread that is free first, as in the pool. It knows nothing of memory and of caches that threads share, nor of
+the microseconds in which a thread wakes. The speed-up is also measured, with as many threads as there are
+cores at most. So is the speed-up of multiply-adds in registers: busy neighbours of a virtual machine, and a
+clock rate that falls as more cores work, slow both down.
 """
 
 from __future__ import annotations
@@ -42,7 +45,8 @@ def measure_cores(repeat: int, tell: Callable[[str], None], cases=CASES) -> dict
 
 
 def _foreseen(call: Callable[[], object], repeat: int) -> dict:
-    """Medians over the repeats: milliseconds with one thread, the serial share, jobs, and the best speed-up with each number of threads."""
+    """Medians over the repeats: milliseconds with one thread, the serial share, jobs, and the best speed-up
+    with each number of threads."""
     call()
     total: list[float] = []
     serial: list[float] = []
@@ -62,7 +66,8 @@ def _foreseen(call: Callable[[], object], repeat: int) -> dict:
 
 
 def makespan(tasks: np.ndarray, threads: int) -> float:
-    """Seconds until tasks of so many seconds, (n,), are done, when a thread that is free takes the next one."""
+    """Seconds until tasks of so many seconds, (n,), are done, when a thread that is free takes the next
+    one."""
     free = [0.0] * min(threads, max(1, len(tasks)))
     for task in tasks.tolist():
         heapq.heapreplace(free, free[0] + task)
@@ -86,7 +91,8 @@ def _arithmetic() -> dict[str, float]:
 
 
 def _measured(call: Callable[[], object], repeat: int) -> dict:
-    """The speed-up over one thread and the milliseconds, with each number of threads for which there are cores. All are measured in each round."""
+    """The speed-up over one thread and the milliseconds, with each number of threads for which there are
+    cores. All are measured in each round."""
     counts = _thread_counts()
     readings: dict[int, list[float]] = {count: [] for count in counts}
     for _ in range(repeat):

@@ -26,20 +26,29 @@ FRAMES, STEP = 30, 1.0  # number of frames; degrees per frame
 EXACT = 6  # exact pictures of a viewport
 
 
-def measure_interactive(tell: Callable[[str], None], count: int = COUNT, size: tuple[int, int] = SIZE, frames: int = FRAMES) -> dict:
-    """The entry `interactive` of the result: milliseconds of the median and of the slowest frame, frames per second, and `rest_ms`, the
-    milliseconds of a frame whose camera has not moved."""
+def measure_interactive(
+    tell: Callable[[str], None], count: int = COUNT, size: tuple[int, int] = SIZE, frames: int = FRAMES
+) -> dict:
+    """The entry `interactive` of the result: milliseconds of the median and of the slowest frame, frames per
+    second, and `rest_ms`, the milliseconds of a frame whose camera has not moved."""
     tell(f"orbiting around {count:,} Gaussians")
     preview = Preview(room(count))
     cameras = [orbit_camera(*size, turn=STEP * k) for k in range(WARMUPS + frames)]
-    return _frames(preview.image, cameras, count, size) | {"rest_ms": 1e3 * seconds(preview.image, cameras[-1])}
+    return _frames(preview.image, cameras, count, size) | {
+        "rest_ms": 1e3 * seconds(preview.image, cameras[-1])
+    }
 
 
 def measure_viewport(
-    tell: Callable[[str], None], count: int = VIEWPORT_COUNT, size: tuple[int, int] = VIEWPORT_SIZE, frames: int = FRAMES, reduction: int = COARSE
+    tell: Callable[[str], None],
+    count: int = VIEWPORT_COUNT,
+    size: tuple[int, int] = VIEWPORT_SIZE,
+    frames: int = FRAMES,
+    reduction: int = COARSE,
 ) -> dict:
-    """The entry `viewport` of the result: the same of coarse pictures, as the viewport of Blender draws them while the camera moves (render/live_view.py),
-    and `exact_ms`, the milliseconds of the exact picture where it stops."""
+    """The entry `viewport` of the result: the same of coarse pictures, as the viewport of Blender draws them
+    while the camera moves (render/live_view.py), and `exact_ms`, the milliseconds of the exact picture where
+    it stops."""
     tell(f"orbiting around {count:,} Gaussians in a viewport")
     scene, rasterizer = (one := room(count)).select(morton_order(one.means)), Rasterizer()
     thinning = Thinning(scene)
@@ -58,7 +67,9 @@ def measure_viewport(
     return facts | {"reduction": reduction, "exact_ms": float(np.median(exact))}
 
 
-def _frames(draw: Callable[[Camera], object], cameras: list[Camera], count: int, size: tuple[int, int]) -> dict:
+def _frames(
+    draw: Callable[[Camera], object], cameras: list[Camera], count: int, size: tuple[int, int]
+) -> dict:
     """Milliseconds of the median and of the slowest frame; the first ones do not count."""
     ms = [1e3 * seconds(draw, camera) for camera in cameras][WARMUPS:]
     median = float(np.median(ms))

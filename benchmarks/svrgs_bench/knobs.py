@@ -22,7 +22,8 @@ STANDARD = {"level": None}  # request for the standard build
 
 @dataclass(frozen=True)
 class Setting:
-    """One value of one knob: a SIMD level, which is chosen at run time, or a macro, which needs a build of its own."""
+    """One value of one knob: a SIMD level, which is chosen at run time, or a macro, which needs a build of
+    its own."""
 
     knob: str
     value: str
@@ -35,10 +36,14 @@ class Setting:
         return {"level": self.level}
 
 
-# Knobs that need a build: knob -> (macro, {value of the knob: value of the macro; '' for the standard build}).
+# Knobs that need a build: knob -> (macro, {value of the knob: value of the macro; '' for the standard
+# build}).
 BUILD_KNOBS = {
     "exp_degree": ("SVRGS_EXP_DEGREE", {"3": "3", "4": "4", "5": ""}),
-    "alpha_cut": ("SVRGS_ALPHA_CUT", {f"{n:g}/255": f"{n / 255:.12g}" if n != 1 else "" for n in (0.5, 1, 2, 4)}),
+    "alpha_cut": (
+        "SVRGS_ALPHA_CUT",
+        {f"{n:g}/255": f"{n / 255:.12g}" if n != 1 else "" for n in (0.5, 1, 2, 4)},
+    ),
     "stop": ("SVRGS_STOP", {"1e-2": "1e-2", "1e-3": "1e-3", "1e-4": "", "1e-5": "1e-5"}),
     "tile": ("SVRGS_TILE", {"8": "8", "16": "16", "32": ""}),
     "block": ("SVRGS_BLOCK_WIDTH", {"4x4": "", "8x2": "8", "16x1": "16"}),
@@ -51,12 +56,17 @@ def settings() -> list[Setting]:
     levels = [level for level in library.supported_levels() if level != "float64"]
     found = [Setting("simd", level, level == best, level=level) for level in levels]
     for knob, (name, values) in BUILD_KNOBS.items():
-        found += [Setting(knob, value, not text, macro=text and f"{name}={text}") for value, text in values.items()]
+        found += [
+            Setting(knob, value, not text, macro=text and f"{name}={text}") for value, text in values.items()
+        ]
     return found
 
 
-def measure_knobs(case: Case, repeat: int, tell: Callable[[str], None], chosen: list[Setting] | None = None) -> list[dict]:
-    """The entry `knobs` of the result, measured on a generated room: one item per setting that can be measured on this machine.
+def measure_knobs(
+    case: Case, repeat: int, tell: Callable[[str], None], chosen: list[Setting] | None = None
+) -> list[dict]:
+    """The entry `knobs` of the result, measured on a generated room: one item per setting that can be
+    measured on this machine.
 
     tell: called with progress and with the reason why a setting is left out.
     """
@@ -110,7 +120,10 @@ class _Bench:
         }
 
     def _ratios(self, setting: Setting, child: Child) -> tuple[float, float]:
-        pairs = [(child.ask(**setting.request), self.standard.ask(**STANDARD)) for _ in range(WARMUPS + self.repeat)][WARMUPS:]
+        pairs = [
+            (child.ask(**setting.request), self.standard.ask(**STANDARD))
+            for _ in range(WARMUPS + self.repeat)
+        ][WARMUPS:]
         ours, plain = zip(*pairs, strict=True)
         forward, step = (([a[name] for a in ours], [b[name] for b in plain]) for name in ("forward", "step"))
         return ratio(*forward), ratio(*step)

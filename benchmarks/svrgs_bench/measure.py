@@ -11,13 +11,14 @@ from .floors import row_lines, stage_floors
 from .timing import rounds, seconds, summary
 from .trial import Trial
 
-FULL_WALK = ("used_pairs", "blocks", "hit_blocks", "hits")  # counts that are larger if F counts every hit of a ray
+# counts that are larger if F counts every hit of a ray
+FULL_WALK = ("used_pairs", "blocks", "hit_blocks", "hits")
 PEAK_READINGS = 3  # readings of a peak; the best one counts
 
 
 def measure(case: Case, thread_counts: list[int], error: dict, repeat: int) -> list[dict]:
-    """One item of the result's `cases` per thread count. error: the errors of this case. Peaks are measured in each round, because the speed
-    of a machine changes over time."""
+    """One item of the result's `cases` per thread count. error: the errors of this case. Peaks are measured
+    in each round, because the speed of a machine changes over time."""
     trial = Trial(case)
     level, work, entries = trial.rasterizer.level, work_counts(trial), []
     for threads in thread_counts:
@@ -27,7 +28,9 @@ def measure(case: Case, thread_counts: list[int], error: dict, repeat: int) -> l
         floors = [stage_floors(work, case.facts, level, peak) for peak in peaks[-repeat:]]
         floor = {name: float(np.median([one[name] for one in floors])) for name in floors[0]}
         stages = {name: {**summary(readings[name]), "floor_ms": 1e3 * floor[name]} for name in floor}
-        entries.append({**case.facts, "threads": threads, "simd": level, "stages": stages, "work": work, "error": error})
+        entries.append(
+            {**case.facts, "threads": threads, "simd": level, "stages": stages, "work": work, "error": error}
+        )
     return entries
 
 
@@ -42,7 +45,8 @@ def peaks_of(level: str, thread_counts: list[int]) -> dict[int, dict]:
 
 
 def work_counts(trial: Trial, disabled_skips=()) -> dict:
-    """Work counts of the pass for colours; as NAME_full those with F to the end of each ray; and floors.row_lines of the visible Gaussians."""
+    """Work counts of the pass for colours; as NAME_full those with F to the end of each ray; and
+    floors.row_lines of the visible Gaussians."""
     trial.forward("none", disabled_skips=disabled_skips)
     counts = trial.rasterizer.work(count_pixels=True)
     trial.forward(disabled_skips=disabled_skips)

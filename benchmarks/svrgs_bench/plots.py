@@ -13,7 +13,8 @@ KNOBS = {
     "tile": "Tile side, pixels",
     "block": "Pixels of a block",
 }
-SCALING = {"pixels": "pixels", "gaussians": "count"}  # axis -> key of the entries of `scaling` with its values
+# axis -> key of the entries of `scaling` with its values
+SCALING = {"pixels": "pixels", "gaussians": "count"}
 LARGE_RATIO = 10  # if the longest time is more than so many times the shortest, the axis is logarithmic
 
 
@@ -33,11 +34,18 @@ def knob_chart(title: str, knobs: list[dict]) -> str:
     """Forward time over mean image error. knobs: the entries of one knob."""
     points = [Point(k["image_mean"], k["forward_ms"], k["value"], k["default"]) for k in knobs]
     times = [point.y for point in points]
-    y = Axis("forward, ms", log=True) if max(times) > LARGE_RATIO * min(times) else Axis("forward, ms", from_zero=True)
+    y = (
+        Axis("forward, ms", log=True)
+        if max(times) > LARGE_RATIO * min(times)
+        else Axis("forward, ms", from_zero=True)
+    )
     return chart(title, points, Axis("mean image error against float64, 0..1", log=True), y, front(points))
 
 
 def scaling_chart(axis: str, scaling: list[dict], key: str) -> str:
-    """Forward time over pixels or Gaussians, on logarithmic axes. scaling: the entries of one axis; key: the values of the x axis."""
+    """Forward time over pixels or Gaussians, on logarithmic axes. scaling: the entries of one axis; key: the
+    values of the x axis."""
     points = [Point(s[key], s["forward_ms"], f"{s['forward_ms']:.3g} ms") for s in scaling]
-    return chart(f"Forward time over {axis}", points, Axis(axis, log=True), Axis("forward, ms", log=True), points)
+    return chart(
+        f"Forward time over {axis}", points, Axis(axis, log=True), Axis("forward, ms", log=True), points
+    )

@@ -24,8 +24,8 @@ REPEAT, QUICK_REPEAT = 9, 3
 
 
 def bench(options: argparse.Namespace) -> dict:
-    """The JSON result: machine, cases, and the chosen ones of knobs, skips, scaling, cores, interactive and viewport. Charts go to options.plots. Raises
-    SplatError, NativeError."""
+    """The JSON result: machine, cases, and the chosen ones of knobs, skips, scaling, cores, interactive and
+    viewport. Charts go to options.plots. Raises SplatError, NativeError."""
     if options.plots:
         check_writable(options.plots / "plot.svg")
     if options.stress:
@@ -73,7 +73,12 @@ def tell(sentence: str):
 
 def _machine(cores: int, level: str, peaks: dict[int, dict]) -> dict:
     levels = library.supported_levels()
-    return {"cores": cores, "simd": level, "simd_levels": levels, "peaks": {str(threads): peak for threads, peak in peaks.items()}}
+    return {
+        "cores": cores,
+        "simd": level,
+        "simd_levels": levels,
+        "peaks": {str(threads): peak for threads, peak in peaks.items()},
+    }
 
 
 def _write(folder: Path, documents: dict[str, str]) -> list[str]:

@@ -29,23 +29,38 @@ def measure_skips(case: Case, repeat: int, tell: Callable[[str], None]) -> list[
     return entries
 
 
-def _entry(skip: str, stage: str, once: Callable[[], dict[str, float]], repeat: int, image_max: float | None, **more) -> dict:
-    """One entry. once(): measures the seconds with the skip ('on') and without it ('off'); more: further keys of the entry."""
+def _entry(
+    skip: str, stage: str, once: Callable[[], dict[str, float]], repeat: int, image_max: float | None, **more
+) -> dict:
+    """One entry. once(): measures the seconds with the skip ('on') and without it ('off'); more: further keys
+    of the entry."""
     readings = rounds(once, repeat)
     on, off = readings["on"], readings["off"]
-    times = {"on_ms": 1e3 * float(np.median(on)), "off_ms": 1e3 * float(np.median(off)), "gain": ratio(off, on)}
+    times = {
+        "on_ms": 1e3 * float(np.median(on)),
+        "off_ms": 1e3 * float(np.median(off)),
+        "gain": ratio(off, on),
+    }
     return {"skip": skip, "stage": stage, **times, "image_max": image_max, **more}
 
 
 def _native(trial: Trial, skip: str, repeat: int) -> dict:
-    """A skip of the rasteriser: the time of colours with and without it, the gain of a whole step, and the work counts."""
+    """A skip of the rasteriser: the time of colours with and without it, the gain of a whole step, and the
+    work counts."""
     disabled = (skip,)
     change = np.abs(trial.forward()["rgb"] - trial.forward(disabled_skips=disabled)["rgb"]).max()
     steps = rounds(lambda: {"on": seconds(trial.step), "off": seconds(trial.step, disabled)}, repeat)
-    more = {"step_gain": ratio(steps["off"], steps["on"]), "work_on": work_counts(trial), "work_off": work_counts(trial, disabled)}
+    more = {
+        "step_gain": ratio(steps["off"], steps["on"]),
+        "work_on": work_counts(trial),
+        "work_off": work_counts(trial, disabled),
+    }
 
     def colours() -> dict[str, float]:
-        return {"on": seconds(trial.forward, "none"), "off": seconds(trial.forward, "none", disabled_skips=disabled)}
+        return {
+            "on": seconds(trial.forward, "none"),
+            "off": seconds(trial.forward, "none", disabled_skips=disabled),
+        }
 
     return _entry(skip, "forward", colours, repeat, float(change), **more)
 
@@ -59,13 +74,26 @@ def _forward_backward(trial: Trial, mask_kind: str, full: bool) -> float:
 def _mask(trial: Trial, repeat: int) -> dict:
     """Colours only, against colours and F with its gradient; both up to the stop."""
     once = {"on": ("none", False), "off": ("svr", False)}
-    return _entry("mask", "forward and backward", lambda: {name: _forward_backward(trial, *kind) for name, kind in once.items()}, repeat, None)
+    return _entry(
+        "mask",
+        "forward and backward",
+        lambda: {name: _forward_backward(trial, *kind) for name, kind in once.items()},
+        repeat,
+        None,
+    )
 
 
 def _behind_the_stop(trial: Trial, repeat: int) -> dict:
-    """F up to the stop of the colours, against F to the end of each ray. The two F differ by definition, so no pictures are compared."""
+    """F up to the stop of the colours, against F to the end of each ray. The two F differ by definition, so
+    no pictures are compared."""
     once = {"on": ("svr", False), "off": ("svr", True)}
-    return _entry("behind_the_stop", "forward and backward", lambda: {name: _forward_backward(trial, *kind) for name, kind in once.items()}, repeat, None)
+    return _entry(
+        "behind_the_stop",
+        "forward and backward",
+        lambda: {name: _forward_backward(trial, *kind) for name, kind in once.items()},
+        repeat,
+        None,
+    )
 
 
 def _kept_view(trial: Trial, repeat: int) -> dict:
@@ -76,27 +104,47 @@ def _kept_view(trial: Trial, repeat: int) -> dict:
         return trial.rasterizer.forward(trial.model, trial.case.camera, options, trial.masks)["rgb"]
 
     change = np.abs(draw(True) - draw(False)).max()
-    return _entry("kept_view", "forward", lambda: {"on": seconds(draw, True), "off": seconds(draw, False)}, repeat, float(change))
+    return _entry(
+        "kept_view",
+        "forward",
+        lambda: {"on": seconds(draw, True), "off": seconds(draw, False)},
+        repeat,
+        float(change),
+    )
 
 
 def _unused_gradients(trial: Trial, repeat: int) -> dict:
     """Gradients of the masks only, against gradients of all parameters."""
     trial.forward()
-    return _entry("unused_gradients", "backward", lambda: {"on": seconds(trial.backward, ("masks",)), "off": seconds(trial.backward, WANTED)}, repeat, None)
+    return _entry(
+        "unused_gradients",
+        "backward",
+        lambda: {"on": seconds(trial.backward, ("masks",)), "off": seconds(trial.backward, WANTED)},
+        repeat,
+        None,
+    )
 
 
 def _sparse_adam(trial: Trial, repeat: int) -> dict:
-    """Adam on the visible Gaussians, against Adam on all. Moments of the others differ by definition, so no pictures are compared."""
+    """Adam on the visible Gaussians, against Adam on all. Moments of the others differ by definition, so no
+    pictures are compared."""
     trial.forward()
     ids, grads = trial.rasterizer.visible(), trial.backward()
     dense = {name: np.zeros((trial.model.count, *grad.shape[1:]), grad.dtype) for name, grad in grads.items()}
     for name, grad in grads.items():
         dense[name][ids] = grad
-    return _entry("sparse_adam", "adam", lambda: {"on": trial.adam(grads, ids), "off": trial.adam(dense, None)}, repeat, None)
+    return _entry(
+        "sparse_adam",
+        "adam",
+        lambda: {"on": trial.adam(grads, ids), "off": trial.adam(dense, None)},
+        repeat,
+        None,
+    )
 
 
 def _sh_bands(trial: Trial, repeat: int) -> dict:
-    """A scene of SH degree 0 in arrays of degree 3: the higher bands, which are 0, are left out, against evaluated."""
+    """A scene of SH degree 0 in arrays of degree 3: the higher bands, which are 0, are left out, against
+    evaluated."""
     scene = trial.case.scene
     sh = np.zeros((scene.count, SH_COEFFICIENTS[3], 3), np.float32)
     sh[:, 0] = scene.sh[:, 0]

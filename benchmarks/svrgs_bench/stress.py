@@ -1,4 +1,5 @@
-"""`svrgs bench --stress`: worst image and gradient errors of extreme scenes, and the drift of float32 over 1,000 fine-tuning steps.
+"""`svrgs bench --stress`: worst image and gradient errors of extreme scenes, and the drift of float32 over
+1,000 fine-tuning steps.
 
 All errors are those against the float64 level. No value may be non-finite.
 """
@@ -25,15 +26,28 @@ DRIFT_STEPS = (1, 3, 10, 30, 100, 300, 1000)
 EXTENT = 5.0  # of the generated room, for the position rate
 
 
-def measure_stress(tell: Callable[[str], None], level: str | None = None, drift_steps: Sequence[int] = DRIFT_STEPS) -> list[dict]:
-    """One entry per row: row (its name), title, quantity; the worst image_max, grad_rel_l2 and crossed; the sum of nonfinite; `points`."""
+def measure_stress(
+    tell: Callable[[str], None], level: str | None = None, drift_steps: Sequence[int] = DRIFT_STEPS
+) -> list[dict]:
+    """One entry per row: row (its name), title, quantity; the worst image_max, grad_rel_l2 and crossed; the
+    sum of nonfinite; `points`."""
     entries = []
     for row in rows():
-        entries.append(_entry(row.name, row.title, row.quantity, [_point(row, value, level) for value in row.values], row))
-        tell("{title}: image error {image_max:.1e}, gradient error {grad_rel_l2:.1e}, not finite {nonfinite}".format(**entries[-1]))
+        entries.append(
+            _entry(
+                row.name, row.title, row.quantity, [_point(row, value, level) for value in row.values], row
+            )
+        )
+        tell(
+            "{title}: image error {image_max:.1e}, gradient error {grad_rel_l2:.1e}, not finite {nonfinite}".format(
+                **entries[-1]
+            )
+        )
     if drift_steps:
         tell(f"{max(drift_steps)} fine-tuning steps in float32 and in float64")
-        entries.append(_entry("drift", "float32 against float64 while fine-tuning", "steps", measure_drift(drift_steps)))
+        entries.append(
+            _entry("drift", "float32 against float64 while fine-tuning", "steps", measure_drift(drift_steps))
+        )
     return entries
 
 
@@ -41,7 +55,10 @@ def _point(row: Row, value, level: str | None) -> dict:
     made = row.make(value)
     with np.errstate(over="ignore", invalid="ignore"):
         found = error(made.case, level, masks=made.masks, lambda_f=made.lambda_f, full=True)
-    return {"value": value if row.numeric else _label(value), **{key: found[key] for key in ("image_max", "grad_rel_l2", "crossed", "nonfinite")}}
+    return {
+        "value": value if row.numeric else _label(value),
+        **{key: found[key] for key in ("image_max", "grad_rel_l2", "crossed", "nonfinite")},
+    }
 
 
 def _label(value) -> str:
@@ -56,11 +73,13 @@ def _entry(name: str, title: str, quantity: str, points: list[dict], row: Row | 
     }  # fmt: skip
 
 
-def measure_drift(steps: Sequence[int] = DRIFT_STEPS, count: int = 400, size: tuple[int, int] = (64, 48)) -> list[dict]:
+def measure_drift(
+    steps: Sequence[int] = DRIFT_STEPS, count: int = 400, size: tuple[int, int] = (64, 48)
+) -> list[dict]:
     """Compares two runs of the same steps, one in float32 and one in float64.
 
-    image_max: largest difference between their renderings of the training view. grad_rel_l2: distance between their parameters over the
-    distance that the float64 run has moved.
+    image_max: largest difference between their renderings of the training view. grad_rel_l2: distance between
+    their parameters over the distance that the float64 run has moved.
     """
     case = room_case(count, 1, *size)
     runs = [_Tuned(case, level) for level in (best_level(), "float64")]
@@ -82,7 +101,8 @@ def measure_drift(steps: Sequence[int] = DRIFT_STEPS, count: int = 400, size: tu
 
 
 class _Tuned:
-    """A scene that learns a mirrored picture of itself in one view, with masks that are sampled in each step."""
+    """A scene that learns a mirrored picture of itself in one view, with masks that are sampled in each
+    step."""
 
     def __init__(self, case, level: str):
         self.engine, self.camera = NativeEngine(level), case.camera
@@ -107,7 +127,8 @@ class _Tuned:
 
 
 def stress_charts(entries: list[dict]) -> dict[str, str]:
-    """One chart per row: {file name without suffix: SVG document}. Gradient errors are dots, image errors are rings."""
+    """One chart per row: {file name without suffix: SVG document}. Gradient errors are dots, image errors are
+    rings."""
     return {f"stress-{entry['row']}": _chart(entry) for entry in entries}
 
 
@@ -116,7 +137,19 @@ def _chart(entry: dict) -> str:
     numeric = not isinstance(entry["points"][0]["value"], str)
     places = [point["value"] if numeric else i for i, point in enumerate(entry["points"])]
     labels = ["" if numeric else point["value"] for point in entry["points"]]
-    gradient = [Point(x, point["grad_rel_l2"], label) for x, label, point in zip(places, labels, entry["points"], strict=True)]
-    image = [replace(dot, y=point["image_max"], label="") for dot, point in zip(gradient, entry["points"], strict=True)]
+    gradient = [
+        Point(x, point["grad_rel_l2"], label)
+        for x, label, point in zip(places, labels, entry["points"], strict=True)
+    ]
+    image = [
+        replace(dot, y=point["image_max"], label="")
+        for dot, point in zip(gradient, entry["points"], strict=True)
+    ]
     error_axis = Axis("error against float64: dots gradient, rings image", log=True)
-    return chart(entry["title"], gradient, Axis(entry["quantity"], log=entry["logarithmic"] and numeric), error_axis, rings=image)
+    return chart(
+        entry["title"],
+        gradient,
+        Axis(entry["quantity"], log=entry["logarithmic"] and numeric),
+        error_axis,
+        rings=image,
+    )

@@ -1,6 +1,8 @@
-"""Scenes that could break the arithmetic. Each row varies one quantity from harmless to extreme values and makes a case for each value.
+"""Scenes that could break the arithmetic. Each row varies one quantity from harmless to extreme values and
+makes a case for each value.
 
-The scenes are small, and the cameras are at the origin and face +z, so that every pixel can be compared with float64.
+The scenes are small, and the cameras are at the origin and face +z, so that every pixel can be compared with
+float64.
 """
 
 from __future__ import annotations
@@ -19,7 +21,20 @@ from .scenes import look_at
 
 WIDTH, HEIGHT = 48, 32
 GAUSSIANS = 60
-BAD_VALUES = (np.nan, np.inf, -np.inf, 0.0, -0.0, 1e-45, -1e-45, 1e-38, 1e38, -1e38, 3.4028235e38, -3.4028235e38)
+BAD_VALUES = (
+    np.nan,
+    np.inf,
+    -np.inf,
+    0.0,
+    -0.0,
+    1e-45,
+    -1e-45,
+    1e-38,
+    1e38,
+    -1e38,
+    3.4028235e38,
+    -3.4028235e38,
+)
 SIDES = ((1, 1), (1, 17), (17, 1), (15, 15), (16, 16), (17, 17), (31, 33), (257, 257))
 
 
@@ -34,8 +49,8 @@ class StressCase:
 
 @dataclass(frozen=True)
 class Row:
-    """One varied quantity. make(value): the case for a value. logarithmic: whether the axis of its chart is. numeric: whether the values are
-    numbers; if not, the chart places them side by side with labels."""
+    """One varied quantity. make(value): the case for a value. logarithmic: whether the axis of its chart is.
+    numeric: whether the values are numbers; if not, the chart places them side by side with labels."""
 
     name: str
     title: str
@@ -79,27 +94,44 @@ def _scene(count: int = GAUSSIANS, seed: int = 1, size: float = 0.2, sh: int = 4
     means = np.column_stack([rng.normal(0, 0.8, (count, 2)), rng.uniform(2, 6, count)])
     coefficients = rng.normal(0, 0.1, (count, sh, 3))
     coefficients[:, 0] = rng.normal(0.2, 0.8, (count, 3))
-    arrays = (means, rng.normal(np.log(size), 0.5, (count, 3)), rng.normal(size=(count, 4)), rng.normal(0.5, 1.5, count), coefficients)
+    arrays = (
+        means,
+        rng.normal(np.log(size), 0.5, (count, 3)),
+        rng.normal(size=(count, 4)),
+        rng.normal(0.5, 1.5, count),
+        coefficients,
+    )
     return Scene.of(*arrays)
 
 
 def _on_ray(count: int, logit: float, size: float = 0.2) -> Scene:
-    """Gaussians behind each other on one ray, slightly off the axis, elongated and rotated, so that no gradient is 0 by symmetry."""
+    """Gaussians behind each other on one ray, slightly off the axis, elongated and rotated, so that no
+    gradient is 0 by symmetry."""
     rng = np.random.default_rng(2)
     depth = np.linspace(1, 5, count) if count > 1 else np.full(count, 2.0)
     means = np.column_stack([rng.normal(0, 0.05 * size, (count, 2)) * depth[:, None], depth])
     log_scales = np.log(size) + rng.normal(0, 0.3, (count, 3))
-    arrays = (means, log_scales, rng.normal(size=(count, 4)), np.full(count, logit), rng.normal(0.2, 0.8, (count, 1, 3)))
+    arrays = (
+        means,
+        log_scales,
+        rng.normal(size=(count, 4)),
+        np.full(count, logit),
+        rng.normal(0.2, 0.8, (count, 1, 3)),
+    )
     return Scene.of(*arrays)
 
 
-def _stress_case(name: str, scene: Scene, camera: Camera | None = None, keep: float = 0.7, lambda_f: float = 1e-4) -> StressCase:
+def _stress_case(
+    name: str, scene: Scene, camera: Camera | None = None, keep: float = 0.7, lambda_f: float = 1e-4
+) -> StressCase:
     masks = (np.random.default_rng(3).random(scene.count) < keep).astype(np.uint8)
     return StressCase(Case(name, scene, camera or _camera()), masks, lambda_f)
 
 
 def _changed(scene: Scene, **arrays: np.ndarray) -> Scene:
-    changed: dict[str, Any] = {name: np.ascontiguousarray(array, np.float32) for name, array in arrays.items()}
+    changed: dict[str, Any] = {
+        name: np.ascontiguousarray(array, np.float32) for name, array in arrays.items()
+    }
     return replace(scene, **changed)
 
 
@@ -111,11 +143,17 @@ def _quaternions(length: float) -> StressCase:
 def _bad_values(value: float) -> StressCase:
     """Gaussian i has the bad value in parameter i; all others have good values."""
     scene = _scene()
-    flat = {name: getattr(scene, name).reshape(scene.count, -1).copy() for name in ("means", "log_scales", "quats", "opacity_logits", "sh")}
+    flat = {
+        name: getattr(scene, name).reshape(scene.count, -1).copy()
+        for name in ("means", "log_scales", "quats", "opacity_logits", "sh")
+    }
     slots = [(array, column) for array in flat.values() for column in range(array.shape[1])]
     for i, (array, column) in enumerate(slots):
         array[i, column] = value
-    return _stress_case("bad values", replace(scene, **{name: array.reshape(getattr(scene, name).shape) for name, array in flat.items()}))
+    return _stress_case(
+        "bad values",
+        replace(scene, **{name: array.reshape(getattr(scene, name).shape) for name, array in flat.items()}),
+    )
 
 
 def _needles(ratio: float) -> StressCase:
@@ -137,7 +175,10 @@ def _antialiased(size: float) -> StressCase:
 
 def _opacities(logit: float) -> StressCase:
     scene = _scene()
-    return _stress_case("opacity", _changed(scene, opacity_logits=np.where(np.arange(scene.count) % 2, scene.opacity_logits, logit)))
+    return _stress_case(
+        "opacity",
+        _changed(scene, opacity_logits=np.where(np.arange(scene.count) % 2, scene.opacity_logits, logit)),
+    )
 
 
 def _around_the_cut(margin: float) -> StressCase:
@@ -148,7 +189,9 @@ def _around_the_cut(margin: float) -> StressCase:
 
 
 def _clamped_masks(keep: float) -> StressCase:
-    return _stress_case("clamped", _changed(_scene(size=0.5), opacity_logits=np.full(GAUSSIANS, 8.0)), keep=keep)
+    return _stress_case(
+        "clamped", _changed(_scene(size=0.5), opacity_logits=np.full(GAUSSIANS, 8.0)), keep=keep
+    )
 
 
 def _one_ray(count: int) -> StressCase:
@@ -156,11 +199,14 @@ def _one_ray(count: int) -> StressCase:
 
 
 def _faint_ray(count: int) -> StressCase:
-    return _stress_case("faint ray", _on_ray(count, float(np.log(1.02 / (255 - 1.02))), size=2.0), _camera(5, 5))
+    return _stress_case(
+        "faint ray", _on_ray(count, float(np.log(1.02 / (255 - 1.02))), size=2.0), _camera(5, 5)
+    )
 
 
 def _depths(depth: float) -> StressCase:
-    """Every other Gaussian has its centre at this depth, and a size in proportion to it, or to the near plane if that is farther."""
+    """Every other Gaussian has its centre at this depth, and a size in proportion to it, or to the near plane
+    if that is farther."""
     scene = _scene()
     means, log_scales, moved = scene.means.copy(), scene.log_scales.copy(), np.arange(scene.count) % 2 == 0
     means[moved] *= (depth / means[moved, 2])[:, None]
@@ -169,12 +215,15 @@ def _depths(depth: float) -> StressCase:
 
 
 def _offset(distance: float) -> StressCase:
-    """The scene and the camera are moved by the distance; centres have the precision that float32 has there."""
+    """The scene and the camera are moved by the distance; centres have the precision that float32 has
+    there."""
     scene, camera = _scene(), _camera()
     shift = distance * np.array([1, -0.5, 1])
     viewmat = camera.viewmat.copy()
     viewmat[:3, 3] -= viewmat[:3, :3] @ shift
-    return _stress_case("offset", _changed(scene, means=scene.means + shift), replace(camera, viewmat=viewmat))
+    return _stress_case(
+        "offset", _changed(scene, means=scene.means + shift), replace(camera, viewmat=viewmat)
+    )
 
 
 def _sides(sides: tuple[int, int]) -> StressCase:
@@ -182,7 +231,9 @@ def _sides(sides: tuple[int, int]) -> StressCase:
 
 
 def _screen_filling(count: int) -> StressCase:
-    return _stress_case("screen-filling", _on_ray(count, float(np.log(0.02 / 0.98)), size=1e3), _camera(70, 50))
+    return _stress_case(
+        "screen-filling", _on_ray(count, float(np.log(0.02 / 0.98)), size=1e3), _camera(70, 50)
+    )
 
 
 def _copies(copies: int) -> StressCase:
@@ -199,4 +250,8 @@ def _lambda(weight: float) -> StressCase:
 def _field(degrees: float) -> StressCase:
     camera = _camera()
     focal = WIDTH / (2 * np.tan(np.radians(degrees) / 2))
-    return _stress_case("field of view", _scene(), replace(camera, K=np.array([[focal, 0, WIDTH / 2], [0, focal, HEIGHT / 2], [0, 0, 1.0]])))
+    return _stress_case(
+        "field of view",
+        _scene(),
+        replace(camera, K=np.array([[focal, 0, WIDTH / 2], [0, focal, HEIGHT / 2], [0, 0, 1.0]])),
+    )

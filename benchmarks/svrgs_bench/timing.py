@@ -29,11 +29,13 @@ def rounds(once: Callable[[], dict[str, float]], repeat: int) -> dict[str, list[
 
 
 def summary(readings: list[float]) -> dict[str, float]:
-    """The median, and half the distance between the 10th and the 90th percentile. Readings are seconds, the result is milliseconds."""
+    """The median, and half the distance between the 10th and the 90th percentile. Readings are seconds, the
+    result is milliseconds."""
     low, high = np.percentile(readings, (10, 90))
     return {"ms": 1e3 * float(np.median(readings)), "spread_ms": 1e3 * float(high - low) / 2}
 
 
 def ratio(above: list[float], below: list[float]) -> float:
-    """The median of above / below. Both were read in the same rounds, so a temporary slowdown of the machine cancels."""
+    """The median of above / below. Both were read in the same rounds, so a temporary slowdown of the machine
+    cancels."""
     return float(np.median(np.divide(above, below)))

@@ -40,13 +40,26 @@ class Trial:
         self.steps = 0
         self.images = self.forward()
         self.target = target_of(self.images["rgb"])
-        self.image_grads = {"rgb": self.loss().copy(), "mask": self.rasterizer.mask_loss(self.images["mask"], LAMBDA_F)[1].copy()}
+        self.image_grads = {
+            "rgb": self.loss().copy(),
+            "mask": self.rasterizer.mask_loss(self.images["mask"], LAMBDA_F)[1].copy(),
+        }
 
-    def options(self, mask_kind: str = "svr", full: bool = True, disabled_skips=(), sh_degree: int = 3) -> RenderOptions:
+    def options(
+        self, mask_kind: str = "svr", full: bool = True, disabled_skips=(), sh_degree: int = 3
+    ) -> RenderOptions:
         antialiased = self.case.scene.antialiased
-        return RenderOptions(sh_degree=sh_degree, antialiased=antialiased, full=full, mask_kind=mask_kind, disabled_skips=disabled_skips)
+        return RenderOptions(
+            sh_degree=sh_degree,
+            antialiased=antialiased,
+            full=full,
+            mask_kind=mask_kind,
+            disabled_skips=disabled_skips,
+        )
 
-    def forward(self, mask_kind: str = "svr", full: bool = True, disabled_skips=(), sh_degree: int = 3) -> dict[str, np.ndarray]:
+    def forward(
+        self, mask_kind: str = "svr", full: bool = True, disabled_skips=(), sh_degree: int = 3
+    ) -> dict[str, np.ndarray]:
         """Renders colours, and F unless mask_kind is 'none'."""
         outputs = ("rgb",) if mask_kind == "none" else ("rgb", "mask")
         options = self.options(mask_kind, full and mask_kind != "none", disabled_skips, sh_degree)
@@ -60,12 +73,15 @@ class Trial:
         return self.rasterizer.backward(self.image_grads, wanted)
 
     def adam(self, grads: dict[str, np.ndarray], ids: np.ndarray | None) -> float:
-        """An Adam step on all parameters and existence logits of rows `ids` (None: all). Returns the seconds spent in the library."""
+        """An Adam step on all parameters and existence logits of rows `ids` (None: all). Returns the seconds
+        spent in the library."""
         self.steps += 1
         total = 0.0
         for name in (*PARAMETERS, MASK):
             grad = grads["masks" if name == MASK else name]
-            self.rasterizer.adam(self.model.values[name], self.model.moments[name], grad, ids, lr=RATE, step=self.steps)
+            self.rasterizer.adam(
+                self.model.values[name], self.model.moments[name], grad, ids, lr=RATE, step=self.steps
+            )
             total += self.rasterizer.stage_seconds()["adam"]
         return total
 
@@ -74,5 +90,14 @@ class Trial:
         self.steps += 1
         rates = dict.fromkeys((*PARAMETERS, "sh_rest", MASK), RATE)
         options = self.options(disabled_skips=disabled_skips)
-        step = Step(self.case.camera, self.target, self.steps, rates, options, masks=self.masks, slope=self.slope, lambda_f=LAMBDA_F)
+        step = Step(
+            self.case.camera,
+            self.target,
+            self.steps,
+            rates,
+            options,
+            masks=self.masks,
+            slope=self.slope,
+            lambda_f=LAMBDA_F,
+        )
         self.engine.step(self.model, step)

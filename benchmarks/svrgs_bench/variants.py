@@ -28,12 +28,18 @@ def cmake() -> str:
 
 
 def build(macro: str, folder: Path) -> Path:
-    """Builds the library with -D`macro` in a new folder named after the macro. Returns its path. Raises NativeError with the last line of the
-    compiler."""
+    """Builds the library with -D`macro` in a new folder named after the macro. Returns its path. Raises
+    NativeError with the last line of the compiler."""
     place = folder / macro.replace("=", "-")
     configure = [cmake(), "-S", str(SOURCES), "-B", str(place), f"-DCMAKE_CXX_FLAGS=-D{macro}"]
-    for command in (configure, [cmake(), "--build", str(place), "--target", "svrgs", "--parallel", str(os.cpu_count())]):
+    for command in (
+        configure,
+        [cmake(), "--build", str(place), "--target", "svrgs", "--parallel", str(os.cpu_count())],
+    ):
         done = subprocess.run(command, capture_output=True, encoding="utf-8", errors="replace")
         if done.returncode:
-            raise NativeError(f"building with -D{macro} failed: {(done.stderr.strip() or done.stdout.strip()).splitlines()[-1]}")
+            raise NativeError(
+                f"building with -D{macro} failed:"
+                f" {(done.stderr.strip() or done.stdout.strip()).splitlines()[-1]}"
+            )
     return place / FILE_NAME

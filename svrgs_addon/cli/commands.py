@@ -36,7 +36,9 @@ def render(words: Words) -> int:
 
     _set_threads(words)
     saved = render_views(words)
-    return _print({"files": [str(path) for path in saved]}, words, "\n".join(f"Saved: '{path}'" for path in saved))
+    return _print(
+        {"files": [str(path) for path in saved]}, words, "\n".join(f"Saved: '{path}'" for path in saved)
+    )
 
 
 def train(words: Words) -> int:
@@ -61,7 +63,11 @@ def prune(words: Words) -> int:
     for item in items:
         line = {"scene": str(item.scene), "out": str(item.out)}
         if item.out.exists() and not words.overwrite and not batch_list.same_file(item.out, item.scene):
-            line["skipped"] = "the output exists" if all(level.exists() for level in item.levels) else "the output exists, not all its levels: add --overwrite"
+            line["skipped"] = (
+                "the output exists"
+                if all(level.exists() for level in item.levels)
+                else "the output exists, not all its levels: add --overwrite"
+            )
         else:
             status, result = run_in_child(_of_item(options, item, words.report and words.report / item.name))
             line, failed, stopped = {**line, **result}, failed or status != 0, status == STOPPED
@@ -111,10 +117,16 @@ def evaluate(words: Words) -> int:
 
     _set_threads(words)
     registry.check_readable(words.scene)
-    dataset = dataset_of(options_from(DatasetOptions, words, image_memory=0.0))  # each photograph is read once
+    # each photograph is read once
+    dataset = dataset_of(options_from(DatasetOptions, words, image_memory=0.0))
     lpips, reason = load_lpips(words.lpips_weights)
     views = split_indices(dataset, words.split)
-    needed = functools.partial(memory.measuring, cameras=[dataset.cameras[i] for i in views], kept_photographs=0, lpips=lpips is not None)
+    needed = functools.partial(
+        memory.measuring,
+        cameras=[dataset.cameras[i] for i in views],
+        kept_photographs=0,
+        lpips=lpips is not None,
+    )
     with opened(words.scene, "measuring", needed) as (scene, rasterizer):
         refuse_unseen(scene, dataset.cameras, str(words.scene))
         result = measure(scene, dataset, views, rasterizer, lpips)
@@ -127,7 +139,17 @@ def compare(words: Words) -> int:
 
     _set_threads(words)
     result = compare_scenes(words)
-    return _print(result, words, "\n".join([*(f"{name}: {_figures(result[name])}" for name in ("a", "b")), *result["notes"], result["report"]]))
+    return _print(
+        result,
+        words,
+        "\n".join(
+            [
+                *(f"{name}: {_figures(result[name])}" for name in ("a", "b")),
+                *result["notes"],
+                result["report"],
+            ]
+        ),
+    )
 
 
 def farm(words: Words) -> int:
@@ -151,9 +173,13 @@ def bench(words: Words) -> int:
     from ..system.packages import is_installed, load
 
     if not is_installed("svrgs_bench"):
-        raise SceneError("svrgs bench is not part of the extension: use a checkout after make setup, or install the wheel")
+        raise SceneError(
+            "svrgs bench is not part of the extension: use a checkout after make setup, or install the wheel"
+        )
     result = load("svrgs_bench.run", "svrgs bench").bench(words)
-    return _print(result, words, "" if words.json else load("svrgs_bench.text", "svrgs bench").as_text(result))
+    return _print(
+        result, words, "" if words.json else load("svrgs_bench.text", "svrgs bench").as_text(result)
+    )
 
 
 COMMANDS: dict[str, Callable[[Words], int]] = {
@@ -179,21 +205,34 @@ def _figures(result: dict, lpips_missing: str = "") -> str:
     if result.get("ms_per_frame") is not None:
         parts.append(f"{result['ms_per_frame']:.1f} ms per frame")
     before = result.get("before")
-    measured = before if before and "psnr" in before else None  # the quick way measures against the original itself
-    lines = ([f"before  {_figures(measured)}"] if measured else []) + [("after   " if measured else "") + ", ".join(parts)]
+    # the quick way measures against the original itself
+    measured = before if before and "psnr" in before else None
+    lines = ([f"before  {_figures(measured)}"] if measured else []) + [
+        ("after   " if measured else "") + ", ".join(parts)
+    ]
     if before and not measured:
         lines.append(f"kept {result['count'] / before['count']:.1%} of the Gaussians")
     if measured:
-        lines.append(f"kept {result['count'] / measured['count']:.1%} of the Gaussians at {result['psnr'] - measured['psnr']:+.2f} dB")
-    lines += [f"level {level['share']:g}: {_figures(level)}; saved {level['out']}" for level in result.get("levels", ())]
+        lines.append(
+            f"kept {result['count'] / measured['count']:.1%} of the Gaussians at"
+            f" {result['psnr'] - measured['psnr']:+.2f} dB"
+        )
+    lines += [
+        f"level {level['share']:g}: {_figures(level)}; saved {level['out']}"
+        for level in result.get("levels", ())
+    ]
     lines += result.get("notes", ())
     if result.get("densifications_held_back"):
-        lines.append(f"{result['densifications_held_back']} densifications added nothing: memory was too short")
+        lines.append(
+            f"{result['densifications_held_back']} densifications added nothing: memory was too short"
+        )
     if "seconds" in result:
         lines.append(f"{result['seconds']:.0f} s; saved {result['out']}")
     return "\n".join(lines + ([f"LPIPS left out: {lpips_missing}"] if lpips_missing else []))
 
 
 def _print(result: dict, words: Words, text: str) -> int:
-    print(json.dumps(plain(result)) if words.json else "\n".join(map(printable, text.split("\n"))), flush=True)
+    print(
+        json.dumps(plain(result)) if words.json else "\n".join(map(printable, text.split("\n"))), flush=True
+    )
     return 0

@@ -1,4 +1,5 @@
-"""`svrgs compare`: two scenes against photographs, or, without them, the second one against the pictures of the first."""
+"""`svrgs compare`: two scenes against photographs, or, without them, the second one against the pictures of
+the first."""
 
 from __future__ import annotations
 
@@ -40,11 +41,27 @@ def _views_alone(words: argparse.Namespace) -> Dataset:
     if words.images or words.holdout != HOLDOUT:
         raise SceneError("--images and --holdout are of photographs: give --colmap, or leave them out")
     if words.cameras:
-        cameras, where = [camera.fitted(LONGEST) for camera in evenly(load_cameras(words.cameras), MOST)], f"from {words.cameras.name}"
+        cameras, where = (
+            [camera.fitted(LONGEST) for camera in evenly(load_cameras(words.cameras), MOST)],
+            f"from {words.cameras.name}",
+        )
     else:
         scene, enlarged = sample_of(words.a)
         cameras, where = place_rig(scene, enlarged=enlarged).held_out, "that were placed"
-    note = f"no photographs: {words.b.name} is measured against pictures of {words.a.name}, in {len(cameras)} views {where}"
+    note = (
+        f"no photographs: {words.b.name} is measured against pictures of {words.a.name}, in {len(cameras)}"
+        f" views {where}"
+    )
     points = np.empty((0, 3))
     budget = int(words.image_memory * 1e9)
-    return Dataset(cameras, points.astype(np.float32), points.astype(np.uint8), [], list(range(len(cameras))), [], words.background, budget, (note,))
+    return Dataset(
+        cameras,
+        points.astype(np.float32),
+        points.astype(np.uint8),
+        [],
+        list(range(len(cameras))),
+        [],
+        words.background,
+        budget,
+        (note,),
+    )

@@ -1,24 +1,54 @@
-"""The options of `svrgs convert`. Nothing heavy is imported here: the parser of the command line reads this file."""
+"""The options of `svrgs convert`. Nothing heavy is imported here: the parser of the command line reads this
+file."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..system.option_kinds import ANGLES, BOX, FLAG, POINT, POSITIVE_FLOAT, SH_DEGREE, SPZ_VERSION, TEXT, option
+from ..system.option_kinds import (
+    ANGLES,
+    BOX,
+    FLAG,
+    POINT,
+    POSITIVE_FLOAT,
+    SH_DEGREE,
+    SPZ_VERSION,
+    TEXT,
+    option,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ConvertOptions:
-    """What is changed on the way. Crop, scale, rotation and move are done in this order; all are in the coordinates of 3DGS: x right, y down."""
+    """What is changed on the way. Crop, scale, rotation and move are done in this order; all are in the
+    coordinates of 3DGS: x right, y down."""
 
-    to: str = option(TEXT, "", "suffix of the outputs, if OUT is a folder", metavar="SUFFIX", default_help="that of OUT")
-    sh_degree: int | None = option(SH_DEGREE, None, "highest degree of the spherical harmonics that is kept", default_help="all")
-    spz_version: int | None = option(SPZ_VERSION, None, "version of an SPZ: some programs read older ones only", default_help="4")
-    quantise: float = option(
-        POSITIVE_FLOAT, 1.0, "factor on the error that an SPZ or SOG may make in spherical harmonics: above 1 for smaller files", metavar="FACTOR"
+    to: str = option(
+        TEXT, "", "suffix of the outputs, if OUT is a folder", metavar="SUFFIX", default_help="that of OUT"
     )
-    box: tuple | None = option(BOX, None, "keep only the Gaussians inside the box between two opposite corners", metavar="X,Y,Z,X,Y,Z")
+    sh_degree: int | None = option(
+        SH_DEGREE, None, "highest degree of the spherical harmonics that is kept", default_help="all"
+    )
+    spz_version: int | None = option(
+        SPZ_VERSION, None, "version of an SPZ: some programs read older ones only", default_help="4"
+    )
+    quantise: float = option(
+        POSITIVE_FLOAT,
+        1.0,
+        "factor on the error that an SPZ or SOG may make in spherical harmonics: above 1 for smaller files",
+        metavar="FACTOR",
+    )
+    box: tuple | None = option(
+        BOX,
+        None,
+        "keep only the Gaussians inside the box between two opposite corners",
+        metavar="X,Y,Z,X,Y,Z",
+    )
     scale: float = option(POSITIVE_FLOAT, 1.0, "factor on all lengths, around the origin", metavar="FACTOR")
-    rotate: tuple = option(ANGLES, (0.0, 0.0, 0.0), "degrees around x, then y, then z", metavar="X,Y,Z", default_help="none")
-    move: tuple = option(POINT, (0.0, 0.0, 0.0), "lengths along x, y and z", metavar="X,Y,Z", default_help="none")
+    rotate: tuple = option(
+        ANGLES, (0.0, 0.0, 0.0), "degrees around x, then y, then z", metavar="X,Y,Z", default_help="none"
+    )
+    move: tuple = option(
+        POINT, (0.0, 0.0, 0.0), "lengths along x, y and z", metavar="X,Y,Z", default_help="none"
+    )
     overwrite: bool = option(FLAG, False, "with several inputs: write those outputs again that exist")

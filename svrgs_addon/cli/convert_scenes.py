@@ -1,4 +1,5 @@
-"""`svrgs convert`: writes splats in another format, cropped, turned or with fewer spherical harmonics on the way."""
+"""`svrgs convert`: writes splats in another format, cropped, turned or with fewer spherical harmonics on the
+way."""
 
 from __future__ import annotations
 
@@ -29,11 +30,13 @@ LARGE = 1 << 28  # bytes of a file that is read in parts, by way of the disk
 
 
 def convert_scenes(words: argparse.Namespace) -> Iterator[dict]:
-    """Converts one file after another. Yields scene and out of each, with count, sh_degree and the bytes before and after; or skipped; or, with several
-    inputs, the error of one. Raises SplatError."""
+    """Converts one file after another. Yields scene and out of each, with count, sh_degree and the bytes
+    before and after; or skipped; or, with several inputs, the error of one. Raises SplatError."""
     options = options_from(ConvertOptions, words)
     if holds_levels(words.out) and len(words.inputs) > 1:
-        yield _convert_levels([scene for path in words.inputs for scene in _files(Path(path))], words.out, options)
+        yield _convert_levels(
+            [scene for path in words.inputs for scene in _files(Path(path))], words.out, options
+        )
         return
     pairs = _pairs([Path(path) for path in words.inputs], words.out, options)
     for scene, out in pairs:
@@ -53,7 +56,10 @@ def as_text(line: dict) -> str:
     if problem := line.get("error") or line.get("skipped"):
         return problem if "error" in line else f"{line['out']}: skipped, {problem}"
     sizes = " -> ".join(memory.size_text(line[name]) for name in ("bytes_before", "bytes"))
-    return f"{line['scene']}: {line['count']:,} Gaussians, SH degree {line['sh_degree']}, {sizes}; saved {line['out']}"
+    return (
+        f"{line['scene']}: {line['count']:,} Gaussians, SH degree {line['sh_degree']}, {sizes}; saved"
+        f" {line['out']}"
+    )
 
 
 def _convert(path: Path, out: Path, options: ConvertOptions) -> dict:
@@ -73,12 +79,23 @@ def _convert_levels(paths: list[Path], out: Path, options: ConvertOptions) -> di
     check_writable(out)
     for path in paths:
         registry.refuse_input(out, path)
-    scenes = sorted((_changed(registry.load_scene(path).scene, options) for path in paths), key=lambda scene: -scene.count)
+    scenes = sorted(
+        (_changed(registry.load_scene(path).scene, options) for path in paths), key=lambda scene: -scene.count
+    )
     if not scenes[-1].count:
         raise SceneError(f"{out}: no Gaussian of one of the levels is inside the box, so no file was written")
     write_levels(out, scenes, options.quantise)
-    facts = {"scene": ", ".join(map(str, paths)), "out": str(out), "count": scenes[0].count, "sh_degree": scenes[0].sh_degree}
-    return facts | {"bytes_before": sum(map(registry.size_on_disk, paths)), "bytes": registry.size_on_disk(out), "levels": [scene.count for scene in scenes]}
+    facts = {
+        "scene": ", ".join(map(str, paths)),
+        "out": str(out),
+        "count": scenes[0].count,
+        "sh_degree": scenes[0].sh_degree,
+    }
+    return facts | {
+        "bytes_before": sum(map(registry.size_on_disk, paths)),
+        "bytes": registry.size_on_disk(out),
+        "levels": [scene.count for scene in scenes],
+    }
 
 
 @contextlib.contextmanager
@@ -123,27 +140,43 @@ def _matrix(options: ConvertOptions) -> np.ndarray:
 
 
 def _pairs(inputs: list[Path], out: Path, options: ConvertOptions) -> list[tuple[Path, Path]]:
-    """Each input with its output. Raises SceneError, before anything is written, if names do not tell where to or if two would be one."""
+    """Each input with its output. Raises SceneError, before anything is written, if names do not tell where
+    to or if two would be one."""
     found = [scene for path in inputs for scene in _files(path)]
     known = registry.split_name(out)[1].lower() in registry.suffixes(written=True) and not out.is_dir()
     if known and len(found) == 1 and not options.to:
         return [(found[0], out)]
     if known and not options.to:
-        raise SceneError(f"{out}: is the name of a file, but there are {len(found)} inputs; name a folder and give --to .spz")
+        raise SceneError(
+            f"{out}: is the name of a file, but there are {len(found)} inputs; name a folder and give --to"
+            " .spz"
+        )
     if not options.to:
-        raise SceneError(f"{out}: has no suffix that says a format; give --to with one of {', '.join(registry.suffixes(written=True))}")
+        raise SceneError(
+            f"{out}: has no suffix that says a format; give --to with one of"
+            f" {', '.join(registry.suffixes(written=True))}"
+        )
     suffix = options.to if options.to.startswith(".") else f".{options.to}"
     registry.format_to_write(out / f"x{suffix}")
     outs = [out / (registry.split_name(scene)[0] + suffix) for scene in found]
     if len(set(map(real, outs))) < len(outs):
-        raise SceneError(f"{next(one for one in outs if outs.count(one) > 1)}: would be the output of two inputs; convert them into separate folders")
+        raise SceneError(
+            f"{next(one for one in outs if outs.count(one) > 1)}: would be the output of two inputs; convert"
+            " them into separate folders"
+        )
     return list(zip(found, outs, strict=True))
 
 
 def _files(path: Path) -> list[Path]:
     """The files of a path, a folder or a pattern. Raises SceneError if there are none."""
     if path.is_dir() and not registry.is_splat_folder(path):
-        found = sorted(one for one in path.iterdir() if one.is_file() and one.name.lower().endswith(registry.suffixes()) and not one.name.startswith("."))
+        found = sorted(
+            one
+            for one in path.iterdir()
+            if one.is_file()
+            and one.name.lower().endswith(registry.suffixes())
+            and not one.name.startswith(".")
+        )
     elif not path.exists() and glob.has_magic(str(path)):
         found = [extended(name) for name in sorted(glob.glob(str(path)))]
     else:

@@ -1,4 +1,5 @@
-"""`svrgs farm export`, `files`, `run` and `report`: many captures, methods and targets, for the machines of a farm."""
+"""`svrgs farm export`, `files`, `run` and `report`: many captures, methods and targets, for the machines of a
+farm."""
 
 from __future__ import annotations
 
@@ -31,8 +32,15 @@ def farm(words: argparse.Namespace) -> dict[str, Any]:
 def as_text(words: argparse.Namespace, result: dict[str, Any]) -> str:
     """The result in a sentence; of a run, its messages have said everything."""
     if words.action in ("export", "files"):
-        return f"tasks: {result['tasks']}; memory of each: up to {size_text(result['memory'])}; saved {result['folder']}"
-    return result["report"] if words.action == "report" else "\n".join(f"{one['sha256']}  {one['out']}" for one in result["tasks"])
+        return (
+            f"tasks: {result['tasks']}; memory of each: up to {size_text(result['memory'])}; saved"
+            f" {result['folder']}"
+        )
+    return (
+        result["report"]
+        if words.action == "report"
+        else "\n".join(f"{one['sha256']}  {one['out']}" for one in result["tasks"])
+    )
 
 
 def _export(words: argparse.Namespace) -> dict[str, Any]:
@@ -42,9 +50,13 @@ def _export(words: argparse.Namespace) -> dict[str, Any]:
     format_to_write(f"x{suffix}")
     options = options_from(PruneOptions, words)
     if words.targets and (options.target_count or options.max_drop):
-        raise SceneError("--targets and --target-count or --max-drop each say how many Gaussians stay: leave one out")
+        raise SceneError(
+            "--targets and --target-count or --max-drop each say how many Gaussians stay: leave one out"
+        )
     items = expand(words.scenes, words.colmap, folder / "results")
-    folders = [item.scene.absolute().parent for item in items] + [item.colmap.absolute() for item in items if item.colmap]
+    folders = [item.scene.absolute().parent for item in items] + [
+        item.colmap.absolute() for item in items if item.colmap
+    ]
     root = common_folder(folders) or folders[0]
     scenes = [(item.name, item.scene, None if words.no_photographs else item.colmap) for item in items]
     job = FarmJob(folder.absolute(), root, tasks_of(root, scenes, list(_ways(words)), options), suffix)
@@ -61,7 +73,12 @@ def _write(job: FarmJob) -> dict[str, Any]:
     job.write()
     write_bundle(job, job.folder.name, needed)
     write_submission(job, job.folder.name)
-    return {"folder": str(job.folder), "tasks": len(job.tasks), "memory": needed, "names": [task.name for task in job.tasks]}
+    return {
+        "folder": str(job.folder),
+        "tasks": len(job.tasks),
+        "memory": needed,
+        "names": [task.name for task in job.tasks],
+    }
 
 
 def _ways(words: argparse.Namespace) -> Iterator[dict[str, Any]]:

@@ -1,5 +1,5 @@
-"""`svrgs large`: scenes larger than memory. `prune` does all of it; `divide`, `score`, `reduce`, `merge`, `decide`, `cut`, `tune` and `finish` are its steps,
-for a farm."""
+"""`svrgs large`: scenes larger than memory. `prune` does all of it; `divide`, `score`, `reduce`, `merge`,
+`decide`, `cut`, `tune` and `finish` are its steps, for a farm."""
 
 from __future__ import annotations
 
@@ -39,40 +39,76 @@ OF_METHODS = ("lambda_f", "iterations", "recovery", "schedule", "min_contributio
 def large(words: argparse.Namespace) -> dict[str, Any]:
     """Does one step, or all. Raises SplatError."""
     library.set_threads(words.threads)
-    steps = {"divide": _divide, "score": _score, "reduce": _reduce, "merge": _merge, "decide": _decide, "cut": _cut, "tune": _tune, "finish": _finish}
+    steps = {
+        "divide": _divide,
+        "score": _score,
+        "reduce": _reduce,
+        "merge": _merge,
+        "decide": _decide,
+        "cut": _cut,
+        "tune": _tune,
+        "finish": _finish,
+    }
     return (steps | {"prune": _prune})[words.action](words)
 
 
 def as_text(words: argparse.Namespace, result: dict[str, Any]) -> str:
     if words.action == "divide":
-        return f"{result['count']:,} Gaussians in {result['blocks']} blocks, {result['views']} views; saved {result['work']}"
+        return (
+            f"{result['count']:,} Gaussians in {result['blocks']} blocks, {result['views']} views; saved"
+            f" {result['work']}"
+        )
     if words.action == "score":
         return result["scores"]
     if words.action in ("reduce", "merge", "decide", "cut", "tune"):
         return f"{result['blocks']} blocks done in {result['work']}"
     before, after = result["before"], result["after"]
     measure = f"the photographs, the original {before['psnr']:.2f} dB" if "psnr" in before else "the original"
-    merged = f" ({result['psnr_merged']:.2f} dB before fine-tuning)" if result["psnr_merged"] is not None else ""
+    merged = (
+        f" ({result['psnr_merged']:.2f} dB before fine-tuning)" if result["psnr_merged"] is not None else ""
+    )
     against = f"; PSNR {result['psnr']:.2f} dB against {measure}{merged}" if result["views"] else ""
-    lines = [f"kept {after['count']:,} of {before['count']:,} Gaussians ({after['count'] / before['count']:.1%}){against}; saved {result['out']}"]
+    lines = [
+        f"kept {after['count']:,} of {before['count']:,} Gaussians"
+        f" ({after['count'] / before['count']:.1%}){against}; saved {result['out']}"
+    ]
     for level in result.get("levels", ()):
-        lines.append(f"level {level['share']:g}: {level['count']:,} Gaussians, PSNR {level['psnr']:.2f} dB; saved {level['out']}")
+        lines.append(
+            f"level {level['share']:g}: {level['count']:,} Gaussians, PSNR {level['psnr']:.2f} dB; saved"
+            f" {level['out']}"
+        )
     return "\n".join([*lines, *result["notes"]])
 
 
 def _prune(words: argparse.Namespace) -> dict[str, Any]:
     format_to_read(words.scene)
-    goal, request = Goal(words.target_count or 0, words.target or 0.0, words.max_drop or 0.0, words.levels), _request(words)
+    goal, request = (
+        Goal(words.target_count or 0, words.target or 0.0, words.max_drop or 0.0, words.levels),
+        _request(words),
+    )
     if request is None and not (goal.count or goal.share or goal.max_drop):
         raise SceneError("how many Gaussians stay is not given: add --target, --target-count or --max-drop")
     if request is not None and (words.steps is not None or goal.levels):
         raise SceneError("--steps and --levels are for removals and merges: leave them out, or --method")
     if words.resume and request is None:
-        raise SceneError("--resume is for methods that decide on photographs: removals and merges begin again")
+        raise SceneError(
+            "--resume is for methods that decide on photographs: removals and merges begin again"
+        )
     left = left_by_a_stop(request, words.out, words.levels)
     with StopRequest() as stop:
         told, views = functools.partial(_told, words, stop=stop, left=left), functools.partial(_views, words)
-        return prune_by_blocks(words.scene, words.out, views, goal, words.steps, told, words.work, words.block, request, words.resume)
+        return prune_by_blocks(
+            words.scene,
+            words.out,
+            views,
+            goal,
+            words.steps,
+            told,
+            words.work,
+            words.block,
+            request,
+            words.resume,
+        )
 
 
 def _request(words: argparse.Namespace) -> Request | None:
@@ -83,9 +119,16 @@ def _request(words: argparse.Namespace) -> Request | None:
         request = request_of(options_from(PruneOptions, words))
         request.dataset()  # raises before anything is written
         return request
-    given = [name for name in OF_METHODS if getattr(words, name, None) not in (None, default_of(PruneOptions, name))]
+    given = [
+        name
+        for name in OF_METHODS
+        if getattr(words, name, None) not in (None, default_of(PruneOptions, name))
+    ]
     if given:
-        raise SceneError(f"--{given[0].replace('_', '-')} is for methods that decide on photographs: add --method, or leave it out")
+        raise SceneError(
+            f"--{given[0].replace('_', '-')} is for methods that decide on photographs: add --method, or"
+            " leave it out"
+        )
     return None
 
 
@@ -95,12 +138,21 @@ def _divide(words: argparse.Namespace) -> dict[str, Any]:
     request, (scored, measured) = _request(words), _views(words)
     prepare(words.work, scored, measured, request)
     divided = divide(words.scene.absolute(), words.work, words.block, _told(words, "divide"))
-    return {"work": str(words.work), "count": divided.count, "blocks": len(divided.blocks), "views": len(scored)}
+    return {
+        "work": str(words.work),
+        "count": divided.count,
+        "blocks": len(divided.blocks),
+        "views": len(scored),
+    }
 
 
 def _score(words: argparse.Namespace) -> dict[str, Any]:
     divided = Divided.read(words.work)
-    return {"scores": str(score(divided, scored_views(words.work), words.part, words.parts, _told(words, "score")))}
+    return {
+        "scores": str(
+            score(divided, scored_views(words.work), words.part, words.parts, _told(words, "score"))
+        )
+    }
 
 
 def _reduce(words: argparse.Namespace) -> dict[str, Any]:
@@ -119,9 +171,15 @@ def _merge(words: argparse.Namespace) -> dict[str, Any]:
 
 
 def _decide(words: argparse.Namespace) -> dict[str, Any]:
-    divided, request, goal = Divided.read(words.work), Request.read(words.work), Goal(words.target_count or 0, words.target or 0.0)
+    divided, request, goal = (
+        Divided.read(words.work),
+        Request.read(words.work),
+        Goal(words.target_count or 0, words.target or 0.0),
+    )
     if request is None:
-        raise SceneError(f"{words.work}: was divided without --method, so no method decides: merge and cut it")
+        raise SceneError(
+            f"{words.work}: was divided without --method, so no method decides: merge and cut it"
+        )
     wanted = goal.number(divided.count) if goal.count or goal.share else 0
     plan, dataset, targets_of = request.plan(), request.dataset(), targets(divided, wanted)
     numbers = range(len(divided.blocks))[words.part :: words.parts]
@@ -157,8 +215,15 @@ def _tune(words: argparse.Namespace) -> dict[str, Any]:
 
 def _recover(words: argparse.Namespace, divided: Divided, request: Request) -> dict[str, Any]:
     if words.steps is not None:
-        raise SceneError("--steps is for removals and merges: leave it out; --recovery of svrgs large divide gives the steps of a method")
-    numbers, plan, dataset = range(len(divided.blocks) if request.recovery else 0)[words.part :: words.parts], request.plan(), request.dataset()
+        raise SceneError(
+            "--steps is for removals and merges: leave it out; --recovery of svrgs large divide gives the"
+            " steps of a method"
+        )
+    numbers, plan, dataset = (
+        range(len(divided.blocks) if request.recovery else 0)[words.part :: words.parts],
+        request.plan(),
+        request.dataset(),
+    )
     for number in numbers:
         recover(divided, number, dataset, plan, _told(words, "recover"))
     return {"work": str(words.work), "blocks": len(numbers)}
@@ -174,13 +239,19 @@ def _finish(words: argparse.Namespace) -> dict[str, Any]:
 
 
 def _views(words: argparse.Namespace) -> tuple[list[Camera], list[Camera]]:
-    """The views that are scored, and those on which the result is measured: given, or placed. Raises SceneError."""
+    """The views that are scored, and those on which the result is measured: given, or placed. Raises
+    SceneError."""
     if words.colmap:
         dataset = load_dataset(words.colmap, words.images or None, holdout=words.holdout, cameras_only=True)
-        scored, measured = ([dataset.cameras[k] for k in indices] for indices in (dataset.train_indices, dataset.test_indices))
+        scored, measured = (
+            [dataset.cameras[k] for k in indices] for indices in (dataset.train_indices, dataset.test_indices)
+        )
     elif words.cameras:
         cameras = load_cameras(words.cameras)
-        scored, measured = ([camera for k, camera in enumerate(cameras) if (k % HOLDOUT == 0) is held_out] for held_out in (False, True))
+        scored, measured = (
+            [camera for k, camera in enumerate(cameras) if (k % HOLDOUT == 0) is held_out]
+            for held_out in (False, True)
+        )
     else:
         _told(words, "rig")("looks for places of cameras", 0.0)
         scene, enlarged = sample_of(words.scene)
@@ -192,7 +263,9 @@ def _views(words: argparse.Namespace) -> tuple[list[Camera], list[Camera]]:
     return scored, measured
 
 
-def _told(words: argparse.Namespace, step: str, stop: Callable[[], bool] = lambda: False, left: str = "") -> Callable[[str, float], None]:
+def _told(
+    words: argparse.Namespace, step: str, stop: Callable[[], bool] = lambda: False, left: str = ""
+) -> Callable[[str, float], None]:
     """Reports progress of a step. left: a sentence on what a stop leaves."""
     messages = Messages(words.messages)
 

@@ -1,6 +1,7 @@
 """The entry point of `svrgs` and `python -m svrgs_addon`: it parses the arguments and runs the command.
 
-An error is one sentence on stderr. exit_status.py lists the exit codes. Modules are imported inside main(), which answers Ctrl-C.
+An error is one sentence on stderr. exit_status.py lists the exit codes. Modules are imported inside main(),
+which answers Ctrl-C.
 """
 
 from __future__ import annotations
@@ -29,7 +30,9 @@ def _main(arguments: list[str] | None) -> int:
     options = parser().parse_args(arguments)
 
     def run() -> int:
-        memory.refuse_few_addresses(memory.NUMPY_ADDRESSES if options.command == "info" else memory.PHOTOGRAPH_ADDRESSES)
+        memory.refuse_few_addresses(
+            memory.NUMPY_ADDRESSES if options.command == "info" else memory.PHOTOGRAPH_ADDRESSES
+        )
         with uninterrupted():  # NumPy is imported here
             from . import commands
 

@@ -18,7 +18,8 @@ from ..views.rig import place_rig
 
 
 def place_cameras(words: argparse.Namespace) -> dict:
-    """Places the cameras that `svrgs prune` uses without photographs. Returns their facts and the files. Raises SplatError."""
+    """Places the cameras that `svrgs prune` uses without photographs. Returns their facts and the files.
+    Raises SplatError."""
     for out in (words.out, words.preview):
         if out is not None:
             refuse_input(out, words.scene)
@@ -36,20 +37,28 @@ def place_cameras(words: argparse.Namespace) -> dict:
 
 
 def _scene(path: Path) -> tuple[Scene, float]:
-    """The scene, or some of its Gaussians if it is too large; and how much wider they are than those of the scene. Raises SplatError."""
+    """The scene, or some of its Gaussians if it is too large; and how much wider they are than those of the
+    scene. Raises SplatError."""
     try:
         scene = load_scene(path).scene
         memory.refuse_excess(f"{path}: rendering it", memory.rendering(scene.count, 1024, 1024))
         return scene, 1.0
     except (MemoryShort, TooMany) as error:
-        logging.warning("%s; its cameras are placed by up to %s of its Gaussians", memory.without_advice(str(error)), f"{MOST:,}")
+        logging.warning(
+            "%s; its cameras are placed by up to %s of its Gaussians",
+            memory.without_advice(str(error)),
+            f"{MOST:,}",
+        )
     return sample_of(path)
 
 
 def as_text(result: dict) -> str:
     where = "within the scene" if result["inside_out"] else "around the scene"
     lines = [
-        f"{result['views']} cameras {where}, and {result['held_out']} others for testing, {result['width']} x {result['height']} pixels",
+        (
+            f"{result['views']} cameras {where}, and {result['held_out']} others for testing,"
+            f" {result['width']} x {result['height']} pixels"
+        ),
         f"at least three of them show {result['seen']:.2%} of what can be seen",
         *(f"saved {result[name]}" for name in ("out", "preview") if result[name]),
     ]

@@ -23,13 +23,16 @@ MAX_DIGITS = 20  # of the number of a view; Python refuses to read thousands of 
 
 
 def render_views(options: argparse.Namespace) -> list[Path]:
-    """Renders options.outputs of options.views and returns the files. All masks are 1, and F counts every hit of a ray. Raises SplatError."""
+    """Renders options.outputs of options.views and returns the files. All masks are 1, and F counts every hit
+    of a ray. Raises SplatError."""
     outputs = _outputs(options.outputs)
     check_writable(options.out / "view.png")
     chosen = choose(_cameras(options), options.views)
     refuse_same_stems(chosen, "render them one at a time, into separate folders")
     largest = max(chosen, key=lambda camera: camera.width * camera.height)
-    with opened(options.scene, "rendering", lambda count: memory.rendering(count, largest.width, largest.height)) as (scene, rasterizer):
+    with opened(
+        options.scene, "rendering", lambda count: memory.rendering(count, largest.width, largest.height)
+    ) as (scene, rasterizer):
         settings = picture_options(scene, options.background, "svr" if "mask" in outputs else "none")
         saved = []
         for camera in chosen:
@@ -53,12 +56,14 @@ def _cameras(options: argparse.Namespace) -> list[Camera]:
 
 
 def choose(cameras: list[Camera], views: str) -> list[Camera]:
-    """The cameras that `views` names: 'all', 'test' (every 8th), 'train', or a list of image names, with or without suffix, and numbers
-    from 0, with commas between. Raises SceneError if there is no such view."""
+    """The cameras that `views` names: 'all', 'test' (every 8th), 'train', or a list of image names, with or
+    without suffix, and numbers from 0, with commas between. Raises SceneError if there is no such view."""
     if not cameras:
         raise SceneError("there are no cameras to render from")
     if views in ("all", "test", "train"):
-        chosen = [c for i, c in enumerate(cameras) if views == "all" or (i % HOLDOUT == 0) == (views == "test")]
+        chosen = [
+            c for i, c in enumerate(cameras) if views == "all" or (i % HOLDOUT == 0) == (views == "test")
+        ]
         if not chosen:
             raise SceneError(f"there are no {views} views among the {len(cameras)} views")
         return chosen
@@ -71,7 +76,10 @@ def choose(cameras: list[Camera], views: str) -> list[Camera]:
             chosen.append(cameras[int(part)])
         else:
             shown = part if len(part) < 60 else f"{part[:60]}..."
-            raise SceneError(f"there is no view '{shown}'; views have names such as '{cameras[0].name}' and numbers 0 to {len(cameras) - 1}")
+            raise SceneError(
+                f"there is no view '{shown}'; views have names such as '{cameras[0].name}' and numbers 0 to"
+                f" {len(cameras) - 1}"
+            )
     return chosen
 
 

@@ -25,9 +25,11 @@ from .render_views import choose
 
 
 def select_gaussians(words: argparse.Namespace) -> dict:
-    """Selects, and writes options.out if it is given: rows and columns as they are in the file. Raises SplatError.
+    """Selects, and writes options.out if it is given: rows and columns as they are in the file. Raises
+    SplatError.
 
-    Returns count (Gaussians of the file), selected, unusable (Gaussians that cannot be rendered: never selected and never written), and out.
+    Returns count (Gaussians of the file), selected, unusable (Gaussians that cannot be rendered: never
+    selected and never written), and out.
     """
     options = options_from(SelectOptions, words)
     _refuse_outputs(words.scene, options)
@@ -38,12 +40,19 @@ def select_gaussians(words: argparse.Namespace) -> dict:
     if options.out:
         with spooled(some, options.out) as scene:
             if not scene.count:
-                raise SceneError(f"{words.scene}: no Gaussian fulfils the criteria, so no file was written; leave out --out to see counts only")
+                raise SceneError(
+                    f"{words.scene}: no Gaussian fulfils the criteria, so no file was written; leave out"
+                    " --out to see counts only"
+                )
             write_scene(options.out, scene)
     else:
         collections.deque(some, maxlen=0)
     if result["unusable"]:
-        logging.warning("%s: %d Gaussians with values that are not finite are not selected", words.scene, result["unusable"])
+        logging.warning(
+            "%s: %d Gaussians with values that are not finite are not selected",
+            words.scene,
+            result["unusable"],
+        )
     return result
 
 
@@ -55,29 +64,39 @@ def _parts(path: Path, options: SelectOptions, cameras: list[Camera]) -> Iterato
     scene = read_scene(path)
     if cameras:
         largest = max(cameras, key=lambda camera: camera.width * camera.height)
-        memory.refuse_excess(f"{path}: rendering it", memory.rendering(scene.count, largest.width, largest.height))
+        memory.refuse_excess(
+            f"{path}: rendering it", memory.rendering(scene.count, largest.width, largest.height)
+        )
     yield scene
 
 
-def _selected(parts: Iterator[Scene], options: SelectOptions, cameras: list[Camera], result: dict) -> Iterator[Scene]:
+def _selected(
+    parts: Iterator[Scene], options: SelectOptions, cameras: list[Camera], result: dict
+) -> Iterator[Scene]:
     """The selected Gaussians of each part. Adds to the counts of the result."""
     for part in parts:
         bad = unusable(part)
         mask = selected(part, options, lambda named: choose(cameras, named) if named else cameras)
         if options.invert:
             mask = ~mask & ~bad
-        result["count"], result["unusable"] = result["count"] + part.count, result["unusable"] + int(bad.sum())
+        result["count"], result["unusable"] = (
+            result["count"] + part.count,
+            result["unusable"] + int(bad.sum()),
+        )
         result["selected"] += int(mask.sum())
         yield part.select(mask) if options.out else part
 
 
 def views_of(words: argparse.Namespace) -> list[Camera]:
-    """The views that criteria are measured in: those of --colmap or --cameras. Raises SceneError if neither is given."""
+    """The views that criteria are measured in: those of --colmap or --cameras. Raises SceneError if neither
+    is given."""
     if words.cameras:
         return load_cameras(words.cameras)
     if words.colmap:
         return load_dataset(words.colmap, cameras_only=True).cameras
-    raise SceneError("contribution, removal error and seen-by are measured in views; name them with --colmap or --cameras")
+    raise SceneError(
+        "contribution, removal error and seen-by are measured in views; name them with --colmap or --cameras"
+    )
 
 
 def as_text(result: dict) -> str:
@@ -86,7 +105,8 @@ def as_text(result: dict) -> str:
 
 
 def _refuse_outputs(scene, options: SelectOptions) -> None:
-    """Raises SceneError for two sources of views, and for an output that cannot be written or is the input."""
+    """Raises SceneError for two sources of views, and for an output that cannot be written or is the
+    input."""
     if options.colmap and options.cameras:
         raise SceneError("--colmap and --cameras both name views; leave one out")
     if options.out is None:

@@ -1,7 +1,7 @@
 """Atomic file writes: at any moment, a path holds its old file or the complete new one, never a part of it.
 
-A writer fills a hidden temporary file in the same folder, owns it (system/locks.py), and renames it at the end. A hidden file that nobody
-owns was left by a writer that was killed.
+A writer fills a hidden temporary file in the same folder, owns it (system/locks.py), and renames it at the
+end. A hidden file that nobody owns was left by a writer that was killed.
 """
 
 from __future__ import annotations
@@ -22,23 +22,28 @@ from ..system.memory import size_text
 
 FREE_SPACE_MARGIN = 1.1  # free disk space needed per byte of a file
 HIDDEN_PREFIX = ".svrgs-"  # first characters of the names of temporary files
-LONGEST_SUFFIX = 16  # characters: a longer one is left out of the name of a temporary file, which must not be longer than a name may be
+# characters: a longer one is left out of the name of a temporary file, which must not be longer than a name
+# may be
+LONGEST_SUFFIX = 16
 
 
 @contextlib.contextmanager
 def atomic_write(path: str | os.PathLike, keep: bool = True) -> Iterator[BinaryIO]:
-    """Context manager that yields a binary file. Its content replaces `path` when the block ends without an error.
+    """Context manager that yields a binary file. Its content replaces `path` when the block ends without an
+    error.
 
-    Missing parent folders are created. After an error in the block, the old file is unchanged. Raises SceneError if the file
-    cannot be written. If another program has the old file open, so that Windows does not replace it, the new file is kept under another
-    name, which the error says. keep=False: it is not kept, because it will soon be written again.
+    Missing parent folders are created. After an error in the block, the old file is unchanged. Raises
+    SceneError if the file cannot be written. If another program has the old file open, so that Windows does
+    not replace it, the new file is kept under another name, which the error says. keep=False: it is not kept,
+    because it will soon be written again.
     """
     with atomic_path(path, keep) as temporary, open(temporary, "r+b") as file:
         yield file
 
 
 def start_writeback(file: BinaryIO, size: int) -> None:
-    """Asks the system to store the last `size` bytes of the file now, so that the final fsync takes less time.
+    """Asks the system to store the last `size` bytes of the file now, so that the final fsync takes less
+    time.
 
     With POSIX_FADV_DONTNEED, Linux starts to write dirty pages; it drops only clean ones.
     """
@@ -49,7 +54,8 @@ def start_writeback(file: BinaryIO, size: int) -> None:
 
 @contextlib.contextmanager
 def atomic_path(path: str | os.PathLike, keep: bool = True) -> Iterator[Path]:
-    """As atomic_write, for libraries that write by file name: yields the path of an empty temporary file with the same suffix."""
+    """As atomic_write, for libraries that write by file name: yields the path of an empty temporary file with
+    the same suffix."""
     target = file_names.real(path)  # if path is a symbolic link, its target is replaced
     with _errors_of(path):
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -71,13 +77,16 @@ def _errors_of(path: str | os.PathLike) -> Iterator[None]:
 
 @contextlib.contextmanager
 def reserved(path: str | os.PathLike) -> Iterator[None]:
-    """Context manager: while its block runs, no other one of the same path can begin, in this process or another.
+    """Context manager: while its block runs, no other one of the same path can begin, in this process or
+    another.
 
-    It owns a hidden file next to `path`. Missing folders are created, and removed again if they are still empty. Does nothing on
-    file systems without locks. Raises SceneError if the path is reserved.
+    It owns a hidden file next to `path`. Missing folders are created, and removed again if they are still
+    empty. Does nothing on file systems without locks. Raises SceneError if the path is reserved.
     """
     target = file_names.real(path)
-    lock = target.with_name(f"{HIDDEN_PREFIX}{hashlib.sha256(os.fsencode(target.name)).hexdigest()[:16]}.lock")
+    lock = target.with_name(
+        f"{HIDDEN_PREFIX}{hashlib.sha256(os.fsencode(target.name)).hexdigest()[:16]}.lock"
+    )
     new_folders = list(itertools.takewhile(lambda folder: not folder.exists(), target.parents))
     try:
         with _errors_of(path):
@@ -86,7 +95,10 @@ def reserved(path: str | os.PathLike) -> Iterator[None]:
             with _errors_of(path):
                 free = stack.enter_context(locks.exclusive(lock))
             if not free:
-                raise SceneError(f"{path}: another job is writing this file; wait until it has ended, or choose another output")
+                raise SceneError(
+                    f"{path}: another job is writing this file; wait until it has ended, or choose another"
+                    " output"
+                )
             yield
     finally:
         for folder in new_folders:
@@ -95,26 +107,33 @@ def reserved(path: str | os.PathLike) -> Iterator[None]:
 
 
 def check_writable(path: str | os.PathLike) -> None:
-    """Raises SceneError if no file can be written at `path`, or if the file there cannot be replaced. Call it before long work starts.
+    """Raises SceneError if no file can be written at `path`, or if the file there cannot be replaced. Call it
+    before long work starts.
 
-    It creates no file and no folder. If the folder of `path` does not exist yet, the nearest existing parent is checked. Temporary
-    files that killed writers left in that folder are removed.
+    It creates no file and no folder. If the folder of `path` does not exist yet, the nearest existing parent
+    is checked. Temporary files that killed writers left in that folder are removed.
     """
     check_space(path, 0)
     if not replacing.may_be_replaced(file_names.real(path)):
-        raise SceneError(f"{path}: is open in another program and cannot be replaced; close it there, or choose another output")
+        raise SceneError(
+            f"{path}: is open in another program and cannot be replaced; close it there, or choose another"
+            " output"
+        )
 
 
 def check_space(path: str | os.PathLike, needed_bytes: int) -> None:
-    """Raises SceneError if a file of needed_bytes bytes cannot be written into the folder of `path`. As check_writable(), but a file that
-    another program has open is no reason: what was worked for is then written under another name."""
+    """Raises SceneError if a file of needed_bytes bytes cannot be written into the folder of `path`. As
+    check_writable(), but a file that another program has open is no reason: what was worked for is then
+    written under another name."""
     if forbidden := file_names.what_is_forbidden(path):
         raise SceneError(f"{path}: cannot be written because {forbidden}; choose another name")
     target = file_names.real(path)
     _check_target(path, target)
     folder = next((parent for parent in target.parents if os.path.lexists(parent)), None)
     if folder is None:  # on Windows
-        raise SceneError(f"{path}: cannot be written because there is no drive {target.drive}; choose another folder")
+        raise SceneError(
+            f"{path}: cannot be written because there is no drive {target.drive}; choose another folder"
+        )
     if not os.path.isdir(folder):
         raise SceneError(f"{path}: cannot be written because {folder} is not a folder")
     try:
@@ -124,11 +143,15 @@ def check_space(path: str | os.PathLike, needed_bytes: int) -> None:
     except OSError as error:
         raise SceneError(f"{path}: cannot be written into {folder} ({error.strerror or error})") from error
     if free < (needed := needed_bytes * FREE_SPACE_MARGIN):
-        raise SceneError(f"{path}: needs {size_text(needed)}, but only {size_text(free)} are free; free disk space or choose another folder")
+        raise SceneError(
+            f"{path}: needs {size_text(needed)}, but only {size_text(free)} are free; free disk space or"
+            " choose another folder"
+        )
 
 
 def _check_target(path: str | os.PathLike, target: Path) -> None:
-    """Raises SceneError for a folder, a write-protected file, and a name that the file system does not allow."""
+    """Raises SceneError for a folder, a write-protected file, and a name that the file system does not
+    allow."""
     if os.path.isdir(target):
         raise SceneError(f"{path}: is a folder; give the name of a file")
     try:
@@ -175,14 +198,16 @@ def _sync(path: Path, flags: int) -> None:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Makes the rename durable (POSIX). Errors are ignored, because the new file is complete and some file systems cannot do this."""
+    """Makes the rename durable (POSIX). Errors are ignored, because the new file is complete and some file
+    systems cannot do this."""
     if not here.WINDOWS:
         with contextlib.suppress(OSError):
             _sync(folder, os.O_RDONLY)
 
 
 def _replace(temporary: Path, target: Path, path: str | os.PathLike | None) -> None:
-    """Renames the temporary file. If Windows does not replace the old file, the new one gets another name, and SceneError says which.
+    """Renames the temporary file. If Windows does not replace the old file, the new one gets another name,
+    and SceneError says which.
 
     path: how the message names the target; None: the new file is not kept, and the OSError is raised.
     """
@@ -194,11 +219,15 @@ def _replace(temporary: Path, target: Path, path: str | os.PathLike | None) -> N
         kept = _free_name(target)
         os.replace(temporary, kept)
         raise SceneError(
-            f"{path}: was not replaced, probably because another program has it open; the new file is complete and lies next to it as '{kept.name}'"
+            f"{path}: was not replaced, probably because another program has it open; the new file is"
+            f" complete and lies next to it as '{kept.name}'"
         ) from None
 
 
 def _free_name(target: Path) -> Path:
     """A name for the new file next to the old one, such as 'scene (new).ply'."""
-    names = (f"{target.stem} (new{'' if number == 1 else f' {number}'}){target.suffix}" for number in itertools.count(1))
+    names = (
+        f"{target.stem} (new{'' if number == 1 else f' {number}'}){target.suffix}"
+        for number in itertools.count(1)
+    )
     return next(path for path in map(target.with_name, names) if not os.path.lexists(path))

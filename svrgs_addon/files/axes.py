@@ -1,4 +1,5 @@
-"""Axes of files whose y points up: right, up, back. Those of 3DGS, and of a Scene, are right, down, forward. glTF has left, up, forward."""
+"""Axes of files whose y points up: right, up, back. Those of 3DGS, and of a Scene, are right, down, forward.
+glTF has left, up, forward."""
 
 from __future__ import annotations
 
@@ -8,9 +9,11 @@ import numpy as np
 
 from ..scene.gaussians import Scene
 
-AXES = np.array([1, -1, -1], np.float32)  # signs of positions after half a turn around x; of the (x, y, z) of quaternions, too
+# signs of positions after half a turn around x; of the (x, y, z) of quaternions, too
+AXES = np.array([1, -1, -1], np.float32)
 AROUND_Y = np.array([-1, 1, -1], np.float32)  # the same around y
-FACTORS = ("y z x", "xy yz 1 xz 1", "y xyz y z x z x")  # of the coefficients of degree 1 to 3: coordinates of which they are odd functions
+# of the coefficients of degree 1 to 3: coordinates of which they are odd functions
+FACTORS = ("y z x", "xy yz 1 xz 1", "y xyz y z x z x")
 
 
 def turned_over(scene: Scene) -> Scene:
@@ -19,15 +22,22 @@ def turned_over(scene: Scene) -> Scene:
 
 
 def turned_around(scene: Scene) -> Scene:
-    """The scene after half a turn around y, which turns right and back to left and forward. It is its own inverse."""
+    """The scene after half a turn around y, which turns right and back to left and forward. It is its own
+    inverse."""
     return _turned(scene, AROUND_Y)
 
 
 def _turned(scene: Scene, signs: np.ndarray) -> Scene:
     """The scene after half a turn, which gives coordinates these signs."""
     sign_of = dict(zip("xyz1", [*signs, 1], strict=True))
-    sh_signs = np.array([1] + [np.prod([sign_of[name] for name in factors]) for factors in " ".join(FACTORS).split()], np.float32)
+    sh_signs = np.array(
+        [1] + [np.prod([sign_of[name] for name in factors]) for factors in " ".join(FACTORS).split()],
+        np.float32,
+    )
     with np.errstate(invalid="ignore"):  # a file may hold values that are not numbers
-        sh = scene.sh.reshape(scene.count, 3 * scene.sh.shape[1]) * np.repeat(sh_signs[: scene.sh.shape[1]], 3)  # one long row is quicker than many of three
+        # one long row is quicker than many of three
+        sh = scene.sh.reshape(scene.count, 3 * scene.sh.shape[1]) * np.repeat(
+            sh_signs[: scene.sh.shape[1]], 3
+        )
         means, quats = scene.means * signs, scene.quats * np.array([1, *signs], np.float32)
     return replace(scene, means=means, quats=quats, sh=sh.reshape(scene.sh.shape))

@@ -1,7 +1,9 @@
-"""The compressed PLY of PlayCanvas: 256 Gaussians in a row share ranges, within which their values have 8 to 11 bits.
+"""The compressed PLY of PlayCanvas: 256 Gaussians in a row share ranges, within which their values have 8 to
+11 bits.
 
-element chunk    ranges of position, log-scale and base colour; early files have no ranges of the colour, which is then 0 to 1
-element vertex   packed_position, packed_scale: 11, 10, 11 bits; packed_rotation: position of the largest component, 2 bits, and the others, 10
+element chunk    ranges of position, log-scale and base colour; early files have no ranges of the colour,
+which is then 0 to 1 element vertex   packed_position, packed_scale: 11, 10, 11 bits; packed_rotation:
+position of the largest component, 2 bits, and the others, 10
                  bits each, of (w, x, y, z); packed_color: red, green, blue, opacity, 8 bits each
 element sh       f_rest_0 ..., 8 bits each, from -4 to 4, in the order of 3DGS; left out for degree 0
 
@@ -31,7 +33,12 @@ CHUNK = 256  # Gaussians
 PART = 64 * CHUNK  # Gaussians that are converted together
 POSITION_BITS = SCALE_BITS = (11, 10, 11)
 PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
-RANGES = tuple(f"{end}_{name}" for group in (("x", "y", "z"), ("scale_x", "scale_y", "scale_z"), ("r", "g", "b")) for end in ("min", "max") for name in group)
+RANGES = tuple(
+    f"{end}_{name}"
+    for group in (("x", "y", "z"), ("scale_x", "scale_y", "scale_z"), ("r", "g", "b"))
+    for end in ("min", "max")
+    for name in group
+)
 WITHOUT_COLOR = 12  # ranges in files of the first version
 LARGEST_LOG_SCALE = 20.0  # of the ranges
 HALF_SQRT2 = np.float32(0.5**0.5)
@@ -80,8 +87,13 @@ def write(path: str | os.PathLike, scene: Scene):
         for start in range(0, scene.count, PART):
             part = scene.select(order[start : start + PART])
             ranges, packed = _packed(part)
-            pieces = {len(head) + ranges.itemsize * len(RANGES) * (start // CHUNK): ranges, rows_at + packed.itemsize * len(PACKED) * start: packed}
-            pieces |= {rows_at + 4 * len(PACKED) * scene.count + rest * start: _sh_bytes(part.sh)} if rest else {}
+            pieces = {
+                len(head) + ranges.itemsize * len(RANGES) * (start // CHUNK): ranges,
+                rows_at + packed.itemsize * len(PACKED) * start: packed,
+            }
+            pieces |= (
+                {rows_at + 4 * len(PACKED) * scene.count + rest * start: _sh_bytes(part.sh)} if rest else {}
+            )
             for at, piece in pieces.items():
                 file.seek(at)
                 file.write(np.ascontiguousarray(piece).data)
@@ -99,7 +111,10 @@ def file_size(scene: Scene) -> int:
 
 
 def _header(scene: Scene) -> bytes:
-    elements = [("chunk", -(-scene.count // CHUNK), [(name, "f4") for name in RANGES]), ("vertex", scene.count, [(name, "u4") for name in PACKED])]
+    elements = [
+        ("chunk", -(-scene.count // CHUNK), [(name, "f4") for name in RANGES]),
+        ("vertex", scene.count, [(name, "u4") for name in PACKED]),
+    ]
     rest = 3 * (scene.sh.shape[1] - 1)
     elements += [("sh", scene.count, [(f"f_rest_{k}", "u1") for k in range(rest)])] if rest else []
     return format_header(written_comments(scene), *elements)
@@ -111,7 +126,9 @@ def _checked(file: BinaryIO, max_count: int) -> _Layout:
     count, ranges, coefficients = _checked_elements(header)
     refuse_unpacking(count, coefficients, max_count)
     rows = header.size + 4 * ranges * -(-count // CHUNK)
-    layout = _Layout(count, ranges, coefficients, header.size, rows, rows + 4 * len(PACKED) * count, header.comments)
+    layout = _Layout(
+        count, ranges, coefficients, header.size, rows, rows + 4 * len(PACKED) * count, header.comments
+    )
     if (size := size_of(file)) != layout.end:
         problem = "is incomplete" if size < layout.end else "is too long"
         raise FormatError(f"{problem}: {size:,} of {layout.end:,} bytes; copy or export it again")
@@ -119,19 +136,35 @@ def _checked(file: BinaryIO, max_count: int) -> _Layout:
 
 
 def _checked_elements(header: Header) -> tuple[int, int, int]:
-    """(count, columns of ranges, K) of a header that has the elements of this format. Raises FormatError (without the name of the file)."""
+    """(count, columns of ranges, K) of a header that has the elements of this format. Raises FormatError
+    (without the name of the file)."""
     if header.encoding != "binary_little_endian":
         raise FormatError(f"is a compressed PLY in {header.encoding}, which no program writes{BROKEN}")
     names = [element.name for element in header.elements]
     if names not in (["chunk", "vertex"], ["chunk", "vertex", "sh"]):
-        raise FormatError(f"has the elements {', '.join(names)}; a compressed PLY has chunk, vertex and perhaps sh{BROKEN}")
+        raise FormatError(
+            f"has the elements {', '.join(names)}; a compressed PLY has chunk, vertex and perhaps sh{BROKEN}"
+        )
     chunk, vertex, *sh = header.elements
-    if chunk.properties not in ([(name, "f4") for name in RANGES[:n]] for n in (WITHOUT_COLOR, len(RANGES))) or chunk.list_property:
+    if (
+        chunk.properties not in ([(name, "f4") for name in RANGES[:n]] for n in (WITHOUT_COLOR, len(RANGES)))
+        or chunk.list_property
+    ):
         raise FormatError(f"has other ranges in its chunks than a compressed PLY{BROKEN}")
-    if vertex.properties != [(name, "u4") for name in PACKED] or vertex.list_property or chunk.count != -(-vertex.count // CHUNK):
-        raise FormatError(f"has other packed values, or another number of chunks, than a compressed PLY{BROKEN}")
+    if (
+        vertex.properties != [(name, "u4") for name in PACKED]
+        or vertex.list_property
+        or chunk.count != -(-vertex.count // CHUNK)
+    ):
+        raise FormatError(
+            f"has other packed values, or another number of chunks, than a compressed PLY{BROKEN}"
+        )
     rest = len(sh[0].properties) if sh else 0
-    if sh and (sh[0].count != vertex.count or sh[0].list_property or sh[0].properties != [(f"f_rest_{k}", "u1") for k in range(rest)]):
+    if sh and (
+        sh[0].count != vertex.count
+        or sh[0].list_property
+        or sh[0].properties != [(f"f_rest_{k}", "u1") for k in range(rest)]
+    ):
         raise FormatError(f"has other SH coefficients than a compressed PLY{BROKEN}")
     if rest % 3 or 1 + rest // 3 not in SH_COEFFICIENTS:
         raise FormatError(f"has {rest} f_rest properties; SH degrees 0 to 3 have 0, 9, 24 or 45")
@@ -141,12 +174,18 @@ def _checked_elements(header: Header) -> tuple[int, int, int]:
 def _part(file: BinaryIO, layout: _Layout, start: int, count: int) -> Scene:
     """The Gaussians from `start` on, which begins a chunk."""
     first, chunks, rest = start // CHUNK, -(-count // CHUNK), 3 * (layout.coefficients - 1)
-    ranges = rows_at(file, layout.chunks_at + 4 * layout.ranges * first, np.dtype(("<f4", layout.ranges)), chunks)
+    ranges = rows_at(
+        file, layout.chunks_at + 4 * layout.ranges * first, np.dtype(("<f4", layout.ranges)), chunks
+    )
     ranges = np.repeat(ranges, CHUNK, axis=0)[:count]
-    position, rotation, scale, color = rows_at(file, layout.rows_at + 4 * len(PACKED) * start, np.dtype(("<u4", len(PACKED))), count).T
+    position, rotation, scale, color = rows_at(
+        file, layout.rows_at + 4 * len(PACKED) * start, np.dtype(("<u4", len(PACKED))), count
+    ).T
     colors = _unpacked(color >> 8, (8, 8, 8))
     sh = np.empty((count, layout.coefficients, 3), np.float32)
-    sh[:, 0] = sh_of_colors(colors if layout.ranges == WITHOUT_COLOR else _within(colors, ranges[:, 12:15], ranges[:, 15:18]))
+    sh[:, 0] = sh_of_colors(
+        colors if layout.ranges == WITHOUT_COLOR else _within(colors, ranges[:, 12:15], ranges[:, 15:18])
+    )
     if rest:
         stored = rows_at(file, layout.sh_at + rest * start, np.dtype(("u1", rest)), count)
         sh[:, 1:] = _SH_VALUES[stored].reshape(count, 3, -1).transpose(0, 2, 1)
@@ -157,7 +196,9 @@ def _part(file: BinaryIO, layout: _Layout, start: int, count: int) -> Scene:
     )  # fmt: skip
 
 
-_SH_VALUES = ((np.where(np.arange(256) % 255 == 0, np.arange(256) / 255, (np.arange(256) + 0.5) / 256) - 0.5) * 8).astype(np.float32)
+_SH_VALUES = (
+    (np.where(np.arange(256) % 255 == 0, np.arange(256) / 255, (np.arange(256) + 0.5) / 256) - 0.5) * 8
+).astype(np.float32)
 
 
 def _sh_bytes(sh: np.ndarray) -> np.ndarray:
@@ -184,10 +225,13 @@ def _packed(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _bits(shares: np.ndarray, bits: tuple[int, int, int]) -> np.ndarray:
-    """(N,) uint32: three shares (N, 3), 0 to 1, rounded to so many bits each, the first one in the highest bits."""
+    """(N,) uint32: three shares (N, 3), 0 to 1, rounded to so many bits each, the first one in the highest
+    bits."""
     packed = np.zeros(len(shares), np.uint32)
     for share, width in zip(shares.T, bits, strict=True):
-        packed = (packed << np.uint32(width)) | np.clip(np.rint(share * (2**width - 1)), 0, 2**width - 1).astype(np.uint32)
+        packed = (packed << np.uint32(width)) | np.clip(
+            np.rint(share * (2**width - 1)), 0, 2**width - 1
+        ).astype(np.uint32)
     return packed
 
 
@@ -196,7 +240,9 @@ def _unpacked(packed: np.ndarray, bits: tuple[int, int, int]) -> np.ndarray:
     shares, shift = np.empty((len(packed), 3), np.float32), sum(bits)
     for k, width in enumerate(bits):
         shift -= width
-        shares[:, k] = ((packed >> np.uint32(shift)) & np.uint32(2**width - 1)) * np.float32(1 / (2**width - 1))
+        shares[:, k] = ((packed >> np.uint32(shift)) & np.uint32(2**width - 1)) * np.float32(
+            1 / (2**width - 1)
+        )
     return shares
 
 

@@ -13,15 +13,16 @@ from ..system.errors import SceneError
 from ..system.file_names import real
 from ..system.memory import size_text
 
-FULL = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC))  # the disk, the largest file, the quota of the user
+# the disk, the largest file, the quota of the user
+FULL = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC))
 CAN_HOLD = hasattr(os, "posix_fallocate")
 
 
 class HeldSpace:
     """Bytes on the disk of a folder that no other program can use until release().
 
-    They are in a file without a name, so that they are free again when this process ends, however it ends. Where files cannot be
-    allocated in advance, nothing is held. Raises OSError if the disk has less space.
+    They are in a file without a name, so that they are free again when this process ends, however it ends.
+    Where files cannot be allocated in advance, nothing is held. Raises OSError if the disk has less space.
     """
 
     def __init__(self, folder: Path, size: int):
@@ -41,7 +42,8 @@ class HeldSpace:
 
 
 def refuse_shortage(path: str | os.PathLike, needed: dict[Path, int], purpose: str):
-    """Raises SceneError, which names `path`, if a disk has less than the bytes needed in its folders. purpose: what they are for."""
+    """Raises SceneError, which names `path`, if a disk has less than the bytes needed in its folders.
+    purpose: what they are for."""
     totals: Counter[int] = Counter()
     for folder, size in needed.items():
         place = existing_parent(folder)
@@ -57,12 +59,13 @@ def refuse_shortage(path: str | os.PathLike, needed: dict[Path, int], purpose: s
 def shortage(path: str | os.PathLike, size: int, purpose: str, folder: Path, free: int) -> str:
     """The sentence that `folder` has too little space."""
     return (
-        f"{path}: needs {size_text(size)} of disk space for {purpose}, but only {size_text(free)} are free in {folder}; "
-        "free disk space or choose another folder"
+        f"{path}: needs {size_text(size)} of disk space for {purpose}, but only {size_text(free)} are free in"
+        f" {folder}; free disk space or choose another folder"
     )
 
 
 def existing_parent(folder: Path) -> Path:
-    """The folder, or the nearest folder above it that exists; the folder itself if none does, as on a drive that Windows does not have."""
+    """The folder, or the nearest folder above it that exists; the folder itself if none does, as on a drive
+    that Windows does not have."""
     folder = real(folder)
     return next((place for place in (folder, *folder.parents) if place.is_dir()), folder)

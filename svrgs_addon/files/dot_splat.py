@@ -1,7 +1,7 @@
 """The .splat format of antimatter15's viewer: 32 bytes for each Gaussian, without a header.
 
-float32 mean 3, scale 3 (not logarithms); 8 bits each of red, green, blue, opacity, and of the unit quaternion (w, x, y, z) from -1 to 1. Axes are
-those of 3DGS. It has the base colour alone.
+float32 mean 3, scale 3 (not logarithms); 8 bits each of red, green, blue, opacity, and of the unit quaternion
+(w, x, y, z) from -1 to 1. Axes are those of 3DGS. It has the base colour alone.
 """
 
 from __future__ import annotations
@@ -27,7 +27,10 @@ def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[
     with opened(path) as file:
         size = size_of(file)
         if size % ROW.itemsize:
-            raise FormatError(f"is no .splat, or incomplete: its {size:,} bytes are not a multiple of {ROW.itemsize}; copy or export it again")
+            raise FormatError(
+                f"is no .splat, or incomplete: its {size:,} bytes are not a multiple of {ROW.itemsize}; copy"
+                " or export it again"
+            )
         count = size // ROW.itemsize
         refuse_unpacking(count, 1, max_count)
         for start in range(0, max(count, 1), PART):

@@ -1,8 +1,10 @@
-"""glTF 2.0 in one binary file (.glb), with the extension KHR_gaussian_splatting as Khronos ratified it: all values as float32.
+"""glTF 2.0 in one binary file (.glb), with the extension KHR_gaussian_splatting as Khronos ratified it: all
+values as float32.
 
-A primitive of points has the attributes POSITION, ROTATION (x, y, z, w), SCALE (not logarithms), OPACITY (0 to 1) and SH_DEGREE_l_COEF_n. Axes are
-right, up, back. All such primitives of a scene are read, moved as their nodes say; what else is in the file is ignored. A primitive whose values are
-packed as an SPZ (a draft, glb_spz.py) is read too.
+A primitive of points has the attributes POSITION, ROTATION (x, y, z, w), SCALE (not logarithms), OPACITY (0
+to 1) and SH_DEGREE_l_COEF_n. Axes are right, up, back. All such primitives of a scene are read, moved as
+their nodes say; what else is in the file is ignored. A primitive whose values are packed as an SPZ (a draft,
+glb_spz.py) is read too.
 """
 
 from __future__ import annotations
@@ -29,7 +31,8 @@ from .splat_format import SplatFormat, joined
 from .spooled import rows
 
 EXTENSION = "KHR_gaussian_splatting"
-PACKED = (f"{EXTENSION}_compression_spz_2", f"{EXTENSION}_compression_spz")  # names of the draft; the first one is written
+# names of the draft; the first one is written
+PACKED = (f"{EXTENSION}_compression_spz_2", f"{EXTENSION}_compression_spz")
 COLORS = "srgb_rec709_display"  # display-referred, as in training
 BEYOND = 1e-7  # an opacity keeps so much from 0 and 1, where its logit would be infinite
 FLOAT, BYTE = 5126, 5121  # types of components
@@ -44,12 +47,18 @@ def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[
         placed = list(_placed(glb))
         if not placed:
             raise FormatError(f"holds no splat: no points with the extension {EXTENSION}")
-        unpacked = _unpacked(glb, {_view_of(primitive) for primitive, _ in placed} - {None}, min(max_count, MAX_COUNT))
+        unpacked = _unpacked(
+            glb, {_view_of(primitive) for primitive, _ in placed} - {None}, min(max_count, MAX_COUNT)
+        )
         sizes = [_count_and_degree(glb, primitive, unpacked) for primitive, _ in placed]
-        refuse_whole(sum(count for count, _ in sizes), SH_COEFFICIENTS[max(degree for _, degree in sizes)], max_count)
+        refuse_whole(
+            sum(count for count, _ in sizes), SH_COEFFICIENTS[max(degree for _, degree in sizes)], max_count
+        )
         try:
             with np.errstate(over="ignore", invalid="ignore"):  # values of a damaged file
-                scenes = [transformed(_scene(glb, primitive, unpacked), matrix) for primitive, matrix in placed]
+                scenes = [
+                    transformed(_scene(glb, primitive, unpacked), matrix) for primitive, matrix in placed
+                ]
         except SceneError as error:
             raise FormatError(f"has a node that cannot be placed: {error}") from None
     yield turned_over(merged(scenes) if len(scenes) > 1 else scenes[0])
@@ -78,7 +87,9 @@ def file_size(scene: Scene) -> int:
 def _head(scene: Scene) -> tuple[bytes, list[int]]:
     """What is before the arrays, and the length of each in bytes."""
     arrays = _arrays(rows(scene, 0, 0))
-    lengths = [scene.count * array.dtype.itemsize * int(np.prod(array.shape[1:])) for array in arrays.values()]
+    lengths = [
+        scene.count * array.dtype.itemsize * int(np.prod(array.shape[1:])) for array in arrays.values()
+    ]
     return glb_of(contents(scene), lengths), lengths
 
 
@@ -88,29 +99,54 @@ def _arrays(scene: Scene) -> dict[str, np.ndarray]:
     norms = np.maximum(np.linalg.norm(scene.quats, axis=1, keepdims=True), np.float32(1e-30))
     unit = scene.quats / norms
     opacities = (1 / (1 + np.exp(-scene.opacity_logits.clip(-80, 80)))).astype("<f4")
-    colors = np.clip(np.rint(255 * np.column_stack([colors_of_sh(scene.sh[:, 0]), opacities])), 0, 255).astype(np.uint8)
+    colors = np.clip(
+        np.rint(255 * np.column_stack([colors_of_sh(scene.sh[:, 0]), opacities])), 0, 255
+    ).astype(np.uint8)
     with np.errstate(over="ignore"):
         scales = np.exp(scene.log_scales)
-    arrays: dict[str, np.ndarray] = {"POSITION": scene.means, "COLOR_0": colors, f"{EXTENSION}:ROTATION": np.roll(unit, -1, axis=1)}
+    arrays: dict[str, np.ndarray] = {
+        "POSITION": scene.means,
+        "COLOR_0": colors,
+        f"{EXTENSION}:ROTATION": np.roll(unit, -1, axis=1),
+    }
     arrays |= {f"{EXTENSION}:SCALE": scales, f"{EXTENSION}:OPACITY": opacities}
     return arrays | {f"{EXTENSION}:{name}": scene.sh[:, k] for name, k in _coefficients(scene.sh_degree)}
 
 
 def contents(scene: Scene) -> dict[str, Any]:
-    """The JSON of one mesh with the Gaussians as points: all but buffers and their views, one for each accessor."""
-    ends = [scene.means.min(axis=0) * AXES, scene.means.max(axis=0) * AXES] if scene.count else [np.zeros(3), np.zeros(3)]
+    """The JSON of one mesh with the Gaussians as points: all but buffers and their views, one for each
+    accessor."""
+    ends = (
+        [scene.means.min(axis=0) * AXES, scene.means.max(axis=0) * AXES]
+        if scene.count
+        else [np.zeros(3), np.zeros(3)]
+    )
     bounds, arrays = [np.minimum(*ends).tolist(), np.maximum(*ends).tolist()], _arrays(rows(scene, 0, 0))
     accessors: list[dict[str, Any]] = []
     for number, (name, array) in enumerate(arrays.items()):
         kind = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}[array.shape[1] if array.ndim > 1 else 1]
         byte = array.dtype == np.uint8
-        accessors.append({"bufferView": number, "componentType": BYTE if byte else FLOAT, "count": scene.count, "type": kind})
-        accessors[-1] |= ({"normalized": True} if byte else {}) | (dict(zip(("min", "max"), bounds, strict=True)) if name == "POSITION" else {})
+        accessors.append(
+            {
+                "bufferView": number,
+                "componentType": BYTE if byte else FLOAT,
+                "count": scene.count,
+                "type": kind,
+            }
+        )
+        accessors[-1] |= ({"normalized": True} if byte else {}) | (
+            dict(zip(("min", "max"), bounds, strict=True)) if name == "POSITION" else {}
+        )
     primitive = {
         "attributes": {name: number for number, name in enumerate(arrays)}, "mode": 0,
         "extensions": {EXTENSION: {"kernel": "ellipse", "colorSpace": COLORS}},
     }  # fmt: skip
-    whole = {"asset": {"version": "2.0", "generator": "SVR-GS"}, "extensionsUsed": [EXTENSION], "scene": 0, "scenes": [{"nodes": [0]}]}
+    whole = {
+        "asset": {"version": "2.0", "generator": "SVR-GS"},
+        "extensionsUsed": [EXTENSION],
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+    }
     return whole | {"nodes": [{"mesh": 0}], "meshes": [{"primitives": [primitive]}], "accessors": accessors}
 
 
@@ -120,16 +156,22 @@ def _coefficients(degree: int) -> list[tuple[str, int]]:
 
 
 def _placed(glb: Glb) -> Iterator[tuple[dict, np.ndarray]]:
-    """(primitive, matrix to the world) of each splat in the scene. Raises FormatError (without the name of the file), as the functions below."""
+    """(primitive, matrix to the world) of each splat in the scene. Raises FormatError (without the name of
+    the file), as the functions below."""
     nodes, meshes = glb.items("nodes"), glb.items("meshes")
     scenes = glb.items("scenes")
-    roots = _list_of(glb.of(scenes, glb.contents.get("scene", 0)), "nodes") if scenes else list(range(len(nodes)))
+    roots = (
+        _list_of(glb.of(scenes, glb.contents.get("scene", 0)), "nodes") if scenes else list(range(len(nodes)))
+    )
     left, seen = [(number, np.eye(4)) for number in roots], set[int]()
     while left:
         number, above = left.pop()
         node = glb.of(nodes, number)
         if number in seen or len(seen) == MOST_NODES:
-            raise FormatError(f"has more than {MOST_NODES:,} nodes, or some below themselves or below two others; export it again")
+            raise FormatError(
+                f"has more than {MOST_NODES:,} nodes, or some below themselves or below two others; export it"
+                " again"
+            )
         seen.add(number)
         children = _list_of(node, "children")
         if "mesh" not in node and not children:
@@ -137,7 +179,11 @@ def _placed(glb: Glb) -> Iterator[tuple[dict, np.ndarray]]:
         matrix = above @ _matrix(node)
         left += [(child, matrix) for child in children]
         if "mesh" in node:
-            yield from ((one, matrix) for one in _list_of(glb.of(meshes, node["mesh"]), "primitives") if _is_splat(one))
+            yield from (
+                (one, matrix)
+                for one in _list_of(glb.of(meshes, node["mesh"]), "primitives")
+                if _is_splat(one)
+            )
 
 
 def _list_of(found: dict, name: str) -> list:
@@ -154,19 +200,28 @@ def _is_splat(primitive: Any) -> bool:
     if isinstance(inner, dict) and inner and not set(PACKED) & set(inner):
         names = ", ".join(sorted(re.sub(r"\W", "?", name)[:60] for name in inner))
         raise FormatError(f"holds a splat that is packed by {names}, which is not read; export it without")
-    if extensions[EXTENSION].get("kernel", "ellipse") != "ellipse" or extensions[EXTENSION].get("colorSpace", COLORS) != COLORS:
-        raise FormatError(f"holds a splat with another kernel than ellipse, or other colours than {COLORS}, which are not read")
+    if (
+        extensions[EXTENSION].get("kernel", "ellipse") != "ellipse"
+        or extensions[EXTENSION].get("colorSpace", COLORS) != COLORS
+    ):
+        raise FormatError(
+            f"holds a splat with another kernel than ellipse, or other colours than {COLORS}, which are not"
+            " read"
+        )
     return True
 
 
 def _matrix(node: dict) -> np.ndarray:
     """(4, 4): the transform of a node."""
-    numbers: Callable[[str, list], np.ndarray] = lambda name, default: np.array(node.get(name, default), np.float64)  # noqa: E731
+    numbers: Callable[[str, list], np.ndarray] = lambda name, default: np.array(
+        node.get(name, default), np.float64
+    )
     try:
         if "matrix" in node:
             return numbers("matrix", []).reshape(4, 4).T
         matrix, xyzw = np.eye(4), numbers("rotation", [0, 0, 0, 1]).reshape(4)
-        with np.errstate(invalid="ignore"):  # a rotation of zeros gives no numbers, and is refused where the splat is placed
+        # a rotation of zeros gives no numbers, and is refused where the splat is placed
+        with np.errstate(invalid="ignore"):
             matrix[:3, :3] = rotation_matrices(np.roll(xyzw, 1)[None])[0]
         matrix[:3, :3] *= numbers("scale", [1, 1, 1]).reshape(3)
         matrix[:3, 3] = numbers("translation", [0, 0, 0]).reshape(3)
@@ -191,7 +246,9 @@ def _unpacked(glb: Glb, numbers: set, max_count: int) -> dict[int, Scene]:
     """The splats that these buffer views hold, in the axes of a Scene."""
     packed = {number: glb.view(number) for number in sorted(numbers)}
     if len(packed) > MOST_PACKED or sum(map(len, packed.values())) > len(glb.data):
-        raise FormatError(f"has more than {MOST_PACKED} packed splats, or some that lie in the same bytes; export it again")
+        raise FormatError(
+            f"has more than {MOST_PACKED} packed splats, or some that lie in the same bytes; export it again"
+        )
     return {number: joined(list(spz.parts_of(data, max_count))) for number, data in packed.items()}
 
 
@@ -213,25 +270,38 @@ def _attributes(primitive: dict) -> dict:
 def _degree(primitive: dict) -> int:
     """The highest degree of SH of which all coefficients are there."""
     names = _attributes(primitive)
-    return max((d for d in range(4) if all(f"{EXTENSION}:{name}" in names for name, _ in _coefficients(d))), default=0)
+    return max(
+        (d for d in range(4) if all(f"{EXTENSION}:{name}" in names for name, _ in _coefficients(d))),
+        default=0,
+    )
 
 
 def _scene(glb: Glb, primitive: dict, unpacked: dict[int, Scene]) -> Scene:
     """The Gaussians of a primitive in its own coordinates."""
     number = _view_of(primitive)
-    if number is not None:  # first drafts, with no kernel, took the axes of an SPZ as they were; later ones turn them to those of glTF
+    # first drafts, with no kernel, took the axes of an SPZ as they were; later ones turn them to those of
+    # glTF
+    if number is not None:
         stored = turned_over(unpacked[number])
         return turned_around(stored) if "kernel" in primitive["extensions"][EXTENSION] else stored
     degree, attributes = _degree(primitive), _attributes(primitive)
     degree, attributes = _degree(primitive), _attributes(primitive)
     means = glb.values(attributes.get("POSITION"), 3)
     count = len(means)
-    read: Callable[[str, int], np.ndarray] = lambda name, width: glb.values(attributes.get(f"{EXTENSION}:{name}"), width, count)  # noqa: E731
+    read: Callable[[str, int], np.ndarray] = lambda name, width: glb.values(
+        attributes.get(f"{EXTENSION}:{name}"), width, count
+    )
     sh = np.zeros((count, SH_COEFFICIENTS[degree], 3), np.float32)
     for name, k in _coefficients(degree):
         sh[:, k] = read(name, 3)
     opacities = np.clip(read("OPACITY", 1)[:, 0].astype(np.float64), BEYOND, 1 - BEYOND)
-    return Scene.of(means, logs_of(read("SCALE", 3)), np.roll(read("ROTATION", 4), 1, axis=1), np.log(opacities / (1 - opacities)), sh)
+    return Scene.of(
+        means,
+        logs_of(read("SCALE", 3)),
+        np.roll(read("ROTATION", 4), 1, axis=1),
+        np.log(opacities / (1 - opacities)),
+        sh,
+    )
 
 
 FORMAT = SplatFormat(

@@ -1,4 +1,5 @@
-"""The container of a .glb: a header of 12 bytes, a chunk of JSON, a chunk of bytes; and arrays in these bytes, found by accessors."""
+"""The container of a .glb: a header of 12 bytes, a chunk of JSON, a chunk of bytes; and arrays in these
+bytes, found by accessors."""
 
 from __future__ import annotations
 
@@ -58,7 +59,12 @@ class Glb:
     @staticmethod
     def of(found: list, number: Any) -> dict:
         """The object of a list with this number."""
-        if not isinstance(number, int) or isinstance(number, bool) or not 0 <= number < len(found) or not isinstance(found[number], dict):
+        if (
+            not isinstance(number, int)
+            or isinstance(number, bool)
+            or not 0 <= number < len(found)
+            or not isinstance(found[number], dict)
+        ):
             raise FormatError(f"names an object that it does not have{BROKEN}")
         return found[number]
 
@@ -79,31 +85,55 @@ class Glb:
         return count
 
     def values(self, number: Any, width: int, count: int | None = None) -> np.ndarray:
-        """The elements of an accessor, (count, width) float32; whole numbers as the shares that they stand for if they are normalised."""
+        """The elements of an accessor, (count, width) float32; whole numbers as the shares that they stand
+        for if they are normalised."""
         accessor = self.of(self.items("accessors"), number)
         found, kind = self.count(number), KINDS.get(str(accessor.get("componentType")))
-        if kind is None or WIDTHS.get(str(accessor.get("type"))) != width or (count is not None and found != count) or "sparse" in accessor:
+        if (
+            kind is None
+            or WIDTHS.get(str(accessor.get("type"))) != width
+            or (count is not None and found != count)
+            or "sparse" in accessor
+        ):
             raise FormatError(f"has an attribute of another kind or length than its splat needs{BROKEN}")
         view = self.of(self.items("bufferViews"), accessor.get("bufferView"))
         element = width * np.dtype(kind).itemsize
-        stride, start = view.get("byteStride", element), [one.get("byteOffset", 0) for one in (view, accessor)]
+        stride, start = (
+            view.get("byteStride", element),
+            [one.get("byteOffset", 0) for one in (view, accessor)],
+        )
         whole = all(isinstance(one, int) and 0 <= one <= len(self.data) for one in (*start, stride))
-        if not whole or stride < element or sum(start) + stride * max(found - 1, 0) + element * bool(found) > len(self.data) or view.get("buffer", 0) != 0:
+        if (
+            not whole
+            or stride < element
+            or sum(start) + stride * max(found - 1, 0) + element * bool(found) > len(self.data)
+            or view.get("buffer", 0) != 0
+        ):
             raise FormatError(f"is incomplete: an attribute lies beyond its end{BROKEN}")
-        rows: np.ndarray = np.ndarray((found, width), kind, self.data, sum(start), (stride, np.dtype(kind).itemsize))
+        rows: np.ndarray = np.ndarray(
+            (found, width), kind, self.data, sum(start), (stride, np.dtype(kind).itemsize)
+        )
         if not accessor.get("normalized") or kind == "<f4":
             return rows.astype(np.float32)
         return np.maximum(rows.astype(np.float32) / np.iinfo(kind).max, -1)
 
 
 def glb_of(contents: dict[str, Any], lengths: list[int], arrays: bool = True) -> bytes:
-    """The file up to its bytes, to which zeros are added until their length is a multiple of 4. contents: JSON without buffers; lengths: of what follows,
-    a buffer view for each; of arrays, multiples of 4; or arrays=False."""
+    """The file up to its bytes, to which zeros are added until their length is a multiple of 4. contents:
+    JSON without buffers; lengths: of what follows, a buffer view for each; of arrays, multiples of 4; or
+    arrays=False."""
     starts = np.cumsum([0, *lengths])
     kind = {"target": ARRAY_BUFFER} if arrays else {}
-    views = [{"buffer": 0, "byteOffset": int(start), "byteLength": length} | kind for start, length in zip(starts, lengths, strict=False)]
-    text = json.dumps(contents | {"buffers": [{"byteLength": int(starts[-1])}], "bufferViews": views}, separators=(",", ":")).encode()
+    views = [
+        {"buffer": 0, "byteOffset": int(start), "byteLength": length} | kind
+        for start, length in zip(starts, lengths, strict=False)
+    ]
+    text = json.dumps(
+        contents | {"buffers": [{"byteLength": int(starts[-1])}], "bufferViews": views}, separators=(",", ":")
+    ).encode()
     text += b" " * (-len(text) % 4)
     padded = int(starts[-1]) + int(-starts[-1]) % 4
     total = HEAD.size + 2 * CHUNK.size + len(text) + padded
-    return b"".join([HEAD.pack(b"glTF", 2, total), CHUNK.pack(len(text), b"JSON"), text, CHUNK.pack(padded, b"BIN\0")])
+    return b"".join(
+        [HEAD.pack(b"glTF", 2, total), CHUNK.pack(len(text), b"JSON"), text, CHUNK.pack(padded, b"BIN\0")]
+    )

@@ -1,8 +1,9 @@
-"""glTF whose splat is packed as an SPZ: the extension KHR_gaussian_splatting_compression_spz_2, a draft of Khronos. Written as .spz.glb, only where that
-is asked for; read by glb.py.
+"""glTF whose splat is packed as an SPZ: the extension KHR_gaussian_splatting_compression_spz_2, a draft of
+Khronos. Written as .spz.glb, only where that is asked for; read by glb.py.
 
-The extension stands in KHR_gaussian_splatting and names the buffer view with the bytes of an SPZ of version 2. The accessors of the attributes have no
-values. The axes of the SPZ are right, up, back and those of glTF left, up, forward, so whoever unpacks it turns it around.
+The extension stands in KHR_gaussian_splatting and names the buffer view with the bytes of an SPZ of version
+2. The accessors of the attributes have no values. The axes of the SPZ are right, up, back and those of glTF
+left, up, forward, so whoever unpacks it turns it around.
 """
 
 from __future__ import annotations
@@ -20,12 +21,15 @@ VERSION = 2  # of the SPZ
 
 
 def write(path: str | os.PathLike, scene: Scene, quantise: float = 1.0):
-    """Writes the scene atomically, with its Gaussians in Morton order. quantise: factor on the steps of SH. Raises SceneError."""
+    """Writes the scene atomically, with its Gaussians in Morton order. quantise: factor on the steps of SH.
+    Raises SceneError."""
     data = spz.content(path, scene, VERSION, quantise, lambda part: turned_around(turned_over(part)))
     contents = glb.contents(scene)
     for accessor in contents["accessors"]:
         del accessor["bufferView"]
-    contents["meshes"][0]["primitives"][0]["extensions"][glb.EXTENSION]["extensions"] = {glb.PACKED[0]: {"bufferView": 0}}
+    contents["meshes"][0]["primitives"][0]["extensions"][glb.EXTENSION]["extensions"] = {
+        glb.PACKED[0]: {"bufferView": 0}
+    }
     contents["extensionsUsed"] = contents["extensionsRequired"] = [glb.EXTENSION, glb.PACKED[0]]
     head = glb_of(contents, [len(data)], arrays=False)
     check_space(path, len(head) + len(data))

@@ -1,7 +1,7 @@
 """The kinds of image files that are read, by their first bytes.
 
-OpenImageIO tries all its readers on a file that the first one refuses. One of them takes over a minute for a few gigabytes of zeros,
-so files of no known kind are refused before.
+OpenImageIO tries all its readers on a file that the first one refuses. One of them takes over a minute for a
+few gigabytes of zeros, so files of no known kind are refused before.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ from ..system.errors import FormatError
 
 HEAD_BYTES = 16
 MISNAMED_BYTES = 64 * 2**20  # largest file that is read although its suffix is that of another kind
-KINDS: dict[str, tuple[re.Pattern[bytes], tuple[str, ...]]] = {  # first bytes, and suffixes that OpenImageIO knows
+# first bytes, and suffixes that OpenImageIO knows
+KINDS: dict[str, tuple[re.Pattern[bytes], tuple[str, ...]]] = {
     "JPEG": (re.compile(rb"\xff\xd8\xff"), (".jpg", ".jpeg", ".jpe", ".jif", ".jfif", ".jfi")),
     "PNG": (re.compile(rb"\x89PNG"), (".png",)),
     "TIFF": (re.compile(rb"II[*+]\0|MM\0[*+]"), (".tif", ".tiff")),
@@ -26,7 +27,8 @@ KINDS: dict[str, tuple[re.Pattern[bytes], tuple[str, ...]]] = {  # first bytes, 
 
 
 def has_right_suffix(path: str | os.PathLike) -> bool:
-    """Whether the suffix of an image file is that of its kind. Raises FormatError if its first bytes are those of no known kind.
+    """Whether the suffix of an image file is that of its kind. Raises FormatError if its first bytes are
+    those of no known kind.
 
     Also if it cannot be read, or is larger than MISNAMED_BYTES and has a wrong suffix.
     """
@@ -40,9 +42,14 @@ def has_right_suffix(path: str | os.PathLike) -> bool:
         raise FormatError(f"{path}: cannot be read ({error.strerror or error})") from error
     kind = next((name for name, (pattern, _) in KINDS.items() if pattern.match(head)), "")
     if not kind:
-        raise FormatError(f"{path}: cannot be read as an image (it begins like no {', '.join(KINDS)} file); export it again")
+        raise FormatError(
+            f"{path}: cannot be read as an image (it begins like no {', '.join(KINDS)} file); export it again"
+        )
     suffixes = KINDS[kind][1]
     right = os.path.splitext(os.fspath(path))[1].lower() in suffixes
     if not right and size > MISNAMED_BYTES:
-        raise FormatError(f"{path}: cannot be read as an image (it begins like a {kind} file); give its name the suffix {suffixes[0]}")
+        raise FormatError(
+            f"{path}: cannot be read as an image (it begins like a {kind} file); give its name the suffix"
+            f" {suffixes[0]}"
+        )
     return right

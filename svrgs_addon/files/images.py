@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 MAX_SIDE = 16_384  # pixels
 LINEAR_FORMATS = ("openexr", "hdr")  # scene-linear formats; all others store display values
 PICTURE_SUFFIXES = (".png", ".exr")
-LOSSLESS = {"compression": "lossless:50", "webp:method": 3, "oiio:UnassociatedAlpha": 1}  # methods above 3 take six times as long for 0.3 % less
+# methods above 3 take six times as long for 0.3 % less
+LOSSLESS = {"compression": "lossless:50", "webp:method": 3, "oiio:UnassociatedAlpha": 1}
 PNG_BEGIN, PNG_END = b"\x89PNG", b"IEND\xaeB`\x82"
 
 # EXIF orientation: (transpose, then flip rows, flip columns) that makes the stored pixels upright
@@ -32,7 +33,8 @@ ORIENTATIONS = {
     5: (True, False, False), 6: (True, False, True), 7: (True, True, True), 8: (True, True, False),
 }  # fmt: skip
 
-_OPENING = threading.Lock()  # while the option "try_all_readers" of OpenImageIO, which all threads share, is changed
+# while the option "try_all_readers" of OpenImageIO, which all threads share, is changed
+_OPENING = threading.Lock()
 
 
 def image_size(path: str | os.PathLike, upright: bool = True) -> tuple[int, int]:
@@ -47,15 +49,19 @@ def image_size(path: str | os.PathLike, upright: bool = True) -> tuple[int, int]
 
 
 def read_image(path: str | os.PathLike, background: tuple[float, float, float] = (0, 0, 0)) -> np.ndarray:
-    """Reads an image upright as (H, W, 3) float32 in 0..1, display sRGB; `background` as in read_pixels. Raises FormatError."""
+    """Reads an image upright as (H, W, 3) float32 in 0..1, display sRGB; `background` as in read_pixels.
+    Raises FormatError."""
     return to_float(read_pixels(path, background))
 
 
-def read_pixels(path: str | os.PathLike, background: tuple[float, float, float] = (0, 0, 0), upright: bool = True) -> np.ndarray:
-    """Reads an image as (H, W, 3) display sRGB: uint8 if the file has 8 bits per channel, else float32 in 0..1.
+def read_pixels(
+    path: str | os.PathLike, background: tuple[float, float, float] = (0, 0, 0), upright: bool = True
+) -> np.ndarray:
+    """Reads an image as (H, W, 3) display sRGB: uint8 if the file has 8 bits per channel, else float32 in
+    0..1.
 
-    Grey is converted to RGB, scene-linear files to display sRGB. Transparent pixels are composited over `background` (display sRGB,
-    0..1). upright: applies the EXIF orientation. Raises FormatError.
+    Grey is converted to RGB, scene-linear files to display sRGB. Transparent pixels are composited over
+    `background` (display sRGB, 0..1). upright: applies the EXIF orientation. Raises FormatError.
     """
     source = _open(path)
     try:
@@ -68,12 +74,15 @@ def read_pixels(path: str | os.PathLike, background: tuple[float, float, float] 
 
 
 def read_texture(path: str | os.PathLike, most: int) -> np.ndarray:
-    """The four channels of an 8-bit image as stored, (H, W, 4) uint8; 255 for an alpha that it does not have. most: pixels. Raises FormatError."""
+    """The four channels of an 8-bit image as stored, (H, W, 4) uint8; 255 for an alpha that it does not have.
+    most: pixels. Raises FormatError."""
     source = _open(path)
     try:
         spec = source.spec()
         if spec.width * spec.height > most:
-            raise FormatError(f"{path}: has {spec.width} x {spec.height} pixels, more than its file needs; export it again")
+            raise FormatError(
+                f"{path}: has {spec.width} x {spec.height} pixels, more than its file needs; export it again"
+            )
         pixels = _read_channels(source, spec, path)
     finally:
         source.close()
@@ -96,8 +105,9 @@ def to_bytes(pixels: np.ndarray) -> np.ndarray:
 def write_image(path: str | os.PathLike, pixels: np.ndarray) -> None:
     """Writes an image atomically as .png (8 bits, clipped and rounded) or .exr (float32, not clipped).
 
-    pixels (H, W, 3) are colours in display sRGB, uint8 or float 0..1; an EXR stores them scene-linear, and read_image converts them
-    back. pixels (H, W) are data (mask, depth, alpha); an EXR stores them unchanged. Raises SceneError.
+    pixels (H, W, 3) are colours in display sRGB, uint8 or float 0..1; an EXR stores them scene-linear, and
+    read_image converts them back. pixels (H, W) are data (mask, depth, alpha); an EXR stores them unchanged.
+    Raises SceneError.
     """
     suffix = os.path.splitext(path)[1].lower()
     if suffix not in PICTURE_SUFFIXES:
@@ -112,9 +122,11 @@ def write_image(path: str | os.PathLike, pixels: np.ndarray) -> None:
 
 
 def write_texture(temporary: str | os.PathLike, path: str | os.PathLike, pixels: np.ndarray) -> None:
-    """Writes the channels of a texture, (H, W, 3 or 4) uint8, as lossless WebP; colours where alpha is 0 are lost. temporary: where to, with the
-    suffix .webp; path: the file of which errors speak. Raises SceneError."""
-    _write(temporary, path, pixels if (pixels[:, :, 3:] < 255).any() else pixels[:, :, :3], LOSSLESS)  # WebP leaves out an alpha of 255 itself
+    """Writes the channels of a texture, (H, W, 3 or 4) uint8, as lossless WebP; colours where alpha is 0 are
+    lost. temporary: where to, with the suffix .webp; path: the file of which errors speak. Raises
+    SceneError."""
+    # WebP leaves out an alpha of 255 itself
+    _write(temporary, path, pixels if (pixels[:, :, 3:] < 255).any() else pixels[:, :, :3], LOSSLESS)
 
 
 def srgb_to_linear(values: np.ndarray) -> np.ndarray:
@@ -148,26 +160,33 @@ def _open(path: str | os.PathLike) -> ImageInput:
     """Opens an image and checks the size in its header. Raises FormatError."""
     oiio = _library()
     config = oiio.ImageSpec()
-    config.attribute("oiio:UnassociatedAlpha", 1)  # colours as stored; 8-bit colours multiplied by alpha would lose precision
+    # colours as stored; 8-bit colours multiplied by alpha would lose precision
+    config.attribute("oiio:UnassociatedAlpha", 1)
     right_suffix = has_right_suffix(path)
     with _OPENING:
         oiio.attribute("try_all_readers", int(not right_suffix))  # not only the one of the suffix
         try:
             source = oiio.ImageInput.open(library_path(path), config)
         except TypeError:
-            raise FormatError(f"{path}: this version of OpenImageIO reads only paths in UTF-8; rename the file or its folder") from None
+            raise FormatError(
+                f"{path}: this version of OpenImageIO reads only paths in UTF-8; rename the file or its"
+                " folder"
+            ) from None
         finally:
             oiio.attribute("try_all_readers", 1)
     if source is None:
         raise FormatError(f"{path}: cannot be read as an image ({_error_of(oiio) or 'no reason given'})")
     spec = source.spec()
     if not (0 < spec.width <= MAX_SIDE and 0 < spec.height <= MAX_SIDE and spec.depth <= 1):
-        raise FormatError(f"{path}: has {spec.width} x {spec.height} pixels; the limit is {MAX_SIDE} per side")
+        raise FormatError(
+            f"{path}: has {spec.width} x {spec.height} pixels; the limit is {MAX_SIDE} per side"
+        )
     return source
 
 
 def _read_channels(source: ImageInput, spec: ImageSpec, path: str | os.PathLike) -> np.ndarray:
-    """Reads at most the first four channels, (H, W, C): uint8 if the file has 8 bits, else float32. Raises FormatError."""
+    """Reads at most the first four channels, (H, W, C): uint8 if the file has 8 bits, else float32. Raises
+    FormatError."""
     oiio = _library()
     kind = oiio.UINT8 if spec.format == oiio.TypeDesc("uint8") else oiio.FLOAT
     pixels = source.read_image(0, 0, 0, min(spec.nchannels, 4), kind)
@@ -181,7 +200,8 @@ def _read_channels(source: ImageInput, spec: ImageSpec, path: str | os.PathLike)
 
 
 def _composite(pixels: np.ndarray, source: ImageInput, background: tuple[float, float, float]) -> np.ndarray:
-    """Composites colours over the background in display sRGB, in which Gaussians are blended too. (H, W, 3), uint8 or float32."""
+    """Composites colours over the background in display sRGB, in which Gaussians are blended too. (H, W, 3),
+    uint8 or float32."""
     alpha_channel = source.spec().alpha_channel
     linear = source.format_name() in LINEAR_FORMATS
     colour = pixels[:, :, :3] if pixels.shape[2] >= 3 else pixels[:, :, :1].repeat(3, axis=2)
@@ -198,7 +218,8 @@ def _composite(pixels: np.ndarray, source: ImageInput, background: tuple[float, 
 
 
 def _is_associated(source: ImageInput) -> bool:
-    """Whether colours are multiplied by alpha. In WebP they are not, because _open() asks for that, but its reader does not report it."""
+    """Whether colours are multiplied by alpha. In WebP they are not, because _open() asks for that, but its
+    reader does not report it."""
     return source.format_name() != "webp" and not source.spec().get_int_attribute("oiio:UnassociatedAlpha", 0)
 
 
@@ -215,11 +236,17 @@ def _make_upright(image: np.ndarray, orientation: int) -> np.ndarray:
     return np.ascontiguousarray(image[:: -1 if flip_rows else 1, :: -1 if flip_columns else 1])
 
 
-def _write(temporary: str | os.PathLike, path: str | os.PathLike, pixels: np.ndarray, settings: dict[str, Any] | None = None) -> None:
+def _write(
+    temporary: str | os.PathLike,
+    path: str | os.PathLike,
+    pixels: np.ndarray,
+    settings: dict[str, Any] | None = None,
+) -> None:
     """Writes pixels to the temporary file and checks it. Raises SceneError, which names `path`."""
     oiio = _library()
     height, width, channels = (*pixels.shape, 1)[:3]
-    pixels = np.ascontiguousarray(pixels).reshape(height, width, channels)  # OpenImageIO takes the last of two axes for channels
+    # OpenImageIO takes the last of two axes for channels
+    pixels = np.ascontiguousarray(pixels).reshape(height, width, channels)
     spec = oiio.ImageSpec(width, height, channels, "uint8" if pixels.dtype == np.uint8 else "float")
     for setting, value in (settings or {}).items():
         spec.attribute(setting, value)
@@ -234,7 +261,8 @@ def _write(temporary: str | os.PathLike, path: str | os.PathLike, pixels: np.nda
 
 
 def _stored_correctly(path: str | os.PathLike, pixels: np.ndarray) -> bool:
-    """Whether the file has exactly these pixels and, for a PNG, its end marker. OpenImageIO does not report a full disk."""
+    """Whether the file has exactly these pixels and, for a PNG, its end marker. OpenImageIO does not report a
+    full disk."""
     with open(path, "rb") as file:
         if file.read(len(PNG_BEGIN)) == PNG_BEGIN and not file.read().endswith(PNG_END):
             return False
@@ -245,7 +273,11 @@ def _stored_correctly(path: str | os.PathLike, pixels: np.ndarray) -> bool:
     stored = source.read_image("uint8" if pixels.dtype == np.uint8 else "float") if source else None
     if stored is None:
         _error_of(source or oiio)  # a message that nobody asks for would be printed when the program ends
-    return stored is not None and stored.size == pixels.size and _visible(stored.reshape(pixels.shape)).tobytes() == _visible(pixels).tobytes()
+    return (
+        stored is not None
+        and stored.size == pixels.size
+        and _visible(stored.reshape(pixels.shape)).tobytes() == _visible(pixels).tobytes()
+    )
 
 
 def _visible(pixels: np.ndarray) -> np.ndarray:

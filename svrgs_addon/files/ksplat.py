@@ -1,8 +1,9 @@
 """The .ksplat format of GaussianSplats3D (mkkellogg), versions 0.1 and later, which is read only.
 
-A header of 4096 bytes, one of 1024 bytes for each section, then the sections: the lengths of buckets that are not full, the centres of the
-buckets, and the Gaussians. Compression 0 stores float32; 1 and 2 store means as 16 bits within their bucket, scales and quaternions (w, x, y, z) as
-float16, and SH as float16 or 8 bits. Axes are those of 3DGS.
+A header of 4096 bytes, one of 1024 bytes for each section, then the sections: the lengths of buckets that are
+not full, the centres of the buckets, and the Gaussians. Compression 0 stores float32; 1 and 2 store means as
+16 bits within their bucket, scales and quaternions (w, x, y, z) as float16, and SH as float16 or 8 bits. Axes
+are those of 3DGS.
 """
 
 from __future__ import annotations
@@ -59,7 +60,9 @@ def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[
         coefficients = max((section.coefficients for section in sections), default=1)
         refuse_unpacking(header.count, coefficients, max_count)
         if sum(section.count for section in sections) != header.count:
-            raise FormatError(f"says that it holds {header.count} Gaussians, but its sections hold others{BROKEN}")
+            raise FormatError(
+                f"says that it holds {header.count} Gaussians, but its sections hold others{BROKEN}"
+            )
         for section in sections or [_EMPTY]:
             for start in range(0, max(section.count, 1), PART):
                 yield _scene(file, header, section, start, min(PART, section.count - start), coefficients)
@@ -71,7 +74,10 @@ _EMPTY = _Section(0, 1, 0, np.empty(0, np.int64), 1, np.empty((0, 3), np.float32
 def _header(file: BinaryIO, max_count: int) -> _Header:
     """The header, checked. Raises FormatError (without the name of the file), as the functions below."""
     if size_of(file) < HEADER:
-        raise FormatError(f"is no .ksplat, or incomplete: {size_of(file):,} bytes are less than its header has; copy or export it again")
+        raise FormatError(
+            f"is no .ksplat, or incomplete: {size_of(file):,} bytes are less than its header has; copy or"
+            " export it again"
+        )
     head = rows_at(file, 0, np.dtype("u1"), HEADER)
     words, floats = head.view("<u4"), head.view("<f4")
     if head[0] != 0 or head[1] < 1 or head.view("<u2")[10] > 2:
@@ -101,14 +107,30 @@ def _sections(file: BinaryIO, header: _Header) -> Iterator[_Section]:
         if end > size:
             raise FormatError(f"is incomplete: {size:,} of at least {end:,} bytes; copy or export it again")
         if count:
-            lengths, centres = _buckets(file, at, (partial, storage, buckets), size) if header.level else (_EMPTY.lengths, _EMPTY.centres)
-            section = _Section(count, SH_COEFFICIENTS[degree], full, lengths, bucket_size, centres, float(head.view("<f4")[4]) / 2 / steps, steps, data_at)
+            lengths, centres = (
+                _buckets(file, at, (partial, storage, buckets), size)
+                if header.level
+                else (_EMPTY.lengths, _EMPTY.centres)
+            )
+            section = _Section(
+                count,
+                SH_COEFFICIENTS[degree],
+                full,
+                lengths,
+                bucket_size,
+                centres,
+                float(head.view("<f4")[4]) / 2 / steps,
+                steps,
+                data_at,
+            )
             _refuse_buckets(section, header.level)
             yield section
         at = end
 
 
-def _buckets(file: BinaryIO, at: int, sizes: tuple[int, int, int], size: int) -> tuple[np.ndarray, np.ndarray]:
+def _buckets(
+    file: BinaryIO, at: int, sizes: tuple[int, int, int], size: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Lengths of the buckets that are not full, and the centres of all."""
     partial, storage, buckets = sizes
     if buckets and storage != 12:
@@ -127,9 +149,13 @@ def _refuse_buckets(section: _Section, level: int):
 
 
 def _within(file: BinaryIO, at: int, dtype: np.dtype, count: int, size: int) -> np.ndarray:
-    """`count` values of the file from a place on. Raises FormatError before it allocates memory if the file of `size` bytes ends before."""
+    """`count` values of the file from a place on. Raises FormatError before it allocates memory if the file
+    of `size` bytes ends before."""
     if at + dtype.itemsize * count > size:
-        raise FormatError(f"is incomplete: {size:,} of at least {at + dtype.itemsize * count:,} bytes; copy or export it again")
+        raise FormatError(
+            f"is incomplete: {size:,} of at least {at + dtype.itemsize * count:,} bytes; copy or export it"
+            " again"
+        )
     return rows_at(file, at, dtype, count)
 
 
@@ -137,30 +163,56 @@ def _row(level: int, coefficients: int) -> np.dtype:
     """The layout of a Gaussian."""
     mean, value = ("<f4", "<f4") if level == 0 else ("<u2", "<f2")
     rest = ("<f4", "<f2", "u1")[level]
-    return np.dtype([("means", mean, 3), ("scales", value, 3), ("quats", value, 4), ("rgba", "u1", 4), ("rest", rest, 3 * (coefficients - 1))])
+    return np.dtype(
+        [
+            ("means", mean, 3),
+            ("scales", value, 3),
+            ("quats", value, 4),
+            ("rgba", "u1", 4),
+            ("rest", rest, 3 * (coefficients - 1)),
+        ]
+    )
 
 
-def _scene(file: BinaryIO, header: _Header, section: _Section, start: int, count: int, coefficients: int) -> Scene:
+def _scene(
+    file: BinaryIO, header: _Header, section: _Section, start: int, count: int, coefficients: int
+) -> Scene:
     """Some Gaussians of a section, with as many SH coefficients as the section with the most has."""
     dtype = _row(header.level, section.coefficients)
     rows = rows_at(file, section.at + dtype.itemsize * start, dtype, count)
     means = rows["means"].astype(np.float32)
     with np.errstate(over="ignore", invalid="ignore"):  # of a damaged file
         if header.level:
-            means = (means - section.steps) * np.float32(section.step) + section.centres[_bucket_of(section, np.arange(start, start + count))]
+            means = (means - section.steps) * np.float32(section.step) + section.centres[
+                _bucket_of(section, np.arange(start, start + count))
+            ]
     sh = np.zeros((count, coefficients, 3), np.float32)
     sh[:, 0] = sh_of_colors(rows["rgba"][:, :3].astype(np.float32) / 255)
     rest = rows["rest"].astype(np.float32)
-    rest = rest * np.float32((header.high - header.low) / 255) + np.float32(header.low) if header.level == 2 else rest
-    for degree in range(1, SH_COEFFICIENTS.index(section.coefficients) + 1):  # each band has red, green, blue in turn
+    rest = (
+        rest * np.float32((header.high - header.low) / 255) + np.float32(header.low)
+        if header.level == 2
+        else rest
+    )
+    # each band has red, green, blue in turn
+    for degree in range(1, SH_COEFFICIENTS.index(section.coefficients) + 1):
         first, last = SH_COEFFICIENTS[degree - 1], SH_COEFFICIENTS[degree]
-        sh[:, first:last] = rest[:, 3 * (first - 1) : 3 * (last - 1)].reshape(count, 3, last - first).transpose(0, 2, 1)
-    return Scene.of(means, logs_of(rows["scales"].astype(np.float32)), rows["quats"], logits_of(rows["rgba"][:, 3]), sh)
+        sh[:, first:last] = (
+            rest[:, 3 * (first - 1) : 3 * (last - 1)].reshape(count, 3, last - first).transpose(0, 2, 1)
+        )
+    return Scene.of(
+        means, logs_of(rows["scales"].astype(np.float32)), rows["quats"], logits_of(rows["rgba"][:, 3]), sh
+    )
 
 
 def _bucket_of(section: _Section, rows: np.ndarray) -> np.ndarray:
     """The bucket of each Gaussian of the section: full ones come first."""
-    ends = np.concatenate([np.arange(1, section.full + 1) * section.bucket_size, section.full * section.bucket_size + np.cumsum(section.lengths)])
+    ends = np.concatenate(
+        [
+            np.arange(1, section.full + 1) * section.bucket_size,
+            section.full * section.bucket_size + np.cumsum(section.lengths),
+        ]
+    )
     return np.searchsorted(ends, rows, side="right")
 
 

@@ -13,7 +13,8 @@ from .splat_format import joined
 
 
 def level_files(out: Path, shares: Iterable[float]) -> dict[float, Path]:
-    """The file of each level of detail by its share of the result: OUT_50.ply for 0.5. None if the output holds all levels."""
+    """The file of each level of detail by its share of the result: OUT_50.ply for 0.5. None if the output
+    holds all levels."""
     if holds_levels(out):
         return {}
     name, suffix = split_name(out)
@@ -33,11 +34,19 @@ class Written:
     scene: Scene
 
 
-def write_with_levels(out: Path, shares: Sequence[float], scenes: Sequence[Scene], quantise: float) -> list[Written]:
-    """Writes the result, scenes[0], and its levels of detail. quantise: as of write_scene(). Raises SceneError, FormatError."""
+def write_with_levels(
+    out: Path, shares: Sequence[float], scenes: Sequence[Scene], quantise: float
+) -> list[Written]:
+    """Writes the result, scenes[0], and its levels of detail. quantise: as of write_scene(). Raises
+    SceneError, FormatError."""
     if holds_levels(out):
         streamed_sog.write_levels(out, scenes, quantise)
-        return [Written(out, streamed_sog.level_bytes(out, level), joined(list(streamed_sog.read_level(out, level)))) for level in range(len(scenes))]
+        return [
+            Written(
+                out, streamed_sog.level_bytes(out, level), joined(list(streamed_sog.read_level(out, level)))
+            )
+            for level in range(len(scenes))
+        ]
     written = []
     for path, scene in zip([out, *level_files(out, shares).values()], scenes, strict=True):
         write_scene(path, scene, quantise=quantise)

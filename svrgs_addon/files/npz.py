@@ -13,7 +13,8 @@ from .atomic import atomic_write
 def write_arrays(path: str | os.PathLike, arrays: dict[str, np.ndarray]) -> None:
     """As np.savez, but atomic. Raises SceneError if the file cannot be written.
 
-    The archive is always closed here. After an error, np.savez leaves that to the garbage collector, which prints a stack trace.
+    The archive is always closed here. After an error, np.savez leaves that to the garbage collector, which
+    prints a stack trace.
     """
     with atomic_write(path) as file, zipfile.ZipFile(file, "w") as archive:
         for name, array in arrays.items():

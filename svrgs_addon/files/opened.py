@@ -55,8 +55,9 @@ def refuse_many(count: int, most: int = MAX_COUNT):
 
 
 def refuse_unpacking(count: int, coefficients: int, most: int = MAX_COUNT):
-    """As refuse_many(), and if memory is too short for so many Gaussians out of a compressed file: for their values, or, if more than MAX_COUNT may be
-    read, which is done in parts, for what these are made of. coefficients: SH coefficients per channel."""
+    """As refuse_many(), and if memory is too short for so many Gaussians out of a compressed file: for their
+    values, or, if more than MAX_COUNT may be read, which is done in parts, for what these are made of.
+    coefficients: SH coefficients per channel."""
     refuse_many(count, most)
     needed = memory.unpacking if most <= MAX_COUNT else memory.unpacking_in_parts
     if sentence := memory.shortage("", needed(count, coefficients)):
@@ -64,15 +65,19 @@ def refuse_unpacking(count: int, coefficients: int, most: int = MAX_COUNT):
 
 
 def refuse_whole(count: int, coefficients: int, most: int = MAX_COUNT):
-    """As refuse_unpacking(), for a file that cannot be read in parts: raises a FormatError that is not TooMany, so that nobody tries it by blocks."""
+    """As refuse_unpacking(), for a file that cannot be read in parts: raises a FormatError that is not
+    TooMany, so that nobody tries it by blocks."""
     try:
         refuse_unpacking(count, coefficients, min(most, MAX_COUNT))
     except TooMany as error:
-        raise FormatError(f"{error}; this kind of file cannot be read in parts: save it as PLY or SPZ") from None
+        raise FormatError(
+            f"{error}; this kind of file cannot be read in parts: save it as PLY or SPZ"
+        ) from None
 
 
 def rows_at(file: BinaryIO, offset: int, dtype: np.dtype, count: int) -> np.ndarray:
-    """`count` values of this type from a place of the file on. Raises FormatError (without the name of the file) if it ends before."""
+    """`count` values of this type from a place of the file on. Raises FormatError (without the name of the
+    file) if it ends before."""
     rows = np.empty(count, dtype)
     file.seek(offset)
     readable: Any = file  # typing.BinaryIO lacks readinto

@@ -1,4 +1,5 @@
-"""Tables and palettes of values: the few values that stand for many with the least weighted squared error (k-means)."""
+"""Tables and palettes of values: the few values that stand for many with the least weighted squared error
+(k-means)."""
 
 from __future__ import annotations
 
@@ -13,13 +14,20 @@ BLOCK = 1 << 16  # rows that are compared with all centres together
 
 
 def table(values: np.ndarray, weights: np.ndarray, size: int) -> np.ndarray:
-    """(size,) float32, increasing: the levels that stand for values (N,) of these weights (N,). Equal levels follow if there are fewer values."""
+    """(size,) float32, increasing: the levels that stand for values (N,) of these weights (N,). Equal levels
+    follow if there are fewer values."""
     different = np.unique(values[:: max(1, len(values) // BINS)]) if len(values) > BINS else np.unique(values)
     if len(different) <= size and np.isin(values, different).all():
-        return np.concatenate([different, np.repeat(different[-1:], size - len(different))]).astype(np.float32)
+        return np.concatenate([different, np.repeat(different[-1:], size - len(different))]).astype(
+            np.float32
+        )
     counts, edges = np.histogram(values, BINS, weights=weights)
-    masses, sums = np.cumsum(np.append(0, counts)), np.cumsum(np.append(0, counts * (edges[1:] + edges[:-1]) / 2))
-    spread = np.cumsum(np.append(0, np.cbrt(counts)))  # density of the best levels: cube root of that of the values
+    masses, sums = (
+        np.cumsum(np.append(0, counts)),
+        np.cumsum(np.append(0, counts * (edges[1:] + edges[:-1]) / 2)),
+    )
+    # density of the best levels: cube root of that of the values
+    spread = np.cumsum(np.append(0, np.cbrt(counts)))
     levels = np.interp((np.arange(size) + 0.5) / size * spread[-1], spread, edges)
     for _ in range(TABLE_STEPS):
         ends = np.searchsorted(edges, (levels[1:] + levels[:-1]) / 2)
@@ -30,35 +38,48 @@ def table(values: np.ndarray, weights: np.ndarray, size: int) -> np.ndarray:
 
 
 def nearest(values: np.ndarray, levels: np.ndarray) -> np.ndarray:
-    """Number of the nearest one of the levels (L,), which increase, of each value: uint8, the shape of values."""
+    """Number of the nearest one of the levels (L,), which increase, of each value: uint8, the shape of
+    values."""
     return np.searchsorted((levels[1:] + levels[:-1]) / 2, values).astype(np.uint8)
 
 
 def palette(rows: np.ndarray, weights: np.ndarray, size: int, most: int) -> tuple[np.ndarray, np.ndarray]:
-    """(entries, labels): at most `size` rows (E, D) that stand for rows (N, D) of these weights (N,), and the entry of each, (N,) int64. Rows that are
-    equal REPEATED times on average come out of a palette, which is kept if it has at most `most` entries.
+    """(entries, labels): at most `size` rows (E, D) that stand for rows (N, D) of these weights (N,), and the
+    entry of each, (N,) int64. Rows that are equal REPEATED times on average come out of a palette, which is
+    kept if it has at most `most` entries.
 
-    In two stages: rows are put into at most COARSE groups, and each group gets entries of its own, as many as its share of the error asks for.
+    In two stages: rows are put into at most COARSE groups, and each group gets entries of its own, as many as
+    its share of the error asks for.
     """
     if len(rows) <= size:
         return rows, np.arange(len(rows))
     _, first, same = np.unique(_hashes(rows), return_index=True, return_inverse=True)
-    if len(first) <= max(size, min(most, len(rows) // REPEATED)) and (rows[first][same] == rows).all():  # they come out of a palette
+    # they come out of a palette
+    if len(first) <= max(size, min(most, len(rows) // REPEATED)) and (rows[first][same] == rows).all():
         return rows[first], same
     chance = np.random.default_rng(0)
     coarse = min(COARSE, size)
     some = chance.choice(len(rows), min(len(rows), SAMPLE * COARSE), replace=False)
     centres = _means_of(rows[some], weights[some], _first(rows[some], weights[some], coarse, chance))
-    centres = centres[np.argsort(centres @ _main_axis(centres))]  # neighbours have similar numbers, which pack better
+    # neighbours have similar numbers, which pack better
+    centres = centres[np.argsort(centres @ _main_axis(centres))]
     group, errors = _assigned(rows, centres)
     order = np.argsort(group, kind="stable")
     members = np.split(order, np.searchsorted(group[order], np.arange(1, coarse)))
-    shares = _shares(np.array([float((weights[one] * errors[one]).sum()) for one in members]), np.array([len(one) for one in members]), size)
+    shares = _shares(
+        np.array([float((weights[one] * errors[one]).sum()) for one in members]),
+        np.array([len(one) for one in members]),
+        size,
+    )
     entries, labels, known = [], np.empty(len(rows), np.int64), 0
     for one, share in zip(members, shares, strict=True):
         if len(one) == 0:
             continue
-        found = _means_of(rows[one], weights[one], _first(rows[one], weights[one], share, chance)) if share < len(one) else rows[one]
+        found = (
+            _means_of(rows[one], weights[one], _first(rows[one], weights[one], share, chance))
+            if share < len(one)
+            else rows[one]
+        )
         labels[one] = known + _assigned(rows[one], found)[0]
         entries.append(found)
         known += len(found)
@@ -66,7 +87,8 @@ def palette(rows: np.ndarray, weights: np.ndarray, size: int, most: int) -> tupl
 
 
 def _shares(errors: np.ndarray, counts: np.ndarray, size: int) -> np.ndarray:
-    """Entries for each group, at least 1 for one with members and at most as many as it has, `size` together: by the root of error times members."""
+    """Entries for each group, at least 1 for one with members and at most as many as it has, `size` together:
+    by the root of error times members."""
     wanted = np.sqrt(errors * counts)
     shares = np.minimum(counts, 1)
     for _ in range(8):  # what is beyond the members of one group goes to the others
@@ -74,7 +96,9 @@ def _shares(errors: np.ndarray, counts: np.ndarray, size: int) -> np.ndarray:
         total = wanted[open_ones].sum()
         if left <= 0 or total <= 0:
             break
-        shares = shares + np.where(open_ones, np.minimum(np.floor(left * wanted / total).astype(np.int64), counts - shares), 0)
+        shares = shares + np.where(
+            open_ones, np.minimum(np.floor(left * wanted / total).astype(np.int64), counts - shares), 0
+        )
     return shares
 
 

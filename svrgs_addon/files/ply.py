@@ -1,7 +1,8 @@
 """The PLY format of 3DGS, as its reference implementation writes it.
 
-A binary-little-endian file that is read and written without changes keeps every byte: the Scene carries further vertex properties,
-their order and types, and the comments of the header. Values are raw, as stored; repair.py repairs them.
+A binary-little-endian file that is read and written without changes keeps every byte: the Scene carries
+further vertex properties, their order and types, and the comments of the header. Values are raw, as stored;
+repair.py repairs them.
 """
 
 from __future__ import annotations
@@ -34,24 +35,28 @@ log = logging.getLogger(__name__)
 def read_ply(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Scene:
     """Reads a 3DGS PLY of SH degree 0 to 3: binary in either byte order, or ASCII up to 64 MiB.
 
-    Values are as stored, non-finite ones included; coordinate frame and units are those of the file. Elements after the vertices
-    are ignored, with a warning in the log. max_count: largest number of Gaussians. Raises FormatError, which names the file.
+    Values are as stored, non-finite ones included; coordinate frame and units are those of the file. Elements
+    after the vertices are ignored, with a warning in the log. max_count: largest number of Gaussians. Raises
+    FormatError, which names the file.
     """
     with _opened(path, max_count) as body:
         return body.whole()
 
 
 def read_ply_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[Scene]:
-    """As read_ply, in parts of a few thousand Gaussians in file order, so that little memory is needed (ASCII: one part).
+    """As read_ply, in parts of a few thousand Gaussians in file order, so that little memory is needed
+    (ASCII: one part).
 
-    Each part overwrites the arrays of the previous one. There is at least one part; it is empty if the file has no Gaussian.
+    Each part overwrites the arrays of the previous one. There is at least one part; it is empty if the file
+    has no Gaussian.
     """
     with _opened(path, max_count) as body:
         yield from body.parts()
 
 
 def write_ply(path: str | os.PathLike, scene: Scene) -> None:
-    """Writes a binary-little-endian 3DGS PLY atomically. Columns are in scene.property_order, or in the order of 3DGS if it is empty.
+    """Writes a binary-little-endian 3DGS PLY atomically. Columns are in scene.property_order, or in the order
+    of 3DGS if it is empty.
 
     Raises SceneError if the file cannot be written, or if a PLY cannot store an attribute or comment.
     """
@@ -76,18 +81,22 @@ def file_size(scene: Scene) -> int:
 def _layout(scene: Scene, columns: dict[str, np.ndarray]) -> tuple[bytes, np.dtype]:
     """The header, and the dtype of one row (one Gaussian) of the body."""
     properties = [(name, column.dtype.str[1:]) for name, column in columns.items()]
-    return format_header(written_comments(scene), ("vertex", scene.count, properties)), np.dtype([(name, "<" + code) for name, code in properties])
+    return format_header(written_comments(scene), ("vertex", scene.count, properties)), np.dtype(
+        [(name, "<" + code) for name, code in properties]
+    )
 
 
 @contextlib.contextmanager
 def _opened(path: str | os.PathLike, max_count: int) -> Iterator[Body]:
-    """Yields the body of a file whose header was checked. Errors of the header and of the block become FormatErrors that name the file."""
+    """Yields the body of a file whose header was checked. Errors of the header and of the block become
+    FormatErrors that name the file."""
     with opened(path) as file:
         yield _checked_body(file, path, max_count)
 
 
 def _checked_body(file: BinaryIO, path: str | os.PathLike, max_count: int) -> Body:
-    """Checks header and size. The file is then at its first Gaussian. Raises FormatError (without the name of the file)."""
+    """Checks header and size. The file is then at its first Gaussian. Raises FormatError (without the name of
+    the file)."""
     header = parse_header(file.read(MAX_HEADER_BYTES))
     vertex = _vertex_element(header)
     coefficients = _check_properties(vertex)
@@ -109,14 +118,20 @@ def _vertex_element(header: Header) -> Element:
     if "chunk" in names or any(name.startswith("packed_") for name, _ in vertex.properties):
         raise FormatError("is a compressed PLY with a header that is not understood; export it again")
     if names[0] != "vertex":
-        raise FormatError(f"has the element {names[0]} before its vertices, which is not supported; export it with the vertices first")
+        raise FormatError(
+            f"has the element {names[0]} before its vertices, which is not supported; export it with the"
+            " vertices first"
+        )
     if vertex.list_property:
-        raise FormatError(f"has the list property {vertex.list_property} on its vertices, so it is not a 3DGS splat")
+        raise FormatError(
+            f"has the list property {vertex.list_property} on its vertices, so it is not a 3DGS splat"
+        )
     return vertex
 
 
 def _check_properties(vertex: Element) -> int:
-    """Checks names and types of the 3DGS properties. Returns K, the number of SH coefficients per channel. Raises FormatError."""
+    """Checks names and types of the 3DGS properties. Returns K, the number of SH coefficients per channel.
+    Raises FormatError."""
     types = dict(vertex.properties)
     rest = [name for name in types if name.startswith("f_rest_")]
     coefficients = 1 + len(rest) // 3
@@ -131,31 +146,48 @@ def _check_properties(vertex: Element) -> int:
 
 
 def _check_size(header: Header, vertex: Element, file_size: int) -> None:
-    """Compares the declared count with the size of the file in bytes, before memory is allocated. Raises FormatError."""
+    """Compares the declared count with the size of the file in bytes, before memory is allocated. Raises
+    FormatError."""
     available = file_size - header.size
     if header.encoding == "ascii":
         if available > MAX_ASCII_BYTES:
-            raise FormatError(f"is an ASCII PLY of more than {MAX_ASCII_BYTES // 2**20} MiB; convert it to binary first")
-        if available + 1 < 2 * vertex.count * len(vertex.properties):  # at least one digit and one separator per value
-            raise FormatError(f"is incomplete: {vertex.count:,} Gaussians do not fit into {memory.size_text(available)} of text; copy or export it again")
+            raise FormatError(
+                f"is an ASCII PLY of more than {MAX_ASCII_BYTES // 2**20} MiB; convert it to binary first"
+            )
+        # at least one digit and one separator per value
+        if available + 1 < 2 * vertex.count * len(vertex.properties):
+            raise FormatError(
+                f"is incomplete: {vertex.count:,} Gaussians do not fit into {memory.size_text(available)} of"
+                " text; copy or export it again"
+            )
         return
     needed = vertex.count * sum(int(code[1]) for _, code in vertex.properties)
     if available < needed:
-        raise FormatError(f"is incomplete: {memory.part_text(file_size, header.size + needed)}; copy or export it again")
+        raise FormatError(
+            f"is incomplete: {memory.part_text(file_size, header.size + needed)}; copy or export it again"
+        )
     if available > needed and len(header.elements) == 1:
-        raise FormatError(f"has {available - needed} bytes more than its header declares; copy or export the file again")
+        raise FormatError(
+            f"has {available - needed} bytes more than its header declares; copy or export the file again"
+        )
 
 
 def _file_columns(scene: Scene) -> dict[str, np.ndarray]:
-    """All columns to write as {property name: (N,) array} in file order. Raises SceneError for an attribute that a PLY cannot store."""
+    """All columns to write as {property name: (N,) array} in file order. Raises SceneError for an attribute
+    that a PLY cannot store."""
     columns = named_columns(vars(scene))
     for name, column in scene.attributes.items():
         if name in columns or not re.fullmatch("[!-~]+", name) or column.dtype.str[1:] not in TYPE_NAMES:
-            raise SceneError(f"attribute {name!r} of type {column.dtype} cannot be stored in a PLY; remove or rename it first")
+            raise SceneError(
+                f"attribute {name!r} of type {column.dtype} cannot be stored in a PLY; remove or rename it"
+                " first"
+            )
     columns |= scene.attributes
     order = scene.property_order
     if not order:
-        columns |= {name: np.broadcast_to(np.float32(0), scene.count) for name in NORMALS if name not in columns}
+        columns |= {
+            name: np.broadcast_to(np.float32(0), scene.count) for name in NORMALS if name not in columns
+        }
         order = ("x", "y", "z", *NORMALS)
     kept = {name: columns[name] for name in order if name in columns}
     return kept | columns

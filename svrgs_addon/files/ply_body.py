@@ -1,4 +1,5 @@
-"""The body of a 3DGS PLY: the array of each property, and the conversion of rows to arrays in blocks that fit into the cache."""
+"""The body of a 3DGS PLY: the array of each property, and the conversion of rows to arrays in blocks that fit
+into the cache."""
 
 from __future__ import annotations
 
@@ -20,13 +21,15 @@ BLOCK_ROWS = 4096  # rows per block, about 1 MB; it stays in the cache
 
 
 def empty_arrays(count: int, coefficients: int) -> dict[str, np.ndarray]:
-    """Uninitialised arrays of a Scene, by name, for `count` Gaussians with `coefficients` (K) SH coefficients per channel."""
+    """Uninitialised arrays of a Scene, by name, for `count` Gaussians with `coefficients` (K) SH coefficients
+    per channel."""
     shapes = {"means": (3,), "log_scales": (3,), "quats": (4,), "opacity_logits": (), "sh": (coefficients, 3)}
     return {name: np.empty((count, *shape), np.float32) for name, shape in shapes.items()}
 
 
 def named_columns(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """The columns {property name: (N,) view of the arrays of a Scene} in the order of 3DGS. In the file, f_rest is channel-major."""
+    """The columns {property name: (N,) view of the arrays of a Scene} in the order of 3DGS. In the file,
+    f_rest is channel-major."""
     sh = arrays["sh"]
     rest = sh.shape[1] - 1
     columns = {name: arrays["means"][:, i] for i, name in enumerate("xyz")}
@@ -38,7 +41,8 @@ def named_columns(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def blocks(count: int, dtype: np.dtype) -> Iterator[tuple[np.ndarray, slice]]:
-    """Yields (buffer, slice) for each block of rows: a structured or plain buffer that is reused, and its part of the columns."""
+    """Yields (buffer, slice) for each block of rows: a structured or plain buffer that is reused, and its
+    part of the columns."""
     buffer = np.empty(min(count, BLOCK_ROWS), dtype)
     for start in range(0, count, BLOCK_ROWS):
         part = slice(start, min(start + BLOCK_ROWS, count))
@@ -62,7 +66,8 @@ class Body:
     def whole(self) -> Scene:
         """Reads all Gaussians. Raises FormatError (without the name of the file)."""
         scene = self._empty_scene(self.count)
-        with np.errstate(over="ignore", invalid="ignore"):  # doubles beyond the range of float32 become infinite
+        # doubles beyond the range of float32 become infinite
+        with np.errstate(over="ignore", invalid="ignore"):
             if self.header.encoding == "ascii":
                 self._convert_text(scene)
                 return scene
@@ -71,7 +76,8 @@ class Body:
         return scene
 
     def parts(self) -> Iterator[Scene]:
-        """Yields all Gaussians in parts of BLOCK_ROWS (ASCII: in one part). Each part overwrites the arrays of the previous one.
+        """Yields all Gaussians in parts of BLOCK_ROWS (ASCII: in one part). Each part overwrites the arrays
+        of the previous one.
 
         There is at least one part. Raises FormatError (without the name of the file).
         """
@@ -87,7 +93,8 @@ class Body:
             yield scene
 
     def _empty_scene(self, count: int) -> Scene:
-        """A scene of `count` Gaussians with uninitialised arrays, and with the comments and property order of the file."""
+        """A scene of `count` Gaussians with uninitialised arrays, and with the comments and property order of
+        the file."""
         attributes = {name: np.empty(count, code) for name, code in self._extra_properties}
         return Scene(
             **empty_arrays(count, self.coefficients), antialiased=self.antialiased, attributes=attributes,
@@ -117,14 +124,16 @@ class Body:
 
     @cached_property
     def _row_positions(self) -> dict[str, np.ndarray]:
-        """For each array of a Scene: the positions of its values in a row of the file, in the order of memory."""
+        """For each array of a Scene: the positions of its values in a row of the file, in the order of
+        memory."""
         places = empty_arrays(1, self.coefficients)
         for name, column in named_columns(places).items():
             column[0] = self._column_index[name]
         return {name: array.ravel().astype(np.intp) for name, array in places.items()}
 
     def _blocks(self) -> Iterator[tuple[np.ndarray, slice]]:
-        """Yields (rows, slice) of a binary file; rows are (n, properties) float32 if all properties are, else structured."""
+        """Yields (rows, slice) of a binary file; rows are (n, properties) float32 if all properties are, else
+        structured."""
         floats = np.dtype((np.float32, len(self._types)))
         dtype = floats if self._all_float32 else np.dtype(list(self._types.items()))
         file: Any = self.file  # typing.BinaryIO lacks readinto
@@ -139,7 +148,8 @@ class Body:
             for name, column in _columns(scene).items():
                 column[part] = rows[name]
             return
-        for name, places in self._row_positions.items():  # one gather per array: twice as fast as one copy per column
+        # one gather per array: twice as fast as one copy per column
+        for name, places in self._row_positions.items():
             np.take(rows, places, axis=1, out=getattr(scene, name)[part].reshape(len(rows), -1), mode="clip")
         for name, column in scene.attributes.items():
             column[part] = rows[:, self._column_index[name]]
@@ -148,9 +158,13 @@ class Body:
         """Reads the numbers of an ASCII file into the scene. Raises FormatError."""
         columns, wanted = _columns(scene), self.count * len(self._types)
         left = os.fstat(self.file.fileno()).st_size - self.file.tell()
-        values = parse_numbers(self.file.read(min(left, MAX_ASCII_BYTES)))[:wanted]  # read(n) allocates n bytes even if the file is shorter
+        # read(n) allocates n bytes even if the file is shorter
+        values = parse_numbers(self.file.read(min(left, MAX_ASCII_BYTES)))[:wanted]
         if len(values) != wanted:
-            raise FormatError(f"does not hold {self.count} lines of {len(columns)} numbers after its header; copy or export the file again")
+            raise FormatError(
+                f"does not hold {self.count} lines of {len(columns)} numbers after its header; copy or export"
+                " the file again"
+            )
         for name, column in zip(self._types, values.reshape(-1, len(columns)).T, strict=True):
             columns[name][:] = column
             if columns[name].dtype.kind in "iu" and not np.array_equal(columns[name], column):
@@ -163,10 +177,13 @@ def _columns(scene: Scene) -> dict[str, np.ndarray]:
 
 
 def parse_numbers(text: bytes) -> np.ndarray:
-    """Numbers separated by white space, float64. Raises FormatError at other text, for which NumPy gives a warning or an error."""
+    """Numbers separated by white space, float64. Raises FormatError at other text, for which NumPy gives a
+    warning or an error."""
     with warnings.catch_warnings():
         warnings.simplefilter("error", DeprecationWarning)
         try:
             return np.fromstring(text, dtype=np.float64, sep=" ")
         except (ValueError, DeprecationWarning):
-            raise FormatError("has text that is not a number after its header; export the file again") from None
+            raise FormatError(
+                "has text that is not a number after its header; export the file again"
+            ) from None

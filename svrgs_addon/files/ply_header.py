@@ -17,7 +17,8 @@ TYPES = {
     "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2",
     "int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8",
 }  # fmt: skip
-TYPE_NAMES = {code: name for name, code in reversed(TYPES.items())}  # {NumPy code: the short name, which 3DGS writes}
+# {NumPy code: the short name, which 3DGS writes}
+TYPE_NAMES = {code: name for name, code in reversed(TYPES.items())}
 
 
 @dataclass
@@ -27,7 +28,8 @@ class Element:
     name: str
     count: int
     properties: list[tuple[str, str]] = field(default_factory=list)
-    list_property: str = ""  # name of the first list property, or ""; with one, the rows of the element differ in size
+    # name of the first list property, or ""; with one, the rows of the element differ in size
+    list_property: str = ""
 
 
 @dataclass(frozen=True)
@@ -41,7 +43,8 @@ class Header:
 
 
 def parse_header(data: bytes) -> Header:
-    """Parses a header from the first MAX_HEADER_BYTES bytes of a file. Raises FormatError (without the name of the file)."""
+    """Parses a header from the first MAX_HEADER_BYTES bytes of a file. Raises FormatError (without the name
+    of the file)."""
     lines, size = _split_lines(data)
     encodings: list[str] = []
     elements: list[Element] = []
@@ -51,7 +54,10 @@ def parse_header(data: bytes) -> Header:
         if keyword == "comment":
             comments.append(rest)
         elif keyword != "obj_info" and not line.isascii():
-            raise FormatError(f"has a header line with other letters than those of ASCII: {line[:60]!r}; export the file again")
+            raise FormatError(
+                f"has a header line with other letters than those of ASCII: {line[:60]!r}; export the file"
+                " again"
+            )
         elif keyword == "format":
             encodings.append(_parse_encoding(rest))
         elif keyword == "element":
@@ -59,23 +65,30 @@ def parse_header(data: bytes) -> Header:
         elif keyword == "property":
             _add_property(rest.split(), elements)
         elif keyword != "obj_info":
-            raise FormatError(f"has a header line that is not understood: {line[:60]!r}; export the file again")
+            raise FormatError(
+                f"has a header line that is not understood: {line[:60]!r}; export the file again"
+            )
     if len(encodings) != 1:
         raise FormatError("needs exactly one format line in its header; export the file again")
     return Header(encodings[0], tuple(elements), tuple(comments), size)
 
 
 def format_header(comments: list[str], *elements: tuple[str, int, list[tuple[str, str]]]) -> bytes:
-    """A binary-little-endian header. elements: name, number of rows, and (name, NumPy type code) of each property."""
+    """A binary-little-endian header. elements: name, number of rows, and (name, NumPy type code) of each
+    property."""
     lines = ["ply", "format binary_little_endian 1.0"]
     lines += [f"comment {text}" for text in comments]
     for element, count, properties in elements:
-        lines += [f"element {element} {count}", *(f"property {TYPE_NAMES[code]} {name}" for name, code in properties)]
+        lines += [
+            f"element {element} {count}",
+            *(f"property {TYPE_NAMES[code]} {name}" for name, code in properties),
+        ]
     return "\n".join([*lines, "end_header", ""]).encode(errors="surrogateescape")
 
 
 def is_comment(text: str) -> bool:
-    """Whether the text can be stored as a comment: one line, of any bytes of a header that was read or of UTF-8."""
+    """Whether the text can be stored as a comment: one line, of any bytes of a header that was read or of
+    UTF-8."""
     try:
         return b"\n" not in text.encode(errors="surrogateescape")
     except UnicodeEncodeError:
@@ -88,7 +101,10 @@ def _split_lines(data: bytes) -> tuple[list[str], int]:
         raise FormatError("is not a PLY file; give a 3DGS .ply")
     end = re.search(rb"\nend_header[ \t]*\r?\n", data[:MAX_HEADER_BYTES])
     if end is None:
-        raise FormatError(f"is incomplete or not a PLY file: its header does not end within {MAX_HEADER_BYTES // 1024} KiB; copy or export it again")
+        raise FormatError(
+            f"is incomplete or not a PLY file: its header does not end within {MAX_HEADER_BYTES // 1024} KiB;"
+            " copy or export it again"
+        )
     # Comments may hold any bytes, which are written back as they were read.
     lines = [line.rstrip("\r") for line in data[: end.start()].decode(errors="surrogateescape").split("\n")]
     if len(lines) > MAX_HEADER_LINES:

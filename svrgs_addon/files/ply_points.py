@@ -17,7 +17,8 @@ GREY = 128  # of points without colours
 
 
 def read_points(path: str | os.PathLike) -> tuple[np.ndarray, np.ndarray]:
-    """Positions (P, 3) float32 and colours (P, 3) uint8 RGB of a PLY point cloud, binary or ASCII up to 64 MiB.
+    """Positions (P, 3) float32 and colours (P, 3) uint8 RGB of a PLY point cloud, binary or ASCII up to 64
+    MiB.
 
     Colours are whole numbers 0..255 or floats 0..1 in the file. Raises FormatError, which names the file.
     """
@@ -32,14 +33,25 @@ def read_points(path: str | os.PathLike) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _columns(file: BinaryIO) -> dict[str, np.ndarray]:
-    """The columns (P,) of the vertices by name, in the types of the file. Raises FormatError (without the name of the file)."""
+    """The columns (P,) of the vertices by name, in the types of the file. Raises FormatError (without the
+    name of the file)."""
     header = parse_header(file.read(MAX_HEADER_BYTES))
     vertices = header.elements[0] if header.elements else None
-    if vertices is None or vertices.name != "vertex" or vertices.list_property or not set(PLACE) <= {name for name, _ in vertices.properties}:
-        raise FormatError("is no point cloud: its first element must be vertex, with x, y and z and without lists")
+    if (
+        vertices is None
+        or vertices.name != "vertex"
+        or vertices.list_property
+        or not set(PLACE) <= {name for name, _ in vertices.properties}
+    ):
+        raise FormatError(
+            "is no point cloud: its first element must be vertex, with x, y and z and without lists"
+        )
     if vertices.count > MAX_POINTS:
         raise FormatError(f"announces {vertices.count:,} points; the limit is {MAX_POINTS:,}")
-    names, row = [name for name, _ in vertices.properties], np.dtype([(name, ENCODINGS[header.encoding] + code) for name, code in vertices.properties])
+    names, row = (
+        [name for name, _ in vertices.properties],
+        np.dtype([(name, ENCODINGS[header.encoding] + code) for name, code in vertices.properties]),
+    )
     left = os.fstat(file.fileno()).st_size - file.seek(header.size)
     if header.encoding == "ascii":
         values = parse_numbers(file.read(min(left, MAX_ASCII_BYTES)))[: vertices.count * len(names)]
@@ -48,7 +60,10 @@ def _columns(file: BinaryIO) -> dict[str, np.ndarray]:
     elif vertices.count * row.itemsize <= left:
         rows = np.frombuffer(file.read(vertices.count * row.itemsize), row)
         return {name: rows[name] for name in names}
-    raise FormatError(f"is incomplete: it holds fewer than the {vertices.count:,} points that its header announces; copy or export it again")
+    raise FormatError(
+        f"is incomplete: it holds fewer than the {vertices.count:,} points that its header announces; copy or"
+        " export it again"
+    )
 
 
 def _positions(columns: dict[str, np.ndarray]) -> np.ndarray:

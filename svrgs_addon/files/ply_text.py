@@ -10,12 +10,14 @@ from ..system.errors import SceneError
 from .ply_header import is_comment
 
 MIP_COMMENT = "SplatRenderMode: mip"
-MIP_PATTERN = re.compile(r"\s*(SplatRenderMode:\s*mip|antialiased\s+1)\s*", re.IGNORECASE)  # written by Brush; by Postshot
+# written by Brush; by Postshot
+MIP_PATTERN = re.compile(r"\s*(SplatRenderMode:\s*mip|antialiased\s+1)\s*", re.IGNORECASE)
 MODE_PATTERN = re.compile(r"\s*(SplatRenderMode:|antialiased\s).*", re.IGNORECASE)
 
 
 def written_comments(scene: Scene) -> list[str]:
-    """The comments to write: those that were read, with the antialiasing comment corrected if the flag has changed.
+    """The comments to write: those that were read, with the antialiasing comment corrected if the flag has
+    changed.
 
     Raises SceneError for a comment that a PLY cannot store.
     """
@@ -24,7 +26,9 @@ def written_comments(scene: Scene) -> list[str]:
         comments = [text for text in comments if not MODE_PATTERN.fullmatch(text)]
         comments += [MIP_COMMENT] * scene.antialiased
     if not all(is_comment(text) for text in comments):
-        raise SceneError("a comment of the scene is not one line of text, so it cannot be stored in a PLY; remove it first")
+        raise SceneError(
+            "a comment of the scene is not one line of text, so it cannot be stored in a PLY; remove it first"
+        )
     return comments
 
 

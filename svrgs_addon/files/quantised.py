@@ -14,7 +14,8 @@ SPARED = 0.25  # steps that an opacity of 8 bits keeps from 0 and 1, where its l
 
 
 def logits_of(alphas: np.ndarray) -> np.ndarray:
-    """Opacity logits, float32, of opacities in 8 bits. 0 and 255 count as a quarter of a step inside: 0 stays invisible."""
+    """Opacity logits, float32, of opacities in 8 bits. 0 and 255 count as a quarter of a step inside: 0 stays
+    invisible."""
     share = np.clip(np.arange(256), SPARED, 255 - SPARED) / 255
     return np.log(share / (1 - share)).astype(np.float32)[alphas]
 
@@ -25,7 +26,8 @@ def alphas_of(logits: np.ndarray) -> np.ndarray:
 
 
 def logs_of(scales: np.ndarray) -> np.ndarray:
-    """Logarithms of scales, finite also for one of 0. Those of a damaged file may be negative or no numbers."""
+    """Logarithms of scales, finite also for one of 0. Those of a damaged file may be negative or no
+    numbers."""
     with np.errstate(invalid="ignore"):
         return np.log(np.maximum(scales, LEAST_SCALE))
 
@@ -42,7 +44,8 @@ def colors_of_sh(sh: np.ndarray) -> np.ndarray:
 
 
 def quats_of_three(three: np.ndarray, largest: np.ndarray) -> np.ndarray:
-    """Unit quaternions (N, 4), float32. three: (N, 3) the components other than the largest one, in order; largest: (N,) its position, 0 to 3."""
+    """Unit quaternions (N, 4), float32. three: (N, 3) the components other than the largest one, in order;
+    largest: (N,) its position, 0 to 3."""
     quats = np.empty((len(three), 4), np.float32)
     rows = np.arange(len(three))
     places = np.arange(3)[None] + (np.arange(3)[None] >= largest[:, None])
@@ -52,7 +55,8 @@ def quats_of_three(three: np.ndarray, largest: np.ndarray) -> np.ndarray:
 
 
 def three_of_quats(quats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(three, largest) as quats_of_three() takes them, of quaternions (N, 4) of any length, with the sign that makes the largest one positive."""
+    """(three, largest) as quats_of_three() takes them, of quaternions (N, 4) of any length, with the sign
+    that makes the largest one positive."""
     norms = np.sqrt(np.einsum("nk,nk->n", quats, quats))
     usable = norms > 0
     unit = (quats / np.where(usable, norms, 1)[:, None]).astype(np.float32, copy=False)
@@ -66,8 +70,9 @@ def three_of_quats(quats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def picture_weights(scene: Scene) -> np.ndarray:
-    """How much a squared error in the values of each Gaussian counts in pictures, (N,) float32 of mean 1: its squared opacity times the product of its
-    two largest scales, which is in proportion to the sum of alpha^2 over its pixels; at least LEAST_WEIGHT. What hides it is not known here."""
+    """How much a squared error in the values of each Gaussian counts in pictures, (N,) float32 of mean 1: its
+    squared opacity times the product of its two largest scales, which is in proportion to the sum of alpha^2
+    over its pixels; at least LEAST_WEIGHT. What hides it is not known here."""
     if not scene.count:
         return np.ones(0, np.float32)
     weights = in_blocks(_alpha_areas, scene)
@@ -78,7 +83,9 @@ def picture_weights(scene: Scene) -> np.ndarray:
 def _alpha_areas(scene: Scene) -> np.ndarray:
     """Squared opacity times the product of the two largest scales, (N,) float64."""
     logs = np.sort(np.clip(np.nan_to_num(scene.log_scales.astype(np.float64)), -80, 80), axis=1)
-    return np.exp(logs[:, 1] + logs[:, 2]) / np.square(1 + np.exp(-np.clip(scene.opacity_logits.astype(np.float64), -40, 40)))
+    return np.exp(logs[:, 1] + logs[:, 2]) / np.square(
+        1 + np.exp(-np.clip(scene.opacity_logits.astype(np.float64), -40, 40))
+    )
 
 
 def widest_logs(scene: Scene) -> np.ndarray:
@@ -88,7 +95,8 @@ def widest_logs(scene: Scene) -> np.ndarray:
 
 
 def small_scale(scene: Scene) -> float:
-    """The scale of small Gaussians: of each the largest of its three, of which 5 % are smaller. 1 if there are none."""
+    """The scale of small Gaussians: of each the largest of its three, of which 5 % are smaller. 1 if there
+    are none."""
     logs = widest_logs(scene)
     logs = logs[np.isfinite(logs)]
     return float(np.exp(np.clip(np.quantile(logs, 0.05), -80, 80))) if len(logs) else 1.0

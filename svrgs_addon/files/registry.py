@@ -1,7 +1,7 @@
 """The registry of splat formats, and reading and writing of splat files in any of them.
 
-Menus, drag and drop, batches and `svrgs info` use this registry. A new format is one module with a SplatFormat, and its place in
-FORMATS.
+Menus, drag and drop, batches and `svrgs info` use this registry. A new format is one module with a
+SplatFormat, and its place in FORMATS.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ SNIFFED_BYTES = 65_536  # bytes at the start of a file that decide between forma
 
 @dataclass(frozen=True)
 class Loaded:
-    """A repaired scene, which can be rendered, and the numbers of Gaussians that were dropped and clamped (repair.py)."""
+    """A repaired scene, which can be rendered, and the numbers of Gaussians that were dropped and clamped
+    (repair.py)."""
 
     scene: Scene
     dropped: int
@@ -43,14 +44,22 @@ class Loaded:
 
 def suffixes(written: bool = False) -> tuple[str, ...]:
     """Suffixes with the dot, of all formats or only of those that can be written."""
-    found = [suffix for splat_format in FORMATS if splat_format.write or not written for suffix in splat_format.suffixes]
+    found = [
+        suffix
+        for splat_format in FORMATS
+        if splat_format.write or not written
+        for suffix in splat_format.suffixes
+    ]
     return tuple(dict.fromkeys(found))
 
 
 def menu_label(written: bool = False) -> str:
-    """'3D Gaussian Splat (.ply/.spz/...)' for menus, without suffixes that end as another one does. written: only formats that can be written."""
+    """'3D Gaussian Splat (.ply/.spz/...)' for menus, without suffixes that end as another one does. written:
+    only formats that can be written."""
     found = suffixes(written)
-    ends = [suffix for suffix in found if not any(suffix != other and suffix.endswith(other) for other in found)]
+    ends = [
+        suffix for suffix in found if not any(suffix != other and suffix.endswith(other) for other in found)
+    ]
     return f"{FORMATS[0].label} ({'/'.join(ends)})"
 
 
@@ -60,14 +69,21 @@ def format_to_write(path: str | Path) -> SplatFormat:
     fitting_index = next((one for one in FORMATS if one.index == name), None)
     if fitting_index:
         return fitting_index
-    fitting = [(len(suffix), -place) for place, one in enumerate(FORMATS) if one.write for suffix in one.suffixes if name.endswith(suffix)]
+    fitting = [
+        (len(suffix), -place)
+        for place, one in enumerate(FORMATS)
+        if one.write
+        for suffix in one.suffixes
+        if name.endswith(suffix)
+    ]
     if not fitting:
         raise SceneError(f"{path}: scenes are written as {', '.join(suffixes(written=True))}")
     return FORMATS[-max(fitting)[1]]  # the longest suffix counts
 
 
 def format_to_read(path: str | Path) -> SplatFormat:
-    """The format of an existing file: by its suffix, and by its first bytes if several formats have this suffix.
+    """The format of an existing file: by its suffix, and by its first bytes if several formats have this
+    suffix.
 
     Raises SceneError for a missing file or a folder, FormatError for an unknown suffix.
     """
@@ -93,7 +109,9 @@ def split_name(path: str | Path) -> tuple[str, str]:
     path = Path(path)
     if path.name in INDEXES:
         return path.absolute().parent.name, sog.SUFFIX
-    found = max((suffix for suffix in suffixes() if path.name.lower().endswith(suffix)), key=len, default=path.suffix)
+    found = max(
+        (suffix for suffix in suffixes() if path.name.lower().endswith(suffix)), key=len, default=path.suffix
+    )
     return path.name[: len(path.name) - len(found)], path.name[len(path.name) - len(found) :]
 
 
@@ -103,7 +121,8 @@ def _ends_with(path: Path, splat_format: SplatFormat) -> bool:
 
 
 def is_splat_folder(path: Path) -> bool:
-    """Whether a folder holds one splat of several files, such as a SOG. Datasets may have a meta.json too, but no textures beside it."""
+    """Whether a folder holds one splat of several files, such as a SOG. Datasets may have a meta.json too,
+    but no textures beside it."""
     return path.is_dir() and _indexed(path) is not None
 
 
@@ -118,8 +137,8 @@ def _indexed(path: Path) -> tuple[SplatFormat, Path] | None:
 
 
 def refuse_input(out: Path, path: Path):
-    """Raises SceneError if writing `out` would replace the splat `path`, or a file of it. Both may be the index of a splat of several files, and the
-    path also the folder of one."""
+    """Raises SceneError if writing `out` would replace the splat `path`, or a file of it. Both may be the
+    index of a splat of several files, and the path also the folder of one."""
     found, written = _indexed(extended(path)), _indexed(extended(out)) if out.exists() else None
     replaced = [out, *(written[0].parts(written[1]) if written and written[0].parts else ())]
     if real(found[1] if found else path) in set(map(real, replaced)):
@@ -130,29 +149,36 @@ def size_on_disk(path: str | Path) -> int:
     """Size of a splat in bytes, with all its files if it has several."""
     path = extended(path)
     found = _indexed(path)
-    return sum(file.stat().st_size for file in found[0].parts(found[1])) if found and found[0].parts else path.stat().st_size
+    return (
+        sum(file.stat().st_size for file in found[0].parts(found[1]))
+        if found and found[0].parts
+        else path.stat().st_size
+    )
 
 
 def read_scene(path: str | Path) -> Scene:
-    """Reads the scene with values as stored. Raises FormatError, or SceneError if the file is missing or memory does not suffice."""
+    """Reads the scene with values as stored. Raises FormatError, or SceneError if the file is missing or
+    memory does not suffice."""
     splat_format = format_to_read(path)
     memory.refuse_excess(f"{path}: reading it", memory.reading(size_on_disk(path)), memory.IN_PARTS)
     return splat_format.whole(extended(path))
 
 
 def read_parts(path: str | Path) -> Iterator[Scene]:
-    """As read_scene(), in parts in the order of the file; each may overwrite the arrays of the previous one."""
+    """As read_scene(), in parts in the order of the file; each may overwrite the arrays of the previous
+    one."""
     yield from format_to_read(path).read_parts(extended(path), MAX_IN_PARTS)
 
 
 def check_readable(path: str | Path):
-    """Checks a file by reading its header and at most a few thousand Gaussians. Raises FormatError, SceneError."""
+    """Checks a file by reading its header and at most a few thousand Gaussians. Raises FormatError,
+    SceneError."""
     next(read_parts(path))
 
 
 def load_scene(path: str | Path) -> Loaded:
-    """Reads a scene and repairs it: bakes the filter of Mip-Splatting, drops Gaussians that are not finite and clamps extreme values
-    (repair.py). All of it is logged.
+    """Reads a scene and repairs it: bakes the filter of Mip-Splatting, drops Gaussians that are not finite
+    and clamps extreme values (repair.py). All of it is logged.
 
     Raises FormatError, or SceneError also if no Gaussian is left.
     """
@@ -164,12 +190,18 @@ def load_scene(path: str | Path) -> Loaded:
 
 
 def load_parts(path: str | Path) -> Iterator[Scene]:
-    """As load_scene(), in parts in the order of the file; each may overwrite the arrays of the previous one. What was repaired is logged at the end."""
+    """As load_scene(), in parts in the order of the file; each may overwrite the arrays of the previous one.
+    What was repaired is logged at the end."""
     count = dropped = clamped = 0
     filtered = False
     for part in read_parts(path):
         loaded, baked = _repaired(part)
-        count, dropped, clamped, filtered = count + loaded.scene.count, dropped + loaded.dropped, clamped + loaded.clamped, filtered or baked
+        count, dropped, clamped, filtered = (
+            count + loaded.scene.count,
+            dropped + loaded.dropped,
+            clamped + loaded.clamped,
+            filtered or baked,
+        )
         yield loaded.scene
     _log_repairs(path, dropped, clamped, filtered)
     if not count:
@@ -188,25 +220,41 @@ def _log_repairs(path: str | Path, dropped: int, clamped: int, filtered: bool):
     if filtered:
         logging.warning("%s: the 3D filter of Mip-Splatting was baked into scales and opacities", path)
     if dropped or clamped:
-        logging.warning("%s: %d Gaussians with values that are not finite were dropped, %d with extreme values were clamped", path, dropped, clamped)
+        logging.warning(
+            "%s: %d Gaussians with values that are not finite were dropped, %d with extreme values were"
+            " clamped",
+            path,
+            dropped,
+            clamped,
+        )
 
 
 def write_scene(path: str | Path, scene: Scene, version: int = 0, quantise: float = 1.0):
-    """Writes the scene atomically, in the format of the suffix of `path`. What the format cannot hold is logged. version: of the format; 0: the
-    newest. quantise: factor on the error in SH that a format may make which chooses it. Raises SceneError."""
+    """Writes the scene atomically, in the format of the suffix of `path`. What the format cannot hold is
+    logged. version: of the format; 0: the newest. quantise: factor on the error in SH that a format may make
+    which chooses it. Raises SceneError."""
     splat_format = format_to_write(path)
     assert splat_format.write is not None
     if version and version not in splat_format.versions:
         raise SceneError(f"{path}: the format {splat_format.label} has no version {version}")
     if quantise != 1 and not splat_format.quantises:
-        raise SceneError(f"{path}: the format {splat_format.label} has no choice of how exactly it stores spherical harmonics: leave --quantise out")
-    splat_format.write(extended(path), scene, **({"version": version} if version else {}), **({"quantise": quantise} if quantise != 1 else {}))
+        raise SceneError(
+            f"{path}: the format {splat_format.label} has no choice of how exactly it stores spherical"
+            " harmonics: leave --quantise out"
+        )
+    splat_format.write(
+        extended(path),
+        scene,
+        **({"version": version} if version else {}),
+        **({"quantise": quantise} if quantise != 1 else {}),
+    )
     for sentence in left_out(scene, splat_format):
         logging.warning("%s: %s", path, sentence)
 
 
 def stored(path: str | Path, scene: Scene) -> Scene:
-    """The scene as the file holds it to which it was just written: itself if the format stores all values as they are. Raises FormatError."""
+    """The scene as the file holds it to which it was just written: itself if the format stores all values as
+    they are. Raises FormatError."""
     return scene if format_to_write(path).lossless else read_scene(path)
 
 
@@ -216,7 +264,8 @@ def as_held(scene: Scene, splat_format: SplatFormat) -> Scene:
 
 
 def tried(scene: Scene, splat_format: SplatFormat, quantise: float = 1.0) -> tuple[Scene, int]:
-    """The scene as a file of the format would hold it, and the size in bytes. Raises SceneError, FormatError."""
+    """The scene as a file of the format would hold it, and the size in bytes. Raises SceneError,
+    FormatError."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / (splat_format.index or f"scene{splat_format.suffixes[0]}")
         assert splat_format.write is not None
@@ -228,11 +277,19 @@ def left_out(scene: Scene, splat_format: SplatFormat) -> list[str]:
     """A sentence on each thing of the scene that the format cannot hold, or that is beyond its limits."""
     sentences, columns = [], [name for name in scene.attributes if name not in ply.NORMALS]
     if columns and "attributes" not in splat_format.carries:
-        sentences.append(f"the format {splat_format.label} cannot hold further columns; left out: {', '.join(columns)}")
+        sentences.append(
+            f"the format {splat_format.label} cannot hold further columns; left out: {', '.join(columns)}"
+        )
     if scene.sh_degree > splat_format.most_degree:
-        sentences.append(f"the format {splat_format.label} holds spherical harmonics up to degree {splat_format.most_degree}, so higher ones are left out")
+        sentences.append(
+            f"the format {splat_format.label} holds spherical harmonics up to degree"
+            f" {splat_format.most_degree}, so higher ones are left out"
+        )
     if scene.antialiased and "antialiased" not in splat_format.carries:
-        sentences.append(f"the format {splat_format.label} cannot say that the scene is antialiased, so programs will draw small Gaussians too thick")
+        sentences.append(
+            f"the format {splat_format.label} cannot say that the scene is antialiased, so programs will draw"
+            " small Gaussians too thick"
+        )
     sentences += splat_format.limits(scene) if splat_format.limits else []
     return sentences
 
@@ -245,8 +302,8 @@ def file_size(scene: Scene) -> int:
 
 
 def foreseen_size(one: Scene, count: int, splat_format: SplatFormat = FORMATS[0]) -> int | None:
-    """Size in bytes of a scene of `count` Gaussians with the columns of `one`, which has one Gaussian. Right but for the digits of the count and the end
-    of the last chunk. None if it depends on the values."""
+    """Size in bytes of a scene of `count` Gaussians with the columns of `one`, which has one Gaussian. Right
+    but for the digits of the count and the end of the last chunk. None if it depends on the values."""
     if splat_format.size is None:
         return None
     header = splat_format.size(one.select(np.arange(0)))
@@ -254,14 +311,19 @@ def foreseen_size(one: Scene, count: int, splat_format: SplatFormat = FORMATS[0]
 
 
 def sampled_size(scene: Scene, splat_format: SplatFormat, quantise: float = 1.0) -> int:
-    """Size in bytes of the file that the format would make, by that of a part of the scene: Gaussians that lie together. Within a fifth. Raises
-    SceneError, FormatError."""
-    around = np.argsort(np.abs(scene.means - np.median(scene.means, axis=0)).max(axis=1))[:SAMPLE] if scene.count > SAMPLE else np.arange(scene.count)
+    """Size in bytes of the file that the format would make, by that of a part of the scene: Gaussians that
+    lie together. Within a fifth. Raises SceneError, FormatError."""
+    around = (
+        np.argsort(np.abs(scene.means - np.median(scene.means, axis=0)).max(axis=1))[:SAMPLE]
+        if scene.count > SAMPLE
+        else np.arange(scene.count)
+    )
     return tried(scene.select(around), splat_format, quantise)[1] * scene.count // max(1, len(around))
 
 
 def invisible(scene: Scene) -> np.ndarray:
-    """Marks Gaussians with an opacity below the rasterizer's alpha cut (1/255), (N,) bool. No pixel shows them."""
+    """Marks Gaussians with an opacity below the rasterizer's alpha cut (1/255), (N,) bool. No pixel shows
+    them."""
     cut = thresholds().alpha_cut
     return scene.opacity_logits < np.float32(np.log(cut / (1 - cut)))
 
@@ -269,8 +331,9 @@ def invisible(scene: Scene) -> np.ndarray:
 def describe(path: str | Path) -> dict:
     """Summary of a splat file; reads a few thousand Gaussians at a time. Raises FormatError, SceneError.
 
-    Keys: count, sh_degree, format, bytes (size of the file), invisible (number of usable Gaussians with an opacity below 1/255),
-    nonfinite (number of unusable Gaussians), antialiased, bounds ([min xyz, max xyz] of the means, or None), attributes (names).
+    Keys: count, sh_degree, format, bytes (size of the file), invisible (number of usable Gaussians with an
+    opacity below 1/255), nonfinite (number of unusable Gaussians), antialiased, bounds ([min xyz, max xyz] of
+    the means, or None), attributes (names).
     """
     count = faint = bad = 0
     corners = []

@@ -20,7 +20,18 @@ from ..system.errors import FormatError
 from .images import read_texture
 from .opened import MAX_COUNT, json_object, opened, refuse_unpacking
 from .quantised import logits_of, quats_of_three
-from .sog_layout import HIGHEST, LARGEST_QUAT, MAX_META, META, PALETTE_ROW, ROOT2, SUFFIX, TABLE, VERSION, is_texture
+from .sog_layout import (
+    HIGHEST,
+    LARGEST_QUAT,
+    MAX_META,
+    META,
+    PALETTE_ROW,
+    ROOT2,
+    SUFFIX,
+    TABLE,
+    VERSION,
+    is_texture,
+)
 from .sog_writer import limits, write
 from .splat_format import SplatFormat, by_parts
 
@@ -43,29 +54,35 @@ class _Sog:
 
 
 def parts(meta: Path) -> list[Path]:
-    """The files that a SOG in a folder may have: also one that is damaged is a SOG by them, but a dataset with a meta.json is none."""
+    """The files that a SOG in a folder may have: also one that is damaged is a SOG by them, but a dataset
+    with a meta.json is none."""
     return [meta, *sorted(meta.parent.glob("*.webp"))]
 
 
 def degree_of(meta: Path) -> int:
-    """The SH degree of a SOG in a folder, by its meta.json alone. Raises FormatError, which names the file."""
+    """The SH degree of a SOG in a folder, by its meta.json alone. Raises FormatError, which names the
+    file."""
     with opened(meta):
         return _degree(_meta(meta))
 
 
 def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[Scene]:
-    """The Gaussians in the order of the pixels, in parts. path: folder, its meta.json, or bundle. Raises FormatError, which names the file."""
+    """The Gaussians in the order of the pixels, in parts. path: folder, its meta.json, or bundle. Raises
+    FormatError, which names the file."""
     path = Path(path)
     file = path / META if path.is_dir() else path
     with opened(file), _folder(file) as folder:
         sog = _read(folder, max_count)
-    yield from by_parts(lambda start: _scene(sog, slice(start, min(start + PART, sog.count))), range(0, max(sog.count, 1), PART))
+    yield from by_parts(
+        lambda start: _scene(sog, slice(start, min(start + PART, sog.count))),
+        range(0, max(sog.count, 1), PART),
+    )
 
 
 @contextlib.contextmanager
 def _folder(file: Path) -> Iterator[Path]:
-    """The folder with meta.json: that of the file, or one into which a bundle is unpacked. Raises FormatError (without the name of the file), as the
-    functions below."""
+    """The folder with meta.json: that of the file, or one into which a bundle is unpacked. Raises FormatError
+    (without the name of the file), as the functions below."""
     if file.name == META:
         yield file.parent
         return
@@ -78,20 +95,36 @@ def _unpack(file: Path, folder: Path):
     """Writes the files of a bundle that may belong to a SOG into the folder, and no others."""
     try:
         with zipfile.ZipFile(file) as bundle:
-            members = [one for one in bundle.infolist() if Path(one.filename).name == one.filename and one.filename.endswith((".webp", ".json"))]
+            members = [
+                one
+                for one in bundle.infolist()
+                if Path(one.filename).name == one.filename and one.filename.endswith((".webp", ".json"))
+            ]
             if sum(one.file_size for one in members) > max(ALWAYS, RATIO * file.stat().st_size):
                 raise FormatError(f"unpacks to more than it can hold{BROKEN}")
             for one in members:
                 bundle.extract(one, folder)
-    except (zipfile.BadZipFile, zlib.error, lzma.LZMAError, NotImplementedError, RuntimeError, EOFError, ValueError) as error:
-        raise FormatError(f"is no SOG, or damaged ({error}); copy or export it again") from None  # zipfile raises all of these, also for a password
+    except (
+        zipfile.BadZipFile,
+        zlib.error,
+        lzma.LZMAError,
+        NotImplementedError,
+        RuntimeError,
+        EOFError,
+        ValueError,
+    ) as error:
+        # zipfile raises all of these, also for a password
+        raise FormatError(f"is no SOG, or damaged ({error}); copy or export it again") from None
 
 
 def _read(folder: Path, max_count: int) -> _Sog:
     meta, held = _meta(folder / META), sum(one.stat().st_size for one in folder.iterdir() if one.is_file())
     version, count = meta.get("version"), meta.get("count")
     if version != VERSION:
-        raise FormatError(f"is a SOG of version {version if isinstance(version, int) else 'unknown'}; version {VERSION} is read")
+        raise FormatError(
+            f"is a SOG of version {version if isinstance(version, int) else 'unknown'}; version {VERSION} is"
+            " read"
+        )
     if not isinstance(count, int) or isinstance(count, bool) or not 0 <= count <= max(MANY, held):
         raise FormatError(f"names a number of Gaussians that its {held:,} bytes cannot hold{BROKEN}")
     degree = _degree(meta)
@@ -106,7 +139,14 @@ def _read(folder: Path, max_count: int) -> _Sog:
     return _Sog(count, degree, meta.get("antialias") is True, ranges, tables, textures)
 
 
-_TEXTURES = (("low", "means", 0), ("high", "means", 1), ("scales", "scales", 0), ("quats", "quats", 0), ("sh0", "sh0", 0))  # name, part, file of it
+# name, part, file of it
+_TEXTURES = (
+    ("low", "means", 0),
+    ("high", "means", 1),
+    ("scales", "scales", 0),
+    ("quats", "quats", 0),
+    ("sh0", "sh0", 0),
+)
 
 
 def _meta(path: Path) -> dict[str, Any]:
@@ -135,7 +175,11 @@ def _part(meta: dict[str, Any], name: str) -> dict[str, Any]:
 def _numbers(part: dict[str, Any], name: str, count: int) -> np.ndarray:
     """(count,) float32 finite numbers of meta.json."""
     found = part.get(name)
-    if not isinstance(found, list) or len(found) != count or not all(isinstance(one, int | float) and abs(one) < 1e30 for one in found):
+    if (
+        not isinstance(found, list)
+        or len(found) != count
+        or not all(isinstance(one, int | float) and abs(one) < 1e30 for one in found)
+    ):
         raise FormatError(f"has no {name} of {count} numbers in its {META}{BROKEN}")
     return np.array(found, np.float32)
 
@@ -152,7 +196,10 @@ def _palette(folder: Path, part: dict[str, Any], coefficients: int) -> np.ndarra
     """(entries, coefficients, 3) uint8."""
     image = _image(_file(folder, part, 0), coefficients * (MANY + PALETTE_ROW))
     if image.shape[1] != PALETTE_ROW * coefficients:
-        raise FormatError(f"has a palette of SH that is {image.shape[1]} pixels wide, not {PALETTE_ROW * coefficients}{BROKEN}")
+        raise FormatError(
+            f"has a palette of SH that is {image.shape[1]} pixels wide, not"
+            f" {PALETTE_ROW * coefficients}{BROKEN}"
+        )
     return image[:, :, :3].reshape(-1, coefficients, 3)
 
 
@@ -161,7 +208,9 @@ def _image(file: Path, most: int) -> np.ndarray:
     try:
         return read_texture(file, most)
     except FormatError as error:
-        raise FormatError(f"is damaged: its texture {file.name} {str(error).removeprefix(f'{file}: ')}") from None
+        raise FormatError(
+            f"is damaged: its texture {file.name} {str(error).removeprefix(f'{file}: ')}"
+        ) from None
 
 
 def _file(folder: Path, part: dict[str, Any], number: int) -> Path:
@@ -193,7 +242,9 @@ def _scene(sog: _Sog, rows: slice) -> Scene:
         known = labels < len(sog.textures["palette"])
         sh[known, 1:] = sog.tables["shN"][sog.textures["palette"][labels[known]]]
     logits = logits_of(pixels["sh0"][:, 3])
-    return Scene(means, sog.tables["scales"][pixels["scales"][:, :3]], quats, logits, sh, antialiased=sog.antialiased)
+    return Scene(
+        means, sog.tables["scales"][pixels["scales"][:, :3]], quats, logits, sh, antialiased=sog.antialiased
+    )
 
 
 FORMAT = SplatFormat(

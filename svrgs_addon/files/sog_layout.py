@@ -1,11 +1,13 @@
-"""Names and numbers of SOG version 2 (PlayCanvas): a meta.json and textures in lossless WebP, in a folder or bundled as a zip.
+"""Names and numbers of SOG version 2 (PlayCanvas): a meta.json and textures in lossless WebP, in a folder or
+bundled as a zip.
 
 Gaussian i is pixel i of each texture, row by row.
 
-means_l, means_u        the low and the high bytes of 16 bits in the range mins to maxs, in which x is stored as sign(x) log(1 + |x|)
-scales, sh0             rows of a table of 256 values: logarithms of scales; SH of degree 0. The alpha of sh0 is the opacity, 8 bits
-quats                   the three smaller components of (w, x, y, z); alpha is 252 and the position of the largest one
-shN_labels, _centroids  number of an entry of a palette, 16 bits; 64 entries in a row, a pixel for each coefficient, its channels rows of a table
+means_l, means_u        the low and the high bytes of 16 bits in the range mins to maxs, in which x is stored
+as sign(x) log(1 + |x|) scales, sh0             rows of a table of 256 values: logarithms of scales; SH of
+degree 0. The alpha of sh0 is the opacity, 8 bits quats                   the three smaller components of (w,
+x, y, z); alpha is 252 and the position of the largest one shN_labels, _centroids  number of an entry of a
+palette, 16 bits; 64 entries in a row, a pixel for each coefficient, its channels rows of a table
 
 Axes are those of 3DGS.
 """
@@ -29,13 +31,20 @@ ROOT2 = np.float32(2**0.5)
 
 
 def files_of(meta: Path) -> list[Path]:
-    """The meta.json of a SOG in a folder and the textures that it names, of which some may be missing; itself alone, if it is none."""
+    """The meta.json of a SOG in a folder and the textures that it names, of which some may be missing; itself
+    alone, if it is none."""
     try:
         contents = json_object(meta, MAX_META) or {}
     except OSError:
         return [meta]
     lists = [part.get("files") for part in contents.values() if isinstance(part, dict)]
-    names = [name for names in lists if isinstance(names, list) for name in names if isinstance(name, str) and is_texture(name)]
+    names = [
+        name
+        for names in lists
+        if isinstance(names, list)
+        for name in names
+        if isinstance(name, str) and is_texture(name)
+    ]
     return [meta, *(meta.parent / name for name in dict.fromkeys(names) if (meta.parent / name).is_file())]
 
 

@@ -1,6 +1,7 @@
 """Writes SOG version 2 (sog_layout.py), as a folder or as a bundle.
 
-Tables and the palette of SH are those with the least error in the picture: a Gaussian weighs as much as its colour does there (picture_weights).
+Tables and the palette of SH are those with the least error in the picture: a Gaussian weighs as much as its
+colour does there (picture_weights).
 """
 
 from __future__ import annotations
@@ -25,7 +26,17 @@ from .atomic import atomic_path, atomic_write, check_space
 from .images import write_texture
 from .palette import nearest, palette, table
 from .quantised import alphas_of, picture_weights, small_scale, three_of_quats
-from .sog_layout import HIGHEST, LARGEST_QUAT, META, MOST_ENTRIES, PALETTE_ROW, ROOT2, TABLE, VERSION, files_of
+from .sog_layout import (
+    HIGHEST,
+    LARGEST_QUAT,
+    META,
+    MOST_ENTRIES,
+    PALETTE_ROW,
+    ROOT2,
+    TABLE,
+    VERSION,
+    files_of,
+)
 
 SHARES = (64, 16, 4)  # Gaussians for each entry of the palette: the first one whose error is small enough
 SMALL_ERROR = 2.5e-3  # weighted mean of the squared errors of all coefficients: about 50 dB in a picture
@@ -38,15 +49,17 @@ FIRST_DATE = (1980, 1, 1, 0, 0, 0)  # of the files in a bundle: the same scene g
 
 
 def write(path: str | os.PathLike, scene: Scene, quantise: float = 1.0):
-    """Writes the scene with its Gaussians in Morton order, as a bundle, or, if the name is meta.json, as the files of a folder, this one last.
-    quantise: factor on SMALL_ERROR's root. Raises SceneError."""
+    """Writes the scene with its Gaussians in Morton order, as a bundle, or, if the name is meta.json, as the
+    files of a folder, this one last. quantise: factor on SMALL_ERROR's root. Raises SceneError."""
     write_in_order(path, scene.select(morton_order(scene.means)), quantise)
 
 
 def write_in_order(path: str | os.PathLike, scene: Scene, quantise: float = 1.0):
     """As write(), with the Gaussians in the order of the scene."""
     check_space(path, BYTES * scene.count)
-    if sentence := memory.shortage(f"{path}: writing so many Gaussians into one SOG", memory.texturing(scene.count, scene.sh.shape[1])):
+    if sentence := memory.shortage(
+        f"{path}: writing so many Gaussians into one SOG", memory.texturing(scene.count, scene.sh.shape[1])
+    ):
         raise SceneError(sentence)
     meta, textures = encoded(scene, quantise)
     if Path(path).name == META:
@@ -64,8 +77,9 @@ def limits(scene: Scene) -> list[str]:
     if step <= small / COARSE:
         return []
     return [
-        f"positions are stored in steps of {step:.2g}, because some lie {np.expm1(stored.max()):g} away, and small Gaussians have a scale of {small:.2g}: "
-        "remove those far away first (svrgs select), or write another format"
+        f"positions are stored in steps of {step:.2g}, because some lie {np.expm1(stored.max()):g} away, and"
+        f" small Gaussians have a scale of {small:.2g}: remove those far away first (svrgs select), or write"
+        " another format"
     ]
 
 
@@ -74,10 +88,18 @@ def encoded(scene: Scene, quantise: float = 1.0) -> tuple[dict[str, Any], dict[s
     weights = picture_weights(scene)
     means, ranges = _means(scene)
     three, largest = three_of_quats(scene.quats)
-    quats = np.column_stack([_bytes((three / ROOT2 + np.float32(0.5)) * 255), (LARGEST_QUAT + largest).astype(np.uint8)])
+    quats = np.column_stack(
+        [_bytes((three / ROOT2 + np.float32(0.5)) * 255), (LARGEST_QUAT + largest).astype(np.uint8)]
+    )
     logs, scales = _by_table(scene.log_scales, weights)
     colors, sh0 = _by_table(scene.sh[:, 0], weights)
-    pixels = {"means_l": means & 255, "means_u": means >> 8, "scales": scales, "quats": quats, "sh0": np.column_stack([sh0, alphas_of(scene.opacity_logits)])}
+    pixels = {
+        "means_l": means & 255,
+        "means_u": means >> 8,
+        "scales": scales,
+        "quats": quats,
+        "sh0": np.column_stack([sh0, alphas_of(scene.opacity_logits)]),
+    }
     meta: dict[str, Any] = {
         "version": VERSION,
         "asset": {"generator": f"SVR-GS {__version__}"},
@@ -101,7 +123,10 @@ def _means(scene: Scene) -> tuple[np.ndarray, dict[str, list[float]]]:
     low, high = (stored.min(axis=0), stored.max(axis=0)) if scene.count else (np.zeros(3), np.zeros(3))
     low, high = low.astype(np.float32).astype(np.float64), high.astype(np.float32).astype(np.float64)
     shares = (stored - low) / np.where(high > low, high - low, 1)
-    return np.clip(np.rint(shares * HIGHEST), 0, HIGHEST).astype(np.int64), {"mins": low.tolist(), "maxs": high.tolist()}
+    return np.clip(np.rint(shares * HIGHEST), 0, HIGHEST).astype(np.int64), {
+        "mins": low.tolist(),
+        "maxs": high.tolist(),
+    }
 
 
 def _stored(means: np.ndarray) -> np.ndarray:
@@ -113,11 +138,17 @@ def _stored(means: np.ndarray) -> np.ndarray:
 def _by_table(values: np.ndarray, weights: np.ndarray) -> tuple[list[float], np.ndarray]:
     """The table of three columns (N, 3) and the row of each value, (N, 3) uint8."""
     values = np.nan_to_num(values, posinf=80, neginf=-80)
-    levels = table(values.reshape(-1), np.repeat(weights, 3), TABLE) if len(values) else np.zeros(TABLE, np.float32)
+    levels = (
+        table(values.reshape(-1), np.repeat(weights, 3), TABLE)
+        if len(values)
+        else np.zeros(TABLE, np.float32)
+    )
     return levels.tolist(), nearest(values, levels)
 
 
-def _higher_bands(scene: Scene, weights: np.ndarray, quantise: float) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
+def _higher_bands(
+    scene: Scene, weights: np.ndarray, quantise: float
+) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
     """shN of meta.json, the texture of the palette, and the label of each Gaussian, (N, 3)."""
     coefficients = scene.sh.shape[1] - 1
     rows = np.nan_to_num(scene.sh[:, 1:].reshape(scene.count, -1), posinf=1, neginf=-1)
@@ -128,8 +159,17 @@ def _higher_bands(scene: Scene, weights: np.ndarray, quantise: float) -> tuple[d
     levels, stored = _by_table(entries.reshape(-1, 3), np.repeat(used, coefficients))
     image = np.zeros((heights * PALETTE_ROW * coefficients, 3), np.uint8)
     image[: len(stored)] = stored
-    meta = {"count": len(entries), "bands": scene.sh_degree, "codebook": levels, "files": ["shN_centroids.webp", "shN_labels.webp"]}
-    return meta, image.reshape(heights, -1, 3), np.column_stack([labels & 255, labels >> 8, np.zeros_like(labels)])
+    meta = {
+        "count": len(entries),
+        "bands": scene.sh_degree,
+        "codebook": levels,
+        "files": ["shN_centroids.webp", "shN_labels.webp"],
+    }
+    return (
+        meta,
+        image.reshape(heights, -1, 3),
+        np.column_stack([labels & 255, labels >> 8, np.zeros_like(labels)]),
+    )
 
 
 def _share(rows: np.ndarray, weights: np.ndarray, quantise: float) -> int:
@@ -138,13 +178,16 @@ def _share(rows: np.ndarray, weights: np.ndarray, quantise: float) -> int:
     part, mass = rows[some], weights[some]
     for share in SHARES[:-1]:
         entries, labels = palette(part, mass, max(1, len(some) // share), 0)
-        if (mass * np.square(part - entries[labels]).sum(axis=1)).sum() <= SMALL_ERROR * quantise**2 * mass.sum():
+        if (
+            mass * np.square(part - entries[labels]).sum(axis=1)
+        ).sum() <= SMALL_ERROR * quantise**2 * mass.sum():
             return share
     return SHARES[-1]
 
 
 def _texture(rows: np.ndarray) -> np.ndarray:
-    """An image of rows (N, C), nearly square, its sides multiples of four; an alpha of what follows is 255."""
+    """An image of rows (N, C), nearly square, its sides multiples of four; an alpha of what follows is
+    255."""
     width = 4 * max(1, int(np.ceil(np.sqrt(len(rows)) / 4)))
     height = 4 * max(1, -(-len(rows) // (4 * width)))
     image = np.zeros((height * width, rows.shape[1]), np.uint8)
@@ -158,7 +201,8 @@ def _bytes(values: np.ndarray) -> np.ndarray:
 
 
 def _write_folder(path: Path, meta: dict[str, Any], textures: dict[str, np.ndarray]):
-    """Writes the textures, then meta.json, and removes those that an older meta.json named. Until then, the older one stays as it is."""
+    """Writes the textures, then meta.json, and removes those that an older meta.json named. Until then, the
+    older one stays as it is."""
     old = files_of(path)[1:]
     tag = f".{secrets.token_hex(4)}" if old else ""
     text = json.dumps(meta)
@@ -177,11 +221,17 @@ def _write_one(path: Path, image: np.ndarray):
 
 
 def _write_bundle(path: str | os.PathLike, meta: dict[str, Any], textures: dict[str, np.ndarray]):
-    with atomic_write(path) as file, tempfile.TemporaryDirectory() as folder, zipfile.ZipFile(file, "w") as bundle:
+    with (
+        atomic_write(path) as file,
+        tempfile.TemporaryDirectory() as folder,
+        zipfile.ZipFile(file, "w") as bundle,
+    ):
         _in_threads(textures, lambda name, image: write_texture(Path(folder) / f"{name}.webp", path, image))
         bundle.writestr(zipfile.ZipInfo(META, FIRST_DATE), json.dumps(meta))
         for name in sorted(textures):
-            bundle.writestr(zipfile.ZipInfo(f"{name}.webp", FIRST_DATE), (Path(folder) / f"{name}.webp").read_bytes())
+            bundle.writestr(
+                zipfile.ZipInfo(f"{name}.webp", FIRST_DATE), (Path(folder) / f"{name}.webp").read_bytes()
+            )
 
 
 def _in_threads(textures: dict[str, np.ndarray], work: Any):

@@ -19,25 +19,33 @@ from ..scene.gaussians import Scene
 class SplatFormat:
     """One splat format.
 
-    read and read_parts raise FormatError, write raises SceneError, each with one sentence that names the file.
+    read and read_parts raise FormatError, write raises SceneError, each with one sentence that names the
+    file.
     """
 
     name: str  # shown by `svrgs info`
     label: str  # shown in menus
     suffixes: tuple[str, ...]  # lower case, with the dot; the first one is written
     sniff: Callable[[bytes], bool]  # whether a file that begins with these bytes may be of this format
-    read_parts: Callable[..., Iterator[Scene]]  # of path and the most Gaussians; values as stored, not repaired, in parts of some thousand, at least one
-    read: Callable[[Path], Scene] | None = None  # the same as one scene, if each part overwrites the arrays of the previous one
-    write: Callable[..., None] | None = None  # of path, scene and, by name, what there is of version and quantise; atomic. None: read only
+    # of path and the most Gaussians; values as stored, not repaired, in parts of some thousand, at least one
+    read_parts: Callable[..., Iterator[Scene]]
+    # the same as one scene, if each part overwrites the arrays of the previous one
+    read: Callable[[Path], Scene] | None = None
+    # of path, scene and, by name, what there is of version and quantise; atomic. None: read only
+    write: Callable[..., None] | None = None
     versions: tuple[int, ...] = ()  # that are written, if there are several; the first one if nothing is said
-    quantises: bool = False  # whether write takes quantise: a factor on the error that it may make in SH, 1 is the usual one
-    size: Callable[[Scene], int] | None = None  # size in bytes of the file that write would make; None: it depends on the values
-    limits: Callable[[Scene], list[str]] | None = None  # a sentence on each limit of the format that the scene is beyond
+    # whether write takes quantise: a factor on the error that it may make in SH, 1 is the usual one
+    quantises: bool = False
+    # size in bytes of the file that write would make; None: it depends on the values
+    size: Callable[[Scene], int] | None = None
+    # a sentence on each limit of the format that the scene is beyond
+    limits: Callable[[Scene], list[str]] | None = None
     most_degree: int = 3  # of SH that it can hold
     lossless: bool = False  # whether all values are stored as they are
     index: str = ""  # name of the file that stands for a splat of several files, in a folder
     parts: Callable[[Path], list[Path]] | None = None  # all files of such a splat, by its index
-    carries: tuple[str, ...] = ()  # what it can hold besides: attributes, antialiased, order (of the Gaussians)
+    # what it can hold besides: attributes, antialiased, order (of the Gaussians)
+    carries: tuple[str, ...] = ()
 
     def whole(self, path: Path) -> Scene:
         """The scene with values as stored, not repaired. Raises FormatError."""
@@ -50,7 +58,9 @@ def joined(parts: list[Scene]) -> Scene:
     if len(parts) == 1:
         return first
     ends = np.cumsum([part.count for part in parts])
-    arrays: dict[str, Any] = {name: np.empty((ends[-1], *getattr(first, name).shape[1:]), np.float32) for name in PARAMETERS}
+    arrays: dict[str, Any] = {
+        name: np.empty((ends[-1], *getattr(first, name).shape[1:]), np.float32) for name in PARAMETERS
+    }
 
     def copy(number: int):
         for name, array in arrays.items():

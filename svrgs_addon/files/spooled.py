@@ -1,5 +1,5 @@
-"""Scenes and arrays larger than memory should hold: their values lie in files without a name, which the system maps into memory as needed and
-forgets again, and which are gone when this process ends."""
+"""Scenes and arrays larger than memory should hold: their values lie in files without a name, which the
+system maps into memory as needed and forgets again, and which are gone when this process ends."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ LARGE = 1 << 29  # bytes of an array that array_for() puts into a file
 
 @contextlib.contextmanager
 def spooled(parts: Iterable[Scene], out: str | os.PathLike) -> Iterator[Scene]:
-    """Yields the scene of parts with the same columns, at least one; each is done with before the next one is asked for. out: the output, in whose
-    folder there is space. Raises SceneError if there is not."""
+    """Yields the scene of parts with the same columns, at least one; each is done with before the next one is
+    asked for. out: the output, in whose folder there is space. Raises SceneError if there is not."""
     with contextlib.ExitStack() as stack:
         files: dict[str, IO[bytes]] = {}
         count, first = 0, None
@@ -36,12 +36,20 @@ def spooled(parts: Iterable[Scene], out: str | os.PathLike) -> Iterator[Scene]:
                 _append(files[name], column, out)
             count += part.count
         assert first is not None
-        arrays: dict[str, Any] = {name: _mapped(files[name], column.dtype, (count, *column.shape[1:])) for name, column in _columns(first).items()}
-        yield replace(first, **{name: arrays[name] for name in PARAMETERS}, attributes={name: arrays[name] for name in first.attributes})
+        arrays: dict[str, Any] = {
+            name: _mapped(files[name], column.dtype, (count, *column.shape[1:]))
+            for name, column in _columns(first).items()
+        }
+        yield replace(
+            first,
+            **{name: arrays[name] for name in PARAMETERS},
+            attributes={name: arrays[name] for name in first.attributes},
+        )
 
 
 def array_for(shape: tuple[int, ...], dtype: Any, out: str | os.PathLike) -> np.ndarray:
-    """An array to be filled: in memory, or, if it is LARGE, in a file beside the output. Raises SceneError if there is no space for that."""
+    """An array to be filled: in memory, or, if it is LARGE, in a file beside the output. Raises SceneError if
+    there is no space for that."""
     size = int(np.prod(shape)) * np.dtype(dtype).itemsize
     if size < LARGE:
         return np.empty(shape, dtype)
@@ -59,7 +67,9 @@ def in_blocks(work: Callable[[Scene], np.ndarray], scene: Scene, block: int = 1 
 
 def rows(scene: Scene, start: int, end: int) -> Scene:
     """Some Gaussians that follow each other, without copies and without further columns."""
-    return Scene(**{name: getattr(scene, name)[start:end] for name in PARAMETERS}, antialiased=scene.antialiased)
+    return Scene(
+        **{name: getattr(scene, name)[start:end] for name in PARAMETERS}, antialiased=scene.antialiased
+    )
 
 
 def _columns(scene: Scene) -> dict[str, np.ndarray]:
@@ -86,4 +96,6 @@ def _errors_of(out: str | os.PathLike) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise SceneError(f"{out}: needs more space in its folder while the scene is converted ({error.strerror or error})") from error
+        raise SceneError(
+            f"{out}: needs more space in its folder while the scene is converted ({error.strerror or error})"
+        ) from error

@@ -2,15 +2,15 @@
 
 Streams of bytes, one for each kind of value, in this order:
 
-positions   3 x 24 bits, signed: multiples of 2^-f, f from the header (version 1: 3 x float16)
-alphas      8 bits, from 0 to 1
-colors      3 x 8 bits: SH of degree 0, (value / 255 - 1/2) / 0.15
-scales      3 x 8 bits: logarithm, value / 16 - 10
-rotations   version 3 on: 32 bits, the position of the largest component of (x, y, z, w) and the others, a sign and 9 bits each; before: 3 x 8 bits,
+positions   3 x 24 bits, signed: multiples of 2^-f, f from the header (version 1: 3 x float16) alphas      8
+bits, from 0 to 1 colors      3 x 8 bits: SH of degree 0, (value / 255 - 1/2) / 0.15 scales      3 x 8 bits:
+logarithm, value / 16 - 10 rotations   version 3 on: 32 bits, the position of the largest component of (x, y,
+z, w) and the others, a sign and 9 bits each; before: 3 x 8 bits,
             x, y, z with w >= 0
 sh          8 bits, (value - 128) / 128, of each coefficient the three channels
 
-Axes are right, up, back: y and z have the opposite sign of those of 3DGS. The streams are packed as spz_container.py says.
+Axes are right, up, back: y and z have the opposite sign of those of 3DGS. The streams are packed as
+spz_container.py says.
 """
 
 from __future__ import annotations
@@ -27,7 +27,15 @@ from ..scene.morton_order import morton_order
 from .atomic import atomic_write, check_space
 from .axes import turned_over
 from .opened import MAX_COUNT, opened
-from .quantised import alphas_of, logits_of, picture_weights, quats_of_three, small_scale, three_of_quats, widest_logs
+from .quantised import (
+    alphas_of,
+    logits_of,
+    picture_weights,
+    quats_of_three,
+    small_scale,
+    three_of_quats,
+    widest_logs,
+)
 from .splat_format import SplatFormat, by_parts
 from .spooled import array_for
 from .spz_container import NEWEST, SMALLEST_THREE, Header, packed, streams
@@ -37,9 +45,13 @@ FRACTION_BITS = 12  # of positions, at least where the scene is small enough
 LARGEST_POSITION = 2**23 - 1
 FINER = 16  # steps of a position, at least, in the scale of a small Gaussian
 MOST_FRACTION_BITS = 24
-COARSE, SOME = 2, 0.01  # steps of a position in the scale of a small Gaussian, at least; share of the Gaussians: beyond, a sentence says so
+# steps of a position in the scale of a small Gaussian, at least; share of the Gaussians: beyond, a sentence
+# says so
+COARSE, SOME = 2, 0.01
 COLOR, SCALE_STEPS, SMALLEST_SCALE = 0.15, 16, -10
-SH_STEP = 3  # of 256, between values of SH of a Gaussian with weight 1 (picture_weights) that are written (docs/formats.md)
+# of 256, between values of SH of a Gaussian with weight 1 (picture_weights) that are written
+# (docs/formats.md)
+SH_STEP = 3
 FINEST_SH, COARSEST_SH = 1, 128  # the same of any Gaussian
 SQRT_HALF = np.float32(0.5**0.5)
 
@@ -51,25 +63,37 @@ def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[
 
 
 def parts_of(data: bytes, max_count: int = MAX_COUNT) -> Iterator[Scene]:
-    """The Gaussians in the bytes of a file, in parts. Raises FormatError (without the name of the file), SceneError."""
+    """The Gaussians in the bytes of a file, in parts. Raises FormatError (without the name of the file),
+    SceneError."""
     header, stored = streams(data, max_count)
-    yield from by_parts(lambda start: _scene(header, {name: rows[start : start + PART] for name, rows in stored.items()}), range(0, max(header.count, 1), PART))
+    yield from by_parts(
+        lambda start: _scene(header, {name: rows[start : start + PART] for name, rows in stored.items()}),
+        range(0, max(header.count, 1), PART),
+    )
 
 
 def write(path: str | os.PathLike, scene: Scene, version: int = NEWEST, quantise: float = 1.0):
-    """Writes the scene atomically, with its Gaussians in Morton order, as this version of the format. quantise: factor on the steps of SH. Raises
-    SceneError."""
+    """Writes the scene atomically, with its Gaussians in Morton order, as this version of the format.
+    quantise: factor on the steps of SH. Raises SceneError."""
     data = content(path, scene, version, quantise)
     check_space(path, len(data))
     with atomic_write(path) as file:
         file.write(data)
 
 
-def content(path: str | os.PathLike, scene: Scene, version: int, quantise: float = 1.0, turned: Callable[[Scene], Scene] = turned_over) -> bytes:
-    """The bytes that write() would write. path: of errors, and beside it lies what does not fit into memory. turned: to the axes of the file. Raises
-    SceneError."""
+def content(
+    path: str | os.PathLike,
+    scene: Scene,
+    version: int,
+    quantise: float = 1.0,
+    turned: Callable[[Scene], Scene] = turned_over,
+) -> bytes:
+    """The bytes that write() would write. path: of errors, and beside it lies what does not fit into memory.
+    turned: to the axes of the file. Raises SceneError."""
     header = Header(version, scene.count, scene.sh_degree, fraction_bits(*_extent(scene)), scene.antialiased)
-    stored = {name: array_for((scene.count, width), np.uint8, path) for name, width in header.widths().items()}
+    stored = {
+        name: array_for((scene.count, width), np.uint8, path) for name, width in header.widths().items()
+    }
     with ThreadPoolExecutor(os.cpu_count()) as threads:
         ordered = threads.submit(morton_order, scene.means)
         steps, order = sh_steps(picture_weights(scene), quantise), ordered.result()
@@ -84,7 +108,8 @@ def content(path: str | os.PathLike, scene: Scene, version: int, quantise: float
 
 
 def fraction_bits(largest: float, small: float) -> int:
-    """Bits of the fraction of positions: at least FINER steps in the scales of small Gaussians, as far as the largest position allows."""
+    """Bits of the fraction of positions: at least FINER steps in the scales of small Gaussians, as far as the
+    largest position allows."""
     fitting = int(np.floor(np.log2(LARGEST_POSITION / max(largest, 1e-30))))
     wanted = int(np.ceil(np.log2(FINER / max(small, 1e-30))))
     return max(0, min(max(wanted, FRACTION_BITS), fitting, MOST_FRACTION_BITS))
@@ -96,15 +121,17 @@ def limits(scene: Scene) -> list[str]:
     sentences, step = [], 2.0 ** -fraction_bits(largest, small)
     if step > small / COARSE or largest > LARGEST_POSITION * step:
         sentences.append(
-            f"positions are stored in steps of {step:g}, because some lie {largest:g} away, and small Gaussians have a scale of {small:g}: "
-            "remove those far away first (svrgs select), or write another format"
+            f"positions are stored in steps of {step:g}, because some lie {largest:g} away, and small"
+            f" Gaussians have a scale of {small:g}: remove those far away first (svrgs select), or write"
+            " another format"
         )
     low, high = SMALLEST_SCALE, SMALLEST_SCALE + 255 / SCALE_STEPS
     widest = widest_logs(scene)
     beyond = int(((widest < low) | (widest > high)).sum())
     if beyond > SOME * scene.count:
         sentences.append(
-            f"{beyond:,} Gaussians are smaller than {np.exp(low):.1g} or larger than {np.exp(high):.3g}, the limits of an SPZ: scale the scene first"
+            f"{beyond:,} Gaussians are smaller than {np.exp(low):.1g} or larger than {np.exp(high):.3g}, the"
+            " limits of an SPZ: scale the scene first"
         )
     return sentences
 
@@ -126,7 +153,9 @@ def _scene(header: Header, stored: dict[str, np.ndarray]) -> Scene:
     sh[:, 1:] = (rest.astype(np.float32) - 128) / 128
     logs = stored["scales"].astype(np.float32) / SCALE_STEPS + SMALLEST_SCALE
     means, quats = _positions(header, stored["positions"]), _quats(header, stored["rotations"])
-    return turned_over(Scene(means, logs, quats, logits_of(stored["alphas"][:, 0]), sh, antialiased=header.antialiased))
+    return turned_over(
+        Scene(means, logs, quats, logits_of(stored["alphas"][:, 0]), sh, antialiased=header.antialiased)
+    )
 
 
 def _positions(header: Header, stored: np.ndarray) -> np.ndarray:
@@ -181,7 +210,8 @@ def _rotations(header: Header, quats: np.ndarray) -> np.ndarray:
 
 
 def sh_steps(weights: np.ndarray, quantise: float = 1.0) -> np.ndarray:
-    """Steps of 256 between the values of SH of each Gaussian, (N,) float32, powers of two: all of them cause about the same error in a picture."""
+    """Steps of 256 between the values of SH of each Gaussian, (N,) float32, powers of two: all of them cause
+    about the same error in a picture."""
     with np.errstate(divide="ignore"):
         steps = np.exp2(np.rint(np.log2(quantise * SH_STEP / weights**0.25)))
     return np.clip(steps, FINEST_SH, COARSEST_SH).astype(np.float32)

@@ -1,7 +1,8 @@
 """How SPZ packs its streams of bytes.
 
-Version 4: a header of 32 bytes, records of extensions, a table with the sizes of each stream, packed and unpacked (8 bytes each), and the streams,
-each a frame of Zstandard. Versions 1 to 3: one gzip of a header of 16 bytes and all streams.
+Version 4: a header of 32 bytes, records of extensions, a table with the sizes of each stream, packed and
+unpacked (8 bytes each), and the streams, each a frame of Zstandard. Versions 1 to 3: one gzip of a header of
+16 bytes and all streams.
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ ADOBE_AXES = 0xADBE0003  # type of an extension after which axes may be others
 MOST_DEGREE = 4  # of SH; that beyond 3 is not read
 RATIO, ALWAYS = 32, 1 << 20  # most bytes per packed byte; bytes that are unpacked from any file
 LEVEL, GZIP_LEVEL = 9, 6  # of compression
-FOR_SH = {"strategy": 4, "search_log": 4, "min_match": 6}  # of Zstandard: short matches in SH cost time, and bytes too
+# of Zstandard: short matches in SH cost time, and bytes too
+FOR_SH = {"strategy": 4, "search_log": 4, "min_match": 6}
 BROKEN = "; copy or export it again"
 
 
@@ -50,11 +52,19 @@ class Header:
     def widths(self) -> dict[str, int]:
         """Bytes of a Gaussian in each stream, in their order."""
         positions, rotations = 6 if self.version == 1 else 9, 4 if self.version >= SMALLEST_THREE else 3
-        return {"positions": positions, "alphas": 1, "colors": 3, "scales": 3, "rotations": rotations, "sh": 3 * ((self.degree + 1) ** 2 - 1)}
+        return {
+            "positions": positions,
+            "alphas": 1,
+            "colors": 3,
+            "scales": 3,
+            "rotations": rotations,
+            "sh": 3 * ((self.degree + 1) ** 2 - 1),
+        }
 
 
 def streams(data: bytes, max_count: int) -> tuple[Header, dict[str, np.ndarray]]:
-    """The header and the streams, (N, bytes) uint8 each, of the bytes of a file. Raises FormatError (without the name of the file), SceneError."""
+    """The header and the streams, (N, bytes) uint8 each, of the bytes of a file. Raises FormatError (without
+    the name of the file), SceneError."""
     size = len(data)
     if data[:2] == GZIP:
         return _gunzipped(data, max_count)
@@ -68,34 +78,56 @@ def streams(data: bytes, max_count: int) -> tuple[Header, dict[str, np.ndarray]]
         _refuse_other_axes(data[HEADER.size : table])
     widths = {name: width for name, width in header.widths().items() if width * count}
     if number != len(widths) or table < HEADER.size or table + ENTRY.size * number > size:
-        raise FormatError(f"has {number} streams, or a table at byte {table}, that do not fit its header{BROKEN}")
+        raise FormatError(
+            f"has {number} streams, or a table at byte {table}, that do not fit its header{BROKEN}"
+        )
     return header, _filled(header, _unpacked(data, table, widths, count))
 
 
 def packed(header: Header, rows: dict[str, np.ndarray], path: str | os.PathLike) -> bytes:
-    """The bytes of a file. rows: the streams, (N, bytes) uint8 each. Raises SceneError, which names the file."""
+    """The bytes of a file. rows: the streams, (N, bytes) uint8 each. Raises SceneError, which names the
+    file."""
     names = [name for name, width in header.widths().items() if width * header.count]
     contents = [np.ascontiguousarray(rows[name]).data.cast("B") for name in names]
     flags = ANTIALIASED * header.antialiased
     if header.version < NEWEST:
-        head = GZIP_HEADER.pack(MAGIC, header.version, header.count, header.degree, header.fraction_bits, flags)
+        head = GZIP_HEADER.pack(
+            MAGIC, header.version, header.count, header.degree, header.fraction_bits, flags
+        )
         packer = zlib.compressobj(GZIP_LEVEL, wbits=16 + zlib.MAX_WBITS)
-        return b"".join([packer.compress(head), *(packer.compress(content) for content in contents), packer.flush()])
+        return b"".join(
+            [packer.compress(head), *(packer.compress(content) for content in contents), packer.flush()]
+        )
     if not zstd.available():
         raise SceneError(f"{path}: cannot be written, {zstd.MISSING}")
     with ThreadPoolExecutor(os.cpu_count()) as threads:
-        frames = list(threads.map(lambda name, content: zstd.compress(content, LEVEL, **(FOR_SH if name == "sh" else {})), names, contents))
-    head = HEADER.pack(MAGIC, NEWEST, header.count, header.degree, header.fraction_bits, flags, len(frames), HEADER.size)
+        frames = list(
+            threads.map(
+                lambda name, content: zstd.compress(content, LEVEL, **(FOR_SH if name == "sh" else {})),
+                names,
+                contents,
+            )
+        )
+    head = HEADER.pack(
+        MAGIC, NEWEST, header.count, header.degree, header.fraction_bits, flags, len(frames), HEADER.size
+    )
     table = [ENTRY.pack(len(frame), len(content)) for frame, content in zip(frames, contents, strict=True)]
     return b"".join([head, *table, *frames])
 
 
 def _checked(header: Header, size: int, max_count: int) -> Header:
-    """Raises FormatError for values that no writer sets, and for more Gaussians than so few bytes can hold."""
+    """Raises FormatError for values that no writer sets, and for more Gaussians than so few bytes can
+    hold."""
     if header.degree > MOST_DEGREE or header.fraction_bits > 30:
-        raise FormatError(f"has SH of degree {header.degree} or {header.fraction_bits} bits of fraction, which no program writes{BROKEN}")
+        raise FormatError(
+            f"has SH of degree {header.degree} or {header.fraction_bits} bits of fraction, which no program"
+            f" writes{BROKEN}"
+        )
     if header.count * sum(header.widths().values()) > max(ALWAYS, RATIO * size):
-        raise FormatError(f"is too small, with {size:,} bytes, for the {header.count:,} Gaussians that its header names{BROKEN}")
+        raise FormatError(
+            f"is too small, with {size:,} bytes, for the {header.count:,} Gaussians that its header"
+            f" names{BROKEN}"
+        )
     refuse_unpacking(header.count, header.coefficients, max_count)
     return header
 
@@ -106,7 +138,9 @@ def _refuse_other_axes(records: bytes):
     while at + 8 <= len(records):
         kind, length = struct.unpack_from("<II", records, at)
         if kind == ADOBE_AXES:
-            raise FormatError("has axes of its own (an extension by Adobe), which are not read; export it without them")
+            raise FormatError(
+                "has axes of its own (an extension by Adobe), which are not read; export it without them"
+            )
         at += 8 + length
 
 
@@ -125,7 +159,10 @@ def _unpacked(data: bytes, table: int, widths: dict[str, int], count: int) -> di
         raise FormatError(f"has {len(data) - at} bytes more than its streams{BROKEN}")
     with ThreadPoolExecutor() as threads:
         contents = list(threads.map(lambda frame: zstd.decompress(*frame), frames.values()))
-    return {name: np.frombuffer(content, np.uint8).reshape(count, -1) for name, content in zip(frames, contents, strict=True)}
+    return {
+        name: np.frombuffer(content, np.uint8).reshape(count, -1)
+        for name, content in zip(frames, contents, strict=True)
+    }
 
 
 def _gunzipped(data: bytes, max_count: int) -> tuple[Header, dict[str, np.ndarray]]:
@@ -138,7 +175,9 @@ def _gunzipped(data: bytes, max_count: int) -> tuple[Header, dict[str, np.ndarra
         _, version, count, degree, bits, flags = GZIP_HEADER.unpack(head)
         if not 1 <= version < NEWEST:
             raise FormatError(f"is an SPZ of version {version}; versions 1 to {NEWEST} are read")
-        header = _checked(Header(version, count, degree, bits, bool(flags & ANTIALIASED)), len(data), max_count)
+        header = _checked(
+            Header(version, count, degree, bits, bool(flags & ANTIALIASED)), len(data), max_count
+        )
         needed = count * sum(header.widths().values())
         content = unpacker.decompress(unpacker.unconsumed_tail, needed) if needed else b""
     except zlib.error as error:
@@ -154,4 +193,7 @@ def _gunzipped(data: bytes, max_count: int) -> tuple[Header, dict[str, np.ndarra
 
 def _filled(header: Header, rows: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """All streams: those without bytes are left out of a file."""
-    return {name: rows.get(name, np.empty((header.count, width), np.uint8)) for name, width in header.widths().items()}
+    return {
+        name: rows.get(name, np.empty((header.count, width), np.uint8))
+        for name, width in header.widths().items()
+    }

@@ -1,8 +1,9 @@
-"""Streamed SOG (PlayCanvas): lod-meta.json beside folders with a SOG each (sog_layout.py), which viewers load as they need them.
+"""Streamed SOG (PlayCanvas): lod-meta.json beside folders with a SOG each (sog_layout.py), which viewers load
+as they need them.
 
-counts, lodLevels   Gaussians of each level of detail, the finest one first; the number of levels
-filenames           meta.json of each SOG: L_n/meta.json holds Gaussians of level L
-tree                boxes: `bound` with min and max, and two `children`, or the `lods` of a leaf: by level, `file`, `offset` and `count` of its Gaussians
+counts, lodLevels   Gaussians of each level of detail, the finest one first; the number of levels filenames
+meta.json of each SOG: L_n/meta.json holds Gaussians of level L tree                boxes: `bound` with min
+and max, and two `children`, or the `lods` of a leaf: by level, `file`, `offset` and `count` of its Gaussians
 environment         meta.json of Gaussians that belong to every level; is read, not written
 """
 
@@ -35,14 +36,16 @@ from .splat_format import SplatFormat
 INDEX, VERSION = "lod-meta.json", 1
 MAX_INDEX = 50_000_000  # bytes of lod-meta.json
 CHUNK = 512 * 1024  # Gaussians of a leaf, of all levels together, and of a file, about
-EXTENT, LEAST = 16.0, 8192  # a leaf is not larger, in units of the scene, unless it has no more Gaussians than this
+# a leaf is not larger, in units of the scene, unless it has no more Gaussians than this
+EXTENT, LEAST = 16.0, 8192
 UNIT = re.compile(r"[\w-][\w.-]*/meta\.json")
 DIGITS = 7  # of the numbers of a box
 BROKEN = "; export it again"
 
 
 def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[Scene]:
-    """The Gaussians of the finest level, in parts. path: lod-meta.json, or its folder. Raises FormatError, which names the file."""
+    """The Gaussians of the finest level, in parts. path: lod-meta.json, or its folder. Raises FormatError,
+    which names the file."""
     path = Path(path)
     return read_level(path / INDEX if path.is_dir() else path, 0, max_count)
 
@@ -91,15 +94,22 @@ def write(path: str | os.PathLike, scene: Scene, quantise: float = 1.0):
 
 
 def write_levels(path: str | os.PathLike, scenes: Sequence[Scene], quantise: float = 1.0):
-    """Writes levels of detail, the finest one first: the SOGs, then lod-meta.json. Until then, an older one and its files stay as they are; at the
-    end, its files are removed. quantise: as of a SOG. Raises SceneError."""
+    """Writes levels of detail, the finest one first: the SOGs, then lod-meta.json. Until then, an older one
+    and its files stay as they are; at the end, its files are removed. quantise: as of a SOG. Raises
+    SceneError."""
     path = Path(path)
     check_space(path, BYTES * sum(scene.count for scene in scenes))
     old = parts(path)[1:] if path.exists() else []
     cut = _Cut(scenes, f".{secrets.token_hex(4)}" if old else "")
     tree = cut.node([np.arange(scene.count) for scene in scenes])
     counts = [scene.count for scene in scenes]
-    meta = {"version": VERSION, "asset": {"generator": f"SVR-GS {__version__}"}, "count": sum(counts), "counts": counts, "lodLevels": len(scenes)}
+    meta = {
+        "version": VERSION,
+        "asset": {"generator": f"SVR-GS {__version__}"},
+        "count": sum(counts),
+        "counts": counts,
+        "lodLevels": len(scenes),
+    }
     for name, (level, rows) in cut.files.items():
         write_in_order(path.parent / name, scenes[level].select(np.concatenate(rows)), quantise)
     with atomic_write(path) as file:
@@ -117,8 +127,10 @@ class _Cut:
 
     scenes: Sequence[Scene]
     tag: str  # in the names of the folders
-    files: dict[str, tuple[int, list[np.ndarray]]] = field(default_factory=dict)  # by name: level, and rows of it, leaf by leaf
-    open_files: dict[int, tuple[str, int]] = field(default_factory=dict)  # by level: name, and Gaussians so far
+    # by name: level, and rows of it, leaf by leaf
+    files: dict[str, tuple[int, list[np.ndarray]]] = field(default_factory=dict)
+    # by level: name, and Gaussians so far
+    open_files: dict[int, tuple[str, int]] = field(default_factory=dict)
 
     def node(self, rows: list[np.ndarray]) -> dict[str, Any]:
         """The node of lod-meta.json with these rows of each level."""
@@ -131,9 +143,15 @@ class _Cut:
         low = [scene.means[some, axis] < middle for scene, some in zip(self.scenes, rows, strict=True)]
         if not any(some.any() for some in low):  # more than half of them are at the lowest place
             low = [scene.means[some, axis] <= middle for scene, some in zip(self.scenes, rows, strict=True)]
-        children = [self.node([some[one == side] for some, one in zip(rows, low, strict=True)]) for side in (True, False)]
+        children = [
+            self.node([some[one == side] for some, one in zip(rows, low, strict=True)])
+            for side in (True, False)
+        ]
         corners = [np.array([child["bound"][name] for child in children]) for name in ("min", "max")]
-        return {"bound": {"min": corners[0].min(axis=0).tolist(), "max": corners[1].max(axis=0).tolist()}, "children": children}
+        return {
+            "bound": {"min": corners[0].min(axis=0).tolist(), "max": corners[1].max(axis=0).tolist()},
+            "children": children,
+        }
 
     def leaf(self, rows: list[np.ndarray]) -> dict[str, Any]:
         lods, low, high = {}, [], []
@@ -143,38 +161,61 @@ class _Cut:
             some = some[morton_order(scene.means[some])]
             name, held = self.open_files.get(level) or (f"{level}_0{self.tag}/{META}", 0)
             if held >= CHUNK:
-                name, held = f"{level}_{sum(one == level for one, _ in self.files.values())}{self.tag}/{META}", 0
+                name, held = (
+                    f"{level}_{sum(one == level for one, _ in self.files.values())}{self.tag}/{META}",
+                    0,
+                )
             self.files.setdefault(name, (level, []))[1].append(some)
             self.open_files[level] = (name, held + len(some))
             lods[str(level)] = {"file": list(self.files).index(name), "offset": held, "count": len(some)}
             corners = _box(scene.select(some))
             low.append(corners[0])
             high.append(corners[1])
-        bound = {"min": np.min(low, axis=0), "max": np.max(high, axis=0)} if low else {"min": np.zeros(3), "max": np.zeros(3)}
-        return {"bound": {name: [float(f"{value:.{DIGITS}g}") for value in corner] for name, corner in bound.items()}, "lods": lods}
+        bound = (
+            {"min": np.min(low, axis=0), "max": np.max(high, axis=0)}
+            if low
+            else {"min": np.zeros(3), "max": np.zeros(3)}
+        )
+        return {
+            "bound": {
+                name: [float(f"{value:.{DIGITS}g}") for value in corner] for name, corner in bound.items()
+            },
+            "lods": lods,
+        }
 
 
 def _box(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """The corners (3,) of the box around ellipsoids of one sigma."""
-    half = np.einsum("nij,nj->ni", np.abs(rotation_matrices(scene.quats)), np.exp(scene.log_scales.astype(np.float64)))
+    half = np.einsum(
+        "nij,nj->ni", np.abs(rotation_matrices(scene.quats)), np.exp(scene.log_scales.astype(np.float64))
+    )
     return (scene.means - half).min(axis=0), (scene.means + half).max(axis=0)
 
 
 def _with_degree(scene: Scene, degree: int) -> Scene:
     """The scene with zeros in SH bands that it does not have."""
     missing = SH_COEFFICIENTS[degree] - scene.sh.shape[1]
-    return replace(scene, sh=np.concatenate([scene.sh, np.zeros((scene.count, missing, 3), np.float32)], axis=1)) if missing else scene
+    return (
+        replace(scene, sh=np.concatenate([scene.sh, np.zeros((scene.count, missing, 3), np.float32)], axis=1))
+        if missing
+        else scene
+    )
 
 
 def _checked(path: Path) -> dict[str, Any]:
-    """lod-meta.json with a valid version, lodLevels, filenames. Raises FormatError (without the name of the file), as the functions below."""
+    """lod-meta.json with a valid version, lodLevels, filenames. Raises FormatError (without the name of the
+    file), as the functions below."""
     meta = json_object(path, MAX_INDEX)
     if meta is None or meta.get("version", VERSION) != VERSION:
-        raise FormatError(f"has no JSON of version {VERSION} and at most {MAX_INDEX:,} bytes that can be read{BROKEN}")
+        raise FormatError(
+            f"has no JSON of version {VERSION} and at most {MAX_INDEX:,} bytes that can be read{BROKEN}"
+        )
     names, number = meta.get("filenames"), meta.get("lodLevels")
     if not isinstance(number, int) or isinstance(number, bool) or not 0 < number <= 1000:
         raise FormatError(f"has no valid lodLevels{BROKEN}")
-    if not isinstance(names, list) or not all(isinstance(name, str) and UNIT.fullmatch(name) and ".." not in name for name in _names(meta)):
+    if not isinstance(names, list) or not all(
+        isinstance(name, str) and UNIT.fullmatch(name) and ".." not in name for name in _names(meta)
+    ):
         raise FormatError(f"names files that are not in folders beside it{BROKEN}")
     return meta
 
@@ -197,12 +238,22 @@ def _units_of(meta: dict[str, Any], level: int, most: int) -> list[str]:
             continue
         part = lods[str(level)]
         number, count = (part.get(name) if isinstance(part, dict) else None for name in ("file", "count"))
-        if not isinstance(number, int) or not 0 <= number < len(names) or not isinstance(count, int) or count < 0:
+        if (
+            not isinstance(number, int)
+            or not 0 <= number < len(names)
+            or not isinstance(count, int)
+            or count < 0
+        ):
             raise FormatError(f"has a leaf that names no file{BROKEN}")
         found.add(number)
         counted += count
     refuse_many(counted, most)
-    return list(dict.fromkeys([names[number] for number in sorted(found)] + ([meta["environment"]] if "environment" in meta else [])))
+    return list(
+        dict.fromkeys(
+            [names[number] for number in sorted(found)]
+            + ([meta["environment"]] if "environment" in meta else [])
+        )
+    )
 
 
 FORMAT = SplatFormat(

@@ -1,8 +1,10 @@
-"""OpenUSD with prims ParticleField3DGaussianSplat (26.03 and later), as float32: read and written by pxr, which Blender brings along, or usd-core.
+"""OpenUSD with prims ParticleField3DGaussianSplat (26.03 and later), as float32: read and written by pxr,
+which Blender brings along, or usd-core.
 
-positions, orientations (unit quaternions), scales (not logarithms), opacities (0 to 1), radiance:sphericalHarmonicsCoefficients, those of one Gaussian
-together. Stages are written with y up: right, up, back. All such prims of a stage are read, at its first frame, moved as their parents say; what else is
-in it is ignored.
+positions, orientations (unit quaternions), scales (not logarithms), opacities (0 to 1),
+radiance:sphericalHarmonicsCoefficients, those of one Gaussian together. Stages are written with y up: right,
+up, back. All such prims of a stage are read, at its first frame, moved as their parents say; what else is in
+it is ignored.
 """
 
 from __future__ import annotations
@@ -33,27 +35,37 @@ from .splat_format import SplatFormat
 from .usd_arrays import DEGREE, SH, TYPE
 
 BEYOND = 1e-7  # an opacity keeps so much from 0 and 1, where its logit would be infinite
-ROWS = {"positions": 3, "orientations": 4, "scales": 3, "opacities": 1}  # attributes, and the numbers of a Gaussian in each
+# attributes, and the numbers of a Gaussian in each
+ROWS = {"positions": 3, "orientations": 4, "scales": 3, "opacities": 1}
 Z_TO_Y = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]], np.float64)
 SECONDS, LONGER = 5, 4  # of the processor that reading a small file may take; factor on it, for a clock
-MEGABYTES, TIMES_FILE = 4096, 8  # of addresses for a small file: OpenUSD and NumPy take most of them; for each byte of a larger one
+# of addresses for a small file: OpenUSD and NumPy take most of them; for each byte of a larger one
+MEGABYTES, TIMES_FILE = 4096, 8
 FREE_SPACE = 3  # bytes of free space for each byte of the values
 POINTS = ("Points", "Mesh")  # prims in which Blender exports the data of a splat
 BROKEN = "; export it again"
 
 
 def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[Scene]:
-    """All Gaussians as one part. Raises FormatError, which names the file, and SceneError if pxr is missing."""
+    """All Gaussians as one part. Raises FormatError, which names the file, and SceneError if pxr is
+    missing."""
     with opened(path) as file, _arrays_of(Path(path), size_of(file)) as arrays:
         number = sum(name.endswith(":positions") for name in arrays)
         if not number:
             raise FormatError(f"holds no splat: no prim of the type {TYPE}")
         degrees = [_degree(arrays, one) for one in range(number)]
-        refuse_whole(sum(arrays[f"{one}:positions"].size // 3 for one in range(number)), SH_COEFFICIENTS[max(degrees)], max_count)
+        refuse_whole(
+            sum(arrays[f"{one}:positions"].size // 3 for one in range(number)),
+            SH_COEFFICIENTS[max(degrees)],
+            max_count,
+        )
         upright = Z_TO_Y if arrays["z_up"] else np.eye(4)
         try:
             with np.errstate(over="ignore", invalid="ignore"):  # values of a damaged file
-                scenes = [transformed(_scene(arrays, one, max(degrees)), upright @ arrays[f"{one}:matrix"]) for one in range(number)]
+                scenes = [
+                    transformed(_scene(arrays, one, max(degrees)), upright @ arrays[f"{one}:matrix"])
+                    for one in range(number)
+                ]
         except SceneError as error:
             raise FormatError(f"has a prim that cannot be placed: {error}") from None
     yield turned_over(merged(scenes) if len(scenes) > 1 else scenes[0])
@@ -61,14 +73,21 @@ def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[
 
 @contextlib.contextmanager
 def _arrays_of(path: Path, size: int) -> Iterator[Any]:
-    """The arrays of the stage (usd_arrays.py). Raises FormatError (without the name of the file), as the functions below, and SceneError."""
+    """The arrays of the stage (usd_arrays.py). Raises FormatError (without the name of the file), as the
+    functions below, and SceneError."""
     if not packages.is_installed("pxr"):
         module("Usd")  # raises
     with tempfile.TemporaryDirectory() as folder:
-        out, seconds, megabytes = Path(folder) / "arrays.npz", SECONDS + (size >> 22), MEGABYTES + TIMES_FILE * (size >> 20)
+        out, seconds, megabytes = (
+            Path(folder) / "arrays.npz",
+            SECONDS + (size >> 22),
+            MEGABYTES + TIMES_FILE * (size >> 20),
+        )
         words = [limited.__file__, seconds, megabytes, usd_arrays.__file__, path.absolute(), out]
         command = [sys.executable, "-P", *map(str, words)]
-        with ChildProcess(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as child:
+        with ChildProcess(
+            command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        ) as child:
             try:
                 child.wait(LONGER * seconds)
             except subprocess.TimeoutExpired:
@@ -96,11 +115,16 @@ def write(path: str | os.PathLike, scene: Scene):
 
 
 def replace_points(stage: Any, path: Any, scene: Scene):
-    """In a stage that Blender exports: makes the points below the prim of an object this splat, in the object's coordinates; also those of an
-    instance, in its prototype. Raises SceneError if there are none, or without pxr."""
+    """In a stage that Blender exports: makes the points below the prim of an object this splat, in the
+    object's coordinates; also those of an instance, in its prototype. Raises SceneError if there are none, or
+    without pxr."""
     Usd = module("Usd")
     everything = Usd.TraverseInstanceProxies(Usd.PrimAllPrimsPredicate)  # prototypes too
-    found = [prim for prim in stage.GetPrimAtPath(path).GetFilteredChildren(everything) if prim.GetTypeName() in (*POINTS, TYPE)]
+    found = [
+        prim
+        for prim in stage.GetPrimAtPath(path).GetFilteredChildren(everything)
+        if prim.GetTypeName() in (*POINTS, TYPE)
+    ]
     if not found:
         raise SceneError(f"{path}: has no points in the stage, so its splat is not in it")
     spec = found[0].GetPrimStack()[-1]
@@ -119,7 +143,11 @@ def _fill(prim: Any, scene: Scene):
     with np.errstate(over="ignore"):
         scales = np.exp(scene.log_scales)
     radius = 3 * scales.max(initial=0)
-    extent = np.array([scene.means.min(axis=0) - radius, scene.means.max(axis=0) + radius]) if scene.count else np.zeros((2, 3), np.float32)
+    extent = (
+        np.array([scene.means.min(axis=0) - radius, scene.means.max(axis=0) + radius])
+        if scene.count
+        else np.zeros((2, 3), np.float32)
+    )
     values = {
         "positions": (kinds.Point3fArray, Vt.Vec3fArray, scene.means),
         "orientations": (kinds.QuatfArray, Vt.QuatfArray, np.roll(scene.quats / norms, -1, axis=1)),
@@ -134,17 +162,25 @@ def _fill(prim: Any, scene: Scene):
 def _scene(arrays: dict[str, np.ndarray], number: int, degree: int) -> Scene:
     """The Gaussians of a prim in its own coordinates, with SH up to `degree`."""
     count, own = arrays[f"{number}:positions"].size // 3, _degree(arrays, number)
-    means, orientations, scales, opacities = (_rows(arrays, number, name, count, width) for name, width in ROWS.items())
+    means, orientations, scales, opacities = (
+        _rows(arrays, number, name, count, width) for name, width in ROWS.items()
+    )
     sh = np.zeros((count, SH_COEFFICIENTS[degree], 3), np.float32)
-    sh[:, : SH_COEFFICIENTS[own]] = _rows(arrays, number, "sh", count, 3 * SH_COEFFICIENTS[own]).reshape(count, SH_COEFFICIENTS[own], 3)
+    sh[:, : SH_COEFFICIENTS[own]] = _rows(arrays, number, "sh", count, 3 * SH_COEFFICIENTS[own]).reshape(
+        count, SH_COEFFICIENTS[own], 3
+    )
     opacities = np.clip(opacities[:, 0].astype(np.float64), BEYOND, 1 - BEYOND)
-    return Scene.of(means, logs_of(scales), np.roll(orientations, 1, axis=1), np.log(opacities / (1 - opacities)), sh)
+    return Scene.of(
+        means, logs_of(scales), np.roll(orientations, 1, axis=1), np.log(opacities / (1 - opacities)), sh
+    )
 
 
 def _degree(arrays: dict[str, np.ndarray], number: int) -> int:
     degree = int(arrays[f"{number}:degree"])
     if degree not in range(len(SH_COEFFICIENTS)):
-        raise FormatError(f"has spherical harmonics of degree {degree}; 0 to {len(SH_COEFFICIENTS) - 1} are read")
+        raise FormatError(
+            f"has spherical harmonics of degree {degree}; 0 to {len(SH_COEFFICIENTS) - 1} are read"
+        )
     return degree
 
 
@@ -152,7 +188,9 @@ def _rows(arrays: dict[str, np.ndarray], number: int, name: str, count: int, wid
     """(count, width) float32."""
     found = arrays[f"{number}:{name}"]
     if found.size != count * width:
-        raise FormatError(f"has a splat whose {name} are missing, or not those of {count:,} Gaussians{BROKEN}")
+        raise FormatError(
+            f"has a splat whose {name} are missing, or not those of {count:,} Gaussians{BROKEN}"
+        )
     return found.reshape(count, width)
 
 

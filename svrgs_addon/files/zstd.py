@@ -1,4 +1,5 @@
-"""Zstandard: the module of Python 3.14, or the package zstandard, which Blender brings along. Loaded when it is needed."""
+"""Zstandard: the module of Python 3.14, or the package zstandard, which Blender brings along. Loaded when it
+is needed."""
 
 from __future__ import annotations
 
@@ -9,7 +10,9 @@ import os
 from ..system.errors import FormatError
 
 SHARED = 1 << 22  # bytes
-PIECE, HALF_WINDOW = 1 << 22, 8  # bytes that a core takes at a time; it looks back half as far as one core alone would, which costs 0.2 % more bytes
+# bytes that a core takes at a time; it looks back half as far as one core alone would, which costs 0.2 % more
+# bytes
+PIECE, HALF_WINDOW = 1 << 22, 8
 MISSING = "because the package zstandard is missing: pip install zstandard"
 DAMAGED = "is damaged: a stream cannot be unpacked; copy or export it again"
 
@@ -20,20 +23,26 @@ def available() -> bool:
 
 
 def compress(data: bytes | memoryview, level: int, **parameters: int) -> bytes:
-    """One frame that says how long its content is. A long one is compressed by all cores. parameters: of Zstandard, other than the level has them."""
+    """One frame that says how long its content is. A long one is compressed by all cores. parameters: of
+    Zstandard, other than the level has them."""
     module, workers = importlib.import_module(_module()), (os.cpu_count() or 1) if len(data) > SHARED else 0
     if workers:
         parameters |= {"job_size": PIECE, "overlap_log": HALF_WINDOW}
     if _in_python():
         options = {"compression_level": level, "nb_workers": workers, **parameters}
-        return module.compress(data, options={getattr(module.CompressionParameter, name): value for name, value in options.items()})
-    chosen = module.ZstdCompressionParameters.from_level(level, source_size=len(data), threads=workers, **parameters)
+        return module.compress(
+            data,
+            options={getattr(module.CompressionParameter, name): value for name, value in options.items()},
+        )
+    chosen = module.ZstdCompressionParameters.from_level(
+        level, source_size=len(data), threads=workers, **parameters
+    )
     return module.ZstdCompressor(compression_params=chosen).compress(data)
 
 
 def decompress(frame: bytes, size: int) -> bytes:
-    """The content of a frame, which has `size` bytes. No more memory is used, whatever the frame says. Raises FormatError (without the name of the
-    file)."""
+    """The content of a frame, which has `size` bytes. No more memory is used, whatever the frame says. Raises
+    FormatError (without the name of the file)."""
     try:
         content = _content(frame, size)
     except (ValueError, EOFError, MemoryError, importlib.import_module(_module()).ZstdError):
@@ -57,4 +66,7 @@ def _module() -> str:
 
 
 def _in_python() -> bool:
-    return importlib.util.find_spec("compression") is not None and importlib.util.find_spec("compression.zstd") is not None
+    return (
+        importlib.util.find_spec("compression") is not None
+        and importlib.util.find_spec("compression.zstd") is not None
+    )

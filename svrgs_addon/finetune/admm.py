@@ -1,7 +1,8 @@
-"""ADMM on opacities (GaussianSpa, arXiv 2411.06019): a proxy z that is 0 for the Gaussians that are to go, and a dual variable u.
+"""ADMM on opacities (GaussianSpa, arXiv 2411.06019): a proxy z that is 0 for the Gaussians that are to go,
+and a dual variable u.
 
-The loss gets rho/2 |o - (z - u)|^2. The dual u and the goal z - u are among the model's values, so that rows move with them and checkpoints
-hold them. They are not learned.
+The loss gets rho/2 |o - (z - u)|^2. The dual u and the goal z - u are among the model's values, so that rows
+move with them and checkpoints hold them. They are not learned.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ def begun(model: Model) -> bool:
 
 
 def project(model: Model, stays: np.ndarray):
-    """z becomes o + u for the Gaussians of `stays` (N,) bool, else 0; then u grows by o - z. The first projection leaves u at 0."""
+    """z becomes o + u for the Gaussians of `stays` (N,) bool, else 0; then u grows by o - z. The first
+    projection leaves u at 0."""
     o = sigmoid(model.opacity_logits, np)
     u = model.values[DUAL] if begun(model) else np.zeros_like(o)
     z = np.where(stays, o + u, 0).astype(o.dtype)

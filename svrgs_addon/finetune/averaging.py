@@ -1,6 +1,8 @@
-"""The mean of all values over the last steps of a phase (iterate averaging, Polyak and Juditsky 1992), which becomes the result.
+"""The mean of all values over the last steps of a phase (iterate averaging, Polyak and Juditsky 1992), which
+becomes the result.
 
-Each step follows one view, so the values keep moving about the best ones. Their mean lies nearer to these than the last of them does.
+Each step follows one view, so the values keep moving about the best ones. Their mean lies nearer to these
+than the last of them does.
 """
 
 from __future__ import annotations
@@ -16,13 +18,15 @@ ROWS = 8_192  # Gaussians that are worked on at a time, so that they fit into a 
 
 @dataclass
 class Average:
-    """The mean of the values of a model, whose rows must stay the same. values: arrays as in Model, by name, and their dtype."""
+    """The mean of the values of a model, whose rows must stay the same. values: arrays as in Model, by name,
+    and their dtype."""
 
     values: dict[str, np.ndarray] = field(default_factory=dict)
     samples: int = 0
 
     def add(self, model: Model):
-        """Adds the present values: mean_k = mean_(k-1) + (x_k - mean_(k-1)) / k. It works in blocks of rows: it is faster, and needs little memory."""
+        """Adds the present values: mean_k = mean_(k-1) + (x_k - mean_(k-1)) / k. It works in blocks of rows:
+        it is faster, and needs little memory."""
         self.samples += 1
         if not self.values:
             self.values = {name: getattr(model, name).copy() for name in PARAMETERS}

@@ -1,6 +1,7 @@
 """Checkpoints of a run: one folder per checkpoint, with arrays.npz and manifest.json.
 
-The manifest is written last and holds the digest of the arrays and of itself. A folder whose digests do not match is not a checkpoint.
+The manifest is written last and holds the digest of the arrays and of itself. A folder whose digests do not
+match is not a checkpoint.
 """
 
 from __future__ import annotations
@@ -33,10 +34,12 @@ _PARTS = ("values", "moments")
 
 
 def save(run: Run, folder: Path, identity: str, time: dict | None = None) -> Path:
-    """Writes the state of the run to folder/<iteration> and deletes all checkpoints but the newest two. Returns the new folder.
+    """Writes the state of the run to folder/<iteration> and deletes all checkpoints but the newest two.
+    Returns the new folder.
 
-    identity: digest of settings and inputs, compared by restore(). time: the plan of a job with a time limit, for newest_manifest(). Raises
-    SceneError if the checkpoint cannot be written; the earlier checkpoints then stay.
+    identity: digest of settings and inputs, compared by restore(). time: the plan of a job with a time limit,
+    for newest_manifest(). Raises SceneError if the checkpoint cannot be written; the earlier checkpoints then
+    stay.
     """
     target = folder / f"{run.iteration:07d}"
     try:
@@ -53,7 +56,11 @@ def save(run: Run, folder: Path, identity: str, time: dict | None = None) -> Pat
 
 def _write(run: Run, target: Path, identity: str, time: dict | None):
     arrays = {f"{part}.{name}": array for part in _PARTS for name, array in getattr(run.model, part).items()}
-    arrays |= {"origin": run.model.origin, "statistics.total": run.statistics.total, "statistics.views": run.statistics.views}
+    arrays |= {
+        "origin": run.model.origin,
+        "statistics.total": run.statistics.total,
+        "statistics.views": run.statistics.views,
+    }
     arrays |= {f"average.{name}": array for name, array in run.average.values.items()}
     arrays |= {"views.losses": run.views.losses, "views.left_out": run.views.left_out}
     check_space(target / "arrays.npz", sum(array.nbytes for array in arrays.values()))
@@ -84,8 +91,11 @@ def _write(run: Run, target: Path, identity: str, time: dict | None):
 
 
 def identity_of(start: Model, dataset: Dataset, plan: Plan, engine: str) -> str:
-    """Digest of everything that must be the same in a resumed run: plan, engine, scene, cameras, photographs. Raises SceneError."""
-    digest = hashlib.sha256(repr((plan, engine, dataset.train_indices, start.metadata["antialiased"])).encode())
+    """Digest of everything that must be the same in a resumed run: plan, engine, scene, cameras, photographs.
+    Raises SceneError."""
+    digest = hashlib.sha256(
+        repr((plan, engine, dataset.train_indices, start.metadata["antialiased"])).encode()
+    )
     for array in (start.means, start.log_scales, start.quats, start.opacity_logits, start.sh):
         digest.update(np.ascontiguousarray(array).data)
     for part in dataset.inputs():
@@ -94,18 +104,25 @@ def identity_of(start: Model, dataset: Dataset, plan: Plan, engine: str) -> str:
 
 
 def restore(run: Run, folder: Path, identity: str) -> bool:
-    """Restores the run from the newest valid checkpoint. Returns False if there is none. Raises FormatError if it is of another run.
+    """Restores the run from the newest valid checkpoint. Returns False if there is none. Raises FormatError
+    if it is of another run.
 
     A damaged checkpoint is deleted, with a warning, and the one before it is tried.
     """
     for candidate in reversed(_folders(folder)):
         manifest = read_manifest(candidate)
         if manifest is None:
-            logging.warning("checkpoint %s is damaged or of another version: the one before it is tried", candidate)
-            shutil.rmtree(candidate, ignore_errors=True)  # else it would stay the newest, and save() would delete new ones instead
+            logging.warning(
+                "checkpoint %s is damaged or of another version: the one before it is tried", candidate
+            )
+            # else it would stay the newest, and save() would delete new ones instead
+            shutil.rmtree(candidate, ignore_errors=True)
             continue
         if manifest["identity"] != identity:
-            raise FormatError(f"{candidate}: this checkpoint is of a run with other settings or inputs; delete {folder} to start again")
+            raise FormatError(
+                f"{candidate}: this checkpoint is of a run with other settings or inputs; delete {folder} to"
+                " start again"
+            )
         _apply(run, candidate, manifest)
         return True
     return False
@@ -130,7 +147,10 @@ def _delete_if_empty(folder: Path):
 
 def _apply(run: Run, folder: Path, manifest: dict):
     with np.load(folder / "arrays.npz", allow_pickle=False) as arrays:
-        parts = {part: {name.split(".", 1)[1]: arrays[name] for name in arrays if name.startswith(part + ".")} for part in (*_PARTS, "average")}
+        parts = {
+            part: {name.split(".", 1)[1]: arrays[name] for name in arrays if name.startswith(part + ".")}
+            for part in (*_PARTS, "average")
+        }
         run.model.values, run.model.moments = (parts[part] for part in _PARTS)
         run.average = Average(parts["average"], manifest["averaged"])
         run.model.origin = arrays["origin"]
@@ -138,11 +158,17 @@ def _apply(run: Run, folder: Path, manifest: dict):
         run.statistics.total, run.statistics.views = arrays["statistics.total"], arrays["statistics.views"]
         run.views.losses, run.views.left_out = arrays["views.losses"], arrays["views.left_out"]
     run.views.epoch, run.views.position = manifest["epoch"]
-    run.iteration, run.initial_count, run.unordered = manifest["iteration"], manifest["initial_count"], manifest["unordered"]
+    run.iteration, run.initial_count, run.unordered = (
+        manifest["iteration"],
+        manifest["initial_count"],
+        manifest["unordered"],
+    )
     run.target = manifest["target"]
     run.method.restore(manifest["method"])
     run.controller = StrengthController(**manifest["controller"]) if manifest["controller"] else None
-    run.recovery_pruning = RecoveryPruning(**manifest["recovery_pruning"]) if manifest["recovery_pruning"] else None
+    run.recovery_pruning = (
+        RecoveryPruning(**manifest["recovery_pruning"]) if manifest["recovery_pruning"] else None
+    )
     run.loss, run.seconds = manifest["loss"], manifest["seconds"]
     run.nonfinite, run.held_back = manifest["nonfinite"], manifest["held_back"]
     run.curves = Curves(**manifest["curves"])
@@ -153,11 +179,16 @@ def _folders(folder: Path) -> list[Path]:
 
 
 def read_manifest(folder: Path) -> dict | None:
-    """The manifest of the checkpoint in `folder`, without its digest. None if the checkpoint is incomplete or was changed."""
+    """The manifest of the checkpoint in `folder`, without its digest. None if the checkpoint is incomplete or
+    was changed."""
     try:
         manifest = json.loads((folder / "manifest.json").read_bytes())
         own = manifest.pop("digest")
-        if manifest["schema"] == SCHEMA and own == text_digest(manifest) and manifest["sha256"] == _digest(folder / "arrays.npz"):
+        if (
+            manifest["schema"] == SCHEMA
+            and own == text_digest(manifest)
+            and manifest["sha256"] == _digest(folder / "arrays.npz")
+        ):
             return manifest
     except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
         pass

@@ -1,4 +1,5 @@
-"""Adaptive density control of 3DGS (section 5.2): it clones small Gaussians and splits large ones whose position gradient is large."""
+"""Adaptive density control of 3DGS (section 5.2): it clones small Gaussians and splits large ones whose
+position gradient is large."""
 
 from __future__ import annotations
 
@@ -14,14 +15,16 @@ RESET_OPACITY = 0.01
 
 
 class Statistics:
-    """The mean norm of dL/d(projected centre) of each Gaussian since the last densification, in units of half the image."""
+    """The mean norm of dL/d(projected centre) of each Gaussian since the last densification, in units of half
+    the image."""
 
     def __init__(self, count: int):
         self.total = np.zeros(count, np.float32)
         self.views = np.zeros(count, np.int32)
 
     def add(self, visible: np.ndarray, means2d: np.ndarray, width: int, height: int):
-        """Adds one view. visible (V,): rows; means2d (V, 2): gradients per pixel; width, height of the view in pixels."""
+        """Adds one view. visible (V,): rows; means2d (V, 2): gradients per pixel; width, height of the view
+        in pixels."""
         rows = visible.astype(np.intp)  # NumPy would convert it at each of the four accesses
         self.total[rows] += np.hypot(means2d[:, 0] * (0.5 * width), means2d[:, 1] * (0.5 * height))
         self.views[rows] += 1
@@ -31,11 +34,18 @@ class Statistics:
 
 
 def densify(
-    model: Model, statistics: Statistics, rule: Densify, extent: float, rng: np.random.Generator, fits: Callable[[int], bool] = lambda _: True
+    model: Model,
+    statistics: Statistics,
+    rule: Densify,
+    extent: float,
+    rng: np.random.Generator,
+    fits: Callable[[int], bool] = lambda _: True,
 ) -> np.ndarray:
-    """Adds clones and the children of splits to the model. fits(n): whether memory holds n more Gaussians; if not, nothing is added.
+    """Adds clones and the children of splits to the model. fits(n): whether memory holds n more Gaussians; if
+    not, nothing is added.
 
-    Returns (N,) bool over the Gaussians of the model, the new ones included: False for split parents, which the caller removes.
+    Returns (N,) bool over the Gaussians of the model, the new ones included: False for split parents, which
+    the caller removes.
     """
     largest = np.exp(model.log_scales.max(axis=1))
     selected = statistics.mean() >= rule.gradient
@@ -53,8 +63,9 @@ def densify(
 
 
 def keep_mask(model: Model, rule: Densify, extent: float, after_reset: bool) -> np.ndarray:
-    """(N,) bool: the Gaussians that 3DGS does not prune: opacity at least min_opacity and, after the first opacity reset, a scale of at most
-    max_scale times the extent. The published rule on the size on the screen is left out, because it never applies."""
+    """(N,) bool: the Gaussians that 3DGS does not prune: opacity at least min_opacity and, after the first
+    opacity reset, a scale of at most max_scale times the extent. The published rule on the size on the screen
+    is left out, because it never applies."""
     keep = model.opacity_logits >= np.log(rule.min_opacity / (1 - rule.min_opacity))
     if after_reset:
         keep &= np.exp(model.log_scales.max(axis=1)) <= rule.max_scale * extent
@@ -62,7 +73,8 @@ def keep_mask(model: Model, rule: Densify, extent: float, after_reset: bool) -> 
 
 
 def _place_children(rows: dict[str, np.ndarray], clones: int, rule: Densify, rng: np.random.Generator):
-    """Draws the positions of a split's children from their parent's Gaussian and shrinks them. The first `clones` rows are clones and stay."""
+    """Draws the positions of a split's children from their parent's Gaussian and shrinks them. The first
+    `clones` rows are clones and stay."""
     if len(rows["means"]) == clones:
         return
     children = slice(clones, None)
@@ -80,8 +92,9 @@ def reset_opacity(model: Model):
 
 
 def lower_opacity(model: Model, rows: np.ndarray, factor: float, odds: float):
-    """Lowers the opacities o of the rows (N,) bool: o becomes factor o, then its odds o / (1 - o) are multiplied by `odds`, both in (0, 1]. The moments
-    of all logits become 0. With o = 1 / (1 + exp(-l)) the new logit is log factor - log(exp(-l) + 1 - factor) + log odds."""
+    """Lowers the opacities o of the rows (N,) bool: o becomes factor o, then its odds o / (1 - o) are
+    multiplied by `odds`, both in (0, 1]. The moments of all logits become 0. With o = 1 / (1 + exp(-l)) the
+    new logit is log factor - log(exp(-l) + 1 - factor) + log odds."""
     logits = model.opacity_logits.astype(np.float64)
     with np.errstate(divide="ignore"):  # log(1 - factor) of a factor of 1, which leaves a logit as it is
         lowered = np.log(factor) - np.logaddexp(-logits, np.log1p(-factor)) + np.log(odds)

@@ -1,7 +1,7 @@
 """The native engine: one optimisation step with NumPy arrays and the native kernels.
 
-An engine is any object with `step(model, step) -> StepResult`. torch_engine.py is a reference implementation in PyTorch; this engine is
-tested against it.
+An engine is any object with `step(model, step) -> StepResult`. torch_engine.py is a reference implementation
+in PyTorch; this engine is tested against it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ BETAS, EPS = (0.9, 0.999), 1e-15
 
 @dataclass
 class Step:
-    """The inputs of one optimisation step: a view, its photograph, learning rates, masks and the terms of the loss."""
+    """The inputs of one optimisation step: a view, its photograph, learning rates, masks and the terms of the
+    loss."""
 
     camera: Camera
     target: np.ndarray  # (H, W, 3) in the model's dtype, display sRGB 0..1; of the window, if there is one
@@ -33,12 +34,15 @@ class Step:
     slope: np.ndarray | None = None  # (N,) dM/dlogit; None: masks are not learned
     lambda_f: float = 0.0  # weight of mean F^2
     lambda_m: float = 0.0  # weight of (mean M)^2
-    gates: bool = False  # masks multiply the scale too, and have a gradient only where they are 1 (Compact3DGS)
+    # masks multiply the scale too, and have a gradient only where they are 1 (Compact3DGS)
+    gates: bool = False
     penalty: Penalty | tuple[Penalty, ...] | None = None  # one term, or several
-    frozen: np.ndarray | None = None  # (N,) bool: Gaussians that are rendered, but not updated. Not in a step that densifies. None: none
+    # (N,) bool: Gaussians that are rendered, but not updated. Not in a step that densifies. None: none
+    frozen: np.ndarray | None = None
     update: bool = True  # False: gradients only (3DGS takes no optimiser step in a step that densifies)
     want_means2d: bool = False  # the gradient of the projected centres is returned, for densification
-    window: tuple[slice, slice] | None = None  # rows and columns of the view: outside of them, its picture counts as equal to the target. None: all
+    # rows and columns of the view: outside of them, its picture counts as equal to the target. None: all
+    window: tuple[slice, slice] | None = None
 
     @property
     def spatial(self) -> bool:
@@ -62,7 +66,9 @@ class Step:
     @property
     def dense_gradients(self) -> set[str]:
         """Parameters whose gradient is not sparse: it reaches every Gaussian, not only the visible ones."""
-        return ({MASK} if self.lambda_m else set()) | {penalty.parameter for penalty in self.penalties if not penalty.seen}
+        return ({MASK} if self.lambda_m else set()) | {
+            penalty.parameter for penalty in self.penalties if not penalty.seen
+        }
 
 
 @dataclass
@@ -72,7 +78,8 @@ class StepResult:
     l1: float
     ssim: float
     mask_loss: float  # mean F^2
-    visible: np.ndarray  # (V,) uint32: rows of the Gaussians that the view sees and that are not frozen, ascending
+    # (V,) uint32: rows of the Gaussians that the view sees and that are not frozen, ascending
+    visible: np.ndarray
     means2d: np.ndarray | None = None  # (V, 2) dL/d(projected centre), per pixel
     global_loss: float = 0.0  # (mean M)^2
     penalty: float = 0.0  # value of Step.penalty, its weight included
@@ -82,16 +89,23 @@ class StepResult:
         return step.l1_weight * self.l1 + step.ssim_weight * (1 - self.ssim)
 
     def loss(self, step: Step) -> float:
-        return self.image_loss(step) + step.lambda_f * self.mask_loss + step.lambda_m * self.global_loss + self.penalty
+        return (
+            self.image_loss(step)
+            + step.lambda_f * self.mask_loss
+            + step.lambda_m * self.global_loss
+            + self.penalty
+        )
 
 
 def global_mask_grad(masks: np.ndarray, slope: np.ndarray, lambda_m: float) -> np.ndarray:
-    """Gradient of lambda_m (mean M)^2 with respect to the existence logits, (N,) (MaskGaussian). slope: dM/dlogit (N,)."""
+    """Gradient of lambda_m (mean M)^2 with respect to the existence logits, (N,) (MaskGaussian). slope:
+    dM/dlogit (N,)."""
     return slope * slope.dtype.type(2 * lambda_m * float(masks.mean()) / len(masks))
 
 
 class NativeEngine:
-    """Forward, loss, backward and a sparse Adam step. Sparse: only the Gaussians that the view sees are updated."""
+    """Forward, loss, backward and a sparse Adam step. Sparse: only the Gaussians that the view sees are
+    updated."""
 
     def __init__(self, level: str | None = None):
         self.rasterizer = Rasterizer(level)
@@ -105,7 +119,9 @@ class NativeEngine:
         if step.spatial:
             mask_loss, image_grads["mask"] = r.mask_loss(images["mask"], step.lambda_f)
         result = StepResult(l1, ssim, mask_loss, step.not_frozen(r.visible()), global_loss=step.global_loss)
-        result.penalty = float(sum(penalty.value(rows, np) for penalty, rows in _penalised(model, step, result.visible)))
+        result.penalty = float(
+            sum(penalty.value(rows, np) for penalty, rows in _penalised(model, step, result.visible))
+        )
         wanted: tuple[str, ...] = ("means2d",) if step.want_means2d else ()
         if not step.update:
             result.means2d = r.backward(image_grads, wanted).get("means2d")
@@ -115,27 +131,40 @@ class NativeEngine:
         return result
 
     def _image_loss(self, step: Step, rgb: np.ndarray) -> tuple[float, float, np.ndarray]:
-        """Mean |difference|, SSIM and the gradient (H, W, 3) of the image loss; both values and the gradient are means over all pixels of the view."""
+        """Mean |difference|, SSIM and the gradient (H, W, 3) of the image loss; both values and the gradient
+        are means over all pixels of the view."""
         if step.window is None:
             return self.rasterizer.loss(rgb, step.target, step.l1_weight, step.ssim_weight)
-        l1, ssim, grad = self.rasterizer.loss(np.ascontiguousarray(rgb[step.window]), step.target, step.l1_weight, step.ssim_weight)
+        l1, ssim, grad = self.rasterizer.loss(
+            np.ascontiguousarray(rgb[step.window]), step.target, step.l1_weight, step.ssim_weight
+        )
         share, whole = grad.size / rgb.size, np.zeros_like(rgb)
         np.multiply(grad, rgb.dtype.type(share), out=whole[step.window])
         return share * l1, 1 - share * (1 - ssim), whole
 
-    def _update(self, model: Model, step: Step, image_grads: dict, wanted: tuple[str, ...], ids: np.ndarray) -> tuple[dict, int]:
-        """Backward and Adam in one call of the library. A parameter is updated separately if its gradient is needed here: because a
-        penalty is added to it, or because the gradient of the gates follows from it. Returns the gradients `wanted` and the number of
-        rows that were not finite."""
+    def _update(
+        self, model: Model, step: Step, image_grads: dict, wanted: tuple[str, ...], ids: np.ndarray
+    ) -> tuple[dict, int]:
+        """Backward and Adam in one call of the library. A parameter is updated separately if its gradient is
+        needed here: because a penalty is added to it, or because the gradient of the gates follows from it.
+        Returns the gradients `wanted` and the number of rows that were not finite."""
         trained = PARAMETERS if step.slope is None else (*PARAMETERS, MASK)
-        apart = step.dense_gradients | {penalty.parameter for penalty in step.penalties} | ({"log_scales", MASK} if step.gates else set())
-        tensors = {_grad(name): (model.values[name], model.moments[name]) for name in trained if name not in apart}
+        apart = (
+            step.dense_gradients
+            | {penalty.parameter for penalty in step.penalties}
+            | ({"log_scales", MASK} if step.gates else set())
+        )
+        tensors = {
+            _grad(name): (model.values[name], model.moments[name]) for name in trained if name not in apart
+        }
         rates = {_grad(name): _row_rates(name, step.rates, model) for name in trained if name not in apart}
         slope = None if step.slope is None else np.asarray(step.slope, model.dtype)
         frozen = None if step.frozen is None else step.frozen.view(np.uint8)
         wanted = (*wanted, *(_grad(name) for name in trained if name in apart))
         settings = {"step": step.number, "betas": BETAS, "eps": EPS}
-        grads, bad = self.rasterizer.backward_update(image_grads, tensors, rates, slope=slope, frozen=frozen, wanted=wanted, **settings)
+        grads, bad = self.rasterizer.backward_update(
+            image_grads, tensors, rates, slope=slope, frozen=frozen, wanted=wanted, **settings
+        )
         for name in trained:
             if name in apart:
                 rows = mask_logit_rows(step, grads, ids) if name == MASK else grads[name]
@@ -143,8 +172,13 @@ class NativeEngine:
         return grads, bad
 
     def _step_rows(self, model: Model, step: Step, name: str, rows: np.ndarray, ids: np.ndarray) -> int:
-        """An Adam step on rows `ids` of one parameter, or on all rows if its gradient is dense. Returns the number of rows that were not finite."""
-        added = [(penalty.seen, penalty.grad(values)) for penalty, values in _penalised(model, step, ids) if penalty.parameter == name]
+        """An Adam step on rows `ids` of one parameter, or on all rows if its gradient is dense. Returns the
+        number of rows that were not finite."""
+        added = [
+            (penalty.seen, penalty.grad(values))
+            for penalty, values in _penalised(model, step, ids)
+            if penalty.parameter == name
+        ]
         for grad in (grad for seen, grad in added if seen):
             rows = rows + grad
         if name in step.dense_gradients:
@@ -160,16 +194,30 @@ class NativeEngine:
 
     def _adam(self, model: Model, step: Step, name: str, rows: np.ndarray, ids: np.ndarray | None) -> int:
         rates = _row_rates(name, step.rates, model)
-        return self.rasterizer.adam(model.values[name], model.moments[name], rows, ids, lr=rates, step=step.number, betas=BETAS, eps=EPS)
+        return self.rasterizer.adam(
+            model.values[name],
+            model.moments[name],
+            rows,
+            ids,
+            lr=rates,
+            step=step.number,
+            betas=BETAS,
+            eps=EPS,
+        )
 
 
 def _penalised(model: Model, step: Step, ids: np.ndarray) -> list[tuple[Penalty, np.ndarray]]:
     """The penalties of the step that have a value, each with the rows of its parameter that it is given."""
-    return [(p, model.values[p.parameter][ids] if p.seen else model.values[p.parameter]) for p in step.penalties if len(ids) or not p.seen]
+    return [
+        (p, model.values[p.parameter][ids] if p.seen else model.values[p.parameter])
+        for p in step.penalties
+        if len(ids) or not p.seen
+    ]
 
 
 def mask_logit_rows(step: Step, grads: dict[str, np.ndarray], ids: np.ndarray) -> np.ndarray:
-    """dL/d(existence logit) of the visible Gaussians `ids`, (V,). The gradient of a gate also comes from the scale (methods/compact3dgs.py)."""
+    """dL/d(existence logit) of the visible Gaussians `ids`, (V,). The gradient of a gate also comes from the
+    scale (methods/compact3dgs.py)."""
     d_masks = grads["masks"] + grads["log_scales"].sum(axis=1) if step.gates else grads["masks"]
     assert step.slope is not None
     return d_masks * step.slope[ids]

@@ -1,4 +1,5 @@
-"""The loop of every run: it advances the run to its end, calls an observer after each step, measures curves, and stops on request."""
+"""The loop of every run: it advances the run to its end, calls an observer after each step, measures curves,
+and stops on request."""
 
 from __future__ import annotations
 
@@ -10,7 +11,8 @@ from dataclasses import dataclass
 from ..system.errors import Cancelled, SplatError
 from .run import Run
 
-CURVE_POINTS, LEAST_BETWEEN = 40, 20  # points of the curves; least number of steps between two: a point takes as long as one or two steps
+# points of the curves; least number of steps between two: a point takes as long as one or two steps
+CURVE_POINTS, LEAST_BETWEEN = 40, 20
 CHECKPOINT_SECONDS = 120.0  # between two checkpoints
 
 
@@ -35,10 +37,12 @@ def run_to_end(
     checkpoint: Callable[[], object],
     measure: Callable[[], float | None],  # a PSNR for the curves
 ):
-    """Advances the run until it is finished, and saves checkpoints. Its curves get about CURVE_POINTS points, fewer in a short run.
+    """Advances the run until it is finished, and saves checkpoints. Its curves get about CURVE_POINTS points,
+    fewer in a short run.
 
-    When stop() returns True, it saves a checkpoint and raises Cancelled. A SplatError, for example of a photograph that can no longer
-    be read, is raised on after a checkpoint, if a step was done and none is half done.
+    When stop() returns True, it saves a checkpoint and raises Cancelled. A SplatError, for example of a
+    photograph that can no longer be read, is raised on after a checkpoint, if a step was done and none is
+    half done.
     """
     total, begun, first, counted_from = run.settings.total, time.perf_counter(), run.iteration, run.iteration
     saved = time.monotonic()
@@ -50,9 +54,21 @@ def run_to_end(
             if run.iteration % every == 0 or run.finished:
                 _add_point(run, measure())
             rate = (run.iteration - counted_from) / (time.perf_counter() - begun)
-            if run.iteration == first + 1:  # the first step also ranks Gaussians and fills caches: what follows is faster
+            # the first step also ranks Gaussians and fills caches: what follows is faster
+            if run.iteration == first + 1:
                 begun, counted_from = time.perf_counter(), run.iteration
-            observe(Progress(run.iteration, total, phase.name, phase.label, run.model.count, run.loss, rate, (total - run.iteration) / rate))
+            observe(
+                Progress(
+                    run.iteration,
+                    total,
+                    phase.name,
+                    phase.label,
+                    run.model.count,
+                    run.loss,
+                    rate,
+                    (total - run.iteration) / rate,
+                )
+            )
             if time.monotonic() - saved > CHECKPOINT_SECONDS:
                 checkpoint()
                 saved = time.monotonic()

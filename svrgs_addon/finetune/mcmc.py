@@ -1,8 +1,10 @@
-"""Densification of 3DGS-MCMC (Kheradmand et al. 2024, arXiv 2404.09591): nothing is cloned, split or removed, and opacities are never reset.
+"""Densification of 3DGS-MCMC (Kheradmand et al. 2024, arXiv 2404.09591): nothing is cloned, split or removed,
+and opacities are never reset.
 
-Instead of being removed, a Gaussian whose opacity is at most 0.005 moves onto another one. Until the cap is reached, more Gaussians are
-added in the same way. Those that share a place get opacities and scales with which they look like the one before. In every step noise
-moves the Gaussians of low opacity, and two penalties lower opacities and scales.
+Instead of being removed, a Gaussian whose opacity is at most 0.005 moves onto another one. Until the cap is
+reached, more Gaussians are added in the same way. Those that share a place get opacities and scales with
+which they look like the one before. In every step noise moves the Gaussians of low opacity, and two penalties
+lower opacities and scales.
 """
 
 from __future__ import annotations
@@ -23,8 +25,8 @@ NEGLIGIBLE = 1e-5  # noise that is smaller than this share of the Gaussian's lar
 
 
 def densify(model: Model, rule: MCMC, rng: Generator, fits: Callable[[int], bool] = lambda _: True) -> int:
-    """Relocates the dead Gaussians and adds new ones. fits(n): whether memory holds n more Gaussians; if not, none is added. Returns the
-    number of rows that moved or are new."""
+    """Relocates the dead Gaussians and adds new ones. fits(n): whether memory holds n more Gaussians; if not,
+    none is added. Returns the number of rows that moved or are new."""
     return _relocate(model, rule, rng) + _grow(model, rule, rng, fits)
 
 
@@ -52,7 +54,8 @@ def _grow(model: Model, rule: MCMC, rng: Generator, fits: Callable[[int], bool])
 
 
 def _share(model: Model, rule: MCMC, chosen: np.ndarray):
-    """Gives the Gaussians `chosen` the opacities and scales that let each of their copies have a share. chosen: rows, once for each copy."""
+    """Gives the Gaussians `chosen` the opacities and scales that let each of their copies have a share.
+    chosen: rows, once for each copy."""
     rows, copies = np.unique(chosen, return_counts=True)
     opacity, scale = shares(_opacities(model)[rows], copies + 1)
     opacity = np.clip(opacity, rule.min_opacity, 1 - np.finfo(np.float32).eps)
@@ -63,10 +66,12 @@ def _share(model: Model, rule: MCMC, chosen: np.ndarray):
 
 
 def shares(opacity: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The opacity of each of `count` Gaussians that replace one, and the factor on its scales, (N,) each (Eq. 9 of the paper).
+    """The opacity of each of `count` Gaussians that replace one, and the factor on its scales, (N,) each (Eq.
+    9 of the paper).
 
-    opacity (N,) of the one, float64; count (N,), of at least 1. The published double sum is over i up to the count and k below i; the
-    sum over i of binomial(i - 1, k) is binomial(count, k + 1), which leaves one sum over j = k + 1.
+    opacity (N,) of the one, float64; count (N,), of at least 1. The published double sum is over i up to the
+    count and k below i; the sum over i of binomial(i - 1, k) is binomial(count, k + 1), which leaves one sum
+    over j = k + 1.
     """
     count = np.minimum(count, MOST)
     share = 1 - (1 - opacity) ** (1 / count)
@@ -78,14 +83,23 @@ def shares(opacity: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def add_noise(model: Model, rule: MCMC, position_rate: float, rng: Generator):
-    """Moves the Gaussians by noise: Sigma n sigmoid(100 (0.005 - opacity)) noise position_rate, with n normal in three dimensions.
+    """Moves the Gaussians by noise: Sigma n sigmoid(100 (0.005 - opacity)) noise position_rate, with n normal
+    in three dimensions.
 
-    Sigma = R diag(s^2) R^T, and R^T n has the distribution of n. So n is drawn in the axes of the Gaussian, and turned once.
+    Sigma = R diag(s^2) R^T, and R^T n has the distribution of n. So n is drawn in the axes of the Gaussian,
+    and turned once.
     """
-    size = sigmoid(STEEPNESS * (1 - sigmoid(model.opacity_logits, np) - GATE), np) * model.dtype.type(rule.noise * position_rate)
-    largest = np.maximum(np.maximum(*model.log_scales.T[:2]), model.log_scales[:, 2])  # max(axis=1) takes ten times as long
+    size = sigmoid(STEEPNESS * (1 - sigmoid(model.opacity_logits, np) - GATE), np) * model.dtype.type(
+        rule.noise * position_rate
+    )
+    # max(axis=1) takes ten times as long
+    largest = np.maximum(np.maximum(*model.log_scales.T[:2]), model.log_scales[:, 2])
     rows = np.flatnonzero(size * np.exp(largest) > NEGLIGIBLE)
-    noise = rng.standard_normal((len(rows), 3), np.float32) * np.exp(2 * model.log_scales.take(rows, axis=0)) * size[rows, None]
+    noise = (
+        rng.standard_normal((len(rows), 3), np.float32)
+        * np.exp(2 * model.log_scales.take(rows, axis=0))
+        * size[rows, None]
+    )
     model.means[rows] = model.means.take(rows, axis=0) + rotated(model.quats.take(rows, axis=0), noise)
 
 

@@ -1,4 +1,5 @@
-"""The arrays that a run changes: parameters, Adam moments, existence logits. Rows change only through keep(), reorder() and append()."""
+"""The arrays that a run changes: parameters, Adam moments, existence logits. Rows change only through keep(),
+reorder() and append()."""
 
 from __future__ import annotations
 
@@ -22,13 +23,19 @@ BLOCK_ROWS = 65_536  # rows copied at a time
 class Model:
     """N Gaussians in training.
 
-    values: the arrays of Scene by name (raw, shapes as there) and, while masks are learned, mask_logits (N,), the existence
-    logits. All have the same dtype, float32 or float64. moments: the Adam moments of each value (moments.py), under the same
-    names. origin (N,) int32: row of each Gaussian in the source scene, -1 for Gaussians that were added. metadata: the other
-    fields of the source scene.
+    values: the arrays of Scene by name (raw, shapes as there) and, while masks are learned, mask_logits (N,),
+    the existence logits. All have the same dtype, float32 or float64. moments: the Adam moments of each value
+    (moments.py), under the same names. origin (N,) int32: row of each Gaussian in the source scene, -1 for
+    Gaussians that were added. metadata: the other fields of the source scene.
     """
 
-    def __init__(self, values: dict[str, np.ndarray], moments: dict | None = None, origin: np.ndarray | None = None, metadata: dict | None = None):
+    def __init__(
+        self,
+        values: dict[str, np.ndarray],
+        moments: dict | None = None,
+        origin: np.ndarray | None = None,
+        metadata: dict | None = None,
+    ):
         self.values = values
         self.moments = moments or {name: zero_moments(array) for name, array in values.items()}
         self.origin = np.arange(len(values["means"]), dtype=np.int32) if origin is None else origin
@@ -38,7 +45,9 @@ class Model:
     def of(cls, scene: Scene, dtype=np.float32, copy: bool = True) -> Model:
         """The model of a scene. copy=False: the model uses the scene's own arrays and changes them."""
         values = {name: getattr(scene, name).astype(dtype, copy=copy) for name in PARAMETERS}
-        return cls(values, metadata={name: value for name, value in vars(scene).items() if name not in PARAMETERS})
+        return cls(
+            values, metadata={name: value for name, value in vars(scene).items() if name not in PARAMETERS}
+        )
 
     def __getattr__(self, name: str) -> np.ndarray:  # the rasteriser reads a model as it reads a Scene
         try:
@@ -73,11 +82,13 @@ class Model:
                 del arrays[name]
 
     def keep(self, mask: np.ndarray):
-        """Keeps the rows where mask (N,) is True, moments included. It works in place: a copy would raise the peak memory of the run."""
+        """Keeps the rows where mask (N,) is True, moments included. It works in place: a copy would raise the
+        peak memory of the run."""
         self._select(np.flatnonzero(mask), compacted)
 
     def reorder(self, index: np.ndarray):
-        """Permutes the rows, moments included: the new row i is the old row index[i]. index (N,): a permutation. Copies one array at a time."""
+        """Permutes the rows, moments included: the new row i is the old row index[i]. index (N,): a
+        permutation. Copies one array at a time."""
         self._select(index, lambda array, rows: array.take(rows, axis=0))
 
     def _select(self, rows: np.ndarray, selected: Callable[[np.ndarray, np.ndarray], np.ndarray]):
@@ -89,7 +100,9 @@ class Model:
 
     def first(self, count: int) -> Model:
         """The first `count` rows as a model that shares the arrays: training it changes this one."""
-        values, moments = ({name: array[:count] for name, array in arrays.items()} for arrays in (self.values, self.moments))
+        values, moments = (
+            {name: array[:count] for name, array in arrays.items()} for arrays in (self.values, self.moments)
+        )
         return Model(values, moments, self.origin[:count], self.metadata)
 
     def append(self, rows: dict[str, np.ndarray]):
@@ -102,42 +115,55 @@ class Model:
         self.origin = np.concatenate([self.origin, np.full(added, -1, np.int32)])
 
     def into_scene(self, source_order: bool = True) -> Scene:
-        """The model as a Scene, at the end of a run. It takes the arrays out of the model, so the model is empty afterwards.
+        """The model as a Scene, at the end of a run. It takes the arrays out of the model, so the model is
+        empty afterwards.
 
-        Rows have the order of the source; added Gaussians follow. source_order=False: rows have the model's order. The other fields of the
-        source are kept; its attributes only if no Gaussian was added. An array that is already in this order is not copied.
+        Rows have the order of the source; added Gaussians follow. source_order=False: rows have the model's
+        order. The other fields of the source are kept; its attributes only if no Gaussian was added. An array
+        that is already in this order is not copied.
         """
         self.moments = {}
         rows = self._source_order() if source_order else slice(None)
-        arrays: dict[str, Any] = {name: np.ascontiguousarray(self.values.pop(name)[rows], np.float32) for name in PARAMETERS}
+        arrays: dict[str, Any] = {
+            name: np.ascontiguousarray(self.values.pop(name)[rows], np.float32) for name in PARAMETERS
+        }
         if (self.origin < 0).any():
             return Scene(**arrays, **(self.metadata | {"attributes": {}, "property_order": ()}))
-        attributes = {name: column[self.origin[rows]] for name, column in self.metadata.get("attributes", {}).items()}
+        attributes = {
+            name: column[self.origin[rows]] for name, column in self.metadata.get("attributes", {}).items()
+        }
         return Scene(**arrays, **(self.metadata | {"attributes": attributes}))
 
     def _source_order(self) -> np.ndarray | slice:
-        """Index that puts rows into the order of the source, added ones last in their present order. A slice of all rows if they already are."""
+        """Index that puts rows into the order of the source, added ones last in their present order. A slice
+        of all rows if they already are."""
         order = np.argsort(np.where(self.origin < 0, np.iinfo(np.int32).max, self.origin), kind="stable")
         return slice(None) if (np.diff(order) > 0).all() else order
 
 
 def compacted(array: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """array[rows] for ascending rows, written in place: the result is a view of the first rows of the array."""
+    """array[rows] for ascending rows, written in place: the result is a view of the first rows of the
+    array."""
     for start in range(0, len(rows), BLOCK_ROWS):
         part = rows[start : start + BLOCK_ROWS]
         array[start : start + len(part)] = array[part]
     return array[: len(rows)]
 
 
-def scene_from_points(points: np.ndarray, colors: np.ndarray, sh_degree: int = 3, opacity: float = 0.1, size: float = 1.0) -> Scene:
-    """Initialisation of 3DGS: one isotropic Gaussian per point, with opacity 0.1 and the size of the distance to its neighbours.
+def scene_from_points(
+    points: np.ndarray, colors: np.ndarray, sh_degree: int = 3, opacity: float = 0.1, size: float = 1.0
+) -> Scene:
+    """Initialisation of 3DGS: one isotropic Gaussian per point, with opacity 0.1 and the size of the distance
+    to its neighbours.
 
-    points (P, 3): world coordinates; colors (P, 3) uint8. scale = size sqrt(mean squared distance to the 3 nearest points).
-    Raises SceneError for fewer than 4 points.
+    points (P, 3): world coordinates; colors (P, 3) uint8. scale = size sqrt(mean squared distance to the 3
+    nearest points). Raises SceneError for fewer than 4 points.
     """
     n = len(points)
     if n <= NEIGHBOURS:
-        raise SceneError(f"the dataset has too few sparse points: {n}; training needs at least {NEIGHBOURS + 1}")
+        raise SceneError(
+            f"the dataset has too few sparse points: {n}; training needs at least {NEIGHBOURS + 1}"
+        )
     squared = np.maximum((nearest_distances(points, NEIGHBOURS) ** 2).mean(axis=1), MIN_SQUARED_DISTANCE)
     quats = np.zeros((n, 4), np.float32)
     quats[:, 0] = 1

@@ -1,8 +1,11 @@
-"""Nested scenes (`svrgs prune --nested`; docs/methods.md): each smaller number of Gaussians is a good splat too.
+"""Nested scenes (`svrgs prune --nested`; docs/methods.md): each smaller number of Gaussians is a good splat
+too.
 
-As in Matryoshka Gaussian Splatting (arXiv 2603.19234), the Gaussians have an order, and steps train random prefixes of it. Here it is found once,
-before the recovery: from SIZES numbers, the Gaussians of lowest removal error go, measured with those that are left. Half of the recovery's steps
-train all Gaussians, the others one of the smaller numbers. A prefix is the first rows of every array, so such a step copies nothing and costs less.
+As in Matryoshka Gaussian Splatting (arXiv 2603.19234), the Gaussians have an order, and steps train random
+prefixes of it. Here it is found once, before the recovery: from SIZES numbers, the Gaussians of lowest
+removal error go, measured with those that are left. Half of the recovery's steps train all Gaussians, the
+others one of the smaller numbers. A prefix is the first rows of every array, so such a step copies nothing
+and costs less.
 """
 
 from __future__ import annotations
@@ -21,12 +24,14 @@ _STREAM = 5  # of the random numbers that choose the size
 
 
 def smaller_sizes(count: int, smallest: float) -> list[int]:
-    """The numbers of Gaussians that are trained beside all `count`, from large to small. smallest: share of the last."""
+    """The numbers of Gaussians that are trained beside all `count`, from large to small. smallest: share of
+    the last."""
     return [max(1, round(count * smallest ** (k / SIZES))) for k in range(1, SIZES + 1)]
 
 
 def nested_order(run: RunView) -> np.ndarray:
-    """The rows of the run's Gaussians, (N,), the most important first. Between two sizes they are in Morton order, which is faster."""
+    """The rows of the run's Gaussians, (N,), the most important first. Between two sizes they are in Morton
+    order, which is faster."""
     model = run.model
     within, kept = np.zeros(model.count, np.int64), np.ones(model.count, bool)
     for size in smaller_sizes(model.count, run.settings.nested):

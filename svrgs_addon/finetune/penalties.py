@@ -1,5 +1,5 @@
-"""Penalties on one parameter of all Gaussians, or of those that a view sees. The value is written once for NumPy and torch; the gradient is
-analytic."""
+"""Penalties on one parameter of all Gaussians, or of those that a view sees. The value is written once for
+NumPy and torch; the gradient is analytic."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ class Penalty(Protocol):
     """A term of the loss that depends on one parameter of the Gaussians."""
 
     parameter: ClassVar[str]  # a name in Model.values
-    seen: ClassVar[bool]  # it is given the rows of the Gaussians that the view sees, at least one; False: all rows
+    # it is given the rows of the Gaussians that the view sees, at least one; False: all rows
+    seen: ClassVar[bool]
 
     def value(self, values, xp):
         """A scalar; values: the parameter (N, ...), an array of the module xp, numpy or torch."""
@@ -30,7 +31,8 @@ class Penalty(Protocol):
 
 @dataclass(frozen=True)
 class MeanExistence:
-    """weight * mean sigmoid(m), where m are the existence logits (Compact3DGS, arXiv 2311.13681 section 3.1)."""
+    """weight * mean sigmoid(m), where m are the existence logits (Compact3DGS, arXiv 2311.13681 section
+    3.1)."""
 
     weight: float
     parameter: ClassVar[str] = MASK
@@ -77,7 +79,8 @@ class MeanScale:
 
 @dataclass(frozen=True)
 class OpacityGoal:
-    """weight / 2 * sum of (opacity - goal)^2, with a goal (N,) for each Gaussian (ADMM of GaussianSpa, arXiv 2411.06019)."""
+    """weight / 2 * sum of (opacity - goal)^2, with a goal (N,) for each Gaussian (ADMM of GaussianSpa, arXiv
+    2411.06019)."""
 
     weight: float
     goal: np.ndarray
@@ -94,9 +97,11 @@ class OpacityGoal:
 
 @dataclass(frozen=True)
 class EffectiveRank:
-    """needle * mean max(-log(erank - 1 + 1e-7), 0) + thin * mean of the smallest scale (effective rank, arXiv 2406.11672).
+    """needle * mean max(-log(erank - 1 + 1e-7), 0) + thin * mean of the smallest scale (effective rank, arXiv
+    2406.11672).
 
-    erank = exp(-sum_k p_k log p_k) with p_k = scale_k^2 / (sum of the three squares) is between 1, a needle, and 3, a ball.
+    erank = exp(-sum_k p_k log p_k) with p_k = scale_k^2 / (sum of the three squares) is between 1, a needle,
+    and 3, a ball.
     """
 
     needle: float = 0.01
@@ -106,7 +111,10 @@ class EffectiveRank:
 
     def value(self, log_scales, xp):
         _, entropy, smallest = self._shape(log_scales, xp)
-        return self.needle * xp.clip(-xp.log(xp.expm1(entropy) + RANK_EPS), 0.0, None).mean() + self.thin * xp.exp(smallest).mean()
+        return (
+            self.needle * xp.clip(-xp.log(xp.expm1(entropy) + RANK_EPS), 0.0, None).mean()
+            + self.thin * xp.exp(smallest).mean()
+        )
 
     def grad(self, log_scales: np.ndarray) -> np.ndarray:
         shares, entropy, smallest = self._shape(log_scales, np)
@@ -118,10 +126,12 @@ class EffectiveRank:
 
     @staticmethod
     def _shape(log_scales, xp):
-        """[(p_k, log p_k)] of the three axes, the entropy -sum p log p, and the smallest log-scale; (N,) each."""
+        """[(p_k, log p_k)] of the three axes, the entropy -sum p log p, and the smallest log-scale; (N,)
+        each."""
         a, b, c = log_scales.T
         largest, smallest = xp.maximum(xp.maximum(a, b), c), xp.minimum(xp.minimum(a, b), c)
-        gaps = [2 * (x - largest) for x in (a, b, c)]  # log of the squares, relative to the largest: no square underflows or overflows
+        # log of the squares, relative to the largest: no square underflows or overflows
+        gaps = [2 * (x - largest) for x in (a, b, c)]
         log_total = xp.log(sum(xp.exp(gap) for gap in gaps))
         shares = [(xp.exp(gap - log_total), gap - log_total) for gap in gaps]
         return shares, -sum(p * log_p for p, log_p in shares), smallest
@@ -153,9 +163,13 @@ class OpacityPressure:
         if self.by_transparency:
             o = sigmoid(logits, np)
             transparency = np.maximum(1 - o, logits.dtype.type(MIN_TRANSPARENCY))
-            slopes = 1 / transparency + np.where(1 - o > MIN_TRANSPARENCY, excess * o * (1 - o) / transparency**2, 0)
+            slopes = 1 / transparency + np.where(
+                1 - o > MIN_TRANSPARENCY, excess * o * (1 - o) / transparency**2, 0
+            )
             excess = excess / transparency
-        return (slopes * (2 * self.weight * float(excess.mean()) / len(logits))).astype(logits.dtype, copy=False)
+        return (slopes * (2 * self.weight * float(excess.mean()) / len(logits))).astype(
+            logits.dtype, copy=False
+        )
 
 
 def sigmoid(x, xp):

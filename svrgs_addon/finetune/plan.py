@@ -30,9 +30,12 @@ def train_plan(
     schedule: float = 1.0,
     **rest,
 ) -> Plan:
-    """The plan of `svrgs train`, which starts from sparse points. lambda_f, lambda_m: None takes the method's own weight. share: share
-    of the Gaussians that exist when densification ends; it replaces a target. Raises SceneError for a weight that the method lacks."""
-    phases = method.paced(scaled(method.train_phases(iterations, recovery, densify or Densify(), coarse_until), schedule))
+    """The plan of `svrgs train`, which starts from sparse points. lambda_f, lambda_m: None takes the method's
+    own weight. share: share of the Gaussians that exist when densification ends; it replaces a target. Raises
+    SceneError for a weight that the method lacks."""
+    phases = method.paced(
+        scaled(method.train_phases(iterations, recovery, densify or Densify(), coarse_until), schedule)
+    )
     share = share or (0.0 if target else method.share)
     return _plan(method, phases, False, lambda_f, lambda_m, target=target, share=share, **rest)
 
@@ -49,29 +52,38 @@ def prune_plan(
     max_drop: float = 0.0,
     **rest,
 ) -> Plan:
-    """The plan of `svrgs prune`, which starts from a trained scene. Methods that rank have no phase before the recovery. Raises SceneError
-    for a weight that the method lacks."""
+    """The plan of `svrgs prune`, which starts from a trained scene. Methods that rank have no phase before
+    the recovery. Raises SceneError for a weight that the method lacks."""
     phases = method.paced(scaled(method.prune_phases(iterations, recovery, prune_every), schedule))
     return _plan(method, phases, True, lambda_f, lambda_m, max_drop=max_drop, **rest)
 
 
-def _plan(method: Method, phases: list[Phase], trained: bool, lambda_f: float | None, lambda_m: float | None, **rest) -> Plan:
+def _plan(
+    method: Method, phases: list[Phase], trained: bool, lambda_f: float | None, lambda_m: float | None, **rest
+) -> Plan:
     l1_weight, ssim_weight = method.image_weights
-    own = {"l1_weight": l1_weight, "ssim_weight": ssim_weight, "mask_init": method.mask_init, **weights(method, trained, lambda_f, lambda_m)}
+    own = {
+        "l1_weight": l1_weight,
+        "ssim_weight": ssim_weight,
+        "mask_init": method.mask_init,
+        **weights(method, trained, lambda_f, lambda_m),
+    }
     return Plan(method=method, phases=tuple(phases), **own | rest)
 
 
 def at_schedule(plan: Plan, share: float) -> Plan:
-    """The plan with all step counts multiplied by `share`: that of the same request with schedule=share. plan: one with schedule=1."""
+    """The plan with all step counts multiplied by `share`: that of the same request with schedule=share.
+    plan: one with schedule=1."""
     return replace(plan, phases=tuple(plan.method.paced(scaled(list(plan.phases), share))))
 
 
 def scaled(phases: list[Phase], share: float) -> list[Phase]:
-    """The phases with all step counts multiplied by `share`. The rate of the masks is divided by `share`, so that logits still change
-    by the same amount in the whole phase. The weights of the loss stay: they trade quality against count, whatever the number of steps."""
+    """The phases with all step counts multiplied by `share`. The rate of the masks is divided by `share`, so
+    that logits still change by the same amount in the whole phase. The weights of the loss stay: they trade
+    quality against count, whatever the number of steps."""
     if share == 1:
         return phases
-    steps = lambda n: max(1, round(n * share)) if n else 0  # noqa: E731
+    steps = lambda n: max(1, round(n * share)) if n else 0
     return [
         replace(
             p, steps=steps(p.steps), prune_every=steps(p.prune_every), sh_every=steps(p.sh_every), coarse_until=steps(p.coarse_until),
@@ -83,18 +95,36 @@ def scaled(phases: list[Phase], share: float) -> list[Phase]:
 
 
 def _scaled_densify(d: Densify, steps) -> Densify:
-    """Densification for a shorter schedule: it starts and ends earlier. The steps between two densifications and between two opacity
-    resets do not shrink, because gradients must be averaged over as many views and opacities need as many steps to recover."""
+    """Densification for a shorter schedule: it starts and ends earlier. The steps between two densifications
+    and between two opacity resets do not shrink, because gradients must be averaged over as many views and
+    opacities need as many steps to recover."""
     every, until = max(d.every, steps(d.every)), steps(d.until)
     reset_every = max(1, round(max(d.reset_every, steps(d.reset_every)) / every)) * every
-    return replace(d, start=min(max(d.start, steps(d.start)), until // 3), until=until, every=every, reset_every=reset_every)
+    return replace(
+        d,
+        start=min(max(d.start, steps(d.start)), until // 3),
+        until=until,
+        every=every,
+        reset_every=reset_every,
+    )
 
 
-def weights(method: Method, trained: bool, lambda_f: float | None, lambda_m: float | None) -> dict[str, float]:
-    """lambda_f and lambda_m as given, or the method's own if None. Raises SceneError for a weight that the method does not use."""
+def weights(
+    method: Method, trained: bool, lambda_f: float | None, lambda_m: float | None
+) -> dict[str, float]:
+    """lambda_f and lambda_m as given, or the method's own if None. Raises SceneError for a weight that the
+    method does not use."""
     own = dict(zip(("lambda_f", "lambda_m"), method.weights(trained), strict=True))
     if lambda_f is not None and not method.lambda_f:
-        raise SceneError(f"method '{method.name}' has no spatial mask: leave lambda-f out, or use removal, saliency or an svr method")
+        raise SceneError(
+            f"method '{method.name}' has no spatial mask: leave lambda-f out, or use removal, saliency or an"
+            " svr method"
+        )
     if lambda_m is not None and not own["lambda_m"]:
-        raise SceneError(f"method '{method.name}' has no term with the weight lambda-m: leave it out, or use maskgs, compact3dgs or gns")
-    return own | {key: value for key, value in (("lambda_f", lambda_f), ("lambda_m", lambda_m)) if value is not None}
+        raise SceneError(
+            f"method '{method.name}' has no term with the weight lambda-m: leave it out, or use maskgs,"
+            " compact3dgs or gns"
+        )
+    return own | {
+        key: value for key, value in (("lambda_f", lambda_f), ("lambda_m", lambda_m)) if value is not None
+    }

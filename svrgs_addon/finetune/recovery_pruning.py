@@ -1,8 +1,10 @@
-"""Pruning during the recovery, when a drop in PSNR is allowed (--max-drop; docs/methods.md, "Holding a loss of quality").
+"""Pruning during the recovery, when a drop in PSNR is allowed (--max-drop; docs/methods.md, "Holding a loss
+of quality").
 
-The recovery wins back PSNR, so more Gaussians can be removed. At the shares CUTS of the recovery, the Gaussians of lowest removal
-error are removed. A cut removes so many that the drop is expected to equal the allowed drop at the next cut. The expectation: the steps
-up to the next cut win back the same share of this cut's loss as they did for the last cut.
+The recovery wins back PSNR, so more Gaussians can be removed. At the shares CUTS of the recovery, the
+Gaussians of lowest removal error are removed. A cut removes so many that the drop is expected to equal the
+allowed drop at the next cut. The expectation: the steps up to the next cut win back the same share of this
+cut's loss as they did for the last cut.
 """
 
 from __future__ import annotations
@@ -18,33 +20,36 @@ from .saliency import removal_errors
 from .settings import Phase
 
 CUTS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)  # shares of the recovery's steps
-RECOVERED, DECAY = 0.75, 0.93  # share of a cut's loss that is won back: assumed for the first cut, at most for later ones; factor per cut
+# share of a cut's loss that is won back: assumed for the first cut, at most for later ones; factor per cut
+RECOVERED, DECAY = 0.75, 0.93
 DEEPEST = 2.0  # dB that a cut may go below the allowed PSNR
 
 
 @dataclass
 class RecoveryPruning:
-    """Decides the cuts. Its state is three PSNRs in dB on a few views (RunView.psnr): before the run and its first cut,
-    before the last cut, after the last cut."""
+    """Decides the cuts. Its state is three PSNRs in dB on a few views (RunView.psnr): before the run and its
+    first cut, before the last cut, after the last cut."""
 
     start: float = 0.0
     before_cut: float = 0.0
     after_cut: float = 0.0
 
     def before_step(self, run: RunView):
-        """Before the first step of the run it measures the PSNR, unless that of the scene before a first cut is known. Raises SceneError if a scene
-        without Gaussians holds the allowed drop."""
+        """Before the first step of the run it measures the PSNR, unless that of the scene before a first cut
+        is known. Raises SceneError if a scene without Gaussians holds the allowed drop."""
         if run.iteration:
             return
         self.start, nobody = self.start or run.psnr(None), np.zeros(run.model.count, bool)
         if run.psnr(nobody) >= self.start - run.settings.max_drop:
             raise SceneError(
-                f"pruning would leave no Gaussian: even an empty scene loses less than the {run.settings.max_drop:g} dB allowed; allow less, "
-                "and check that the photographs are not black and show this scene"
+                "pruning would leave no Gaussian: even an empty scene loses less than the"
+                f" {run.settings.max_drop:g} dB allowed; allow less, and check that the photographs are not"
+                " black and show this scene"
             )
 
     def cut(self, run: RunView, phase: Phase, number: int) -> Keep:
-        """(N,) bool: the Gaussians that stay after step `number` of the recovery. None: all, because no cut is due or no dB are to spare."""
+        """(N,) bool: the Gaussians that stay after step `number` of the recovery. None: all, because no cut
+        is due or no dB are to spare."""
         if number not in [round(share * phase.steps) for share in CUTS]:
             return None
         now = run.psnr(None)

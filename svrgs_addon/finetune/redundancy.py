@@ -1,9 +1,10 @@
 """Redundancy of Reduced-3DGS (arXiv 2406.17074): how many Gaussians cover the places that a Gaussian covers.
 
-Each Gaussian has a sphere at its centre, as large as a pixel there: its radius is half the diagonal of a cube whose side is the smallest
-footprint that a pixel has at the centre, over all views. A sphere meets another Gaussian if it meets its ellipsoid, whose semi-axes are
-the scales. The sphere's count is the number of Gaussians that it meets among its 30 nearest neighbours, and itself. The redundancy of a
-Gaussian is the smallest count of all spheres that meet it.
+Each Gaussian has a sphere at its centre, as large as a pixel there: its radius is half the diagonal of a cube
+whose side is the smallest footprint that a pixel has at the centre, over all views. A sphere meets another
+Gaussian if it meets its ellipsoid, whose semi-axes are the scales. The sphere's count is the number of
+Gaussians that it meets among its 30 nearest neighbours, and itself. The redundancy of a Gaussian is the
+smallest count of all spheres that meet it.
 """
 
 from __future__ import annotations
@@ -40,15 +41,19 @@ def redundancy(model: Model, cameras: list[Camera]) -> np.ndarray:
 
 
 def _meets(model: Model, rows: np.ndarray, others: np.ndarray, radii: np.ndarray) -> np.ndarray:
-    """(A, K) bool: whether the spheres of `rows` (A,) with `radii` (A,) meet the ellipsoids of `others` (A, K)."""
+    """(A, K) bool: whether the spheres of `rows` (A,) with `radii` (A,) meet the ellipsoids of `others` (A,
+    K)."""
     offsets = model.means[rows, None].astype(np.float64) - model.means[others]
     R = rotation_matrices(model.quats[others.ravel()]).reshape(*others.shape, 3, 3)
     local = np.einsum("akji,akj->aki", R, offsets)
-    return ((local / (np.exp(model.log_scales[others].astype(np.float64)) + radii[:, None, None])) ** 2).sum(axis=2) < 1
+    return ((local / (np.exp(model.log_scales[others].astype(np.float64)) + radii[:, None, None])) ** 2).sum(
+        axis=2
+    ) < 1
 
 
 def pixel_footprints(points: np.ndarray, cameras: list[Camera]) -> np.ndarray:
-    """The smallest side of a pixel at each point (N, 3) over all views whose picture it is in, (N,) float64 in world units."""
+    """The smallest side of a pixel at each point (N, 3) over all views whose picture it is in, (N,) float64
+    in world units."""
     smallest = np.full(len(points), UNSEEN)
     for camera in cameras:
         x, y, z = (points.astype(np.float64) @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]).T
@@ -56,7 +61,8 @@ def pixel_footprints(points: np.ndarray, cameras: list[Camera]) -> np.ndarray:
         z = np.where(seen, z, 1)
         u, v = camera.K[0, 0] * x / z + camera.K[0, 2], camera.K[1, 1] * y / z + camera.K[1, 2]
         seen &= (u >= 0) & (u <= camera.width) & (v >= 0) & (v <= camera.height)
-        side = z / camera.K[0, 0] if camera.width > camera.height else z / camera.K[1, 1]  # published: of the longer side's pixels
+        # published: of the longer side's pixels
+        side = z / camera.K[0, 0] if camera.width > camera.height else z / camera.K[1, 1]
         smallest = np.where(seen, np.minimum(smallest, side), smallest)
     return smallest
 
@@ -69,10 +75,13 @@ def survivors(model: Model, cameras: list[Camera]) -> np.ndarray:
 def stays(redundancies: np.ndarray, opacity: np.ndarray) -> np.ndarray:
     """(N,) bool by the published rule, from the redundancies (N,) and opacities (N,).
 
-    Two kinds are removed: of the Gaussians whose redundancy is above the mean plus one standard deviation, and above 3, those with less than
-    the median opacity among them; and those with an opacity below its 3 % quantile, and below 0.05.
+    Two kinds are removed: of the Gaussians whose redundancy is above the mean plus one standard deviation,
+    and above 3, those with less than the median opacity among them; and those with an opacity below its 3 %
+    quantile, and below 0.05.
     """
-    redundant = redundancies > max(redundancies.mean() + (redundancies.std(ddof=1) if len(opacity) > 1 else 0), 3)
+    redundant = redundancies > max(
+        redundancies.mean() + (redundancies.std(ddof=1) if len(opacity) > 1 else 0), 3
+    )
     of_those = np.sort(opacity[redundant])
     median = of_those[(len(of_those) - 1) // 2] if len(of_those) else 0.0  # of an even number the lower one
     return ~(redundant & (opacity < median)) & (opacity >= min(np.quantile(opacity, 0.03), 0.05))

@@ -17,17 +17,20 @@ from .engine import NativeEngine, Step
 from .model import Model
 from .settings import Rates
 
-FASTER = {"sh": 3.0, "sh_rest": 24.0, "log_scales": 3.0, "quats": 3.0, "opacity_logits": 1.5}  # times the rates of 3DGS; they fall to LAST of that
+# times the rates of 3DGS; they fall to LAST of that
+FASTER = {"sh": 3.0, "sh_rest": 24.0, "log_scales": 3.0, "quats": 3.0, "opacity_logits": 1.5}
 LAST = 0.1
 LARGE_ERROR = 0.02  # of a picture; 34 dB
 USUAL = 0.25  # share of the Gaussians down to which the rates are smaller
-SHARES = (0.75, 0.5, 0.25, 0.0)  # of the fine-tuned scene in the result, the rest is the one before the steps; tried after 1
+# of the fine-tuned scene in the result, the rest is the one before the steps; tried after 1
+SHARES = (0.75, 0.5, 0.25, 0.0)
 POSITION = 0.025  # rate of position, in median middle scales: Gaussians move by fractions of their size
 
 
 @dataclass(frozen=True)
 class Look:
-    """What is shown in a step: a view, its picture, and the window of the view that counts, if not all of it does."""
+    """What is shown in a step: a view, its picture, and the window of the view that counts, if not all of it
+    does."""
 
     camera: Camera
     picture: np.ndarray  # (H, W, 3) float32, of the window
@@ -35,11 +38,18 @@ class Look:
 
 
 def refit(
-    scene: Scene, looks: Sequence[Look | None], steps: int, pace: float, middle: float, options: RenderOptions, seed: int, stop: Callable[[], bool]
+    scene: Scene,
+    looks: Sequence[Look | None],
+    steps: int,
+    pace: float,
+    middle: float,
+    options: RenderOptions,
+    seed: int,
+    stop: Callable[[], bool],
 ) -> Scene:
-    """The scene after so many Adam steps on the loss of 3DGS, on one picture each. looks: of all views; a step on a view without one is left out, the
-    others stay as they are. pace: times all rates. middle: middle_scale() of the scene, or of that of which it is a part. Raises Cancelled if stop() says
-    so."""
+    """The scene after so many Adam steps on the loss of 3DGS, on one picture each. looks: of all views; a
+    step on a view without one is left out, the others stay as they are. pace: times all rates. middle:
+    middle_scale() of the scene, or of that of which it is a part. Raises Cancelled if stop() says so."""
     model, engine, rng = Model.of(scene), NativeEngine(), np.random.default_rng([seed, 7])
     if scene.count > 1:
         model.reorder(morton_order(model.means))
@@ -51,24 +61,32 @@ def refit(
         if (look := looks[views.pop()]) is None:
             continue
         share, usual = pace * LAST ** (k / max(1, steps - 1)), Rates().at(1, 0.0)
-        rates = {name: factor * share * usual[name] for name, factor in FASTER.items()} | {"means": POSITION * middle * share}
+        rates = {name: factor * share * usual[name] for name, factor in FASTER.items()} | {
+            "means": POSITION * middle * share
+        }
         engine.step(model, Step(look.camera, look.picture, k + 1, rates, options, window=look.window))
     return model.into_scene()
 
 
 def interpolated(first: Scene, second: Scene, share: float) -> Scene:
-    """(1 - share) of the first scene and `share` of the second, which have the same Gaussians in the same order. share: 0 to 1."""
-    arrays = {name: np.float32(1 - share) * getattr(first, name) + np.float32(share) * getattr(second, name) for name in PARAMETERS}
+    """(1 - share) of the first scene and `share` of the second, which have the same Gaussians in the same
+    order. share: 0 to 1."""
+    arrays = {
+        name: np.float32(1 - share) * getattr(first, name) + np.float32(share) * getattr(second, name)
+        for name in PARAMETERS
+    }
     return replace(second, **arrays)
 
 
 def pace_for(error: float) -> float:
-    """Factor on all rates for pictures with this error, the root mean square over values of 0 to 1: where little is wrong, large steps do harm."""
+    """Factor on all rates for pictures with this error, the root mean square over values of 0 to 1: where
+    little is wrong, large steps do harm."""
     return min(1.0, error / LARGE_ERROR)
 
 
 def pace_at(share: float) -> float:
-    """Factor on all rates with this share of the Gaussians. Where most of them stay, little is to be gained, and large steps do harm in other views."""
+    """Factor on all rates with this share of the Gaussians. Where most of them stay, little is to be gained,
+    and large steps do harm in other views."""
     return min(1.0, USUAL / share)
 
 

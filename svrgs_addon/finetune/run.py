@@ -1,4 +1,5 @@
-"""One fine-tuning run: it chooses the view, learning rates and masks of each step, and decides when to densify and prune.
+"""One fine-tuning run: it chooses the view, learning rates and masks of each step, and decides when to
+densify and prune.
 
 A run is deterministic for a given seed.
 """
@@ -35,7 +36,9 @@ from .strength_controller import controller_for
 from .views import Views, as_real, fitting_reduction
 
 SMOOTHING = 0.05  # weight of the newest loss in the smoothed one
-RESETS_NEED = 3  # opacities recover for 1/3 of the steps between two resets; a reset with fewer steps left in the phase is skipped
+# opacities recover for 1/3 of the steps between two resets; a reset with fewer steps left in the phase is
+# skipped
+RESETS_NEED = 3
 REORDER_SHARE = 0.1  # rows are put in Morton order again when this share of them was added since
 
 
@@ -50,9 +53,11 @@ class Curves:
 
 
 class Run:
-    """One fine-tuning run: the model, the position in the schedule, and statistics. `advance()` does one iteration.
+    """One fine-tuning run: the model, the position in the schedule, and statistics. `advance()` does one
+    iteration.
 
-    It implements RunView, which is all that methods and controllers read. checkpoint.py saves and restores its state.
+    It implements RunView, which is all that methods and controllers read. checkpoint.py saves and restores
+    its state.
     """
 
     def __init__(self, model: Model, dataset: Dataset, settings: Plan, engine, antialiased: bool = False):
@@ -92,7 +97,8 @@ class Run:
     def advance(self):
         """One iteration: loss and gradients, then densification or the optimiser step, then pruning.
 
-        Raises SceneError if the loss is not finite, or if almost no Gaussian would be left; and what reading a photograph raises.
+        Raises SceneError if the loss is not finite, or if almost no Gaussian would be left; and what reading
+        a photograph raises.
         """
         started = time.perf_counter()
         phase, number = self.phase()
@@ -101,7 +107,9 @@ class Run:
         if not self.iteration:
             self._into_order()
         self._prepare(phase, number)
-        step = self._step(phase, number, self.dataset.cameras[view].reduced(reduction), target, self.dataset.window(view))
+        step = self._step(
+            phase, number, self.dataset.cameras[view].reduced(reduction), target, self.dataset.window(view)
+        )
         size = size_of_step(self.settings, phase, self.iteration, self.model.count)
         result = self.engine.step(self.model.first(size) if size < self.model.count else self.model, step)
         self._record(result, step, view)
@@ -143,7 +151,8 @@ class Run:
         return as_real(image if window is None else image[window], self.model.dtype, reduction)
 
     def _prepare(self, phase: Phase, number: int):
-        """What precedes a step: PSNR at the start, target, the method's own preparation, and the start of the controller."""
+        """What precedes a step: PSNR at the start, target, the method's own preparation, and the start of the
+        controller."""
         if self.recovery_pruning:
             self.recovery_pruning.before_step(self)
         if not phase.active:
@@ -158,7 +167,14 @@ class Run:
         if self.controller and not _densifying(phase, number):
             self.controller.before_step(self)
 
-    def _step(self, phase: Phase, number: int, camera: Camera, target: np.ndarray, window: tuple[slice, slice] | None = None) -> Step:
+    def _step(
+        self,
+        phase: Phase,
+        number: int,
+        camera: Camera,
+        target: np.ndarray,
+        window: tuple[slice, slice] | None = None,
+    ) -> Step:
         s = self.settings
         step = Step(
             camera=camera,
@@ -171,10 +187,16 @@ class Run:
             ssim_weight=s.ssim_weight,
             update=not self._densifies(phase, number),
             frozen=self.protected if phase.active else None,
-            want_means2d=phase.densify is not None and number < phase.densify.until and not isinstance(phase.densify, MCMC),
+            want_means2d=phase.densify is not None
+            and number < phase.densify.until
+            and not isinstance(phase.densify, MCMC),
         )
         step = replace(step, **self.method.terms(self, phase, number)) if phase.active else step
-        return replace(step, penalty=(*mcmc.penalties(phase.densify), *step.penalties)) if isinstance(phase.densify, MCMC) else step
+        return (
+            replace(step, penalty=(*mcmc.penalties(phase.densify), *step.penalties))
+            if isinstance(phase.densify, MCMC)
+            else step
+        )
 
     def render_options(self, phase: Phase, number: int) -> RenderOptions:
         s = self.settings
@@ -198,7 +220,15 @@ class Run:
 
     def psnr(self, kept: np.ndarray | None) -> float:
         views, masks_of_kept = quality_views(self.dataset), None if kept is None else kept.astype(np.uint8)
-        return mean_psnr(self.model, self.dataset, views, self.rasterizer, self.score_options, masks_of_kept, self.dataset.unexplained)
+        return mean_psnr(
+            self.model,
+            self.dataset,
+            views,
+            self.rasterizer,
+            self.score_options,
+            masks_of_kept,
+            self.dataset.unexplained,
+        )
 
     @property
     def own(self) -> np.ndarray | None:
@@ -221,7 +251,9 @@ class Run:
 
     @property
     def score_options(self) -> RenderOptions:
-        return RenderOptions(antialiased=self.antialiased, full=self.settings.full, background=self.settings.background)
+        return RenderOptions(
+            antialiased=self.antialiased, full=self.settings.full, background=self.settings.background
+        )
 
     @property
     def training_cameras(self) -> list[Camera]:
@@ -235,7 +267,10 @@ class Run:
     def _record(self, result: StepResult, step: Step, view: int):
         loss = result.loss(step)
         if not math.isfinite(loss):
-            raise SceneError(f"the loss is not finite at iteration {self.iteration + 1} (view {step.camera.name}): the scene or the photograph has bad values")
+            raise SceneError(
+                f"the loss is not finite at iteration {self.iteration + 1} (view {step.camera.name}): the"
+                " scene or the photograph has bad values"
+            )
         self.loss = loss if math.isnan(self.loss) else self.loss + SMOOTHING * (loss - self.loss)
         self.nonfinite += result.nonfinite
         self.views.shown(view, result.image_loss(step))
@@ -248,8 +283,18 @@ class Run:
             self._densify(phase, number, rule)
         if isinstance(rule, MCMC):
             if number < phase.steps:
-                mcmc.add_noise(self.model, rule, step.rates["means"], np.random.default_rng([self.settings.seed, 4, self.iteration]))
-        elif rule is not None and number < rule.until and number % rule.reset_every == 0 and number + rule.reset_every // RESETS_NEED <= phase.steps:
+                mcmc.add_noise(
+                    self.model,
+                    rule,
+                    step.rates["means"],
+                    np.random.default_rng([self.settings.seed, 4, self.iteration]),
+                )
+        elif (
+            rule is not None
+            and number < rule.until
+            and number % rule.reset_every == 0
+            and number + rule.reset_every // RESETS_NEED <= phase.steps
+        ):
             densify.reset_opacity(self.model)
 
     def _densify(self, phase: Phase, number: int, rule: Densify):
@@ -271,24 +316,28 @@ class Run:
         self.statistics = densify.Statistics(self.model.count)
 
     def _memory_allows(self, added: int) -> bool:
-        """Whether memory is enough for so many more Gaussians. If not, training goes on without them; the first time it warns."""
+        """Whether memory is enough for so many more Gaussians. If not, training goes on without them; the
+        first time it warns."""
         count, coefficients, _ = self.model.sh.shape
-        sentence = memory.shortage(f"growing beyond {count:,} Gaussians", memory.growing(count, added, coefficients, self.dataset.cameras))
+        sentence = memory.shortage(
+            f"growing beyond {count:,} Gaussians",
+            memory.growing(count, added, coefficients, self.dataset.cameras),
+        )
         if sentence and not self.held_back:
             logging.warning("iteration %d: %s; training goes on without growing", self.iteration, sentence)
         self.held_back += bool(sentence)
         return not sentence
 
     def _into_order(self):
-        """Puts the rows in Morton order (scene/morton_order.py). The densification statistics are not reordered, so it is called only
-        when they are empty or are reset next."""
+        """Puts the rows in Morton order (scene/morton_order.py). The densification statistics are not
+        reordered, so it is called only when they are empty or are reset next."""
         if self.settings.spatial_order:
             self.model.reorder(morton_order(self.model.means))
         self.unordered = 0
 
     def _prune(self, phase: Phase, number: int):
-        """What follows a step: the controller; pruning by the method, outside densification and at the end of its phase; pruning in the
-        recovery, if a drop is allowed."""
+        """What follows a step: the controller; pruning by the method, outside densification and at the end of
+        its phase; pruning in the recovery, if a drop is allowed."""
         last = number == phase.steps
         if phase.active and self.controller and not _densifying(phase, number):
             self.controller.after_step(self, phase, number)
@@ -296,11 +345,13 @@ class Run:
             self._keep(self.method.after_step(self, phase, number))
         if phase.active and last:
             self._keep(self.method.final_mask(self))
-        if self.recovery_pruning and not phase.active and not self.settings.nested:  # a nested order is of the Gaussians before the recovery
+        # a nested order is of the Gaussians before the recovery
+        if self.recovery_pruning and not phase.active and not self.settings.nested:
             self._keep(self.recovery_pruning.cut(self, phase, number))
 
     def _average(self, phase: Phase, number: int):
-        """Adds the values to the average if they count; at the end of the phase the average takes their place."""
+        """Adds the values to the average if they count; at the end of the phase the average takes their
+        place."""
         if phase.samples(number):
             self.average.add(self.model)
         if number == phase.steps:
@@ -319,5 +370,6 @@ class Run:
 
 
 def _densifying(phase: Phase, number: int) -> bool:
-    """Whether step `number` of the phase is before the end of densification and is not the last step of the phase."""
+    """Whether step `number` of the phase is before the end of densification and is not the last step of the
+    phase."""
     return phase.densify is not None and number < min(phase.densify.until, phase.steps)

@@ -32,11 +32,13 @@ class RunView(Protocol):
 
     @property
     def strength(self) -> float:
-        """Factor on the weights of the method's terms: StrengthController.strength, or 1 without a controller."""
+        """Factor on the weights of the method's terms: StrengthController.strength, or 1 without a
+        controller."""
 
     @property
     def psnr_before(self) -> float:
-        """PSNR in dB on a few views (quality_views) before the first step. 0 if the settings allow no drop: then it is not measured."""
+        """PSNR in dB on a few views (quality_views) before the first step. 0 if the settings allow no drop:
+        then it is not measured."""
 
     @property
     def training_cameras(self) -> list[Camera]:
@@ -56,10 +58,12 @@ class RunView(Protocol):
 
     @property
     def protected(self) -> Keep:
-        """(N,) bool: the Gaussians that stay as they are while the method decides: those that are not its own, unless it learns masks. None: none."""
+        """(N,) bool: the Gaussians that stay as they are while the method decides: those that are not its
+        own, unless it learns masks. None: none."""
 
     def psnr(self, kept: Keep) -> float:
-        """PSNR in dB on a few views (quality_views), rendered with the Gaussians `kept` (N,) bool; None: with all."""
+        """PSNR in dB on a few views (quality_views), rendered with the Gaussians `kept` (N,) bool; None: with
+        all."""
 
     def current_mask(self) -> Keep:
         """(N,) bool: the Gaussians that would stay if the method decided now and had no target."""

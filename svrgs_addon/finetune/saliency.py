@@ -1,17 +1,18 @@
 """Saliency of a Gaussian: its removal error over its mask penalty, computed without sampling masks.
 
-The colour C of a pixel and its spatial mask F are linear in the existence M of one Gaussian. So the removal of one Gaussian changes
-them by exactly their derivatives:
+The colour C of a pixel and its spatial mask F are linear in the existence M of one Gaussian. So the removal
+of one Gaussian changes them by exactly their derivatives:
 
     removal error = sum over views of the mean over all pixels of |dC/dM|^2 / 3,   dC/dM = alpha T (c - b)
     mask penalty  = SHARE * sum over views of the mean over its own pixels of 2 F dF/dM
     saliency      = removal error / mask penalty                                    in units of lambda_F
 
-b is the colour that the pixel would have if the ray began behind the Gaussian. The removal error is the Delta SE of GaussianPOP
-(arXiv 2602.06830): the squared error that the removal of this Gaussian alone would cause. The mask penalty is what the Gaussian adds
-to F^2, to first order. The objective of SVR-GS (arXiv 2509.11116, Eq. 10) falls when a Gaussian with a saliency below lambda_F is
-removed. "Its own pixels" are those in which it is blended. So each Gaussian is charged for the same SHARE of an image, whatever its
-size, because each needs the same memory and time. The paper charges by pixel.
+b is the colour that the pixel would have if the ray began behind the Gaussian. The removal error is the Delta
+SE of GaussianPOP (arXiv 2602.06830): the squared error that the removal of this Gaussian alone would cause.
+The mask penalty is what the Gaussian adds to F^2, to first order. The objective of SVR-GS (arXiv 2509.11116,
+Eq. 10) falls when a Gaussian with a saliency below lambda_F is removed. "Its own pixels" are those in which
+it is blended. So each Gaussian is charged for the same SHARE of an image, whatever its size, because each
+needs the same memory and time. The paper charges by pixel.
 """
 
 from __future__ import annotations
@@ -31,8 +32,15 @@ SHARE = 4e-7  # share of an image that each Gaussian is charged for
 REDUCTION = 2  # views are rendered at half their size: nearly the same ranking in a fraction of the time
 
 
-def removal_errors(scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions, kept: np.ndarray | None = None) -> np.ndarray:
-    """Removal error of each Gaussian, (N,) float64: squared error of colours in 0..1, summed over views. 0 for Gaussians that no view sees.
+def removal_errors(
+    scene: Scene | Model,
+    cameras: list[Camera],
+    rasterizer: Rasterizer,
+    options: RenderOptions,
+    kept: np.ndarray | None = None,
+) -> np.ndarray:
+    """Removal error of each Gaussian, (N,) float64: squared error of colours in 0..1, summed over views. 0
+    for Gaussians that no view sees.
 
     kept: (N,) bool, the Gaussians that the scene is rendered with; the others have 0. None: all.
     """
@@ -43,8 +51,11 @@ def removal_errors(scene: Scene | Model, cameras: list[Camera], rasterizer: Rast
     return total
 
 
-def views_that_see(scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions) -> np.ndarray:
-    """The number of views in which the removal of each Gaussian would change a pixel, (N,) int64. Views are rendered at half their size."""
+def views_that_see(
+    scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions
+) -> np.ndarray:
+    """The number of views in which the removal of each Gaussian would change a pixel, (N,) int64. Views are
+    rendered at half their size."""
     views = np.zeros(scene.count, np.int64)
     for view in reduced(cameras):
         rasterizer.forward(scene, view, options, outputs=())
@@ -52,7 +63,9 @@ def views_that_see(scene: Scene | Model, cameras: list[Camera], rasterizer: Rast
     return views
 
 
-def saliency(scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions) -> np.ndarray:
+def saliency(
+    scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions
+) -> np.ndarray:
     """Saliency of each Gaussian, (N,) float64, in units of lambda_F. 0 for Gaussians that no view sees."""
     n, options = scene.count, replace(options, mask_kind="svr")
     removal_error, mask_penalty = np.zeros(n), np.zeros(n)
@@ -62,7 +75,9 @@ def saliency(scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer
         pixels = np.zeros(n, np.int64)
         rasterizer.add_scores(hits=pixels)
         ids = rasterizer.visible()
-        mask_penalty[ids] += SHARE * rasterizer.backward({"mask": 2 * F}, ("masks",))["masks"] / np.maximum(pixels[ids], 1)
+        mask_penalty[ids] += (
+            SHARE * rasterizer.backward({"mask": 2 * F}, ("masks",))["masks"] / np.maximum(pixels[ids], 1)
+        )
     return np.divide(removal_error, mask_penalty, out=np.zeros(n), where=mask_penalty > 0)
 
 

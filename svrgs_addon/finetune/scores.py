@@ -10,21 +10,29 @@ from ..scene.gaussians import Scene
 from .model import Model
 
 
-def contribution(scene: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of each Gaussian over all views, (N,) each: sum of alpha T (float64), largest alpha T (float32), pixels in which it is blended (int64)."""
+def contribution(
+    scene: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of each Gaussian over all views, (N,) each: sum of alpha T (float64), largest alpha T (float32), pixels
+    in which it is blended (int64)."""
     sums, peaks, pixels, _ = _statistics(scene, cameras, rasterizer, options)
     return sums, peaks, pixels
 
 
-def significance(scene: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions) -> np.ndarray:
-    """Opacity times the sum of T over all views and the pixels in which the Gaussian is blended, (N,) float64 (LightGaussian)."""
+def significance(
+    scene: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions
+) -> np.ndarray:
+    """Opacity times the sum of T over all views and the pixels in which the Gaussian is blended, (N,) float64
+    (LightGaussian)."""
     *_, transmittance = _statistics(scene, cameras, rasterizer, options)
     return transmittance / (1 + np.exp(-scene.opacity_logits.astype(np.float64)))
 
 
-def slopes(scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions) -> np.ndarray:
-    """Sum over all views and pixels of the squared derivative of the colour, its channels summed, with respect to the value of the
-    Gaussian at the pixel, (N,) float64 (Speedy-Splat)."""
+def slopes(
+    scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions
+) -> np.ndarray:
+    """Sum over all views and pixels of the squared derivative of the colour, its channels summed, with
+    respect to the value of the Gaussian at the pixel, (N,) float64 (Speedy-Splat)."""
     sums = np.zeros(scene.count)
     for camera in cameras:
         rasterizer.forward(scene, camera, options, outputs=())
@@ -32,8 +40,11 @@ def slopes(scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, 
     return sums
 
 
-def dominance(scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions) -> np.ndarray:
-    """The number of pixels of all views in which the Gaussian has the largest alpha T of all, (N,) float64."""
+def dominance(
+    scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions
+) -> np.ndarray:
+    """The number of pixels of all views in which the Gaussian has the largest alpha T of all, (N,)
+    float64."""
     pixels = np.zeros(scene.count)
     for camera in cameras:
         rasterizer.forward(scene, camera, options, outputs=())
@@ -41,10 +52,14 @@ def dominance(scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterize
     return pixels
 
 
-def importance(scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions, by_area: bool) -> np.ndarray:
-    """Sum of alpha T over all pixels and views, (N,) float64; 0 for Gaussians that dominate no pixel (Mini-Splatting).
+def importance(
+    scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions, by_area: bool
+) -> np.ndarray:
+    """Sum of alpha T over all pixels and views, (N,) float64; 0 for Gaussians that dominate no pixel
+    (Mini-Splatting).
 
-    by_area: the sum of each view is divided by its number of pixels, and only views in which the Gaussian dominates a pixel count.
+    by_area: the sum of each view is divided by its number of pixels, and only views in which the Gaussian
+    dominates a pixel count.
     """
     total, dominated, n = np.zeros(scene.count), np.zeros(scene.count, bool), scene.count
     for camera in cameras:
@@ -58,13 +73,16 @@ def importance(scene: Scene | Model, cameras: list[Camera], rasterizer: Rasteriz
 
 
 def drawn(score: np.ndarray, count: int, key: list[int]) -> np.ndarray:
-    """(N,) bool: `count` Gaussians drawn without replacement, with probabilities proportional to score (N,), by Gumbel noise on log score.
-    Those with a score of 0 are taken only if there are too few others. key: of the random numbers."""
+    """(N,) bool: `count` Gaussians drawn without replacement, with probabilities proportional to score (N,),
+    by Gumbel noise on log score. Those with a score of 0 are taken only if there are too few others. key: of
+    the random numbers."""
     with np.errstate(divide="ignore"):
         return top(np.log(score) + np.random.default_rng(key).gumbel(size=len(score)), count)
 
 
-def _statistics(scene: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _statistics(
+    scene: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     n = scene.count
     arrays = np.zeros(n), np.zeros(n, np.float32), np.zeros(n, np.int64), np.zeros(n)
     for camera in cameras:

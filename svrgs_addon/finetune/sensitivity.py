@@ -1,12 +1,13 @@
-"""Sensitivity of PUP 3D-GS (arXiv 2406.10219): how much the views change when a Gaussian moves or changes its size.
+"""Sensitivity of PUP 3D-GS (arXiv 2406.10219): how much the views change when a Gaussian moves or changes its
+size.
 
 The score is log det H of a 6x6 matrix per Gaussian:
 
     H = sum over views, pixels, channels of g g^T,    g = dC/d(mean, log-scale)
 
-The colour C of a pixel depends on these six values through alpha alone; the change of the view-dependent colour with position is left
-out. alpha depends on them through the centre mu and the covariance Sigma on the screen. With w = (u, v) = L (pixel - mu),
-L^T L k^2 = Sigma^-1 and k^2 = 2 ln 2:
+The colour C of a pixel depends on these six values through alpha alone; the change of the view-dependent
+colour with position is left out. alpha depends on them through the centre mu and the covariance Sigma on the
+screen. With w = (u, v) = L (pixel - mu), L^T L k^2 = Sigma^-1 and k^2 = 2 ln 2:
 
     d ln alpha = k^2 w^T L dmu + k^4/2 w^T (L dSigma L^T) w = t^T J,    t = (u, v, uu, uv, vv)
 
@@ -33,8 +34,11 @@ _T = ("u", "v", "uu", "uv", "vv")
 _S = np.array([[MOMENTS.index("".join(sorted(a + b))) for b in _T] for a in _T])
 
 
-def log_determinants(scene: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions) -> np.ndarray:
-    """log det H of each Gaussian, (N,) float64. -inf if H is singular: no pixel sees the Gaussian, or only pixels on one line do."""
+def log_determinants(
+    scene: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions
+) -> np.ndarray:
+    """log det H of each Gaussian, (N,) float64. -inf if H is singular: no pixel sees the Gaussian, or only
+    pixels on one line do."""
     sums = np.zeros((scene.count, len(_UPPER[0])))
     for camera in cameras:
         view = camera.reduced(fitting_reduction(REDUCTION, camera.width, camera.height))
@@ -58,7 +62,8 @@ def _view_part(moments: np.ndarray, J: np.ndarray) -> np.ndarray:
 def _log_det(upper: np.ndarray) -> np.ndarray:
     H = np.zeros((len(upper), 6, 6))
     H[:, *_UPPER] = H[:, _UPPER[1], _UPPER[0]] = upper
-    scale = np.sqrt(np.maximum(np.einsum("nii->ni", H), 0))  # H is scaled to a unit diagonal, because positions and log-scales differ in units
+    # H is scaled to a unit diagonal, because positions and log-scales differ in units
+    scale = np.sqrt(np.maximum(np.einsum("nii->ni", H), 0))
     seen = (scale > 0).all(axis=1)
     scale = np.where(seen[:, None], scale, 1.0)
     sign, log_det = np.linalg.slogdet(H / (scale[:, :, None] * scale[:, None, :]))
@@ -69,7 +74,12 @@ def jacobians(scene: Scene, camera: Camera, ids: np.ndarray) -> np.ndarray:
     """J of the Gaussians `ids`, (V, 5, 6) float64: d ln alpha = t^T J d(mean, log-scale) at every pixel."""
     W, K = camera.viewmat[:3, :3], camera.K
     points = scene.means[ids].astype(np.float64) @ W.T + camera.viewmat[:3, 3]
-    axes = W @ rotation_matrices(scene.quats[ids].astype(np.float64)) * np.exp(scene.log_scales[ids].astype(np.float64))[:, None, :]  # (V, 3, 3)
+    # (V, 3, 3)
+    axes = (
+        W
+        @ rotation_matrices(scene.quats[ids].astype(np.float64))
+        * np.exp(scene.log_scales[ids].astype(np.float64))[:, None, :]
+    )
     P, dP = screen_jacobian(points, K, camera.width, camera.height)
     half = P @ axes  # (V, 2, 3): half axes on the screen
     L = whitening(half @ half.swapaxes(1, 2) + thresholds().blur * np.eye(2))
@@ -100,13 +110,23 @@ def centre_jacobian(points: np.ndarray, K: np.ndarray) -> np.ndarray:
     """d(pixel)/d(camera point), (V, 2, 3), at points (V, 3) in camera coordinates."""
     x, y, z = points.T
     zero = np.zeros_like(z)
-    return np.stack([np.stack([K[0, 0] / z, zero, -K[0, 0] * x / z**2], 1), np.stack([zero, K[1, 1] / z, -K[1, 1] * y / z**2], 1)], 1)
+    return np.stack(
+        [
+            np.stack([K[0, 0] / z, zero, -K[0, 0] * x / z**2], 1),
+            np.stack([zero, K[1, 1] / z, -K[1, 1] * y / z**2], 1),
+        ],
+        1,
+    )
 
 
-def screen_jacobian(points: np.ndarray, K: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
-    """The Jacobian P (V, 2, 3) that projects covariances to the screen, and dP/d(camera point) (V, 3, 2, 3). points (V, 3): camera coordinates.
+def screen_jacobian(
+    points: np.ndarray, K: np.ndarray, width: int, height: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """The Jacobian P (V, 2, 3) that projects covariances to the screen, and dP/d(camera point) (V, 3, 2, 3).
+    points (V, 3): camera coordinates.
 
-    As in the rasterizer and in gsplat, x/z and y/z are clamped to the true image borders widened by the frustum margin.
+    As in the rasterizer and in gsplat, x/z and y/z are clamped to the true image borders widened by the
+    frustum margin.
     """
     focal, principal, size, z = K.diagonal()[:2], K[:2, 2], np.array([width, height]), points[:, 2:]
     margin = thresholds().frustum_margin * size / (2 * focal)
@@ -117,6 +137,9 @@ def screen_jacobian(points: np.ndarray, K: np.ndarray, width: int, height: int) 
     for r in range(2):
         f = focal[r] / z[:, 0]
         P[:, r, r], P[:, r, 2] = f, -f * clamped[:, r]
-        dP[:, 2, r, r], dP[:, 2, r, 2] = -f / z[:, 0], f * (clamped[:, r] + free[:, r] * slope[:, r]) / z[:, 0]
+        dP[:, 2, r, r], dP[:, 2, r, 2] = (
+            -f / z[:, 0],
+            f * (clamped[:, r] + free[:, r] * slope[:, r]) / z[:, 0],
+        )
         dP[:, r, r, 2] = -f * free[:, r] / z[:, 0]
     return P, dP

@@ -1,4 +1,5 @@
-"""All settings of a run. The defaults are the published ones (3DGS, MaskGaussian, SVR-GS; LightGaussian for the recovery)."""
+"""All settings of a run. The defaults are the published ones (3DGS, MaskGaussian, SVR-GS; LightGaussian for
+the recovery)."""
 
 from __future__ import annotations
 
@@ -6,14 +7,16 @@ from dataclasses import dataclass, field, replace
 from math import sqrt
 from typing import ClassVar
 
-USUAL_STEPS = 12_800  # a run of fewer steps S takes larger ones: sqrt(12 800 / S) times the rates of 3DGS, but at most
+# a run of fewer steps S takes larger ones: sqrt(12 800 / S) times the rates of 3DGS, but at most
+USUAL_STEPS = 12_800
 LARGEST, LARGEST_OF_POSITION = 4.0, 2.0
 SAMPLES = 16  # values in an average
 
 
 @dataclass(frozen=True)
 class Rates:
-    """Learning rates of one phase, for Adam. The position rate is log-linear from first to last and is multiplied by the extent (3DGS)."""
+    """Learning rates of one phase, for Adam. The position rate is log-linear from first to last and is
+    multiplied by the extent (3DGS)."""
 
     position_first: float = 1.6e-4
     position_last: float = 1.6e-6
@@ -28,7 +31,8 @@ class Rates:
     decay_every: int = 400
 
     def at(self, step: int, extent: float) -> dict[str, float]:
-        """Rates of step 1, 2, ... of the phase by parameter name. 'sh' is the rate of SH degree 0, 'sh_rest' that of higher degrees."""
+        """Rates of step 1, 2, ... of the phase by parameter name. 'sh' is the rate of SH degree 0, 'sh_rest'
+        that of higher degrees."""
         t = min(step / self.position_steps, 1.0)
         position = self.position_first ** (1 - t) * self.position_last**t * extent
         share = self.decay ** (step // self.decay_every)
@@ -44,8 +48,9 @@ class Rates:
 
 
 def rates_for(steps: int, rates: Rates) -> Rates:
-    """`rates` with those rates of position (the first), scale, rotation and SH that a run of so many steps needs to get as far: those with
-    which 3DGS begins, and the larger, the fewer steps there are. Calling it again changes nothing."""
+    """`rates` with those rates of position (the first), scale, rotation and SH that a run of so many steps
+    needs to get as far: those with which 3DGS begins, and the larger, the fewer steps there are. Calling it
+    again changes nothing."""
     usual, larger = Rates(), min(max(sqrt(USUAL_STEPS / max(steps, 1)), 1.0), LARGEST)
     others = {name: larger * getattr(usual, name) for name in ("scale", "rotation", "sh", "sh_rest")}
     return replace(rates, position_first=usual.position_first * min(larger, LARGEST_OF_POSITION), **others)
@@ -53,7 +58,8 @@ def rates_for(steps: int, rates: Rates) -> Rates:
 
 @dataclass(frozen=True)
 class Densify:
-    """Densification of 3DGS (section 5.2 of the paper): clone, split, prune, opacity reset. Step numbers are those of the phase."""
+    """Densification of 3DGS (section 5.2 of the paper): clone, split, prune, opacity reset. Step numbers are
+    those of the phase."""
 
     start: int = 500
     until: int = 15_000
@@ -69,16 +75,17 @@ class Densify:
 
     @classmethod
     def within(cls, iterations: int, until: int | None = None) -> Densify:
-        """Densification of a run of so many iterations. It ends after half of them, at most at step 15 000, so that new Gaussians are
-        trained too, and begins in the first third of that time. Published for 30 000 iterations: 500 to 15 000. until: the last step instead."""
+        """Densification of a run of so many iterations. It ends after half of them, at most at step 15 000,
+        so that new Gaussians are trained too, and begins in the first third of that time. Published for 30
+        000 iterations: 500 to 15 000. until: the last step instead."""
         until = min(cls.until, iterations // 2) if until is None else until
         return cls(start=min(cls.start, until // 3), until=until)
 
 
 @dataclass(frozen=True)
 class MCMC(Densify):
-    """Densification of 3DGS-MCMC (arXiv 2404.09591): relocation, growth up to a cap, noise and two penalties. Of the rules of 3DGS only the
-    steps `start`, `until`, `every` and `min_opacity` count."""
+    """Densification of 3DGS-MCMC (arXiv 2404.09591): relocation, growth up to a cap, noise and two penalties.
+    Of the rules of 3DGS only the steps `start`, `until`, `every` and `min_opacity` count."""
 
     until: int = 25_000
     cap: int = 0  # Gaussians up to which the scene grows
@@ -90,7 +97,8 @@ class MCMC(Densify):
 
     @classmethod
     def capped(cls, cap: int, iterations: int, until: int | None = None) -> MCMC:
-        """Densification of a run of so many iterations. It ends after 5/6 of them, at most at step 25 000. until: the last step instead."""
+        """Densification of a run of so many iterations. It ends after 5/6 of them, at most at step 25 000.
+        until: the last step instead."""
         until = min(cls.until, iterations * 5 // 6) if until is None else until
         return cls(start=min(cls.start, until // 3), until=until, cap=cap)
 
@@ -103,22 +111,29 @@ class Phase:
     steps: int
     rates: Rates
     densify: Densify | None = None
-    active: bool = False  # the method takes part in the steps, and decides at the end of the phase which Gaussians stay
+    # the method takes part in the steps, and decides at the end of the phase which Gaussians stay
+    active: bool = False
     prune_every: int = 1_000  # steps between pruning events, outside densification; 0: no events
     sh_every: int = 0  # the SH degree rises by 1 every so many steps; 0: all bands from the start
     coarse_until: int = 0  # steps up to this one use reduced photographs
-    coarse_factor: int = 2  # reduction of the first steps, per side, a power of 2; it is halved after equal numbers of steps
-    averaged: float = 0.0  # share of the steps, the last ones, over which the values are averaged; the mean is the result (averaging.py)
-    label: str = field(default="", repr=False)  # what happens in the phase, as shown to users; not part of a checkpoint's identity
+    # reduction of the first steps, per side, a power of 2; it is halved after equal numbers of steps
+    coarse_factor: int = 2
+    # share of the steps, the last ones, over which the values are averaged; the mean is the result
+    # (averaging.py)
+    averaged: float = 0.0
+    # what happens in the phase, as shown to users; not part of a checkpoint's identity
+    label: str = field(default="", repr=False)
 
     def reduction(self, number: int) -> int:
-        """Reduction of the photographs in step `number` (from 1): so many pixels per side are averaged into one."""
+        """Reduction of the photographs in step `number` (from 1): so many pixels per side are averaged into
+        one."""
         if number > self.coarse_until:
             return 1
         return self.coarse_factor >> (number - 1) * (self.coarse_factor.bit_length() - 1) // self.coarse_until
 
     def samples(self, number: int) -> bool:
-        """Whether the values after step `number` (from 1) count in the average: about SAMPLES of the averaged steps do, the last one among them."""
+        """Whether the values after step `number` (from 1) count in the average: about SAMPLES of the averaged
+        steps do, the last one among them."""
         left, averaged = self.steps - number, round(self.averaged * self.steps)
         return left < averaged and left % max(1, averaged // SAMPLES) == 0
 
@@ -135,16 +150,21 @@ class Settings:
     mask_init: float = 9.0  # existence logit at the start
     draws: int = 10  # samples at a pruning event
     views_by_loss: bool = False  # views of low loss are shown in every other epoch only
-    spatial_order: bool = True  # rows are kept in Morton order: Gaussians near in space are near in memory, which is faster
+    # rows are kept in Morton order: Gaussians near in space are near in memory, which is faster
+    spatial_order: bool = True
     l1_weight: float = 0.8  # of the mean absolute error
     ssim_weight: float = 0.2  # of 1 - SSIM
-    min_contribution: float = 0.0  # first cut: Gaussians whose alpha T stays below this in every pixel of every training view are removed
+    # first cut: Gaussians whose alpha T stays below this in every pixel of every training view are removed
+    min_contribution: float = 0.0
     target: int = 0  # Gaussians to keep when the method decides; 0: no target
     share: float = 0.0  # instead of a target: share of the Gaussians that exist when densification has ended
-    nested: float = 0.0  # share of the Gaussians down to which smaller numbers are trained too (nested.py); 0: none
-    max_drop: float = 0.0  # instead of a target: PSNR in dB that may be lost at the end, on a few views (quality.py)
+    # share of the Gaussians down to which smaller numbers are trained too (nested.py); 0: none
+    nested: float = 0.0
+    # instead of a target: PSNR in dB that may be lost at the end, on a few views (quality.py)
+    max_drop: float = 0.0
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    own: tuple[int, int] | None = field(default=None, repr=False)  # rows of the source, from and to, that the result is about (RunView.own). None: all
+    # rows of the source, from and to, that the result is about (RunView.own). None: all
+    own: tuple[int, int] | None = field(default=None, repr=False)
 
     @property
     def prunes(self) -> bool:
@@ -156,11 +176,17 @@ class Settings:
         return sum(phase.steps for phase in self.phases)
 
     def averaged_count(self, count: int) -> int:
-        """The number of Gaussians whose values will be averaged, of `count` in the run; `count` if it is not known how many stay. 0 if none are."""
-        return (self.target or round(self.share * count) or count) if any(phase.averaged for phase in self.phases) else 0
+        """The number of Gaussians whose values will be averaged, of `count` in the run; `count` if it is not
+        known how many stay. 0 if none are."""
+        return (
+            (self.target or round(self.share * count) or count)
+            if any(phase.averaged for phase in self.phases)
+            else 0
+        )
 
     def at(self, iteration: int) -> tuple[Phase, int]:
-        """The phase of iteration 0, 1, ... of the run, and the number of the step in this phase (from 1). Raises IndexError after the last one."""
+        """The phase of iteration 0, 1, ... of the run, and the number of the step in this phase (from 1).
+        Raises IndexError after the last one."""
         number = iteration + 1
         for phase in self.phases:
             if number <= phase.steps:
@@ -170,7 +196,7 @@ class Settings:
 
 
 def recovery_phase(steps: int, position_first: float = 5e-6) -> Phase:
-    """The recovery of LightGaussian: the plain 3DGS loss; nothing is added or pruned; all rates but that of position decay by 0.95
-    every 400 steps."""
+    """The recovery of LightGaussian: the plain 3DGS loss; nothing is added or pruned; all rates but that of
+    position decay by 0.95 every 400 steps."""
     rates = Rates(position_first=position_first, position_steps=max(steps, 1), decay=0.95)
     return Phase("recover", steps, rates, label="Recovering the quality")

@@ -1,12 +1,14 @@
-"""Strength controller of methods that learn masks: it multiplies lambda_F and lambda_m by a strength, so that learning ends at the target.
+"""Strength controller of methods that learn masks: it multiplies lambda_F and lambda_m by a strength, so that
+learning ends at the target.
 
-It is a proportional controller on log-strength; the error is the wanted slope minus the measured slope of the progress q
-(docs/methods.md, "Strength controller"). q is 0 at the start of the phase and 1 at the goal:
+It is a proportional controller on log-strength; the error is the wanted slope minus the measured slope of the
+progress q (docs/methods.md, "Strength controller"). q is 0 at the start of the phase and 1 at the goal:
 
 - target count: q = ln(n_0 / n) / ln(n_0 / target); n is the expected number of Gaussians, n_0 the first n;
 - allowed drop: q = (drop in dB so far) / (allowed drop).
 
-The wanted q is a line: 0 at the step where masks begin to change, 1 at HOLD_FROM of the phase, constant from there on.
+The wanted q is a line: 0 at the step where masks begin to change, 1 at HOLD_FROM of the phase, constant from
+there on.
 """
 
 from __future__ import annotations
@@ -69,11 +71,14 @@ class StrengthController:
         length = max(HOLD_FROM * phase.steps - self.begun, ahead)
         line = min((number + ahead - self.begun) / length, 1.0)
         error = ((line - self.last) / ahead - self.slope) * length
-        self.log_strength = min(max(self.log_strength + GAIN * min(max(error, -1.0), 1.0), -LIMIT), self.largest)
+        self.log_strength = min(
+            max(self.log_strength + GAIN * min(max(error, -1.0), 1.0), -LIMIT), self.largest
+        )
 
     def progress(self, run: RunView, settled: float) -> float:
-        """q. For a target, n is a weighted mean: the number that would stay by the masks alone (weight `settled`, which rises from 0 to 1)
-        and the sum of all p. So q is smooth at first and exact at the end."""
+        """q. For a target, n is a weighted mean: the number that would stay by the masks alone (weight
+        `settled`, which rises from 0 to 1) and the sum of all p. So q is smooth at first and exact at the
+        end."""
         if run.settings.max_drop:
             return (self.start - run.psnr(run.current_mask())) / run.settings.max_drop
         if run.target >= self.start:
@@ -82,7 +87,10 @@ class StrengthController:
         return math.log(self.start / max(count, 1.0)) / math.log(self.start / run.target)
 
 
-def controller_for(settings: Settings, learns_masks: bool, largest_strength: float) -> StrengthController | None:
-    """The controller of a run. None without a target, share or max_drop, and for methods that learn no masks."""
+def controller_for(
+    settings: Settings, learns_masks: bool, largest_strength: float
+) -> StrengthController | None:
+    """The controller of a run. None without a target, share or max_drop, and for methods that learn no
+    masks."""
     asked = settings.target or settings.share or settings.max_drop
     return StrengthController(largest=math.log(largest_strength)) if learns_masks and asked else None

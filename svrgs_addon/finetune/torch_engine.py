@@ -1,7 +1,9 @@
-"""The torch engine: one optimisation step in PyTorch, term by term. The native engine (engine.py) is tested against it.
+"""The torch engine: one optimisation step in PyTorch, term by term. The native engine (engine.py) is tested
+against it.
 
-Its tensors share memory with the model's arrays, and it stores moments in the same layout (moments.py). So checkpoints, densification
-and pruning do not depend on the engine. To try a loss of your own, override TorchEngine.loss.
+Its tensors share memory with the model's arrays, and it stores moments in the same layout (moments.py). So
+checkpoints, densification and pruning do not depend on the engine. To try a loss of your own, override
+TorchEngine.loss.
 """
 
 from __future__ import annotations
@@ -21,7 +23,9 @@ from .moments import packed, unpacked
 try:
     import torch
 except ImportError:
-    raise SceneError("the torch engine needs PyTorch: install torch into this Python, or use --engine native") from None
+    raise SceneError(
+        "the torch engine needs PyTorch: install torch into this Python, or use --engine native"
+    ) from None
 from torch import Tensor
 from torch.nn.functional import conv2d
 
@@ -31,15 +35,19 @@ SH = {"sh", "sh_rest"}
 
 
 class Rasterize(torch.autograd.Function):
-    """The native rasteriser as a differentiable function of N Gaussians. It returns one image per name in `outputs`.
+    """The native rasteriser as a differentiable function of N Gaussians. It returns one image per name in
+    `outputs`.
 
-    gaussians: tensors in the order of native.GRADS. Among them masks: (N,), 0 or 1, or None for all 1; means2d: (N, 2), which is not
-    read and whose gradient is dL/d(projected centre), per pixel. Call backward before the next forward of the rasteriser.
+    gaussians: tensors in the order of native.GRADS. Among them masks: (N,), 0 or 1, or None for all 1;
+    means2d: (N, 2), which is not read and whose gradient is dL/d(projected centre), per pixel. Call backward
+    before the next forward of the rasteriser.
     """
 
     @staticmethod
     def forward(ctx, rasterizer: Rasterizer, step: Step, outputs: tuple[str, ...], *gaussians: Tensor | None):
-        arrays: dict[str, Any] = {name: None if t is None else t.detach().numpy() for name, t in zip(GRADS, gaussians, strict=True)}
+        arrays: dict[str, Any] = {
+            name: None if t is None else t.detach().numpy() for name, t in zip(GRADS, gaussians, strict=True)
+        }
         masks = None if arrays["masks"] is None else arrays["masks"].astype(np.uint8)
         images = rasterizer.forward(SimpleNamespace(**arrays), step.camera, step.options, masks, outputs)
         ctx.rasterizer, ctx.outputs, ctx.count = rasterizer, outputs, len(arrays["means"])
@@ -86,7 +94,8 @@ def ssim(x: Tensor, y: Tensor) -> Tensor:
 
 
 def straight_through(step: Step, logits: Tensor) -> Tensor:
-    """The masks of the step, (N,), straight-through: the value is the hard sample, the gradient that of the soft one (MaskGaussian)."""
+    """The masks of the step, (N,), straight-through: the value is the hard sample, the gradient that of the
+    soft one (MaskGaussian)."""
     hard, slope = torch.from_numpy(step.masks).to(logits.dtype), torch.from_numpy(step.slope)
     return hard + slope * (logits - logits.detach())
 
@@ -95,11 +104,16 @@ def _masks(step: Step, leaves: dict[str, Tensor]) -> Tensor | None:
     """The masks of the step, (N,), with a gradient if they are learned; None: all 1."""
     if step.masks is None:
         return None
-    return torch.from_numpy(step.masks).to(leaves["means"].dtype) if step.slope is None else straight_through(step, leaves[MASK])
+    return (
+        torch.from_numpy(step.masks).to(leaves["means"].dtype)
+        if step.slope is None
+        else straight_through(step, leaves[MASK])
+    )
 
 
 class TorchEngine:
-    """Forward, loss, backward and Adam by torch. Afterwards the Gaussians that the view does not see get their old values back."""
+    """Forward, loss, backward and Adam by torch. Afterwards the Gaussians that the view does not see get
+    their old values back."""
 
     def __init__(self, level: str | None = None):
         self.rasterizer = Rasterizer(level)
@@ -114,11 +128,17 @@ class TorchEngine:
         loss, l1, similarity, mask_loss = self.loss(step, images, masks)
         visible = step.not_frozen(self.rasterizer.visible())
         ids = _indices(visible)
-        given = [(p, leaves[p.parameter][ids] if p.seen else leaves[p.parameter]) for p in step.penalties if len(ids) or not p.seen]
+        given = [
+            (p, leaves[p.parameter][ids] if p.seen else leaves[p.parameter])
+            for p in step.penalties
+            if len(ids) or not p.seen
+        ]
         penalty = sum((p.value(values, torch) for p, values in given), torch.zeros(()))
         loss = loss + penalty
         loss.backward()
-        result = StepResult(l1.item(), similarity.item(), mask_loss.item(), visible, global_loss=step.global_loss)
+        result = StepResult(
+            l1.item(), similarity.item(), mask_loss.item(), visible, global_loss=step.global_loss
+        )
         result.penalty = penalty.item()
         if step.want_means2d:
             result.means2d = _grad(means2d)[ids].numpy()
@@ -126,9 +146,11 @@ class TorchEngine:
             result.nonfinite = _update(model, step, leaves, ids)
         return result
 
-    def loss(self, step: Step, images: dict[str, Tensor], masks: Tensor | None) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """The loss without the penalty, and three of its terms: L1, SSIM and mean F^2 (SVR-GS Eq. 10). images: 'rgb' (H, W, 3) and, with
-        a spatial mask, 'mask' (H, W). masks (N,) or None."""
+    def loss(
+        self, step: Step, images: dict[str, Tensor], masks: Tensor | None
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """The loss without the penalty, and three of its terms: L1, SSIM and mean F^2 (SVR-GS Eq. 10).
+        images: 'rgb' (H, W, 3) and, with a spatial mask, 'mask' (H, W). masks (N,) or None."""
         target = torch.tensor(step.target)  # a copy: photographs are read-only
         rgb = images["rgb"] if step.window is None else images["rgb"][step.window]
         share = rgb.numel() / images["rgb"].numel()
@@ -141,12 +163,17 @@ class TorchEngine:
             total = total + step.lambda_m * masks.mean() ** 2
         return total, l1, similarity, mask_loss
 
-    def _render(self, step: Step, leaves: dict[str, Tensor], masks: Tensor | None, means2d: Tensor) -> dict[str, Tensor]:
+    def _render(
+        self, step: Step, leaves: dict[str, Tensor], masks: Tensor | None, means2d: Tensor
+    ) -> dict[str, Tensor]:
         outputs = ("rgb", "mask") if step.spatial else ("rgb",)
         sh = torch.cat([leaves["sh"], leaves["sh_rest"]], dim=1)
         parameters = {name: sh if name == "sh" else leaves[name] for name in PARAMETERS}
-        if step.gates and masks is not None:  # the scale becomes g s, so log g is added; a closed gate is the mask 0, and its scale does not matter
-            parameters["log_scales"] = parameters["log_scales"] + torch.log(torch.where(masks.detach() > 0, masks, 1.0))[:, None]
+        # the scale becomes g s, so log g is added; a closed gate is the mask 0, and its scale does not matter
+        if step.gates and masks is not None:
+            parameters["log_scales"] = (
+                parameters["log_scales"] + torch.log(torch.where(masks.detach() > 0, masks, 1.0))[:, None]
+            )
         images = Rasterize.apply(self.rasterizer, step, outputs, *parameters.values(), masks, means2d)
         return dict(zip(outputs, images, strict=True))
 
@@ -157,19 +184,29 @@ def _grad(leaf: Tensor) -> Tensor:
 
 
 def _tensors(arrays: dict[str, np.ndarray]) -> dict[str, Tensor]:
-    """The arrays as tensors on the same memory. SH are split: degree 0 as 'sh', higher degrees as 'sh_rest'."""
+    """The arrays as tensors on the same memory. SH are split: degree 0 as 'sh', higher degrees as
+    'sh_rest'."""
     tensors = {name: torch.from_numpy(array) for name, array in arrays.items()}
     return tensors | {"sh": tensors["sh"][:, :1], "sh_rest": tensors["sh"][:, 1:]}
 
 
 def _update(model: Model, step: Step, leaves: dict[str, Tensor], ids: Tensor) -> int:
-    """One Adam step on rows `ids`, in the model's memory. Returns the number of rows that were not updated because they were not finite."""
+    """One Adam step on rows `ids`, in the model's memory. Returns the number of rows that were not updated
+    because they were not finite."""
     learned = {name: leaf for name, leaf in leaves.items() if leaf.grad is not None}
     moments = {name: unpacked(array, model.values[name].shape) for name, array in model.moments.items()}
-    optimizer = torch.optim.Adam([{"params": [learned[name]], "lr": step.rates[name]} for name in learned.keys() - SH], betas=BETAS, eps=EPS)
+    optimizer = torch.optim.Adam(
+        [{"params": [learned[name]], "lr": step.rates[name]} for name in learned.keys() - SH],
+        betas=BETAS,
+        eps=EPS,
+    )
     for name in learned.keys() - SH:
         first, second = map(torch.from_numpy, moments[name])
-        optimizer.state[learned[name]] = {"step": torch.tensor(step.number - 1.0), "exp_avg": first, "exp_avg_sq": second}
+        optimizer.state[learned[name]] = {
+            "step": torch.tensor(step.number - 1.0),
+            "exp_avg": first,
+            "exp_avg_sq": second,
+        }
     skipped, bad = _rows_left_alone(learned, step, ids)
     with torch.no_grad():
         saved = {name: leaf[skipped[name]] for name, leaf in learned.items()}
@@ -185,7 +222,8 @@ def _update(model: Model, step: Step, leaves: dict[str, Tensor], ids: Tensor) ->
 
 
 def _step_sh(learned: dict[str, Tensor], first: Tensor, second: Tensor, step: Step):
-    """Adam on SH coefficients, which share one second moment per Gaussian (moments.py). first (N, K, 3) and second (N,) are updated in place."""
+    """Adam on SH coefficients, which share one second moment per Gaussian (moments.py). first (N, K, 3) and
+    second (N,) are updated in place."""
     grad = torch.cat([_grad(learned["sh"]), _grad(learned["sh_rest"])], dim=1)
     first.lerp_(grad, 1 - BETAS[0])
     second.lerp_((grad[:, 0] ** 2).mean(dim=1), 1 - BETAS[1])
@@ -196,9 +234,11 @@ def _step_sh(learned: dict[str, Tensor], first: Tensor, second: Tensor, step: St
 
 
 def _rows_left_alone(learned: dict[str, Tensor], step: Step, ids: Tensor) -> tuple[dict[str, Tensor], int]:
-    """The rows that Adam must not change, (N,) bool by parameter name; and the number of rows that are not finite.
+    """The rows that Adam must not change, (N,) bool by parameter name; and the number of rows that are not
+    finite.
 
-    A row is left alone if its gradient is not finite, if it is frozen, or if the view does not see it and the gradient of the parameter is sparse.
+    A row is left alone if its gradient is not finite, if it is frozen, or if the view does not see it and the
+    gradient of the parameter is sparse.
     """
     finite = {name: _grad(leaf)[:, None].flatten(1).isfinite().all(dim=1) for name, leaf in learned.items()}
     finite["sh"] = finite["sh_rest"] = finite["sh"] & finite["sh_rest"]

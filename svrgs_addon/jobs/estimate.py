@@ -1,7 +1,9 @@
-"""An estimate, within a few seconds, of how many Gaussians pruning would keep, how good the result would be and how long it would take.
+"""An estimate, within a few seconds, of how many Gaussians pruning would keep, how good the result would be
+and how long it would take.
 
-It renders some views and measures the speed of a few steps. Child process: `python -m svrgs_addon.jobs.estimate`. It reads
-{"scene": file, "options": options of a job} as JSON from stdin and writes the result of estimate(), or {"error": sentence}, to stdout.
+It renders some views and measures the speed of a few steps. Child process: `python -m
+svrgs_addon.jobs.estimate`. It reads {"scene": file, "options": options of a job} as JSON from stdin and
+writes the result of estimate(), or {"error": sentence}, to stdout.
 """
 
 from __future__ import annotations
@@ -32,11 +34,13 @@ from .job_recorder import RECORDED
 def estimate(options: PruneOptions) -> dict:
     """The estimate, a dict with these keys. Raises SplatError.
 
-    count: Gaussians of the scene; invisible: those with an opacity below 1/255; unseen: those that no rendered view sees; faint: those
-    that the first cut removes; kept: roughly how many stay; at_most: whether kept is an upper bound; views: number of rendered views;
-    psnr_before, psnr_removed, psnr_after: as in quality_forecast.Forecast, without "psnr_"; psnr_before is None on the splat's own pictures;
-    steps: of the run; steps_per_second: with all Gaussians; schedule: that of the options, or the one that fits into their time limit; seconds:
-    expected time of the whole job; notes: sentences on the dataset and whether the splat belongs to it.
+    count: Gaussians of the scene; invisible: those with an opacity below 1/255; unseen: those that no
+    rendered view sees; faint: those that the first cut removes; kept: roughly how many stay; at_most: whether
+    kept is an upper bound; views: number of rendered views; psnr_before, psnr_removed, psnr_after: as in
+    quality_forecast.Forecast, without "psnr_"; psnr_before is None on the splat's own pictures; steps: of the
+    run; steps_per_second: with all Gaussians; schedule: that of the options, or the one that fits into their
+    time limit; seconds: expected time of the whole job; notes: sentences on the dataset and whether the splat
+    belongs to it.
     """
     begun = time.perf_counter()
     library.set_threads(options.threads)
@@ -49,8 +53,9 @@ def estimate(options: PruneOptions) -> dict:
     pace, seen = pace_of(scene, dataset, plan), seen_by_some(scene, dataset, plan)
     measured = time.perf_counter() - begun
     kept = expected_count(plan, scene, dataset, seen)
-    seconds_of = lambda some: pace.pruning(some, kept / scene.count, RECORDED)  # noqa: E731
-    others = PROCESS + read + (measured + read if options.time else loaded)  # one time for writing; a job with a time limit reads twice
+    seconds_of = lambda some: pace.pruning(some, kept / scene.count, RECORDED)
+    # one time for writing; a job with a time limit reads twice
+    others = PROCESS + read + (measured + read if options.time else loaded)
     found = fitted(options.time, plan, seconds_of, others) if options.time else None
     plan = at_schedule(plan, found.schedule) if found else plan
     quality = forecast(scene, dataset, plan, expected_order(plan, scene, dataset, seen), kept)
@@ -62,7 +67,8 @@ def estimate(options: PruneOptions) -> dict:
         "kept": kept,
         "at_most": bool(options.max_drop),
         "views": seen.views,
-        **{f"psnr_{name}": value for name, value in quality._asdict().items()} | ({"psnr_before": None} if options.colmap is None else {}),
+        **{f"psnr_{name}": value for name, value in quality._asdict().items()}
+        | ({"psnr_before": None} if options.colmap is None else {}),
         "steps": plan.total,
         "steps_per_second": 1 / pace.step,
         "schedule": found.schedule if found else options.schedule,

@@ -1,13 +1,18 @@
-"""The folder of a background job, which prunes a splat or trains one. It is the whole state of the job: a .blend file holds only its path.
+"""The folder of a background job, which prunes a splat or trains one. It is the whole state of the job: a
+.blend file holds only its path.
 
-    job.json           the request: schema, version, kind (prune or train), name, number of Gaussians, digest_of() the splat, options
-    state.json         state of the job, replaced as a whole, at least every HEARTBEAT seconds while the job runs
-    scene.ply          of a job that prunes: the splat at its start; the column svrgs_row holds the row of each Gaussian
+    job.json           the request: schema, version, kind (prune or train), name, number of Gaussians,
+                       digest_of() the splat, options
+    state.json         state of the job, replaced as a whole, at least every HEARTBEAT seconds while the job
+                       runs
+    scene.ply          of a job that prunes: the splat at its start; the column svrgs_row holds the row of
+                       each Gaussian
     messages.jsonl     stdout of the child process: messages, one JSON object per line (job_main.py)
     log.txt            stderr of the child process
     metrics.csv        iteration, count, loss, psnr
     previews/ITERATION.png
-    ranking.npz        of a job that prunes: when each Gaussian was removed, and its last probability (ranking.py)
+    ranking.npz        of a job that prunes: when each Gaussian was removed, and its last probability
+                       (ranking.py)
     recovered.ply.job  checkpoints; recovered.ply is the splat after the last step
     recovered.ply.blocks    of a job by blocks (prune/blocks/): the blocks, and which of its tasks are done
     stop               flag file: the parent creates it, the child obeys (job_main.py)
@@ -18,10 +23,10 @@
     probability.npy                                  if masks were learned
     trained.ply, result.json                         the result of a job that trains
 
-A job whose state is not renewed for STALE seconds counts as interrupted. The folder is read like a file of a stranger: options are
-checked by name, type and range, arrays by shape and dtype, sizes of JSON files by LARGEST_JSON, and the number of Gaussians against
-scene.ply. A job with a symbolic link in its folder is refused before anything is written. discard() removes only names that a job
-writes.
+A job whose state is not renewed for STALE seconds counts as interrupted. The folder is read like a file of a
+stranger: options are checked by name, type and range, arrays by shape and dtype, sizes of JSON files by
+LARGEST_JSON, and the number of Gaussians against scene.ply. A job with a symbolic link in its folder is
+refused before anything is written. discard() removes only names that a job writes.
 """
 
 from __future__ import annotations
@@ -67,7 +72,8 @@ LARGEST_JSON = 1 << 20  # bytes; larger files are not read
 STOP = "stop"  # flag file
 CAMERAS = "cameras.json"  # given views of a job without photographs
 FORMER_FLAGS = ("cancel", "pause")  # flag files of earlier versions
-ENDED = ("queued", "stopped", "paused", "cancelled", "interrupted", "failed", "done")  # no process; earlier versions wrote "paused" and "cancelled"
+# no process; earlier versions wrote "paused" and "cancelled"
+ENDED = ("queued", "stopped", "paused", "cancelled", "interrupted", "failed", "done")
 PRUNE, TRAIN = "prune", "train"  # kinds of a job
 OPTIONS = {PRUNE: PruneOptions, TRAIN: TrainOptions}
 METRICS = ("iteration", "count", "loss", "psnr")
@@ -90,9 +96,12 @@ class JobFolder:
         self.path = extended(path)
 
     @classmethod
-    def create(cls, path: str | Path, scene: Scene, options: dict, name: str = "", cameras: Sequence[Camera] = ()) -> JobFolder:
-        """Creates the folder of a new job that will prune the scene. cameras: of the option `cameras`, in the scene's coordinates; they are stored in
-        the folder. Raises SceneError if the folder is not empty or an option is wrong."""
+    def create(
+        cls, path: str | Path, scene: Scene, options: dict, name: str = "", cameras: Sequence[Camera] = ()
+    ) -> JobFolder:
+        """Creates the folder of a new job that will prune the scene. cameras: of the option `cameras`, in the
+        scene's coordinates; they are stored in the folder. Raises SceneError if the folder is not empty or an
+        option is wrong."""
         folder = cls._empty(path)
         _check_options(PRUNE, options)
         check_room(folder.path, scene)
@@ -122,7 +131,15 @@ class JobFolder:
         return folder
 
     def _write_request(self, kind: str, name: str, count: int, options: dict, digest: str = ""):
-        request = {"schema": SCHEMA, "version": __version__, "kind": kind, "name": name, "count": count, "digest": digest, "options": options}
+        request = {
+            "schema": SCHEMA,
+            "version": __version__,
+            "kind": kind,
+            "name": name,
+            "count": count,
+            "digest": digest,
+            "options": options,
+        }
         self.write_json("job.json", request)
         self.write_json("state.json", {"state": "new"})
 
@@ -137,8 +154,14 @@ class JobFolder:
         kind = request.setdefault("kind", PRUNE)  # earlier versions had no other
         if not isinstance(kind, str) or kind not in OPTIONS:
             raise FormatError(f"{self / 'job.json'}: is no job of this version")
-        if not isinstance(request.get("name"), str) or not _is(int, request.get("count")) or request["count"] < (kind == PRUNE):
-            raise FormatError(f"{self / 'job.json'}: the name of the splat or its number of Gaussians is missing")
+        if (
+            not isinstance(request.get("name"), str)
+            or not _is(int, request.get("count"))
+            or request["count"] < (kind == PRUNE)
+        ):
+            raise FormatError(
+                f"{self / 'job.json'}: the name of the splat or its number of Gaussians is missing"
+            )
         try:
             _check_options(kind, request.get("options"))
         except SceneError as error:
@@ -158,47 +181,64 @@ class JobFolder:
     def options(self) -> PruneOptions | TrainOptions:
         """All options of the job, with the paths of its input and output. Raises FormatError."""
         request = self.request()
-        paths: dict[str, Any] = {"out": self / "recovered.ply"} | ({"scene": self / "scene.ply"} if request["kind"] == PRUNE else {})
+        paths: dict[str, Any] = {"out": self / "recovered.ply"} | (
+            {"scene": self / "scene.ply"} if request["kind"] == PRUNE else {}
+        )
         cls = OPTIONS[request["kind"]]
         if request["kind"] == PRUNE and (self / CAMERAS).is_file():
             paths["cameras"] = self / CAMERAS
         options = check_mapping(cls, request["options"])
-        return cls(**(options | paths), resume=not options.get("quick"), quiet=True)  # a quick job has no checkpoints
+        # a quick job has no checkpoints
+        return cls(**(options | paths), resume=not options.get("quick"), quiet=True)
 
     def set_dataset(self, colmap: str):
-        """Writes another folder of the dataset into job.json: it was moved. Raises FormatError, SceneError."""
+        """Writes another folder of the dataset into job.json: it was moved. Raises FormatError,
+        SceneError."""
         request = self.request()
         self.write_json("job.json", {**request, "options": {**request["options"], "colmap": colmap}})
 
     def update_schema(self) -> str:
-        """Updates a job of schema 1 to the present one. Returns a sentence if the method has another name now, else ''. Raises FormatError."""
+        """Updates a job of schema 1 to the present one. Returns a sentence if the method has another name
+        now, else ''. Raises FormatError."""
         request = self.request()
         if request["schema"] == SCHEMA:
             return ""
         former = request["options"].get("method", "svr")
         present = FORMER_NAMES.get(former, former)
-        self.write_json("job.json", {**request, "schema": SCHEMA, "options": {**request["options"], "method": present}})
+        self.write_json(
+            "job.json", {**request, "schema": SCHEMA, "options": {**request["options"], "method": present}}
+        )
         return f"Method '{former}' is called '{present}' now" if present != former else ""
 
     def refuse_links(self):
-        """Raises FormatError if an entry of the folder is a symbolic link: writing to it would change a file elsewhere."""
+        """Raises FormatError if an entry of the folder is a symbolic link: writing to it would change a file
+        elsewhere."""
         for entry in self._entries():
             if is_link(entry):
                 raise FormatError(f"{entry.path}: is a link; a job folder must hold its files itself")
 
     def check_scene(self):
-        """Raises FormatError if scene.ply of a job that prunes does not have the number of Gaussians that job.json says."""
+        """Raises FormatError if scene.ply of a job that prunes does not have the number of Gaussians that
+        job.json says."""
         count, file = self.request()["count"], self / "scene.ply"
         try:
             with open(file, "rb") as stream:
-                (stored,) = [element.count for element in parse_header(stream.read(MAX_HEADER_BYTES)).elements if element.name == "vertex"]
+                (stored,) = [
+                    element.count
+                    for element in parse_header(stream.read(MAX_HEADER_BYTES)).elements
+                    if element.name == "vertex"
+                ]
         except (OSError, ValueError, FormatError) as error:
             raise FormatError(f"{file}: cannot be read ({error}); discard the job and start again") from None
         if stored != count:
-            raise FormatError(f"{file}: has {stored:,} Gaussians, but job.json says {count:,}; discard the job and start again")
+            raise FormatError(
+                f"{file}: has {stored:,} Gaussians, but job.json says {count:,}; discard the job and start"
+                " again"
+            )
 
     def state(self) -> dict:
-        """The keys of state.json. "state" is "interrupted" if the job has not ended but was not renewed for STALE seconds; "missing" without a job."""
+        """The keys of state.json. "state" is "interrupted" if the job has not ended but was not renewed for
+        STALE seconds; "missing" without a job."""
         state = self._json("state.json")
         state = facts_of(state or {})
         if "state" not in state:
@@ -223,20 +263,27 @@ class JobFolder:
 
     @property
     def merged(self) -> bool:
-        """Whether the result of a finished job has merged Gaussians: then there is no ranking of the source Gaussians."""
+        """Whether the result of a finished job has merged Gaussians: then there is no ranking of the source
+        Gaussians."""
         return bool(self.result().get("merged"))
 
     def arrays(self) -> tuple[np.ndarray, np.ndarray]:
-        """Of a finished job, for each source Gaussian: kept (N,) bool and score (N,) float32 (ranking.py). Raises FormatError."""
+        """Of a finished job, for each source Gaussian: kept (N,) bool and score (N,) float32 (ranking.py).
+        Raises FormatError."""
         return self._array("kept", bool), self._array("score", np.float32)
 
     def probability(self) -> np.ndarray | None:
-        """Of a finished job, the probability of each source Gaussian, (N,) float32; None if no masks were learned. Raises FormatError."""
+        """Of a finished job, the probability of each source Gaussian, (N,) float32; None if no masks were
+        learned. Raises FormatError."""
         return self._array("probability", np.float32) if (self / "probability.npy").exists() else None
 
     def metrics(self) -> dict[str, np.ndarray]:
-        """The columns of metrics.csv by name, float64, NaN for missing values. Incomplete lines are skipped."""
-        with contextlib.suppress(OSError, UnicodeDecodeError, csv.Error), open(self / "metrics.csv", encoding="utf-8") as file:
+        """The columns of metrics.csv by name, float64, NaN for missing values. Incomplete lines are
+        skipped."""
+        with (
+            contextlib.suppress(OSError, UnicodeDecodeError, csv.Error),
+            open(self / "metrics.csv", encoding="utf-8") as file,
+        ):
             lines = list(csv.reader(io.StringIO(file.read(LARGEST_JSON))))[1:]
             rows = [row for row in map(_numbers, lines) if len(row) == len(METRICS) and math.isfinite(row[0])]
             return dict(zip(METRICS, np.array(rows, np.float64).reshape(-1, len(METRICS)).T, strict=True))
@@ -250,7 +297,9 @@ class JobFolder:
         """The last lines of log.txt that are not blank."""
         with contextlib.suppress(OSError), open(self / "log.txt", "rb") as file:
             file.seek(max(0, file.seek(0, io.SEEK_END) - 4096))
-            return [line for line in file.read().decode(errors="replace").splitlines() if line.strip()][-lines:]
+            return [line for line in file.read().decode(errors="replace").splitlines() if line.strip()][
+                -lines:
+            ]
         return []
 
     def write_json(self, name: str, value: dict):
@@ -267,11 +316,15 @@ class JobFolder:
             (self / flag).unlink(missing_ok=True)
 
     def checkpoint(self) -> int:
-        """The step of the newest checkpoint; 0 if there is none. Damaged checkpoints count: they are found when the job is resumed."""
-        return max((int(path.name) for path in self._checkpoints() if (path / "manifest.json").is_file()), default=0)
+        """The step of the newest checkpoint; 0 if there is none. Damaged checkpoints count: they are found
+        when the job is resumed."""
+        return max(
+            (int(path.name) for path in self._checkpoints() if (path / "manifest.json").is_file()), default=0
+        )
 
     def tasks(self) -> tuple[int, int]:
-        """How many tasks of a job by blocks are done, and how many it has, 0 if that is not known or the job is none."""
+        """How many tasks of a job by blocks are done, and how many it has, 0 if that is not known or the job
+        is none."""
         return tasks.progress(self / BLOCKS)
 
     def size(self) -> int:
@@ -279,11 +332,14 @@ class JobFolder:
         total = 0
         for entry in self._entries():
             with contextlib.suppress(OSError):  # removed meanwhile
-                total += entry.stat(follow_symlinks=False).st_size if entry.is_file(follow_symlinks=False) else 0
+                total += (
+                    entry.stat(follow_symlinks=False).st_size if entry.is_file(follow_symlinks=False) else 0
+                )
         return total
 
     def discard(self):
-        """Removes the files that the job wrote, and the folder if it is empty then. Of a link, only the link itself is removed.
+        """Removes the files that the job wrote, and the folder if it is empty then. Of a link, only the link
+        itself is removed.
 
         Raises FormatError if the folder holds no job.
         """
@@ -304,22 +360,35 @@ class JobFolder:
     def _entries(self) -> Iterator[os.DirEntry]:
         """Files, folders and links in the folders of the job."""
         checkpoints = self / "recovered.ply.job"
-        for folder in (self.path, self / "previews", checkpoints, *checkpoints.glob("[0-9]" * 7), *blocks.folders(self / BLOCKS)):
+        for folder in (
+            self.path,
+            self / "previews",
+            checkpoints,
+            *checkpoints.glob("[0-9]" * 7),
+            *blocks.folders(self / BLOCKS),
+        ):
             with contextlib.suppress(FileNotFoundError, NotADirectoryError), os.scandir(folder) as entries:
                 yield from entries
 
     def _checkpoints(self) -> Iterator[Path]:
-        return (path for path in self.path.glob("recovered.ply.job/" + "[0-9]" * 7) if path.is_dir() and not is_link(path))
+        return (
+            path
+            for path in self.path.glob("recovered.ply.job/" + "[0-9]" * 7)
+            if path.is_dir() and not is_link(path)
+        )
 
     def _array(self, name: str, dtype: type) -> np.ndarray:
-        """The array (N,) in NAME.npy, one value per source Gaussian. Raises FormatError if it is missing or has another shape or dtype."""
+        """The array (N,) in NAME.npy, one value per source Gaussian. Raises FormatError if it is missing or
+        has another shape or dtype."""
         file, count = self / f"{name}.npy", self.request()["count"]
         try:
             array = np.load(file, allow_pickle=False)
         except (OSError, ValueError, EOFError) as error:
             raise FormatError(f"{file}: cannot be read ({error})") from None
         if array.shape != (count,) or array.dtype != dtype:
-            raise FormatError(f"{file}: holds {array.dtype}{array.shape}; expected {np.dtype(dtype)}({count},)")
+            raise FormatError(
+                f"{file}: holds {array.dtype}{array.shape}; expected {np.dtype(dtype)}({count},)"
+            )
         return array
 
     def _json(self, name: str) -> dict | None:

@@ -1,15 +1,18 @@
-"""The child process of one background job: `python -m svrgs_addon.jobs.job_main FOLDER`. The parent's side is job_process.py.
+"""The child process of one background job: `python -m svrgs_addon.jobs.job_main FOLDER`. The parent's side is
+job_process.py.
 
-stdout: messages, one JSON object per line: STATUS {state, text}, PROGRESS {iteration, total, phase, count, loss, psnr,
-seconds_left, or by blocks share}, PREVIEW {path}, DONE {result}, ERROR {text}.
+stdout: messages, one JSON object per line: STATUS {state, text}, PROGRESS {iteration, total, phase, count,
+loss, psnr, seconds_left, or by blocks share}, PREVIEW {path}, DONE {result}, ERROR {text}.
 
-The main thread prunes or trains. A second thread looks for the flag file every 0.05 s and renews state.json every 2 s. Two things end the job:
+The main thread prunes or trains. A second thread looks for the flag file every 0.05 s and renews state.json
+every 2 s. Two things end the job:
 
 - The flag file `stop`: the job saves a checkpoint and ends as "stopped".
-- The end of stdin: the parent, for example Blender, is gone. The job saves a checkpoint and ends as "interrupted".
+- The end of stdin: the parent, for example Blender, is gone. The job saves a checkpoint and ends as
+  "interrupted".
 
-Both can be continued. Before the first step there is nothing to save, so both end the process at once; an earlier checkpoint stays.
-While the result is measured, neither has an effect.
+Both can be continued. Before the first step there is nothing to save, so both end the process at once; an
+earlier checkpoint stays. While the result is measured, neither has an effect.
 """
 
 from __future__ import annotations
@@ -33,8 +36,8 @@ TELL_EVERY = 0.25  # seconds between two PROGRESS messages
 
 
 class JobMain:
-    """Runs the job and writes its state to the folder and its messages to stdout. The main thread works; two others wait for the flag file
-    and for the end of stdin."""
+    """Runs the job and writes its state to the folder and its messages to stdout. The main thread works; two
+    others wait for the flag file and for the end of stdin."""
 
     def __init__(self, folder: JobFolder):
         self.folder = folder
@@ -57,7 +60,8 @@ class JobMain:
         return status
 
     def tell(self, kind: str, **facts):
-        """Sends one message. All messages but PROGRESS are also written to state.json, which another Blender can read."""
+        """Sends one message. All messages but PROGRESS are also written to state.json, which another Blender
+        can read."""
         with self._lock:
             self._state |= facts
             if kind != "PROGRESS":
@@ -74,7 +78,10 @@ class JobMain:
         recorder = RECORDERS[kind](self.folder, self)
         run: Any = {PRUNE: prune_scene, TRAIN: train_scene}[kind]
         try:
-            result = run(options, lambda job: replace(recorder.attached(job), stop=lambda: job.stop() or bool(self.ending)))
+            result = run(
+                options,
+                lambda job: replace(recorder.attached(job), stop=lambda: job.stop() or bool(self.ending)),
+            )
         except Cancelled:
             self.tell("STATUS", state=self.ending or "interrupted", text="")
             return 0
@@ -82,24 +89,34 @@ class JobMain:
         return 0
 
     def progress(self, stage: str, label: str, **facts):
-        """The loop's progress, told now and then; stage: "looping", or "finishing" when nothing can be taken up again."""
+        """The loop's progress, told now and then; stage: "looping", or "finishing" when nothing can be taken
+        up again."""
         self._stage = stage
         now = time.monotonic()
         if now > self._told + TELL_EVERY or stage == "finishing":
             self._told = now
             finishing = stage == "finishing"
-            self.tell("PROGRESS", **facts, finishing=finishing, text="Measuring the result" if finishing else label)
+            self.tell(
+                "PROGRESS", **facts, finishing=finishing, text="Measuring the result" if finishing else label
+            )
 
     def _poll_flag(self):
         while True:
             time.sleep(POLL_EVERY)
             with self._lock:
                 if time.monotonic() > self._written + HEARTBEAT:
-                    with contextlib.suppress(SceneError):  # the disk is full, or a program holds the file: this thread must go on
+                    # the disk is full, or a program holds the file: this thread must go on
+                    with contextlib.suppress(SceneError):
                         self._write_state()
             if self._stage == "finishing" or self.ending:
                 continue
-            asked = "stopped" if (self.folder / STOP).exists() else "interrupted" if self._parent_gone.is_set() else ""
+            asked = (
+                "stopped"
+                if (self.folder / STOP).exists()
+                else "interrupted"
+                if self._parent_gone.is_set()
+                else ""
+            )
             if asked and self._stage == "preparing":
                 self._end_now(asked)
             elif asked:
@@ -107,18 +124,22 @@ class JobMain:
                 self.ending = asked
 
     def _end_now(self, state: str):
-        """Ends the process at once. No file is damaged, because every file is replaced as a whole; the last checkpoint stays."""
+        """Ends the process at once. No file is damaged, because every file is replaced as a whole; the last
+        checkpoint stays."""
         self.tell("STATUS", state=state, text="")
         os._exit(0)
 
     def _wait_for_end_of_stdin(self):
-        while os.read(sys.stdin.fileno(), 1):  # not sys.stdin.read(): it would hold a lock, and Python would abort when it ends
+        # not sys.stdin.read(): it would hold a lock, and Python would abort when it ends
+        while os.read(sys.stdin.fileno(), 1):
             pass
         self._parent_gone.set()
 
     def _write_state(self):
         self._written = time.monotonic()
-        self.folder.write_json("state.json", {name: value for name, value in self._state.items() if name != "result"})
+        self.folder.write_json(
+            "state.json", {name: value for name, value in self._state.items() if name != "result"}
+        )
 
 
 def _say(kind: str, facts: dict):

@@ -1,7 +1,9 @@
-"""The parent's side of a background job: it starts the child process (job_main.py), reads its messages, and ends it. It never waits.
+"""The parent's side of a background job: it starts the child process (job_main.py), reads its messages, and
+ends it. It never waits.
 
-The child's stdout is a file in the job folder, messages.jsonl, with one JSON object per line. The parent reads it from the position
-where it stopped the last time. So no pipe can fill up or block, and no message is lost if the parent reads late.
+The child's stdout is a file in the job folder, messages.jsonl, with one JSON object per line. The parent
+reads it from the position where it stopped the last time. So no pipe can fill up or block, and no message is
+lost if the parent reads late.
 
 The child's stdin is a pipe that the parent never writes to. Its end tells the child that the parent is gone.
 """
@@ -26,7 +28,8 @@ MODULE = "svrgs_addon.jobs.job_main"
 
 
 class Job:
-    """A job and, if this object started it, its process. facts: state, text, and the values of the last PROGRESS message."""
+    """A job and, if this object started it, its process. facts: state, text, and the values of the last
+    PROGRESS message."""
 
     def __init__(self, folder: JobFolder):
         self.folder = folder
@@ -65,7 +68,8 @@ class Job:
 
     @property
     def name(self) -> str:
-        """The name of the splat, or of the cameras, when the job was made; the folder's name if job.json cannot be read."""
+        """The name of the splat, or of the cameras, when the job was made; the folder's name if job.json
+        cannot be read."""
         return self._request().get("name") or self.folder.path.name
 
     @property
@@ -88,25 +92,50 @@ class Job:
     @property
     def progress(self) -> float:
         """The share of the steps that are done, 0..1; of a job by blocks, of its tasks."""
-        done, total = (self.facts.get("iteration", 0), self.facts["total"]) if "total" in self.facts else (self.facts.get("share", 0.0), 1)
+        done, total = (
+            (self.facts.get("iteration", 0), self.facts["total"])
+            if "total" in self.facts
+            else (self.facts.get("share", 0.0), 1)
+        )
         return max(0, min(done, total)) / max(1, total)
 
     def resume_point(self) -> tuple[str, dict]:
-        """From where a job that has not ended well would be continued: a sentence with named fields, and their values."""
+        """From where a job that has not ended well would be continued: a sentence with named fields, and
+        their values."""
         tasks, of = self.folder.tasks()
         if tasks and of:
-            return "Resume continues: {done} of {tasks} tasks by blocks are done", {"done": tasks, "tasks": of}
-        saved, total, done = self.folder.checkpoint(), self.facts.get("total", 0), self.facts.get("iteration", 0)
+            return "Resume continues: {done} of {tasks} tasks by blocks are done", {
+                "done": tasks,
+                "tasks": of,
+            }
+        saved, total, done = (
+            self.folder.checkpoint(),
+            self.facts.get("total", 0),
+            self.facts.get("iteration", 0),
+        )
         if not saved:
-            return ("Resume starts it from the beginning: no checkpoint was saved" if done > 0 else "Resume starts it from the beginning"), {}
+            return (
+                "Resume starts it from the beginning: no checkpoint was saved"
+                if done > 0
+                else "Resume starts it from the beginning"
+            ), {}
         if total:
-            text = "Resume continues at {share:.0%}: the steps after it were not saved" if saved < done else "Resume continues at {share:.0%}"
+            text = (
+                "Resume continues at {share:.0%}: the steps after it were not saved"
+                if saved < done
+                else "Resume continues at {share:.0%}"
+            )
             return text, {"share": saved / total}
-        text = "Resume continues at step {step:,}: the steps after it were not saved" if saved < done else "Resume continues at step {step:,}"
+        text = (
+            "Resume continues at step {step:,}: the steps after it were not saved"
+            if saved < done
+            else "Resume continues at step {step:,}"
+        )
         return text, {"step": saved}
 
     def refresh(self):
-        """Reads the state of a job that another Blender started or continued, at most every REFRESH_EVERY seconds."""
+        """Reads the state of a job that another Blender started or continued, at most every REFRESH_EVERY
+        seconds."""
         if self._process is not None or time.monotonic() <= self._refreshed + REFRESH_EVERY:
             return
         self._refreshed, stamp = time.monotonic(), self._state_stamp()
@@ -120,7 +149,8 @@ class Job:
         return 0
 
     def queue(self):
-        """Notes that the job waits for another one to end. start() ends the waiting. Raises FormatError as start(), SceneError if the disk is full."""
+        """Notes that the job waits for another one to end. start() ends the waiting. Raises FormatError as
+        start(), SceneError if the disk is full."""
         self.folder.refuse_links()
         self.folder.request()
         self.facts = {**self.facts, "state": "queued", "text": ""}
@@ -128,22 +158,37 @@ class Job:
         self._stamp = self._state_stamp()
 
     def start(self):
-        """Starts the job, or continues it from its last checkpoint. Raises FormatError if the folder holds no job, or links."""
+        """Starts the job, or continues it from its last checkpoint. Raises FormatError if the folder holds no
+        job, or links."""
         self.folder.refuse_links()
         self.renamed = self.folder.update_schema()
         self.folder.lower_flag()
         (self.folder / "messages.jsonl").write_bytes(b"")
         self.folder.write_json("state.json", {"state": "starting"})
-        self.facts, self.result, self._read, self._stopping = {"state": "starting", "text": "Starting"}, None, 0, None
+        self.facts, self.result, self._read, self._stopping = (
+            {"state": "starting", "text": "Starting"},
+            None,
+            0,
+            None,
+        )
         self._why = ""
-        with open(self.folder / "messages.jsonl", "ab") as messages, open(self.folder / "log.txt", "ab") as log:
+        with (
+            open(self.folder / "messages.jsonl", "ab") as messages,
+            open(self.folder / "log.txt", "ab") as log,
+        ):
             self._log_begin = log.tell()
-            command, variables = [sys.executable, "-m", MODULE, str(self.folder.path)], subprocess_python.environment() | {"PYTHONIOENCODING": "utf-8"}
-            self._process = ProcessGroup(command, stdin=subprocess.PIPE, stdout=messages, stderr=log, env=variables)
+            command, variables = (
+                [sys.executable, "-m", MODULE, str(self.folder.path)],
+                subprocess_python.environment() | {"PYTHONIOENCODING": "utf-8"},
+            )
+            self._process = ProcessGroup(
+                command, stdin=subprocess.PIPE, stdout=messages, stderr=log, env=variables
+            )
         self._started = time.monotonic()
 
     def poll(self) -> list[dict]:
-        """The messages since the last call. To be called a few times per second; it never waits. Raises FormatError if the folder is gone."""
+        """The messages since the last call. To be called a few times per second; it never waits. Raises
+        FormatError if the folder is gone."""
         if self._process is None:
             return []
         status = self._process.poll()  # before reading, so that all messages of an ended process are read
@@ -154,19 +199,30 @@ class Job:
             self._ended(status)
         elif self.facts["state"] == "starting" and time.monotonic() > self._started + START_SECONDS:
             self._process.kill()
-            self.facts |= {"state": "failed", "text": f"the process did not start within {START_SECONDS:.0f} s"}
-        elif self._stopping is not None and min(time.monotonic() - self._stopping, self.seconds_silent) > NO_REACTION:
+            self.facts |= {
+                "state": "failed",
+                "text": f"the process did not start within {START_SECONDS:.0f} s",
+            }
+        elif (
+            self._stopping is not None
+            and min(time.monotonic() - self._stopping, self.seconds_silent) > NO_REACTION
+        ):
             self.kill("It gave no sign of life and was ended")
         return messages
 
     def stop(self):
-        """Asks the process to save a checkpoint and to end. If it gives no sign of life for NO_REACTION seconds, poll() kills it."""
+        """Asks the process to save a checkpoint and to end. If it gives no sign of life for NO_REACTION
+        seconds, poll() kills it."""
         try:
             self.folder.raise_flag()
         except OSError:  # the disk is full: the end of stdin has the same effect
             self._close_stdin()
         self._stopping = time.monotonic()
-        self.facts["text"] = "Stopping: a checkpoint is being saved" if self.facts.get("iteration") else "Stopping: no step was done yet"
+        self.facts["text"] = (
+            "Stopping: a checkpoint is being saved"
+            if self.facts.get("iteration")
+            else "Stopping: no step was done yet"
+        )
         if "share" in self.facts:  # by blocks: not every job can be continued
             self.facts["text"] = "Stopping"
 
@@ -177,14 +233,16 @@ class Job:
             self._process.kill()
 
     def abort(self, why: str):
-        """Ends the process by force and marks the job as failed. For a job whose messages can no longer be read."""
+        """Ends the process by force and marks the job as failed. For a job whose messages can no longer be
+        read."""
         if self._process is not None:
             self._close_stdin()
             self._process.kill()
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self._process.wait(1)
             self._process = None
-        self.facts, self._stamp = {"state": "failed", "text": why}, self._state_stamp()  # what the process wrote before its end says nothing new
+        # what the process wrote before its end says nothing new
+        self.facts, self._stamp = {"state": "failed", "text": why}, self._state_stamp()
 
     def detach(self):
         """To be called before the parent ends: the child saves a checkpoint and ends."""
@@ -196,13 +254,16 @@ class Job:
             self._process.stdin.close()
 
     def _messages(self) -> list[dict]:
-        """The messages in whole lines since the last call; lines that are no message are skipped. Raises FormatError if the file is gone."""
+        """The messages in whole lines since the last call; lines that are no message are skipped. Raises
+        FormatError if the file is gone."""
         try:
             with open(self.folder / "messages.jsonl", "rb") as file:
                 file.seek(self._read)
                 data = file.read()
         except OSError as error:
-            raise FormatError(f"{self.folder / 'messages.jsonl'}: cannot be read ({error.strerror})") from None
+            raise FormatError(
+                f"{self.folder / 'messages.jsonl'}: cannot be read ({error.strerror})"
+            ) from None
         data = data[: data.rfind(b"\n") + 1]
         self._read += len(data)
         return [message for line in data.splitlines() if (message := _message(line)) is not None]
@@ -226,10 +287,19 @@ class Job:
         elif self._stopping is not None:
             self.facts |= {"state": "stopped", "text": self._why}
         elif killed_from_outside(status, silent=self._log_size() == self._log_begin):
-            self.facts |= {"state": "interrupted", "text": "the process was killed from outside; if memory ran out, use fewer or smaller photographs"}
+            self.facts |= {
+                "state": "interrupted",
+                "text": (
+                    "the process was killed from outside; if memory ran out, use fewer or smaller photographs"
+                ),
+            }
         else:
-            self.facts |= {"state": "failed", "text": f"the job's process ended early: {log[0] if log else f'exit status {status}'}"}
-        with contextlib.suppress(SceneError):  # if the disk is full: a state that is not renewed counts as interrupted
+            self.facts |= {
+                "state": "failed",
+                "text": f"the job's process ended early: {log[0] if log else f'exit status {status}'}",
+            }
+        # if the disk is full: a state that is not renewed counts as interrupted
+        with contextlib.suppress(SceneError):
             self.folder.write_json("state.json", self.facts)
         self._stamp = self._state_stamp()
 

@@ -1,5 +1,5 @@
-"""What a background job writes into its folder: metrics and previews while it runs, and the result at the end. A job that prunes also
-writes a ranking of the Gaussians."""
+"""What a background job writes into its folder: metrics and previews while it runs, and the result at the
+end. A job that prunes also writes a ranking of the Gaussians."""
 
 from __future__ import annotations
 
@@ -29,7 +29,8 @@ from .ranking import Ranking, importance
 
 PREVIEW_SIDE = 512  # longest side of a preview, pixels
 METRIC_ROWS = 200  # rows of metrics.csv for a whole run, roughly
-RECORDED = (1, IMPORTANCE_VIEWS)  # views that are rendered: for each point of the curves, and at the end of a job that prunes
+# views that are rendered: for each point of the curves, and at the end of a job that prunes
+RECORDED = (1, IMPORTANCE_VIEWS)
 
 
 class Listener(Protocol):
@@ -41,20 +42,31 @@ class Listener(Protocol):
 
 
 class JobRecorder:
-    """Records one run. Call begin() before its first step, observe() after each step, finish() with the job's result."""
+    """Records one run. Call begin() before its first step, observe() after each step, finish() with the job's
+    result."""
 
     def __init__(self, folder: JobFolder, listener: Listener):
         self.folder, self.listener = folder, listener
 
     def attached(self, job: JobContext) -> JobContext:
         """The context of the job, with this recorder as its observer."""
-        return replace(job, order=self.folder.path, begin=self.begin, observe=self.observe, part=self._part, tell=self._planned, recorded=RECORDED)
+        return replace(
+            job,
+            order=self.folder.path,
+            begin=self.begin,
+            observe=self.observe,
+            part=self._part,
+            tell=self._planned,
+            recorded=RECORDED,
+        )
 
     def _part(self, text: str, share: float):
         self.listener.progress("looping", text, share=share)
 
     def _planned(self, planned: TimePlan, _):
-        self.listener.tell("STATUS", asked=planned.asked, foreseen=planned.foreseen, schedule=planned.schedule)
+        self.listener.tell(
+            "STATUS", asked=planned.asked, foreseen=planned.foreseen, schedule=planned.schedule
+        )
 
     def begin(self, run: Run):
         self.run = run
@@ -72,7 +84,9 @@ class JobRecorder:
         psnr = curves.psnr[-1] if curves.psnr else None
         count = int(masks.most_probable(run.model).sum()) if run.model.learns_masks else run.model.count
         if new_point or progress.iteration % max(1, progress.total // METRIC_ROWS) == 0:
-            self._metrics.append(_line((progress.iteration, count, progress.loss, psnr if new_point else None)))
+            self._metrics.append(
+                _line((progress.iteration, count, progress.loss, psnr if new_point else None))
+            )
             self._write_metrics()
         if new_point:
             self._points = len(curves.iteration)
@@ -98,13 +112,19 @@ class JobRecorder:
         camera = run.dataset.cameras[views[0]]
         camera = camera.reduced(max(1, -(-max(camera.width, camera.height) // PREVIEW_SIDE)))
         kept = masks.most_probable(run.model).astype(np.uint8) if run.model.learns_masks else None
-        options = RenderOptions(antialiased=run.antialiased, background=run.settings.background, picture_only=True)
+        options = RenderOptions(
+            antialiased=run.antialiased, background=run.settings.background, picture_only=True
+        )
         name = f"previews/{iteration:07d}.png"
-        write_image(self.folder / name, rounded_to_8_bits(run.engine.rasterizer.forward(run.model, camera, options, kept)["rgb"]))
+        write_image(
+            self.folder / name,
+            rounded_to_8_bits(run.engine.rasterizer.forward(run.model, camera, options, kept)["rgb"]),
+        )
         self.listener.tell("PREVIEW", path=name)
 
     def _write_metrics(self):
-        with contextlib.suppress(SceneError), atomic_write(self.folder / "metrics.csv", keep=False) as file:  # the next one holds these lines too
+        # the next one holds these lines too
+        with contextlib.suppress(SceneError), atomic_write(self.folder / "metrics.csv", keep=False) as file:
             file.write(("\n".join(self._metrics) + "\n").encode())
 
 
@@ -138,7 +158,8 @@ class PruneRecorder(JobRecorder):
         super().observe(progress)
 
     def finish(self, result: dict) -> dict:
-        """As JobRecorder.finish(); the file sizes of the result are those without the column of source rows."""
+        """As JobRecorder.finish(); the file sizes of the result are those without the column of source
+        rows."""
         recovered = read_scene(self.folder / "recovered.ply")
         if self.merged:
             return self._write_pruned(recovered, result | {"merged": True})
@@ -148,9 +169,14 @@ class PruneRecorder(JobRecorder):
         rank = np.zeros(self.count, np.float32)
         source = load_scene(self.folder / "scene.ply").scene
         source_rows = self._checked_rows(source.attributes.get(ROW))
-        rank[source_rows] = importance(source, self.run.dataset, Rasterizer(), render_options(source, self.run.settings.background))
+        rank[source_rows] = importance(
+            source, self.run.dataset, Rasterizer(), render_options(source, self.run.settings.background)
+        )
         if self.run.settings.nested:  # its rows are in the order of importance
-            rank[rows], recovered = np.linspace(1, 0, recovered.count, dtype=np.float32), recovered.select(np.argsort(rows))
+            rank[rows], recovered = (
+                np.linspace(1, 0, recovered.count, dtype=np.float32),
+                recovered.select(np.argsort(rows)),
+            )
         _save(self.folder / "kept.npy", kept)
         _save(self.folder / "score.npy", self.ranking.scores(kept, rank, nested=self.run.settings.nested > 0))
         probability = self.ranking.probabilities()
@@ -161,7 +187,10 @@ class PruneRecorder(JobRecorder):
     def _write_pruned(self, recovered: Scene, result: dict) -> dict:
         """Writes the splat and result.json, and deletes recovered.ply. Returns the JSON result."""
         write_scene(self.folder / "pruned.ply", without_rows(recovered))
-        result |= {"out": str(self.folder / "pruned.ply"), "bytes": (self.folder / "pruned.ply").stat().st_size}
+        result |= {
+            "out": str(self.folder / "pruned.ply"),
+            "bytes": (self.folder / "pruned.ply").stat().st_size,
+        }
         result["after"] = result["after"] | {"bytes": result["bytes"]}
         result["before"] = result["before"] | {"bytes": result["before"]["bytes"] - row_bytes(self.count)}
         result = self._write_result(result)
@@ -169,9 +198,18 @@ class PruneRecorder(JobRecorder):
         return result
 
     def _checked_rows(self, rows: np.ndarray | None) -> np.ndarray:
-        """The column ROW (N,). Raises FormatError if it is missing, or if it does not hold rows of the source, each at most once."""
-        if rows is None or rows.dtype.kind != "u" or rows.max(initial=0) >= self.count or len(np.unique(rows)) < len(rows):
-            raise FormatError(f"{self.folder / 'scene.ply'}: its column {ROW} does not name the rows of the splat; discard the job and start again")
+        """The column ROW (N,). Raises FormatError if it is missing, or if it does not hold rows of the
+        source, each at most once."""
+        if (
+            rows is None
+            or rows.dtype.kind != "u"
+            or rows.max(initial=0) >= self.count
+            or len(np.unique(rows)) < len(rows)
+        ):
+            raise FormatError(
+                f"{self.folder / 'scene.ply'}: its column {ROW} does not name the rows of the splat; discard"
+                " the job and start again"
+            )
         return rows
 
 
@@ -181,7 +219,11 @@ RECORDERS: dict[str, type[JobRecorder]] = {PRUNE: PruneRecorder, TRAIN: TrainRec
 def without_rows(scene: Scene) -> Scene:
     """The scene without the column of source rows (ROW)."""
     attributes = {name: column for name, column in scene.attributes.items() if name != ROW}
-    return replace(scene, attributes=attributes, property_order=tuple(name for name in scene.property_order if name != ROW))
+    return replace(
+        scene,
+        attributes=attributes,
+        property_order=tuple(name for name in scene.property_order if name != ROW),
+    )
 
 
 def row_bytes(count: int) -> int:
@@ -191,7 +233,10 @@ def row_bytes(count: int) -> int:
 
 def _line(row) -> str:
     values = [None if value is None or value != value else value for value in row]
-    return ",".join("" if value is None else f"{value:.6g}" if i > 1 else str(int(value)) for i, value in enumerate(values))
+    return ",".join(
+        "" if value is None else f"{value:.6g}" if i > 1 else str(int(value))
+        for i, value in enumerate(values)
+    )
 
 
 def _save(path, array: np.ndarray):

@@ -1,7 +1,8 @@
-"""A few reduced photographs of a dataset with their cameras, for a quick look whether a splat belongs to them.
+"""A few reduced photographs of a dataset with their cameras, for a quick look whether a splat belongs to
+them.
 
-Child process: `python -m svrgs_addon.jobs.photo_sample`. It reads {folder, images, out} as JSON from stdin, writes the views to the
-file `out`, and prints {} or {"error": sentence}.
+Child process: `python -m svrgs_addon.jobs.photo_sample`. It reads {folder, images, out} as JSON from stdin,
+writes the views to the file `out`, and prints {} or {"error": sentence}.
 """
 
 from __future__ import annotations
@@ -23,22 +24,33 @@ Views = list[tuple[Camera, np.ndarray]]
 
 
 def read_in_child(folder: str, images: str) -> Views:
-    """As metrics.explained.sample_views(), in a child process. images: name of the image folder, "" for the default. Raises SceneError."""
+    """As metrics.explained.sample_views(), in a child process. images: name of the image folder, "" for the
+    default. Raises SceneError."""
     with tempfile.TemporaryDirectory() as temp_dir:
         out = Path(temp_dir) / "views.npz"
-        status, result = subprocess_python.run([], "svrgs_addon.jobs.photo_sample", {"folder": folder, "images": images, "out": str(out)})
+        status, result = subprocess_python.run(
+            [], "svrgs_addon.jobs.photo_sample", {"folder": folder, "images": images, "out": str(out)}
+        )
         if status or not out.exists():
             raise SceneError(result.get("error", f"{folder}: reading it failed"))
         with np.load(out) as data:
             poses = zip(data["viewmats"], data["Ks"], strict=True)
             photos = [data[f"photo{number}"] for number in range(len(data["Ks"]))]
-            return [(Camera(pose, K, photo.shape[1], photo.shape[0]), photo) for (pose, K), photo in zip(poses, photos, strict=True)]
+            return [
+                (Camera(pose, K, photo.shape[1], photo.shape[0]), photo)
+                for (pose, K), photo in zip(poses, photos, strict=True)
+            ]
 
 
 def _write_views(request: dict) -> dict:
     views = sample_views(load_dataset(request["folder"], request["images"] or None))
     photos = {f"photo{number}": photo for number, (_, photo) in enumerate(views)}
-    np.savez(request["out"], viewmats=[camera.viewmat for camera, _ in views], Ks=[camera.K for camera, _ in views], **photos)
+    np.savez(
+        request["out"],
+        viewmats=[camera.viewmat for camera, _ in views],
+        Ks=[camera.K for camera, _ in views],
+        **photos,
+    )
     return {}
 
 

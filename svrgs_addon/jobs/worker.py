@@ -1,7 +1,9 @@
-"""One pruning job of a batch in a child process. A crash or a lack of memory then ends this job and not the batch.
+"""One pruning job of a batch in a child process. A crash or a lack of memory then ends this job and not the
+batch.
 
-Parent: run_in_child(). Child: `python -m svrgs_addon.jobs.worker`. It reads the options as one JSON object from stdin and writes the
-result, or {"error": sentence}, as one JSON object to stdout; progress and warnings go to stderr.
+Parent: run_in_child(). Child: `python -m svrgs_addon.jobs.worker`. It reads the options as one JSON object
+from stdin and writes the result, or {"error": sentence}, as one JSON object to stdout; progress and warnings
+go to stderr.
 """
 
 from __future__ import annotations
@@ -27,9 +29,13 @@ def run_in_child(options: PruneOptions) -> tuple[int, dict]:
 
     The status is STOPPED if a stop was requested, even if the job still finished and its result is complete.
     """
-    request = json.dumps({name: str(value) if isinstance(value, Path) else value for name, value in asdict(options).items()})
+    request = json.dumps(
+        {name: str(value) if isinstance(value, Path) else value for name, value in asdict(options).items()}
+    )
     command = [sys.executable, "-m", "svrgs_addon.jobs.worker"]
-    with ChildProcess(command, encoding="utf-8", stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment()) as child:
+    with ChildProcess(
+        command, encoding="utf-8", stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment()
+    ) as child:
         with StopRequest(child.ask_to_stop) as stop:
             try:
                 output, _ = child.communicate(request)
@@ -46,8 +52,11 @@ def run_in_child(options: PruneOptions) -> tuple[int, dict]:
 def _prune_request(request: dict) -> dict:
     from ..prune.run_job import prune_scene
 
-    values: dict[str, Any] = {name: Path(value) if name in PATHS and value is not None else value for name, value in request.items()}
-    values |= {name: tuple(value) for name, value in values.items() if isinstance(value, list)}  # JSON has no tuples
+    values: dict[str, Any] = {
+        name: Path(value) if name in PATHS and value is not None else value for name, value in request.items()
+    }
+    # JSON has no tuples
+    values |= {name: tuple(value) for name, value in values.items() if isinstance(value, list)}
     return prune_scene(PruneOptions(**values))
 
 

@@ -1,1 +1,2 @@
-"""The native library in Python: the renderer, its structs and checks, pictures, and the order of removals and merges."""
+"""The native library in Python: the renderer, its structs and checks, pictures, and the order of removals and
+merges."""

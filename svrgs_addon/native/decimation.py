@@ -19,7 +19,8 @@ REMOVED = np.uint32(2**32 - 1)  # in the place of b: a is removed
 
 @dataclass(frozen=True)
 class Merges:
-    """S operations, M of them merges. Row N + m is the result of the m-th merge; the other rows are those of the scene."""
+    """S operations, M of them merges. Row N + m is the result of the m-th merge; the other rows are those of
+    the scene."""
 
     a: np.ndarray  # (S,) uint32: row that is removed, or the first row that is merged
     b: np.ndarray  # (S,) uint32: the second row, or REMOVED
@@ -28,13 +29,20 @@ class Merges:
 
 
 def decimate(
-    scene: Scene, visibility: np.ndarray, middle: np.ndarray, unit: float, least: int, level: str | None = None, cancel: np.ndarray | None = None
+    scene: Scene,
+    visibility: np.ndarray,
+    middle: np.ndarray,
+    unit: float,
+    least: int,
+    level: str | None = None,
+    cancel: np.ndarray | None = None,
 ) -> Merges:
     """The order of operations that leaves `least` of the N Gaussians, 1 to N.
 
-    visibility: (N, 9) float64, the sums of Rasterizer.add_visibility() over all views. middle: (3,), unit: a point and a length of about a
-    pixel, in the scene's units. level: SIMD level that computes costs; default: the fastest. cancel: (1,) int32; another thread may set it
-    to 1. Raises NativeError, Cancelled, and TypeError for arrays of another type or shape.
+    visibility: (N, 9) float64, the sums of Rasterizer.add_visibility() over all views. middle: (3,), unit: a
+    point and a length of about a pixel, in the scene's units. level: SIMD level that computes costs; default:
+    the fastest. cancel: (1,) int32; another thread may set it to 1. Raises NativeError, Cancelled, and
+    TypeError for arrays of another type or shape.
     """
     n, steps = scene.count, max(scene.count - least, 0)  # the library refuses a wrong `least`
     shapes = {name: (n, *getattr(scene, name).shape[1:]) for name in PARAMETERS}
@@ -44,9 +52,24 @@ def decimate(
     )  # fmt: skip
     a, b, costs = np.empty(steps, np.uint32), np.empty(steps, np.uint32), np.empty(steps, np.float32)
     results = {name: np.empty((steps, *shape[1:]), np.float32) for name, shape in shapes.items()}
-    out = MergesStruct(a.ctypes.data, b.ctypes.data, costs.ctypes.data, *(array.ctypes.data for array in results.values()))
+    out = MergesStruct(
+        a.ctypes.data, b.ctypes.data, costs.ctypes.data, *(array.ctypes.data for array in results.values())
+    )
     done, merges = c.c_int64(), c.c_int64()
     flag = None if cancel is None else check(cancel, "cancel", (1,), np.int32)
     number = c.c_int32(levels()[level or best_level()])
-    call_library("svrgs_decimate", number, c.byref(words), c.c_void_p(flag), c.byref(out), c.byref(done), c.byref(merges))
-    return Merges(a[: done.value], b[: done.value], costs[: done.value], {name: array[: merges.value] for name, array in results.items()})
+    call_library(
+        "svrgs_decimate",
+        number,
+        c.byref(words),
+        c.c_void_p(flag),
+        c.byref(out),
+        c.byref(done),
+        c.byref(merges),
+    )
+    return Merges(
+        a[: done.value],
+        b[: done.value],
+        costs[: done.value],
+        {name: array[: merges.value] for name, array in results.items()},
+    )

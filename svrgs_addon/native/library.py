@@ -1,4 +1,5 @@
-"""Loads the native library and calls its functions: structs of the interface, checks of arrays, names, thresholds, threads.
+"""Loads the native library and calls its functions: structs of the interface, checks of arrays, names,
+thresholds, threads.
 
 `native/include/svrgs.h` is the manual; names, shapes and units here are the same. Only this module,
 native.py, native_pictures.py and native_decimation.py import ctypes.
@@ -21,7 +22,8 @@ from .outputs import OUTPUTS
 INTERFACE_VERSION = 19
 PARAMETERS = ("means", "log_scales", "quats", "opacity_logits", "sh")  # arrays of a scene
 GRADS = (*PARAMETERS, "masks", "means2d")
-LOSS_IMAGES = tuple(output.name for output in OUTPUTS.values() if output.differentiable)  # images whose gradients backward() accepts
+# images whose gradients backward() accepts
+LOSS_IMAGES = tuple(output.name for output in OUTPUTS.values() if output.differentiable)
 _CANCELLED = 3  # of enum svrgs_status
 _LEVEL_NAMES, _MASK_KIND_NAMES, _SKIP_NAMES, _STAGE_NAMES = range(4)  # enum svrgs_names
 
@@ -71,11 +73,33 @@ OptionsStruct = _struct(
 ImagesStruct = _struct("ImagesStruct", **{name: _real for name in OUTPUTS})
 ImageGradsStruct = _struct("ImageGradsStruct", **{name: _real for name in LOSS_IMAGES})
 GradsStruct = _struct("GradsStruct", **{name: _real for name in GRADS})
-AdamStruct = _struct("AdamStruct", lr=c.c_void_p, beta1=c.c_double, beta2=c.c_double, eps=c.c_double, step=c.c_int64, shared=c.c_int32)
+AdamStruct = _struct(
+    "AdamStruct",
+    lr=c.c_void_p,
+    beta1=c.c_double,
+    beta2=c.c_double,
+    eps=c.c_double,
+    step=c.c_int64,
+    shared=c.c_int32,
+)
 TrainedStruct = _struct("TrainedStruct", param=_real, moments=c.c_void_p, lr=c.c_void_p)
-UpdateStruct = _struct("UpdateStruct", adam=AdamStruct, **{name: TrainedStruct for name in (*PARAMETERS, "masks")}, slope=_real, frozen=_real)
-WorkStruct = _struct("WorkStruct", **{name: c.c_int64 for name in ("visible", "pairs", "used_pairs", "blocks", "hit_blocks", "hits", "contributing")})
-TextureStruct = _struct("TextureStruct", texels=c.c_void_p, width=c.c_int32, height=c.c_int32, repeat=c.c_int32)
+UpdateStruct = _struct(
+    "UpdateStruct",
+    adam=AdamStruct,
+    **{name: TrainedStruct for name in (*PARAMETERS, "masks")},
+    slope=_real,
+    frozen=_real,
+)
+WorkStruct = _struct(
+    "WorkStruct",
+    **{
+        name: c.c_int64
+        for name in ("visible", "pairs", "used_pairs", "blocks", "hit_blocks", "hits", "contributing")
+    },
+)
+TextureStruct = _struct(
+    "TextureStruct", texels=c.c_void_p, width=c.c_int32, height=c.c_int32, repeat=c.c_int32
+)
 TrianglesStruct = _struct(
     "TrianglesStruct",
     count=c.c_int64,
@@ -129,21 +153,28 @@ MachineStruct = _struct("MachineStruct", fma=c.c_double, read=c.c_double, update
 
 @functools.cache
 def library() -> c.CDLL:
-    """The loaded library. Raises NativeError if it is missing, does not load, or has another interface version."""
+    """The loaded library. Raises NativeError if it is missing, does not load, or has another interface
+    version."""
     path = library_path()
     try:
         loaded = c.CDLL(str(path))
         loaded.svrgs_last_error.restype = c.c_char_p
     except (OSError, AttributeError) as error:
-        raise NativeError(f"the native library {path} does not load ({error}): build it for this computer with 'make setup'") from None
+        raise NativeError(
+            f"the native library {path} does not load ({error}): build it for this computer with 'make setup'"
+        ) from None
     if (found := loaded.svrgs_interface_version()) != INTERFACE_VERSION:
-        raise NativeError(f"{path} has interface version {found}, this code needs {INTERFACE_VERSION}: rebuild it with 'make setup'")
+        raise NativeError(
+            f"{path} has interface version {found}, this code needs {INTERFACE_VERSION}: rebuild it with"
+            " 'make setup'"
+        )
     loaded.svrgs_name.restype = c.c_char_p
     return loaded
 
 
 def call_library(name: str, *arguments):
-    """Calls a function of the library that returns a status. Raises Cancelled, or NativeError with the sentence of the library."""
+    """Calls a function of the library that returns a status. Raises Cancelled, or NativeError with the
+    sentence of the library."""
     loaded = library()
     status = getattr(loaded, name)(*arguments)
     if status == _CANCELLED:
@@ -153,8 +184,14 @@ def call_library(name: str, *arguments):
 
 
 def check(array: np.ndarray, name: str, shape: tuple, dtype) -> int:
-    """The address of `array`. Raises TypeError if it is not a C-contiguous array of exactly this shape and dtype."""
-    if not isinstance(array, np.ndarray) or array.dtype != dtype or array.shape != shape or not array.flags.c_contiguous:
+    """The address of `array`. Raises TypeError if it is not a C-contiguous array of exactly this shape and
+    dtype."""
+    if (
+        not isinstance(array, np.ndarray)
+        or array.dtype != dtype
+        or array.shape != shape
+        or not array.flags.c_contiguous
+    ):
         found = f"{array.dtype}{array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
         raise TypeError(f"{name} is {found}; expected C-contiguous {np.dtype(dtype).name}{shape}")
     return array.ctypes.data
@@ -190,7 +227,8 @@ class Thresholds(NamedTuple):
     near: float  # a Gaussian is rendered if near < z < far; z is the depth of its centre
     far: float
     blur: float  # pixels^2, added to both variances of a projected Gaussian
-    frustum_margin: float  # share of half the image size; the Jacobian clamps x/z and y/z at this distance outside the image
+    # share of half the image size; the Jacobian clamps x/z and y/z at this distance outside the image
+    frustum_margin: float
     alpha_cut: float  # a Gaussian hits a pixel where alpha >= alpha_cut
     alpha_max: float  # alpha is clamped to this
     stop: float  # blending of colours stops before the transmittance would fall below this
@@ -200,7 +238,10 @@ class Thresholds(NamedTuple):
     block_height: int  # pixels
 
 
-ThresholdsStruct = _struct("ThresholdsStruct", **{name: {float: c.c_double, int: c.c_int32}[kind] for name, kind in get_type_hints(Thresholds).items()})
+ThresholdsStruct = _struct(
+    "ThresholdsStruct",
+    **{name: {float: c.c_double, int: c.c_int32}[kind] for name, kind in get_type_hints(Thresholds).items()},
+)
 
 
 @functools.cache
@@ -227,17 +268,20 @@ def levels() -> dict[str, int]:
 
 
 def mask_kinds() -> dict[str, int]:
-    """Forms of the spatial mask F and its gradient as {name: number in the interface}; svrgs_mask_kind in svrgs.h."""
+    """Forms of the spatial mask F and its gradient as {name: number in the interface}; svrgs_mask_kind in
+    svrgs.h."""
     return {name: number for number, name in enumerate(_names(_MASK_KIND_NAMES))}
 
 
 def skips() -> dict[str, int]:
-    """Work that the rasterizer skips because it cannot change the result, as {name: bit}; svrgs_skip in svrgs.h."""
+    """Work that the rasterizer skips because it cannot change the result, as {name: bit}; svrgs_skip in
+    svrgs.h."""
     return {name: 1 << number for number, name in enumerate(_names(_SKIP_NAMES))}
 
 
 def stages() -> tuple[str, ...]:
-    """Names of the stages whose durations are measured: four of forward (project, tiles, sort, blend), two of backward, loss, Adam."""
+    """Names of the stages whose durations are measured: four of forward (project, tiles, sort, blend), two of
+    backward, loss, Adam."""
     return _names(_STAGE_NAMES)
 
 
@@ -254,8 +298,8 @@ def supported_levels() -> list[str]:
 def peaks(level: str) -> dict[str, float]:
     """Measured peak rates of all threads together at a level.
 
-    'fma': operations/s of fused multiply-adds, 2 operations per lane. 'read': bytes/s read from memory. 'update': bytes/s while
-    three streams are read and two of them written, as in Adam.
+    'fma': operations/s of fused multiply-adds, 2 operations per lane. 'read': bytes/s read from memory.
+    'update': bytes/s while three streams are read and two of them written, as in Adam.
     """
     machine = MachineStruct()
     call_library("svrgs_measure_machine", c.c_int32(levels()[level]), c.byref(machine))
@@ -263,7 +307,8 @@ def peaks(level: str) -> dict[str, float]:
 
 
 def set_threads(count: int):
-    """Sets the size of the thread pool; 0: one thread per core that this process may use. Results do not depend on it.
+    """Sets the size of the thread pool; 0: one thread per core that this process may use. Results do not
+    depend on it.
 
     More than 32 threads, or 8 per core, would only slow each other down: a larger count is taken as this one.
     """
@@ -276,7 +321,8 @@ def threads() -> int:
 
 
 def traced(call: Callable[[], object]) -> list[np.ndarray]:
-    """The seconds of each task of the thread pool while call() runs: one array for each job. Nothing with more than one thread."""
+    """The seconds of each task of the thread pool while call() runs: one array for each job. Nothing with
+    more than one thread."""
     lib, seconds, count = library(), c.POINTER(c.c_double)(), c.c_int64()
     lib.svrgs_trace(c.c_int32(1))
     try:

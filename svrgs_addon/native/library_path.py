@@ -13,11 +13,14 @@ LIBRARY_VARIABLE = "SVRGS_LIBRARY"  # environment variable: path of another buil
 
 
 def library_path(other_folders: Iterable[Path] = ()) -> Path:
-    """The file of the native library: the one that LIBRARY_VARIABLE names; without the variable the one in svrgs_addon/, or else the first
-    in other_folders. Raises NativeError if there is none."""
+    """The file of the native library: the one that LIBRARY_VARIABLE names; without the variable the one in
+    svrgs_addon/, or else the first in other_folders. Raises NativeError if there is none."""
     named, own = os.environ.get(LIBRARY_VARIABLE), Path(__file__).parents[1] / FILE_NAME
     paths = [Path(named)] if named else [own, *(folder / FILE_NAME for folder in other_folders)]
     for path in paths:
         if path.exists():
             return path
-    raise NativeError(f"the native library {paths[0]} is missing: run 'make native' in a checkout, or install the extension's zip in Blender")
+    raise NativeError(
+        f"the native library {paths[0]} is missing: run 'make native' in a checkout, or install the"
+        " extension's zip in Blender"
+    )

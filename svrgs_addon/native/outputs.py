@@ -1,4 +1,5 @@
-"""The images that one forward pass can compute: name, shape, render pass in Blender, and how each is shown as a picture."""
+"""The images that one forward pass can compute: name, shape, render pass in Blender, and how each is shown as
+a picture."""
 
 from __future__ import annotations
 
@@ -9,9 +10,10 @@ from dataclasses import dataclass
 class Output:
     """One image of a view, (H, W) or (H, W, channels).
 
-    render_pass: (name, channel letters, type) of the render pass in Blender; None: the image is no render pass of its own.
-    shown: how an 8-bit picture of `svrgs render` shows the values. 'plain': 0 to 1 unchanged. 'mask_map': with the colour map of
-    masks. 'farthest': grey, from black at 0 to white at the largest value. Empty: `svrgs render` does not write it.
+    render_pass: (name, channel letters, type) of the render pass in Blender; None: the image is no render
+    pass of its own. shown: how an 8-bit picture of `svrgs render` shows the values. 'plain': 0 to 1
+    unchanged. 'mask_map': with the colour map of masks. 'farthest': grey, from black at 0 to white at the
+    largest value. Empty: `svrgs render` does not write it.
     """
 
     name: str
@@ -35,4 +37,5 @@ OUTPUTS: dict[str, Output] = {
         Output("transmittance"),
     )
 }
-PICTURES = tuple(output.name for output in OUTPUTS.values() if output.shown)  # values of `svrgs render --outputs`
+# values of `svrgs render --outputs`
+PICTURES = tuple(output.name for output in OUTPUTS.values() if output.shown)

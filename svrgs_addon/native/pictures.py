@@ -1,8 +1,8 @@
-"""Of pictures, by the native library: opaque triangles, panoramas of perspective views, the order in which a GPU draws Gaussians, FLIP of two pictures, and
-linear colours.
+"""Of pictures, by the native library: opaque triangles, panoramas of perspective views, the order in which a
+GPU draws Gaussians, FLIP of two pictures, and linear colours.
 
-`native/include/svrgs.h` (svrgs_draw_triangles, svrgs_add_view, svrgs_depth_order, svrgs_flip, svrgs_linear_rgba) is the manual; names, shapes and units here
-are the same.
+`native/include/svrgs.h` (svrgs_draw_triangles, svrgs_add_view, svrgs_depth_order, svrgs_flip,
+svrgs_linear_rgba) is the manual; names, shapes and units here are the same.
 """
 
 from __future__ import annotations
@@ -31,20 +31,28 @@ from .library import (
 VALUES = {"corners": (3, 3), "colors": (3, 3), "light": (3,), "uvs": (3, 2)}  # arrays of a triangle, float32
 
 
-def draw_triangles(arrays: dict[str, np.ndarray], textures: Sequence[Any], ambient: float, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def draw_triangles(
+    arrays: dict[str, np.ndarray], textures: Sequence[Any], ambient: float, camera: Camera
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Draws opaque triangles.
 
-    arrays: those of VALUES as (M, ...) float32, `textures` (M,) int32 and `holdout` (M,) uint8. textures: objects with `texels` (n, 3)
-    uint8, `width`, `height` and `repeat`. Returns share (H, W), depth (2, H, W) and rgba (2, H, W, 4), float32. Raises NativeError, and
-    TypeError for arrays of another type or shape.
+    arrays: those of VALUES as (M, ...) float32, `textures` (M,) int32 and `holdout` (M,) uint8. textures:
+    objects with `texels` (n, 3) uint8, `width`, `height` and `repeat`. Returns share (H, W), depth (2, H, W)
+    and rgba (2, H, W, 4), float32. Raises NativeError, and TypeError for arrays of another type or shape.
     """
     count, (height, width) = len(arrays["corners"]), (camera.height, camera.width)
-    addresses = {name: check(arrays[name], name, (count, *shape), np.float32) for name, shape in VALUES.items()}
+    addresses = {
+        name: check(arrays[name], name, (count, *shape), np.float32) for name, shape in VALUES.items()
+    }
     addresses["textures"] = check(arrays["textures"], "textures", (count,), np.int32)
     addresses["holdout"] = check(arrays["holdout"], "holdout", (count,), np.uint8)
     structs = (TextureStruct * len(textures))(*(_texture(texture) for texture in textures))
-    triangles = TrianglesStruct(count=count, **addresses, texture=c.addressof(structs), texture_count=len(textures), ambient=ambient)
-    share, depth, rgba = (np.empty(shape, np.float32) for shape in ((height, width), (2, height, width), (2, height, width, 4)))
+    triangles = TrianglesStruct(
+        count=count, **addresses, texture=c.addressof(structs), texture_count=len(textures), ambient=ambient
+    )
+    share, depth, rgba = (
+        np.empty(shape, np.float32) for shape in ((height, width), (2, height, width), (2, height, width, 4))
+    )
     layers = LayersStruct(share.ctypes.data, depth.ctypes.data, rgba.ctypes.data)
     call_library("svrgs_draw_triangles", c.byref(triangles), c.byref(camera_struct(camera)), c.byref(layers))
     return share, depth, rgba
@@ -54,22 +62,28 @@ def _texture(texture) -> c.Structure:
     texels, width, height = 0, texture.width, texture.height
     while (texels := texels + width * height) and (width > 1 or height > 1):
         width, height = (width + 1) // 2, (height + 1) // 2
-    return TextureStruct(check(texture.texels, "texels", (texels, 3), np.uint8), texture.width, texture.height, texture.repeat)
+    return TextureStruct(
+        check(texture.texels, "texels", (texels, 3), np.uint8), texture.width, texture.height, texture.repeat
+    )
 
 
 def add_view(
     image: np.ndarray, turn: np.ndarray, K: np.ndarray, along: int, sums: np.ndarray, latitudes: np.ndarray, longitudes: np.ndarray,
     row_weights: np.ndarray, column_weights: np.ndarray,
 ):  # fmt: skip
-    """Adds a perspective view, times row and column weights, to the panorama `sums` (H, W, L) float32, by cubic interpolation.
+    """Adds a perspective view, times row and column weights, to the panorama `sums` (H, W, L) float32, by
+    cubic interpolation.
 
-    image: (h, w, L) float32. turn: rotation (3, 3) from the panorama's frame to that of the view. K: (3, 3) with one focal length.
-    along: the channel with values along z, which become values along the ray. latitudes, row_weights: (H,) float64, radians;
-    longitudes, column_weights: (W,). Raises NativeError, and TypeError for arrays of another type or shape.
+    image: (h, w, L) float32. turn: rotation (3, 3) from the panorama's frame to that of the view. K: (3, 3)
+    with one focal length. along: the channel with values along z, which become values along the ray.
+    latitudes, row_weights: (H,) float64, radians; longitudes, column_weights: (W,). Raises NativeError, and
+    TypeError for arrays of another type or shape.
     """
     (height, width, channels), (rows, columns) = image.shape, sums.shape[:2]
     address = check(image, "image", (height, width, channels), np.float32)
-    view = ViewStruct(address, width, height, channels, along, (c.c_double * 9)(*turn.flat), K[0, 0], K[0, 2], K[1, 2])
+    view = ViewStruct(
+        address, width, height, channels, along, (c.c_double * 9)(*turn.flat), K[0, 0], K[0, 2], K[1, 2]
+    )
     panorama = PanoramaStruct(
         check_out(sums, "sums", (rows, columns, channels), np.float32), columns, rows,
         check(latitudes, "latitudes", (rows,), np.float64), check(row_weights, "row_weights", (rows,), np.float64),
@@ -79,7 +93,8 @@ def add_view(
 
 
 def depth_order(means: np.ndarray, axis: np.ndarray) -> np.ndarray:
-    """Rows of means (N, 3) float32 from the farthest along `axis` (3,) to the nearest, (N,) uint32; equal ones keep their order."""
+    """Rows of means (N, 3) float32 from the farthest along `axis` (3,) to the nearest, (N,) uint32; equal
+    ones keep their order."""
     order = np.empty(len(means), np.uint32)
     call_library(
         "svrgs_depth_order",
@@ -91,33 +106,57 @@ def depth_order(means: np.ndarray, axis: np.ndarray) -> np.ndarray:
     return order
 
 
-def flip_errors(image: np.ndarray, target: np.ndarray, pixels_per_degree: float, level: str | None = None) -> np.ndarray:
-    """FLIP of each pixel (Andersson et al. 2020), (H, W) in [0, 1]. level: SIMD level; None: the fastest of this processor.
+def flip_errors(
+    image: np.ndarray, target: np.ndarray, pixels_per_degree: float, level: str | None = None
+) -> np.ndarray:
+    """FLIP of each pixel (Andersson et al. 2020), (H, W) in [0, 1]. level: SIMD level; None: the fastest of
+    this processor.
 
-    image, target: (H, W, 3) display sRGB in [0, 1], float32; float64 at that level. pixels_per_degree: of the viewer's visual angle, 1 to 400.
-    Raises NativeError, and TypeError for arrays of another type or shape.
+    image, target: (H, W, 3) display sRGB in [0, 1], float32; float64 at that level. pixels_per_degree: of the
+    viewer's visual angle, 1 to 400. Raises NativeError, and TypeError for arrays of another type or shape.
     """
     level = level or best_level()
     dtype = np.float64 if level == "float64" else np.float32
     errors = np.empty(image.shape[:2], dtype)
-    addresses = [check(array, name, (*errors.shape, 3), dtype) for array, name in ((image, "image"), (target, "target"))]
+    addresses = [
+        check(array, name, (*errors.shape, 3), dtype)
+        for array, name in ((image, "image"), (target, "target"))
+    ]
     places = [c.c_void_p(address) for address in (*addresses, errors.ctypes.data)]
     height, width = map(c.c_int32, errors.shape)
-    call_library("svrgs_flip", c.c_int32(levels()[level]), places[0], places[1], height, width, c.c_double(pixels_per_degree), places[2])
+    call_library(
+        "svrgs_flip",
+        c.c_int32(levels()[level]),
+        places[0],
+        places[1],
+        height,
+        width,
+        c.c_double(pixels_per_degree),
+        places[2],
+    )
     return errors
 
 
-def linear_colours(rgb: np.ndarray, alpha: np.ndarray, working_space: Sequence, level: str | None = None) -> np.ndarray:
-    """Display sRGB times alpha to linear colours times alpha in a working space, and alpha: (H, W, 4). level: as in flip_errors().
+def linear_colours(
+    rgb: np.ndarray, alpha: np.ndarray, working_space: Sequence, level: str | None = None
+) -> np.ndarray:
+    """Display sRGB times alpha to linear colours times alpha in a working space, and alpha: (H, W, 4). level:
+    as in flip_errors().
 
-    rgb: (H, W, 3), alpha: (H, W), float32; float64 at that level. Where alpha is not above 0, colours are 0. working_space: (3, 3), the rows are linear red,
-    green and blue of sRGB in it. Raises NativeError, and TypeError for arrays of another type or shape.
+    rgb: (H, W, 3), alpha: (H, W), float32; float64 at that level. Where alpha is not above 0, colours are 0.
+    working_space: (3, 3), the rows are linear red, green and blue of sRGB in it. Raises NativeError, and
+    TypeError for arrays of another type or shape.
     """
     level = level or best_level()
     dtype = np.float64 if level == "float64" else np.float32
     rgba = np.empty((*alpha.shape, 4), dtype)
     space = np.ascontiguousarray(working_space, np.float64)
     colours, cover = check(rgb, "rgb", (*alpha.shape, 3), dtype), check(alpha, "alpha", alpha.shape, dtype)
-    places = [c.c_void_p(place) for place in (colours, cover, check(space, "working_space", (3, 3), np.float64), rgba.ctypes.data)]
-    call_library("svrgs_linear_rgba", c.c_int32(levels()[level]), *places[:2], c.c_int64(alpha.size), *places[2:])
+    places = [
+        c.c_void_p(place)
+        for place in (colours, cover, check(space, "working_space", (3, 3), np.float64), rgba.ctypes.data)
+    ]
+    call_library(
+        "svrgs_linear_rgba", c.c_int32(levels()[level]), *places[:2], c.c_int64(alpha.size), *places[2:]
+    )
     return rgba

@@ -1,7 +1,8 @@
 """The renderer of the native library: forward and backward passes, statistics, loss and Adam; sampled masks.
 
-`native/include/svrgs.h` is the manual; names, shapes and units here are the same. Array arguments must have exactly the stated dtype
-and shape and be C-contiguous, else TypeError is raised. A call that fails raises NativeError with the library's sentence.
+`native/include/svrgs.h` is the manual; names, shapes and units here are the same. Array arguments must have
+exactly the stated dtype and shape and be C-contiguous, else TypeError is raised. A call that fails raises
+NativeError with the library's sentence.
 """
 
 from __future__ import annotations
@@ -74,7 +75,8 @@ __all__ = [
     "thresholds",
 ]
 
-IMAGES = {output.name: output.channels for output in OUTPUTS.values() if not output.integer}  # trailing channels, 0: none
+# trailing channels, 0: none
+IMAGES = {output.name: output.channels for output in OUTPUTS.values() if not output.integer}
 COUNTS = tuple(output.name for output in OUTPUTS.values() if output.integer)
 Maybe = np.ndarray | None  # an output that is not asked for is None
 MOMENTS = ("uu", "uv", "vv", "uuu", "uuv", "uvv", "vvv", "uuuu", "uuuv", "uuvv", "uvvv", "vvvv")
@@ -90,17 +92,20 @@ class RenderOptions:
     full: bool = True  # F counts each ray to its end, not only to where the colours stop
     mask_kind: str = "none"  # form of the spatial mask F, a name from mask_kinds()
     eps_a: float = 1e-3  # epsilon of mask kind 'a'
-    disabled_skips: tuple[str, ...] = ()  # names from skips() that are turned off: the same picture, but slower; for measurements
+    # names from skips() that are turned off: the same picture, but slower; for measurements
+    disabled_skips: tuple[str, ...] = ()
     max_pairs: int = 0  # a view with more (Gaussian, tile) pairs raises NativeError; 0: 2^31 - 1
-    background: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))  # colour behind all Gaussians, display sRGB
+    # colour behind all Gaussians, display sRGB
+    background: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))
     picture_only: bool = False  # the view is not kept for gradients and statistics: less time and memory
 
 
 class Rasterizer:
     """One renderer with its buffers. Only one thread may use it at a time.
 
-    level: a SIMD level from levels(); default: the fastest. Arrays in and out have the type `dtype`: float64 for level 'float64',
-    else float32. Any thread may set cancel[0] = 1; the running call then stops and raises Cancelled.
+    level: a SIMD level from levels(); default: the fastest. Arrays in and out have the type `dtype`: float64
+    for level 'float64', else float32. Any thread may set cancel[0] = 1; the running call then stops and
+    raises Cancelled.
     """
 
     def __init__(self, level: str | None = None):
@@ -110,7 +115,8 @@ class Rasterizer:
         self.dtype = np.dtype(np.float64 if self.level == "float64" else np.float32)
         self.cancel = np.zeros(1, np.int32)
         self._context = c.c_void_p()
-        self._view: tuple | None = None  # arrays that the library reads until the next forward; they must stay alive
+        # arrays that the library reads until the next forward; they must stay alive
+        self._view: tuple | None = None
         self._shape = (0, 0, 0)  # H, W, K of the last view
         self._shapes: dict[str, tuple] = {}  # shapes of the arrays of the last scene
         self._buffers: dict[str, np.ndarray] = {}
@@ -121,16 +127,29 @@ class Rasterizer:
             _library().svrgs_context_destroy(self._context)
             self._context = c.c_void_p()
 
-    def forward(self, scene, camera: Camera, options: RenderOptions = RenderOptions(), masks=None, outputs=("rgb",), depth_limit=None) -> dict:
+    def forward(
+        self,
+        scene,
+        camera: Camera,
+        options: RenderOptions = RenderOptions(),
+        masks=None,
+        outputs=("rgb",),
+        depth_limit=None,
+    ) -> dict:
         """Renders one view (SVR-GS, Eq. 1, 2 and 5).
 
-        scene: an object with the arrays of Scene in self.dtype. masks: (N,) uint8 of 0 and 1; None: all 1. outputs: names from
-        IMAGES and COUNTS. depth_limit: (H, W) in self.dtype; a pixel then takes only Gaussians whose centre has a smaller camera z,
-        and the view has no gradients, scores, moments or pixel counts. Returns {name: (H, W) or (H, W, 3)}; rgb is not clamped.
+        scene: an object with the arrays of Scene in self.dtype. masks: (N,) uint8 of 0 and 1; None: all 1.
+        outputs: names from IMAGES and COUNTS. depth_limit: (H, W) in self.dtype; a pixel then takes only
+        Gaussians whose centre has a smaller camera z, and the view has no gradients, scores, moments or pixel
+        counts. Returns {name: (H, W) or (H, W, 3)}; rgb is not clamped.
         """
         arrays = self._scene(scene, masks)
         images, pointers = self._images(camera, outputs)
-        limit = None if depth_limit is None else check(depth_limit, "depth_limit", (camera.height, camera.width), self.dtype)
+        limit = (
+            None
+            if depth_limit is None
+            else check(depth_limit, "depth_limit", (camera.height, camera.width), self.dtype)
+        )
         degree = min(options.sh_degree, int(arrays.sh_coefficients**0.5) - 1)
         native = OptionsStruct(
             degree,
@@ -145,7 +164,14 @@ class Rasterizer:
             options.picture_only,
         )
         self._shape = (camera.height, camera.width, arrays.sh_coefficients)
-        _call("svrgs_forward", self._context, c.byref(arrays), c.byref(camera_struct(camera, options.background)), c.byref(native), c.byref(pointers))
+        _call(
+            "svrgs_forward",
+            self._context,
+            c.byref(arrays),
+            c.byref(camera_struct(camera, options.background)),
+            c.byref(native),
+            c.byref(pointers),
+        )
         return images
 
     def visible(self) -> np.ndarray:
@@ -155,13 +181,16 @@ class Rasterizer:
         return np.ctypeslib.as_array(ids, (count.value,)).copy() if count.value else np.empty(0, np.uint32)
 
     def work(self, count_pixels: bool = False) -> dict[str, int]:
-        """Counts of the last view (svrgs_work in svrgs.h): visible Gaussians, (Gaussian, tile) pairs; with count_pixels also used_pairs,
-        blocks and hit_blocks (4x4 pixels), and (Gaussian, pixel) pairs: evaluated, hits (alpha >= 1/255), contributing (blended)."""
+        """Counts of the last view (svrgs_work in svrgs.h): visible Gaussians, (Gaussian, tile) pairs; with
+        count_pixels also used_pairs, blocks and hit_blocks (4x4 pixels), and (Gaussian, pixel) pairs:
+        evaluated, hits (alpha >= 1/255), contributing (blended)."""
         work = WorkStruct()
         _call("svrgs_count_work", self._context, c.c_int32(count_pixels), c.byref(work))
         if not count_pixels:
             return {"visible": work.visible, "pairs": work.pairs}
-        return {name: getattr(work, name) for name, *_ in WorkStruct._fields_} | {"evaluated": 16 * work.blocks}
+        return {name: getattr(work, name) for name, *_ in WorkStruct._fields_} | {
+            "evaluated": 16 * work.blocks
+        }
 
     def stage_seconds(self) -> dict[str, float]:
         """Durations in seconds of the stages of the last calls, by name from stages()."""
@@ -172,26 +201,41 @@ class Rasterizer:
     def backward(self, image_grads: dict, wanted=GRADS) -> dict:
         """Gradients of the last view, one row per visible Gaussian in the order of visible().
 
-        image_grads: dL/dimage by name from LOSS_IMAGES ('rgb', 'depth', 'alpha', 'mask'), with the shape of the image; depth needs a
-        forward pass with output depth. wanted: names from GRADS; others are not computed. Returns {name: (V, ...)}, valid until the
-        next backward. Raises ValueError for unknown names.
+        image_grads: dL/dimage by name from LOSS_IMAGES ('rgb', 'depth', 'alpha', 'mask'), with the shape of
+        the image; depth needs a forward pass with output depth. wanted: names from GRADS; others are not
+        computed. Returns {name: (V, ...)}, valid until the next backward. Raises ValueError for unknown
+        names.
         """
         grads_in, grads, grads_out = self._gradients(image_grads, wanted)
         _call("svrgs_backward", self._context, c.byref(grads_in), c.byref(grads_out))
         return grads
 
     def backward_update(
-        self, image_grads: dict, tensors: dict, rates: dict, *, step, slope=None, frozen: Maybe = None, betas=(0.9, 0.999), eps=1e-15, wanted=()
+        self,
+        image_grads: dict,
+        tensors: dict,
+        rates: dict,
+        *,
+        step,
+        slope=None,
+        frozen: Maybe = None,
+        betas=(0.9, 0.999),
+        eps=1e-15,
+        wanted=(),
     ) -> tuple[dict, int]:
         """backward() and adam() in one call, with the same bits, but without storing the gradients.
 
-        The view cannot be used afterwards, because its scene has changed. tensors: {name: (param, moments)}; param is the scene's own array; sh must
-        be among them. 'masks': the existence logits (N,), whose gradient is dL/dM times slope (N,). rates: {name: one rate, or one per column}.
-        step: from 1. frozen: (N,) uint8, 1 for Gaussians that are not updated; they no longer count as visible. wanted: gradients to return, not of
-        tensors. Returns ({name: (V, ...)}, number of rows that were skipped because their gradient was not finite).
+        The view cannot be used afterwards, because its scene has changed. tensors: {name: (param, moments)};
+        param is the scene's own array; sh must be among them. 'masks': the existence logits (N,), whose
+        gradient is dL/dM times slope (N,). rates: {name: one rate, or one per column}. step: from 1. frozen:
+        (N,) uint8, 1 for Gaussians that are not updated; they no longer count as visible. wanted: gradients
+        to return, not of tensors. Returns ({name: (V, ...)}, number of rows that were skipped because their
+        gradient was not finite).
         """
         if both := {*wanted} & {*tensors}:
-            raise ValueError(f"these tensors are updated, so their gradients are not stored: {', '.join(sorted(both))}")
+            raise ValueError(
+                f"these tensors are updated, so their gradients are not stored: {', '.join(sorted(both))}"
+            )
         grads_in, grads, grads_out = self._gradients(image_grads, wanted)
         columns, update = {}, UpdateStruct(adam=_adam_settings(None, betas, eps, step))
         for name, (param, moments) in tensors.items():
@@ -202,25 +246,44 @@ class Rasterizer:
             update.slope = check(slope, "slope", self._shapes["masks"], self.dtype)
         update.frozen = None if frozen is None else check(frozen, "frozen", self._shapes["masks"], np.uint8)
         bad = c.c_int64()
-        _call("svrgs_backward_update", self._context, c.byref(grads_in), c.byref(update), c.byref(grads_out), c.byref(bad))
+        _call(
+            "svrgs_backward_update",
+            self._context,
+            c.byref(grads_in),
+            c.byref(update),
+            c.byref(grads_out),
+            c.byref(bad),
+        )
         left = self.work()["visible"]
         return {name: rows[:left] for name, rows in grads.items()}, bad.value
 
-    def add_scores(self, sum_: Maybe = None, max_: Maybe = None, hits: Maybe = None, transmittance: Maybe = None, reached: Maybe = None):
-        """Adds the last view to those statistics (N,) of each Gaussian that are given, over the pixels in which it is blended: sum of alpha T float64,
-        maximum of alpha T float32, number of pixels int64, sum of T float64. Marks with 1 in `reached`, uint8, those that hit a ray before it stops (or, if
-        F was rendered to the end of rays, any ray); colours are the same without the others."""
+    def add_scores(
+        self,
+        sum_: Maybe = None,
+        max_: Maybe = None,
+        hits: Maybe = None,
+        transmittance: Maybe = None,
+        reached: Maybe = None,
+    ):
+        """Adds the last view to those statistics (N,) of each Gaussian that are given, over the pixels in
+        which it is blended: sum of alpha T float64, maximum of alpha T float32, number of pixels int64, sum
+        of T float64. Marks with 1 in `reached`, uint8, those that hit a ray before it stops (or, if F was
+        rendered to the end of rays, any ray); colours are the same without the others."""
         if self._view is None:
             raise NativeError("there is no rendered view to score: call forward() first")
         given = {"sum": (sum_, np.float64), "max": (max_, np.float32), "hits": (hits, np.int64)}
         given |= {"transmittance": (transmittance, np.float64), "reached": (reached, np.uint8)}
         shape = (len(self._view[0]),)
-        outs = (None if array is None else check_out(array, name, shape, dtype) for name, (array, dtype) in given.items())
+        outs = (
+            None if array is None else check_out(array, name, shape, dtype)
+            for name, (array, dtype) in given.items()
+        )
         _call("svrgs_scores", self._context, *map(c.c_void_p, outs))
 
     def moments(self) -> np.ndarray:
-        """Moments of each visible Gaussian of the last view, (V, 12) float64: sums over pixels of w u^a v^b in the order of MOMENTS.
-        w: sum over channels of (alpha dC/dalpha)^2; (u, v): whitened offset of the pixel from the centre; see svrgs.h."""
+        """Moments of each visible Gaussian of the last view, (V, 12) float64: sums over pixels of w u^a v^b
+        in the order of MOMENTS. w: sum over channels of (alpha dC/dalpha)^2; (u, v): whitened offset of the
+        pixel from the centre; see svrgs.h."""
         if self._view is None:
             raise NativeError("there is no rendered view to take moments of: call forward() first")
         rows = np.empty((self.work()["visible"], len(MOMENTS)))
@@ -228,10 +291,12 @@ class Rasterizer:
         return rows
 
     def add_removal(self, error: np.ndarray, residuals: np.ndarray):
-        """Adds the removal error of each Gaussian in the last view to `error` (N,) float64 (the Delta SE of GaussianPOP).
+        """Adds the removal error of each Gaussian in the last view to `error` (N,) float64 (the Delta SE of
+        GaussianPOP).
 
-        It is the exact growth of the sum of squared residuals if this Gaussian alone were removed: the sum over pixels and channels
-        of d^2 - 2 r d with d = alpha T (c - b). residuals r: (H, W, 3), rendered colours minus photograph; see svrgs.h.
+        It is the exact growth of the sum of squared residuals if this Gaussian alone were removed: the sum
+        over pixels and channels of d^2 - 2 r d with d = alpha T (c - b). residuals r: (H, W, 3), rendered
+        colours minus photograph; see svrgs.h.
         """
         if self._view is None:
             raise NativeError("there is no rendered view to score: call forward() first")
@@ -243,27 +308,35 @@ class Rasterizer:
         )
 
     def add_slopes(self, sums: np.ndarray):
-        """Adds the last view to `sums` (N,) float64: the sum over pixels of (sum over channels of dC/dG)^2, G the value of the Gaussian,
-        alpha = opacity G (the score of Speedy-Splat)."""
+        """Adds the last view to `sums` (N,) float64: the sum over pixels of (sum over channels of dC/dG)^2, G
+        the value of the Gaussian, alpha = opacity G (the score of Speedy-Splat)."""
         self._add("svrgs_slopes", sums)
 
     def add_dominance(self, pixels: np.ndarray):
-        """Adds the last view to `pixels` (N,) float64: the number of pixels in which the Gaussian has the largest alpha T of all."""
+        """Adds the last view to `pixels` (N,) float64: the number of pixels in which the Gaussian has the
+        largest alpha T of all."""
         self._add("svrgs_dominance", pixels)
 
     def add_visibility(self, sums: np.ndarray):
-        """Adds the last view to `sums` (N, 9) float64, what native_decimation.decimate() needs of all views; its columns are those of VISIBILITY."""
+        """Adds the last view to `sums` (N, 9) float64, what native_decimation.decimate() needs of all views;
+        its columns are those of VISIBILITY."""
         self._add("svrgs_visibility", sums, (len(VISIBILITY),))
 
     def _add(self, function: str, totals: np.ndarray, columns: tuple[int, ...] = ()):
         if self._view is None:
             raise NativeError("there is no rendered view to score: call forward() first")
-        _call(function, self._context, c.c_void_p(check_out(totals, "totals", (len(self._view[0]), *columns), np.float64)))
+        _call(
+            function,
+            self._context,
+            c.c_void_p(check_out(totals, "totals", (len(self._view[0]), *columns), np.float64)),
+        )
 
     def loss(self, image, target, l1_weight=0.8, ssim_weight=0.2, want_grad=True):
-        """Image loss L = l1_weight mean|image - target| + ssim_weight (1 - SSIM) of two (H, W, 3) images in self.dtype.
+        """Image loss L = l1_weight mean|image - target| + ssim_weight (1 - SSIM) of two (H, W, 3) images in
+        self.dtype.
 
-        Returns (mean|image - target|, SSIM, dL/dimage). The gradient is None without want_grad, and valid until the next loss.
+        Returns (mean|image - target|, SSIM, dL/dimage). The gradient is None without want_grad, and valid
+        until the next loss.
         """
         shape = np.shape(image)
         grad = self._buffer("loss", shape) if want_grad else None
@@ -283,18 +356,28 @@ class Rasterizer:
         return values[0], values[1], grad
 
     def mask_loss(self, mask, weight: float) -> tuple[float, np.ndarray]:
-        """L_F = mean F^2 (SVR-GS Eq. 10) and `weight` times its gradient, (H, W), valid until the next call. mask: F (H, W) in self.dtype."""
+        """L_F = mean F^2 (SVR-GS Eq. 10) and `weight` times its gradient, (H, W), valid until the next call.
+        mask: F (H, W) in self.dtype."""
         grad, value = self._buffer("mask_loss", np.shape(mask)), c.c_double()
         address = c.c_void_p(check(mask, "mask", grad.shape, self.dtype))
-        _call("svrgs_mask_loss", self._context, address, c.c_int64(mask.size), c.c_double(weight), c.c_void_p(grad.ctypes.data), c.byref(value))
+        _call(
+            "svrgs_mask_loss",
+            self._context,
+            address,
+            c.c_int64(mask.size),
+            c.c_double(weight),
+            c.c_void_p(grad.ctypes.data),
+            c.byref(value),
+        )
         return value.value, grad
 
     def adam(self, param, moments, grad, ids, *, lr, step, betas=(0.9, 0.999), eps=1e-15) -> int:
         """One Adam step (Kingma and Ba) on some rows of param (N, ...), in place.
 
-        ids: numbers of the rows, uint32, ascending; None: all. grad: (rows, ...). moments: zeros of the shape and dtype of
-        moments_like() at first; finetune/moments.py decodes them. lr: one rate, or one per column of a flattened row. step: from 1.
-        Returns the number of rows that were skipped because their gradient was not finite. Raises ValueError if ids do not ascend.
+        ids: numbers of the rows, uint32, ascending; None: all. grad: (rows, ...). moments: zeros of the shape
+        and dtype of moments_like() at first; finetune/moments.py decodes them. lr: one rate, or one per
+        column of a flattened row. step: from 1. Returns the number of rows that were skipped because their
+        gradient was not finite. Raises ValueError if ids do not ascend.
         """
         shape = np.shape(param)
         rates = _rates(lr, shape)
@@ -306,19 +389,38 @@ class Rasterizer:
         addresses.append(check(ids, "ids", (rows,), np.uint32) if ids is not None else None)
         if ids is not None and rows and (ids[-1] >= len(param) or (ids[1:] <= ids[:-1]).any()):
             raise ValueError(f"ids must be in ascending order and below {len(param)}")
-        _call("svrgs_adam", self._context, c.byref(settings), *map(c.c_void_p, addresses), c.c_int64(rows), c.c_int32(len(rates)), c.byref(bad))
+        _call(
+            "svrgs_adam",
+            self._context,
+            c.byref(settings),
+            *map(c.c_void_p, addresses),
+            c.c_int64(rows),
+            c.c_int32(len(rates)),
+            c.byref(bad),
+        )
         return bad.value
 
     def _trained(self, param, moments, shape: tuple, of: str = "") -> tuple[int, int]:
         """Checks both arrays and returns their addresses. of: addition to their names in messages."""
-        return check_out(param, f"param{of}", shape, self.dtype), check_out(moments, f"moments{of}", *moments_like(shape, self.dtype))
+        return check_out(param, f"param{of}", shape, self.dtype), check_out(
+            moments, f"moments{of}", *moments_like(shape, self.dtype)
+        )
 
     def _gradients(self, image_grads: dict, wanted):
-        """The struct of image gradients, the arrays {name: (V, ...)} for the gradients, and the struct of their addresses."""
+        """The struct of image gradients, the arrays {name: (V, ...)} for the gradients, and the struct of
+        their addresses."""
         if unknown := {*image_grads} - {*LOSS_IMAGES} | {*wanted} - {*GRADS}:
-            raise ValueError(f"{', '.join(sorted(unknown))}: unknown gradient; image_grads may hold {', '.join(LOSS_IMAGES)}, wanted {', '.join(GRADS)}")
+            raise ValueError(
+                f"{', '.join(sorted(unknown))}: unknown gradient; image_grads may hold"
+                f" {', '.join(LOSS_IMAGES)}, wanted {', '.join(GRADS)}"
+            )
         height, width, coefficients = self._shape
-        grads_in = ImageGradsStruct(**{name: check(g, f"d{name}", _image_shape(name, height, width), self.dtype) for name, g in image_grads.items()})
+        grads_in = ImageGradsStruct(
+            **{
+                name: check(g, f"d{name}", _image_shape(name, height, width), self.dtype)
+                for name, g in image_grads.items()
+            }
+        )
         count = self.work()["visible"]
         widths = {"means": (3,), "log_scales": (3,), "quats": (4,), "sh": (coefficients, 3), "means2d": (2,)}
         grads = {name: self._buffer(name, (count, *widths.get(name, ()))) for name in wanted}
@@ -328,7 +430,14 @@ class Rasterizer:
         """The struct of a scene whose arrays were checked. The arrays are kept alive until the next view."""
         arrays = {name: getattr(scene, name) for name in PARAMETERS}
         n, k = len(arrays["means"]), np.shape(arrays["sh"])[1] if np.ndim(arrays["sh"]) == 3 else 1
-        self._shapes = {"means": (n, 3), "log_scales": (n, 3), "quats": (n, 4), "opacity_logits": (n,), "sh": (n, k, 3), "masks": (n,)}
+        self._shapes = {
+            "means": (n, 3),
+            "log_scales": (n, 3),
+            "quats": (n, 4),
+            "opacity_logits": (n,),
+            "sh": (n, k, 3),
+            "masks": (n,),
+        }
         pointers = {name: check(arrays[name], name, self._shapes[name], self.dtype) for name in PARAMETERS}
         if masks is not None:
             pointers["masks"] = check(masks, "masks", (n,), np.uint8)
@@ -344,7 +453,8 @@ class Rasterizer:
         return images, ImagesStruct(**{name: image.ctypes.data for name, image in images.items()})
 
     def _buffer(self, name: str, shape: tuple) -> np.ndarray:
-        """An array of this shape in a buffer that only grows, so that large gradients are not allocated again at every step."""
+        """An array of this shape in a buffer that only grows, so that large gradients are not allocated again
+        at every step."""
         size = int(np.prod(shape, dtype=np.int64))
         if name not in self._buffers or self._buffers[name].size < size:
             self._buffers[name] = np.empty(size + size // 4, self.dtype)
@@ -354,14 +464,17 @@ class Rasterizer:
 def moments_like(shape: tuple, dtype) -> tuple[tuple, np.dtype]:
     """Shape and dtype of the Adam moments of parameters of the given shape (N, ...) and dtype.
 
-    Both moments of a value are packed into one element. A row of SH coefficients (N, K, 3) has the first moment of each value and
-    one second moment for all. The bits are described in svrgs.h (svrgs_adam) and docs/methods.md (Adam).
+    Both moments of a value are packed into one element. A row of SH coefficients (N, K, 3) has the first
+    moment of each value and one second moment for all. The bits are described in svrgs.h (svrgs_adam) and
+    docs/methods.md (Adam).
     """
     single = np.dtype(dtype) == np.float32
     if len(shape) < 3:
         return tuple(shape), np.dtype(np.uint32 if single else np.complex128)
     first = shape[1] * shape[2]
-    return (shape[0], (first + 1) // 2 + 1 if single else first + 1), np.dtype(np.uint32 if single else np.float64)
+    return (shape[0], (first + 1) // 2 + 1 if single else first + 1), np.dtype(
+        np.uint32 if single else np.float64
+    )
 
 
 def _rates(lr, shape: tuple) -> np.ndarray:
@@ -383,8 +496,9 @@ def _image_shape(name: str, height: int, width: int) -> tuple:
 def sample_masks(logits: np.ndarray, seed: int, step: int) -> tuple[np.ndarray, np.ndarray]:
     """Samples a mask for each Gaussian from its existence logit (MaskGaussian, form with one logit).
 
-    logits m: (N,) float32. The logistic noise e is keyed by (seed, step, row), so a sample can be repeated. Returns the masks
-    M = 1[m + e > 0], (N,) uint8, and the slopes dM/dm = y (1 - y) with y = sigmoid(m + e), (N,) float32 (straight-through).
+    logits m: (N,) float32. The logistic noise e is keyed by (seed, step, row), so a sample can be repeated.
+    Returns the masks M = 1[m + e > 0], (N,) uint8, and the slopes dM/dm = y (1 - y) with y = sigmoid(m + e),
+    (N,) float32 (straight-through).
     """
     n = np.shape(logits)[:1]
     masks, slope = np.empty(n, np.uint8), np.empty(n, np.float32)

@@ -1,4 +1,5 @@
-"""`svrgs prune` of a scene that is too large for memory. Jobs that remove and merge, and methods with lambda_F, are done by blocks (prune/blocks/) instead."""
+"""`svrgs prune` of a scene that is too large for memory. Jobs that remove and merge, and methods with
+lambda_F, are done by blocks (prune/blocks/) instead."""
 
 from __future__ import annotations
 
@@ -43,24 +44,38 @@ OF_QUICK = ("max_drop", "levels")  # options that only a quick job has there
 OF_METHODS = (  # those of methods on photographs
     "lambda_f", "iterations", "recovery", "schedule", "min_contribution", "background", "image_memory", "visible_mask", "report",
 )  # fmt: skip
-NEEDS_VISIBLE = "with --visible-mask, or with removal to a number or an allowed drop, it would be pruned by blocks"
+NEEDS_VISIBLE = (
+    "with --visible-mask, or with removal to a number or an allowed drop, it would be pruned by blocks"
+)
 NOT_FINISHED = "stopped; {}: start it again, or use the steps of svrgs large, each of which can be continued"
 
 
 def possible(options: PruneOptions) -> bool:
-    """Whether a job can be done by blocks: a quick one, one that merges without photographs, to a number, or one of a method with lambda_F on
-    photographs, if F counts up to where the colours of a ray stop, or does not count."""
+    """Whether a job can be done by blocks: a quick one, one that merges without photographs, to a number, or
+    one of a method with lambda_F on photographs, if F counts up to where the colours of a ray stop, or does
+    not count."""
     if _learns(options):
         held = ("max_drop",) if (options.method or DEFAULT) in methods_of_drop() else ()
-        return _has_only(options, (*TAKES, *OF_METHODS, *held)) and (options.visible_mask or _to_number(options))
+        return _has_only(options, (*TAKES, *OF_METHODS, *held)) and (
+            options.visible_mask or _to_number(options)
+        )
     merges = options.quick or (options.colmap is None and options.method in ("", "merge"))
-    return merges and bool(options.quick or _number(options)) and _has_only(options, (*TAKES, *(OF_QUICK if options.quick else ())))
+    return (
+        merges
+        and bool(options.quick or _number(options))
+        and _has_only(options, (*TAKES, *(OF_QUICK if options.quick else ())))
+    )
 
 
 def was_begun(options: PruneOptions) -> bool:
     """Whether a job that is resumed was begun by blocks."""
     assert options.out is not None
-    return options.resume and _learns(options) and possible(options) and bool(progress(blocks_of(options.out))[0])
+    return (
+        options.resume
+        and _learns(options)
+        and possible(options)
+        and bool(progress(blocks_of(options.out))[0])
+    )
 
 
 def _learns(options: PruneOptions) -> bool:
@@ -78,7 +93,10 @@ def _to_number(options: PruneOptions) -> bool:
 
 def _has_only(options: PruneOptions, names: Collection[str]) -> bool:
     """Whether only the options with these names differ from their defaults."""
-    return all(name in names or getattr(options, name) == default_of(PruneOptions, name) for name in PruneOptions.__dataclass_fields__)
+    return all(
+        name in names or getattr(options, name) == default_of(PruneOptions, name)
+        for name in PruneOptions.__dataclass_fields__
+    )
 
 
 def with_advice(error: MemoryShort | TooMany, options: PruneOptions) -> MemoryShort | TooMany:
@@ -89,19 +107,35 @@ def with_advice(error: MemoryShort | TooMany, options: PruneOptions) -> MemorySh
 
 
 def request_of(options: PruneOptions) -> Request:
-    """What is asked of a method on photographs. Raises SceneError for a method that cannot decide by blocks."""
+    """What is asked of a method on photographs. Raises SceneError for a method that cannot decide by
+    blocks."""
     method, first_cut = options.method or DEFAULT, options.min_contribution
     if first_cut is None:
         first_cut = MIN_CONTRIBUTION * method_named(method).first_cut
-    same = ("iterations", "recovery", "schedule", "images", "holdout", "lambda_f", "seed", "image_memory", "background")
-    request = Request(str(options.colmap), method, min_contribution=first_cut, **{name: getattr(options, name) for name in same})
+    same = (
+        "iterations",
+        "recovery",
+        "schedule",
+        "images",
+        "holdout",
+        "lambda_f",
+        "seed",
+        "image_memory",
+        "background",
+    )
+    request = Request(
+        str(options.colmap),
+        method,
+        min_contribution=first_cut,
+        **{name: getattr(options, name) for name in same},
+    )
     request.plan()
     return request
 
 
 def prune_large(options: PruneOptions, job: JobContext, reason: str) -> dict[str, Any]:
-    """Does `svrgs prune` by blocks; of the context, `stop` and `part` count. reason: why, in a sentence. Returns the JSON result. Raises SplatError,
-    Cancelled."""
+    """Does `svrgs prune` by blocks; of the context, `stop` and `part` count. reason: why, in a sentence.
+    Returns the JSON result. Raises SplatError, Cancelled."""
     assert options.scene is not None and options.out is not None
     begun, reporter = time.perf_counter(), Reporter(options.quiet)
     reason = memory.without_advice(reason)
@@ -109,13 +143,37 @@ def prune_large(options: PruneOptions, job: JobContext, reason: str) -> dict[str
     request = request_of(options) if _learns(options) else None
     if options.report:
         check_writable(options.report / "index.html")
-    notes = [f"{reason}; so it was pruned by blocks" + (f", and fine-tuned in {EPOCHS} steps for each view" if request is None else "")]
+    notes = [
+        f"{reason}; so it was pruned by blocks"
+        + (f", and fine-tuned in {EPOCHS} steps for each view" if request is None else "")
+    ]
     train, test, more = _views(options, *sample_of(options.scene))
     goal = Goal(options.target_count or 0, options.target or 0.0, options.max_drop or 0.0, options.levels)
-    told = partial(_told, reporter=reporter, job=job, left=left_by_a_stop(request, options.out, options.levels))
-    result = prune_by_blocks(options.scene, options.out, lambda: (train, test or train), goal, None, told, request=request, resume=options.resume)
-    after = {name: result[name] for name in ("psnr", "ssim", "flip")} | {"lpips": None, "ms_per_frame": None} | result["after"]
-    result |= {**after, "after": after, "views": len(train), "seconds": time.perf_counter() - begun, "notes": [*notes, *more, *result["notes"]]}
+    told = partial(
+        _told, reporter=reporter, job=job, left=left_by_a_stop(request, options.out, options.levels)
+    )
+    result = prune_by_blocks(
+        options.scene,
+        options.out,
+        lambda: (train, test or train),
+        goal,
+        None,
+        told,
+        request=request,
+        resume=options.resume,
+    )
+    after = (
+        {name: result[name] for name in ("psnr", "ssim", "flip")}
+        | {"lpips": None, "ms_per_frame": None}
+        | result["after"]
+    )
+    result |= {
+        **after,
+        "after": after,
+        "views": len(train),
+        "seconds": time.perf_counter() - begun,
+        "notes": [*notes, *more, *result["notes"]],
+    }
     if options.report and request is not None:
         write_report_of_files(options.report, request.dataset(), result, opened)
     return result
@@ -125,7 +183,9 @@ def left_by_a_stop(request: Request | None, out: Path, levels: tuple[float, ...]
     """A sentence on what a job that is stopped leaves; empty for one that --resume continues."""
     if request is not None:
         return ""
-    return NOT_FINISHED.format("the files that are there are complete" if level_files(out, levels) else "nothing was written")
+    return NOT_FINISHED.format(
+        "the files that are there are complete" if level_files(out, levels) else "nothing was written"
+    )
 
 
 def _told(step: str, reporter: Reporter, job: JobContext, left: str) -> Tell:
@@ -140,9 +200,11 @@ def _told(step: str, reporter: Reporter, job: JobContext, left: str) -> Tell:
     return tell
 
 
-def _views(options: PruneOptions, scene: Scene, enlarged: float) -> tuple[list[Camera], list[Camera], list[str]]:
-    """Views to score and tune on, others to measure on, and what the user must know of them. scene, enlarged: from sample_of(). Raises SceneError,
-    FormatError."""
+def _views(
+    options: PruneOptions, scene: Scene, enlarged: float
+) -> tuple[list[Camera], list[Camera], list[str]]:
+    """Views to score and tune on, others to measure on, and what the user must know of them. scene, enlarged:
+    from sample_of(). Raises SceneError, FormatError."""
     assert options.scene is not None
     if options.colmap is None:
         refuse_options(options)
@@ -153,7 +215,10 @@ def _views(options: PruneOptions, scene: Scene, enlarged: float) -> tuple[list[C
         return train[:given] + finer(train[given:]), test, notes
     dataset = load_dataset(options.colmap, options.images or None, holdout=options.holdout, cameras_only=True)
     refuse_unseen(scene, dataset.cameras, str(options.scene))
-    train, test = ([dataset.cameras[i].fitted(LONGEST) for i in indices] for indices in (dataset.train_indices, dataset.test_indices))
+    train, test = (
+        [dataset.cameras[i].fitted(LONGEST) for i in indices]
+        for indices in (dataset.train_indices, dataset.test_indices)
+    )
     if not train:
         raise SceneError("all views of the dataset are held out for testing: use --holdout 0")
     return evenly(train, MOST), test, []

@@ -1,4 +1,5 @@
-"""The surroundings of a job: its outputs, its engine, its observers. The plan (finetune/plan.py) says what it computes."""
+"""The surroundings of a job: its outputs, its engine, its observers. The plan (finetune/plan.py) says what it
+computes."""
 
 from __future__ import annotations
 
@@ -26,15 +27,19 @@ class JobContext:
     order: Path | None = None  # folder for the order of a quick job (finetune/decimate/saved_order.py)
     levels: tuple[float, ...] = ()  # shares of a nested result that are written too
     planned: TimePlan | None = None  # of a job with a time limit
-    recorded: tuple[int, int] = (0, 0)  # views that the observer renders: for each point of the curves, and at the end
+    # views that the observer renders: for each point of the curves, and at the end
+    recorded: tuple[int, int] = (0, 0)
     started: float = field(default_factory=time.perf_counter)  # when the job began
-    tell: Callable[[TimePlan, str], None] = lambda *_: None  # called with the plan of a job with a time limit, and what is foreseen, in a sentence
+    # called with the plan of a job with a time limit, and what is foreseen, in a sentence
+    tell: Callable[[TimePlan, str], None] = lambda *_: None
     lpips: Callable | None = None  # (image, photograph) -> float
     lpips_missing: str = ""  # why lpips is None
     observe: Callable[[Progress], None] = lambda _: None  # called after each step
-    part: Callable[[str, float], None] = lambda *_: None  # progress of a job by blocks: called with a text and the share that is done, 0 to 1
+    # progress of a job by blocks: called with a text and the share that is done, 0 to 1
+    part: Callable[[str, float], None] = lambda *_: None
     stop: Callable[[], bool] = lambda: False  # asked after each step
-    begin: Callable[[Run], None] = lambda _: None  # called before the first step, after a checkpoint was restored
+    # called before the first step, after a checkpoint was restored
+    begin: Callable[[Run], None] = lambda _: None
 
     def seconds(self) -> float:
         """Seconds since the job began, with those that the program needs to start and to end."""

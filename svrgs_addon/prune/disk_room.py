@@ -24,11 +24,16 @@ ROW_NUMBER = 4  # bytes: the source row of each Gaussian in these files
 
 
 class DiskRoom:
-    """Room for a result and a checkpoint. A context manager that releases it at its end. out: the result; checkpoints: their folder."""
+    """Room for a result and a checkpoint. A context manager that releases it at its end. out: the result;
+    checkpoints: their folder."""
 
     def __init__(self, out: Path, checkpoints: Path):
-        self._out, self._folders = out, (existing_parent(real(out).parent), existing_parent(checkpoints.parent))
-        self._coefficients, self._row = 1, 0.0  # of the scene: SH coefficients per channel, bytes per Gaussian in a file
+        self._out, self._folders = (
+            out,
+            (existing_parent(real(out).parent), existing_parent(checkpoints.parent)),
+        )
+        # of the scene: SH coefficients per channel, bytes per Gaussian in a file
+        self._coefficients, self._row = 1, 0.0
         self._averaged = 0  # Gaussians whose values will be averaged
         self._held: list[HeldSpace] = []
 
@@ -39,21 +44,30 @@ class DiskRoom:
         self.release()
 
     def hold_for(self, scene: Scene, count: int, averaged: int):
-        """Holds room for `count` Gaussians with the columns of the scene. averaged: Settings.averaged_count(). Raises SceneError if there is too
-        little."""
-        self._coefficients, self._row, self._averaged = scene.sh.shape[1], file_size(scene) / max(1, scene.count), averaged
+        """Holds room for `count` Gaussians with the columns of the scene. averaged:
+        Settings.averaged_count(). Raises SceneError if there is too little."""
+        self._coefficients, self._row, self._averaged = (
+            scene.sh.shape[1],
+            file_size(scene) / max(1, scene.count),
+            averaged,
+        )
         self.hold(count)
 
     def hold(self, count: int):
-        """Holds room for `count` Gaussians, in place of what was held. Raises SceneError if there is too little."""
+        """Holds room for `count` Gaussians, in place of what was held. Raises SceneError if there is too
+        little."""
         self.release()
         largest_checkpoint = memory.checkpoint(count, self._coefficients, min(self._averaged, count))
         sizes = [int(FREE_SPACE_MARGIN * size) for size in (self._row * count, largest_checkpoint)]
         result, checkpoints = self._folders
-        needed = {result: sum(sizes)} if result == checkpoints else dict(zip(self._folders, sizes, strict=True))
+        needed = (
+            {result: sum(sizes)} if result == checkpoints else dict(zip(self._folders, sizes, strict=True))
+        )
         refuse_shortage(self._out, needed, PURPOSE)
         try:
-            self._held.extend(HeldSpace(folder, size) for folder, size in zip(self._folders, sizes, strict=True))
+            self._held.extend(
+                HeldSpace(folder, size) for folder, size in zip(self._folders, sizes, strict=True)
+            )
         except OSError as error:
             self.release()
             refuse_shortage(self._out, needed, PURPOSE)  # others have used it meanwhile
@@ -61,7 +75,8 @@ class DiskRoom:
 
     @contextlib.contextmanager
     def for_checkpoint(self, count: int) -> Iterator[None]:
-        """Releases the room while the block writes a checkpoint. Then there is room for the next one, if the disk has it."""
+        """Releases the room while the block writes a checkpoint. Then there is room for the next one, if the
+        disk has it."""
         self.release()
         yield
         with contextlib.suppress(SceneError):  # the next checkpoint says it

@@ -1,14 +1,18 @@
-"""How long a job takes, foreseen from the speed of a few steps and views on this machine. time_plan.py inverts it.
+"""How long a job takes, foreseen from the speed of a few steps and views on this machine. time_plan.py
+inverts it.
 
-A job reads the splat, measures its quality, does the steps of the plan, and measures and writes the result. Between the steps the method looks at
-all training views to rank the Gaussians, and the PSNR of the curves is measured. With the share n of the Gaussians
+A job reads the splat, measures its quality, does the steps of the plan, and measures and writes the result.
+Between the steps the method looks at all training views to rank the Gaussians, and the PSNR of the curves is
+measured. With the share n of the Gaussians
 
     a step takes  step * n^power,      a look takes  look * n^LOOK_POWER,
 
-because a part of both depends on the pixels alone. `power` is measured with every sixteenth Gaussian. Those that stay in a run grow, and cover more
-pixels, so it is lowered: in runs on seven scenes it was 0.12 to 0.30 less than measured, between 0.16 and 0.67. LOOK_POWER is fitted to runs on
-three scenes (0.5 to 0.8). A training starts with small Gaussians, so there it is not measured: 0.3 to 0.45 in runs on three scenes. Photographs that
-are read for the first time are read beside the steps, by all threads. Not foreseen: other programs that use the processor.
+because a part of both depends on the pixels alone. `power` is measured with every sixteenth Gaussian. Those
+that stay in a run grow, and cover more pixels, so it is lowered: in runs on seven scenes it was 0.12 to 0.30
+less than measured, between 0.16 and 0.67. LOOK_POWER is fitted to runs on three scenes (0.5 to 0.8). A
+training starts with small Gaussians, so there it is not measured: 0.3 to 0.45 in runs on three scenes.
+Photographs that are read for the first time are read beside the steps, by all threads. Not foreseen: other
+programs that use the processor.
 """
 
 from __future__ import annotations
@@ -44,21 +48,27 @@ from .quality_forecast import spread
 from .train_and_prune import CURVE_VIEWS
 
 TRAINING_POWER, LOOK_POWER = 0.4, 0.65
-SOME, GROWN, POWERS = 16, 0.3, (0.1, 0.6)  # power: measured with 1/SOME of the Gaussians, lowered by GROWN, within these limits
-MERGED_GROWN, MERGED_POWERS = 0.05, (0.1, 1.0)  # the same of a method that merges; measured with the share that stays
-STEP_SECONDS, STEPS, LEAST_STEPS = 0.5, 8, 3  # time limit of measuring steps after one that is not; most and fewest that are measured
+# power: measured with 1/SOME of the Gaussians, lowered by GROWN, within these limits
+SOME, GROWN, POWERS = 16, 0.3, (0.1, 0.6)
+# the same of a method that merges; measured with the share that stays
+MERGED_GROWN, MERGED_POWERS = 0.05, (0.1, 1.0)
+# time limit of measuring steps after one that is not; most and fewest that are measured
+STEP_SECONDS, STEPS, LEAST_STEPS = 0.5, 8, 3
 LOOKED_AT, MEASURED = 3, 2  # views of which the time of a look and of the measures of quality are measured
-GROWTH = (0, 3, 10, 40, 145), (1.0, 1.0, 2.2, 4.0, 5.5)  # densifications, and how much longer a step takes after them: means over seven scenes
+# densifications, and how much longer a step takes after them: means over seven scenes
+GROWTH = (0, 3, 10, 40, 145), (1.0, 1.0, 2.2, 4.0, 5.5)
 GROWTH_POWER = 0.27  # of the number of Gaussians in this
 UNKNOWN_SHARE = 0.3  # of the Gaussians of a training, those that stay if a method decides
 PARTS = 16  # parts of a phase in which the number of Gaussians is taken as constant
-MERGING_STEPS = 60  # with all Gaussians, that take as long as a cut that merges: measured with 150,000 and 500,000
+# with all Gaussians, that take as long as a cut that merges: measured with 150,000 and 500,000
+MERGING_STEPS = 60
 BISECTION = 10  # PSNRs that find the fewest Gaussians that hold one (finetune/quality.py)
 
 
 @dataclass(frozen=True)
 class Pace:
-    """Speeds on this machine with all Gaussians of a scene, in seconds, and the numbers of Gaussians and views."""
+    """Speeds on this machine with all Gaussians of a scene, in seconds, and the numbers of Gaussians and
+    views."""
 
     count: int
     step: float  # one step, its photograph in memory
@@ -71,22 +81,35 @@ class Pace:
     train_views: int
     test_views: int  # views on which the quality is measured
     uncached: float  # share of the training photographs that do not stay in memory
-    measurements: int = 2  # of the quality: before pruning, unless the photographs are the splat's own pictures, and after
+    # of the quality: before pruning, unless the photographs are the splat's own pictures, and after
+    measurements: int = 2
 
     def pruning(self, plan: Plan, share: float, recorded: tuple[int, int] = (0, 0)) -> float:
-        """Seconds of `svrgs prune` without reading and writing the splat. share: of the Gaussians, those that stay. recorded: further views that
-        are rendered for each point of the curves, and once."""
-        return self._measuring(self.measurements) + self._cut(plan, share) + self._run(plan, share, recorded[0]) + recorded[1] * self.drawn
+        """Seconds of `svrgs prune` without reading and writing the splat. share: of the Gaussians, those that
+        stay. recorded: further views that are rendered for each point of the curves, and once."""
+        return (
+            self._measuring(self.measurements)
+            + self._cut(plan, share)
+            + self._run(plan, share, recorded[0])
+            + recorded[1] * self.drawn
+        )
 
     def training(self, plan: Plan, recorded: tuple[int, int] = (0, 0)) -> float:
-        """Seconds of `svrgs train` without reading the points and writing the splat. recorded: as for pruning()."""
-        grown = max((growth(phase, self.count)[1] for phase in plan.phases), default=1.0) ** (1 / GROWTH_POWER) * self.count
+        """Seconds of `svrgs train` without reading the points and writing the splat. recorded: as for
+        pruning()."""
+        grown = (
+            max((growth(phase, self.count)[1] for phase in plan.phases), default=1.0) ** (1 / GROWTH_POWER)
+            * self.count
+        )
         share = plan.share or (plan.target / grown if plan.target else UNKNOWN_SHARE)
         return self._measuring(1) + self._run(plan, min(1.0, share), recorded[0])
 
     def _run(self, plan: Plan, share: float, recorded: int) -> float:
         """Seconds of all steps of the plan and of what is done between them."""
-        point = (self.point + recorded * self.drawn) * min(CURVE_POINTS / max(1, plan.total), 1 / LEAST_BETWEEN)  # of a step
+        # of a step
+        point = (self.point + recorded * self.drawn) * min(
+            CURVE_POINTS / max(1, plan.total), 1 / LEAST_BETWEEN
+        )
         total, grown, left = 0.0, 1.0, share if plan.method.ranks and not plan.prunes else 1.0
         for phase in plan.phases:
             looks = plan.method.looks(plan, phase.steps, share) if phase.active else []
@@ -94,7 +117,9 @@ class Pace:
                 looks = [(1.0, after) for _, after in looks]
             parts = gradual(share) if phase.active and not looks else between(looks, left)
             mean, grown = growth(phase, self.count) if phase.densify else (grown, grown)
-            total += phase.steps * (self.step + point) * mean * sum(length * n**self.power for length, n in parts) + grown * self._looks(looks, left)
+            total += phase.steps * (self.step + point) * mean * sum(
+                length * n**self.power for length, n in parts
+            ) + grown * self._looks(looks, left)
             left = share if phase.active else left
         return total + self._ordering(plan, left) + self._drop(plan, share) + self._reading(plan.total)
 
@@ -105,14 +130,19 @@ class Pace:
     def _cut(self, plan: Plan, share: float) -> float:
         """Seconds of what precedes the steps: the first cut, and the cut of a method that ranks."""
         first = self.train_views * self.drawn if plan.min_contribution else 0.0
-        return first + MERGING_STEPS * plan.method.merges * self.step + (self._looks(plan.method.looks(plan, 0, share), 1.0) if plan.method.ranks else 0.0)
+        return (
+            first
+            + MERGING_STEPS * plan.method.merges * self.step
+            + (self._looks(plan.method.looks(plan, 0, share), 1.0) if plan.method.ranks else 0.0)
+        )
 
     def _looks(self, looks: list[tuple[float, float]], left: float) -> float:
         """Seconds of looks. left: Gaussians before the first one."""
         return sum(self.look * n**LOOK_POWER for n in [left, *(after for _, after in looks)][: len(looks)])
 
     def _ordering(self, plan: Plan, left: float) -> float:
-        """Seconds of the order of a nested result: looks at fewer and fewer of the Gaussians that are left. Its quicker steps are not foreseen."""
+        """Seconds of the order of a nested result: looks at fewer and fewer of the Gaussians that are left.
+        Its quicker steps are not foreseen."""
         looks = [(0.0, left * plan.nested ** (k / SIZES)) for k in range(1, SIZES + 1)] if plan.nested else []
         return self._looks(looks, left)
 
@@ -131,14 +161,22 @@ class Pace:
 
 
 def pace_of(scene: Scene, dataset: Dataset, plan: Plan, lpips: Callable | None = None) -> Pace:
-    """Measures the speeds, within one or two seconds, on a copy of the scene. Raises FormatError, SceneError."""
-    train, test = dataset.train_indices or list(range(len(dataset.cameras))), dataset.test_indices or dataset.train_indices
+    """Measures the speeds, within one or two seconds, on a copy of the scene. Raises FormatError,
+    SceneError."""
+    train, test = (
+        dataset.train_indices or list(range(len(dataset.cameras))),
+        dataset.test_indices or dataset.train_indices,
+    )
     shown, photograph = _read_some(dataset, spread(train))
-    views, options, rasterizer = spread(test)[:MEASURED], render_options(scene, dataset.background), Rasterizer()
+    views, options, rasterizer = (
+        spread(test)[:MEASURED],
+        render_options(scene, dataset.background),
+        Rasterizer(),
+    )
     _read_some(dataset, views)
     looked_at = [dataset.cameras[index] for index in spread(train)[:LOOKED_AT]]
     looks = bool(plan.method.looks(plan, max(1, plan.total), 1.0))
-    look = lambda: (plan.method.score if looks else removal_errors)(scene, looked_at, rasterizer, options)  # noqa: E731
+    look = lambda: (plan.method.score if looks else removal_errors)(scene, looked_at, rasterizer, options)
     drawn = _seconds(lambda: mean_psnr(scene, dataset, views, rasterizer, options)) / len(views)
     step = _step(scene, replace(dataset, train_indices=shown), plan)
     return Pace(
@@ -151,15 +189,20 @@ def pace_of(scene: Scene, dataset: Dataset, plan: Plan, lpips: Callable | None =
         photograph=photograph,
         train_views=len(train),
         test_views=len(test),
-        uncached=max(0.0, 1 - dataset.memory_budget / sum(3 * dataset.cameras[index].width * dataset.cameras[index].height for index in train)),
+        uncached=max(
+            0.0,
+            1
+            - dataset.memory_budget
+            / sum(3 * dataset.cameras[index].width * dataset.cameras[index].height for index in train),
+        ),
         step=step,
         power=_power(step, scene, replace(dataset, train_indices=shown), plan),
     )
 
 
 def growth(phase: Phase, count: int) -> tuple[float, float]:
-    """How much longer a step takes because of the Gaussians that a phase adds to `count`: in the mean of its steps, and in its last one. Steps on
-    reduced photographs take the less time."""
+    """How much longer a step takes because of the Gaussians that a phase adds to `count`: in the mean of its
+    steps, and in its last one. Steps on reduced photographs take the less time."""
     rule = phase.densify
     if rule is None or not phase.steps:
         return 1.0, 1.0
@@ -175,7 +218,8 @@ def growth(phase: Phase, count: int) -> tuple[float, float]:
 
 
 def between(looks: list[tuple[float, float]], left: float) -> list[tuple[float, float]]:
-    """(length, Gaussians) of the parts of a phase with these looks; shares. left: Gaussians before the first look."""
+    """(length, Gaussians) of the parts of a phase with these looks; shares. left: Gaussians before the first
+    look."""
     starts, lefts = [0.0, *(when for when, _ in looks), 1.0], [left, *(after for _, after in looks)]
     return [(end - start, n) for start, end, n in zip(starts, starts[1:], lefts, strict=False)]
 
@@ -186,9 +230,12 @@ def gradual(share: float) -> list[tuple[float, float]]:
 
 
 def _read_some(dataset: Dataset, views: list[int]) -> tuple[list[int], float]:
-    """Reads photographs of the first views, as many as time allows. Returns the views, and the seconds of one."""
+    """Reads photographs of the first views, as many as time allows. Returns the views, and the seconds of
+    one."""
     seconds: list[float] = []
-    while len(seconds) < min(STEPS, len(views)) and (sum(seconds) < STEP_SECONDS or len(seconds) < LEAST_STEPS):
+    while len(seconds) < min(STEPS, len(views)) and (
+        sum(seconds) < STEP_SECONDS or len(seconds) < LEAST_STEPS
+    ):
         started = time.perf_counter()
         dataset.image(views[len(seconds)])
         seconds.append(time.perf_counter() - started)
@@ -217,9 +264,16 @@ def _power(step: float, scene: Scene, dataset: Dataset, plan: Plan) -> float:
 
 
 def _step(scene: Scene, dataset: Dataset, plan: Plan) -> float:
-    """Seconds of a step. For methods that learn no masks, steps of plain 3DGS are measured, which are nearly the same."""
+    """Seconds of a step. For methods that learn no masks, steps of plain 3DGS are measured, which are nearly
+    the same."""
     method = plan.method if plan.method.learns_masks else method_named("3dgs")
-    run = Run(Model.of(scene), dataset, prune_plan(method, STEPS + 2, STEPS + 2, background=plan.background), NativeEngine(), scene.antialiased)
+    run = Run(
+        Model.of(scene),
+        dataset,
+        prune_plan(method, STEPS + 2, STEPS + 2, background=plan.background),
+        NativeEngine(),
+        scene.antialiased,
+    )
     seconds: list[float] = []
     try:
         run.advance()

@@ -1,4 +1,5 @@
-"""Roughly how many Gaussians a run of `svrgs prune` keeps, from a few views and within about a second, without a step of it."""
+"""Roughly how many Gaussians a run of `svrgs prune` keeps, from a few views and within about a second,
+without a step of it."""
 
 from __future__ import annotations
 
@@ -26,11 +27,15 @@ from .quality_forecast import spread
 
 VIEW_SECONDS = 0.8  # time limit of rendering views, without reading files
 VIEWS = 8  # training views that are rendered
-DROP_VIEWS, DROP_SECONDS = 2, 0.15  # if a drop is allowed: fewest views on which PSNR is measured; time limit of measuring it once
+# if a drop is allowed: fewest views on which PSNR is measured; time limit of measuring it once
+DROP_VIEWS, DROP_SECONDS = 2, 0.15
 SIDE = 512  # longer side of a reduced view, pixels
-RANKING_VIEWS = 24  # training views for what ranks the Gaussians: removal error, saliency, or the largest alpha T. Fewer leave too many Gaussians unseen
-# For methods that learn masks, a Gaussian is predicted as removed if its mean alpha T over its pixels is below
-# KNEE * (lambda_F / 1e-4)^SLOPE. Fitted to runs of method svr on one scene of photographs, with lambda_F from 1e-5 to 1e-3: a rough estimate.
+# training views for what ranks the Gaussians: removal error, saliency, or the largest alpha T. Fewer leave
+# too many Gaussians unseen
+RANKING_VIEWS = 24
+# For methods that learn masks, a Gaussian is predicted as removed if its mean alpha T over its pixels is
+# below KNEE * (lambda_F / 1e-4)^SLOPE. Fitted to runs of method svr on one scene of photographs, with
+# lambda_F from 1e-5 to 1e-3: a rough estimate.
 KNEE, SLOPE = 0.0128, 0.37
 
 
@@ -47,7 +52,11 @@ def seen_by_some(scene: Scene, dataset: Dataset, plan: Plan) -> Seen:
     """What some training views see, as many as time allows."""
     rasterizer, options = Rasterizer(), render_options(scene, dataset.background)
     chosen = spread(_views(dataset))[: RANKING_VIEWS if plan.method.learns_masks else VIEWS]
-    sums, peaks, hits = np.zeros(scene.count), np.zeros(scene.count, np.float32), np.zeros(scene.count, np.int64)
+    sums, peaks, hits = (
+        np.zeros(scene.count),
+        np.zeros(scene.count, np.float32),
+        np.zeros(scene.count, np.int64),
+    )
     views, end = 0, time.monotonic() + VIEW_SECONDS
     for index in chosen:
         found = scores.contribution(scene, [_reduced(dataset, index)], rasterizer, options)
@@ -61,7 +70,9 @@ def seen_by_some(scene: Scene, dataset: Dataset, plan: Plan) -> Seen:
 def expected_count(plan: Plan, scene: Scene, dataset: Dataset, seen: Seen) -> int:
     """Roughly how many Gaussians stay, at least 1. With an allowed drop an upper bound."""
     if plan.max_drop:
-        return max(1, int(_fewest_within(scene, dataset, expected_order(plan, scene, dataset, seen), plan).sum()))
+        return max(
+            1, int(_fewest_within(scene, dataset, expected_order(plan, scene, dataset, seen), plan).sum())
+        )
     if plan.target:
         return plan.target
     kept = seen.peaks >= plan.min_contribution
@@ -73,7 +84,8 @@ def expected_count(plan: Plan, scene: Scene, dataset: Dataset, seen: Seen) -> in
 
 
 def expected_order(plan: Plan, scene: Scene, dataset: Dataset, seen: Seen) -> np.ndarray:
-    """The Gaussians that are expected to stay are highest in it, (N,): removal error for the methods that rank by it, else the largest alpha T."""
+    """The Gaussians that are expected to stay are highest in it, (N,): removal error for the methods that
+    rank by it, else the largest alpha T."""
     return _from_some(plan.method.ranking, scene, dataset) if isinstance(plan.method, Removal) else seen.peaks
 
 
@@ -81,7 +93,12 @@ def _from_some(ranking: Callable, scene: Scene, dataset: Dataset) -> np.ndarray:
     """Saliency or removal error (N,), from some of the views."""
     train = _views(dataset)
     chosen = train[:: max(1, len(train) // RANKING_VIEWS)][:RANKING_VIEWS]
-    return ranking(scene, [_reduced(dataset, index) for index in chosen], Rasterizer(), render_options(scene, dataset.background))
+    return ranking(
+        scene,
+        [_reduced(dataset, index) for index in chosen],
+        Rasterizer(),
+        render_options(scene, dataset.background),
+    )
 
 
 def _views(dataset: Dataset) -> list[int]:
@@ -98,24 +115,36 @@ def _reduction(dataset: Dataset, index: int) -> int:
 
 
 def _fewest_within(scene: Scene, dataset: Dataset, order: np.ndarray, plan: Plan) -> np.ndarray:
-    """(N,) bool: the fewest Gaussians that are highest in `order` (N,) and hold the allowed drop on some views: without learning, or for `removal`
-    and `saliency` by the law of finetune/quality.py. A job keeps fewer."""
+    """(N,) bool: the fewest Gaussians that are highest in `order` (N,) and hold the allowed drop on some
+    views: without learning, or for `removal` and `saliency` by the law of finetune/quality.py. A job keeps
+    fewer."""
     before, psnr_of = _psnr_on_some(scene, dataset)
     floor = floor_of_drop(before, plan) if isinstance(plan.method, Removal) else before - plan.max_drop
-    within = lambda count: psnr_of(scores.top(order, count).astype(np.uint8)) >= floor  # noqa: E731
-    return scores.top(order, bisected(math.ceil(LEAST * scene.count) - 1, scene.count, scene.count // 100, within))
+    within = lambda count: psnr_of(scores.top(order, count).astype(np.uint8)) >= floor
+    return scores.top(
+        order, bisected(math.ceil(LEAST * scene.count) - 1, scene.count, scene.count // 100, within)
+    )
 
 
 def _psnr_on_some(scene: Scene, dataset: Dataset) -> tuple[float, Callable[[np.ndarray | None], float]]:
-    """The PSNR in dB of the scene, and the function that measures it with a mask (N,) uint8: on as many reduced views as DROP_SECONDS allow."""
+    """The PSNR in dB of the scene, and the function that measures it with a mask (N,) uint8: on as many
+    reduced views as DROP_SECONDS allow."""
     rasterizer, options = Rasterizer(), picture_options(scene, dataset.background)
 
     def psnr_of_view(camera: Camera, photo: np.ndarray, mask: np.ndarray | None) -> float:
-        return with_error(psnr(rounded_to_8_bits(rasterizer.forward(scene, camera, options, mask)["rgb"]), photo), dataset.unexplained)
+        return with_error(
+            psnr(rounded_to_8_bits(rasterizer.forward(scene, camera, options, mask)["rgb"]), photo),
+            dataset.unexplained,
+        )
 
     views, found, seconds = [], [], 0.0
     for index in spread(quality_views(dataset)):
-        views.append((_reduced(dataset, index), as_real(dataset.image(index), np.dtype(np.float32), _reduction(dataset, index))))
+        views.append(
+            (
+                _reduced(dataset, index),
+                as_real(dataset.image(index), np.dtype(np.float32), _reduction(dataset, index)),
+            )
+        )
         started = time.monotonic()
         found.append(psnr_of_view(*views[-1], None))
         seconds += time.monotonic() - started

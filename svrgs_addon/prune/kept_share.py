@@ -1,4 +1,5 @@
-"""Fewer or more Gaussians than a job kept, chosen by its scores (ranking.py): kept and removed Gaussians in one scene."""
+"""Fewer or more Gaussians than a job kept, chosen by its scores (ranking.py): kept and removed Gaussians in
+one scene."""
 
 from __future__ import annotations
 
@@ -25,11 +26,16 @@ def numbered(count: int) -> np.ndarray:
 
 
 def merged(a: Scene, rows_a: np.ndarray, b: Scene, rows_b: np.ndarray) -> Scene:
-    """One scene with the Gaussians of both, in the order of their source rows. Of further columns, those that both have.
+    """One scene with the Gaussians of both, in the order of their source rows. Of further columns, those that
+    both have.
 
     rows_a, rows_b: the source row of each Gaussian.
     """
-    join = lambda name: np.concatenate([getattr(a, name), getattr(b, name)])  # noqa: E731
-    attributes = {name: np.concatenate([column, b.attributes[name]]) for name, column in a.attributes.items() if name in b.attributes}
+    join = lambda name: np.concatenate([getattr(a, name), getattr(b, name)])
+    attributes = {
+        name: np.concatenate([column, b.attributes[name]])
+        for name, column in a.attributes.items()
+        if name in b.attributes
+    }
     whole = replace(a, **{name: join(name) for name in ARRAYS}, attributes=attributes)
     return whole.select(np.argsort(np.concatenate([rows_a, rows_b]), kind="stable"))

@@ -1,7 +1,8 @@
-"""The options of each command that works on a dataset: one field per option, with its kind, default and help text.
+"""The options of each command that works on a dataset: one field per option, with its kind, default and help
+text.
 
-The parser of the command line, job folders and the properties of Blender's operators and panels are made from these fields. A help text
-begins in lower case and has no full stop; Blender's tooltips capitalise it.
+The parser of the command line, job folders and the properties of Blender's operators and panels are made from
+these fields. A help text begins in lower case and has no full stop; Blender's tooltips capitalise it.
 """
 
 from __future__ import annotations
@@ -44,14 +45,42 @@ class DatasetOptions:
     """Options of commands that measure a scene on photographs."""
 
     colmap: Path | None = option(
-        PATH, None, "folder of the dataset: photographs, and a COLMAP model or transforms.json", metavar="DIR", required=True, in_job=True
+        PATH,
+        None,
+        "folder of the dataset: photographs, and a COLMAP model or transforms.json",
+        metavar="DIR",
+        required=True,
+        in_job=True,
     )
-    images: str = option(TEXT, "", "folder of the photographs in the dataset, for example images_4", metavar="NAME", default_help="images", in_job=True)
+    images: str = option(
+        TEXT,
+        "",
+        "folder of the photographs in the dataset, for example images_4",
+        metavar="NAME",
+        default_help="images",
+        in_job=True,
+    )
     holdout: int = option(COUNT, 8, "hold out every N-th view for testing; 0: none", metavar="N", in_job=True)
-    background: tuple[float, float, float] = option(COLOUR, (0.0, 0.0, 0.0), "behind transparent pixels, 0..1 each", metavar="R,G,B", default_help="black")
-    image_memory: float = option(GIGABYTES, 4.0, "memory for photographs, in GB; if they need more, they are read again for each step", metavar="GB")
-    lpips_weights: Path | None = option(FILE, None, "file with the VGG weights of LPIPS; without it LPIPS is not measured", metavar="FILE")
-    threads: int = option(COUNT, 0, "number of threads; the result does not depend on it", metavar="N", default_help="one per core", in_job=True)
+    background: tuple[float, float, float] = option(
+        COLOUR, (0.0, 0.0, 0.0), "behind transparent pixels, 0..1 each", metavar="R,G,B", default_help="black"
+    )
+    image_memory: float = option(
+        GIGABYTES,
+        4.0,
+        "memory for photographs, in GB; if they need more, they are read again for each step",
+        metavar="GB",
+    )
+    lpips_weights: Path | None = option(
+        FILE, None, "file with the VGG weights of LPIPS; without it LPIPS is not measured", metavar="FILE"
+    )
+    threads: int = option(
+        COUNT,
+        0,
+        "number of threads; the result does not depend on it",
+        metavar="N",
+        default_help="one per core",
+        in_job=True,
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,8 +88,12 @@ class TuningOptions(DatasetOptions):
     """Options that training and pruning have in common."""
 
     method: str = option(TEXT, "", "name of the method")
-    seed: int = option(COUNT, 0, "seed of the random numbers; the same seed gives the same result", metavar="N", in_job=True)
-    engine: str = option(TEXT, "native", "what computes the steps: native (C++), or torch (PyTorch, for comparison)")
+    seed: int = option(
+        COUNT, 0, "seed of the random numbers; the same seed gives the same result", metavar="N", in_job=True
+    )
+    engine: str = option(
+        TEXT, "native", "what computes the steps: native (C++), or torch (PyTorch, for comparison)"
+    )
     lambda_f: float | None = option(
         WEIGHT, None,
         "with svr methods, weight of the spatial mask; with removal and saliency, the saliency above which a Gaussian stays; larger values keep fewer",
@@ -70,9 +103,24 @@ class TuningOptions(DatasetOptions):
         WEIGHT, None, "with maskgs and compact3dgs, weight of their term over all masks; with gns, weight of the opacity pressure at the start",
         metavar="L", default_help="that of the method",
     )  # fmt: skip
-    paper: bool = option(FLAG, False, "with --method svr: the printed settings of the paper to the letter, such as L1 + (1 - SSIM) and no first cut")
-    visible_mask: bool = option(FLAG, False, "count the Gaussians of a ray for the spatial mask only up to where its colours stop", in_job=True)
-    views_by_loss: bool = option(FLAG, False, "show the half of the photographs with the lower loss only in every other epoch", in_job=True)
+    paper: bool = option(
+        FLAG,
+        False,
+        "with --method svr: the printed settings of the paper to the letter, such as L1 + (1 - SSIM) and no"
+        " first cut",
+    )
+    visible_mask: bool = option(
+        FLAG,
+        False,
+        "count the Gaussians of a ray for the spatial mask only up to where its colours stop",
+        in_job=True,
+    )
+    views_by_loss: bool = option(
+        FLAG,
+        False,
+        "show the half of the photographs with the lower loss only in every other epoch",
+        in_job=True,
+    )
     schedule: float = option(
         FACTOR, 1.0, "multiply all step counts, pruning events included, but not the spacing of densifications and opacity resets; a quick try is 0.1",
         metavar="X", steps=True,
@@ -82,10 +130,29 @@ class TuningOptions(DatasetOptions):
         metavar="SECONDS", default_help="no limit", in_job=True,
     )  # fmt: skip
     target: float | None = option(
-        SHARE, None, "share of the Gaussians to keep, up to 1", metavar="SHARE", default_help="the method decides", size=True, in_job=True
+        SHARE,
+        None,
+        "share of the Gaussians to keep, up to 1",
+        metavar="SHARE",
+        default_help="the method decides",
+        size=True,
+        in_job=True,
     )
-    target_count: int | None = option(POSITIVE, None, "number of Gaussians to keep", metavar="N", default_help="the method decides", size=True, in_job=True)
-    resume: bool = option(FLAG, False, "continue from the last checkpoint of the same job; without it, the job starts again and deletes its checkpoints")
+    target_count: int | None = option(
+        POSITIVE,
+        None,
+        "number of Gaussians to keep",
+        metavar="N",
+        default_help="the method decides",
+        size=True,
+        in_job=True,
+    )
+    resume: bool = option(
+        FLAG,
+        False,
+        "continue from the last checkpoint of the same job; without it, the job starts again and deletes its"
+        " checkpoints",
+    )
     quiet: bool = option(FLAG, False, "print no progress on stderr")
 
 
@@ -93,17 +160,34 @@ class TuningOptions(DatasetOptions):
 class TrainOptions(TuningOptions):
     """Options of `svrgs train`."""
 
-    method: str = option(TEXT, "3dgs", "method that prunes while training, see the list below", metavar="NAME")
-    iterations: int = option(COUNT, ITERATIONS, "number of training steps", metavar="N", steps=True, in_job=True)
+    method: str = option(
+        TEXT, "3dgs", "method that prunes while training, see the list below", metavar="NAME"
+    )
+    iterations: int = option(
+        COUNT, ITERATIONS, "number of training steps", metavar="N", steps=True, in_job=True
+    )
     recovery: int | None = option(
-        COUNT, None, "number of recovery steps after the training steps", metavar="N", default_help=f"{RECOVERY} for methods that prune, else 0", steps=True
+        COUNT,
+        None,
+        "number of recovery steps after the training steps",
+        metavar="N",
+        default_help=f"{RECOVERY} for methods that prune, else 0",
+        steps=True,
     )
     coarse_until: int = option(COUNT, 0, "train on photographs of half the size up to this step", metavar="N")
     densify: str = option(
-        DENSIFY, "3dgs", "how training adds Gaussians: 3dgs clones and splits them, mcmc relocates them and grows up to --cap (3DGS-MCMC)", in_job=True
+        DENSIFY,
+        "3dgs",
+        "how training adds Gaussians: 3dgs clones and splits them, mcmc relocates them and grows up to --cap"
+        " (3DGS-MCMC)",
+        in_job=True,
     )
     densify_until: int | None = option(
-        COUNT, None, "end densification before this step", metavar="N", default_help="half of the steps, at most 15000; mcmc: 5/6, at most 25000"
+        COUNT,
+        None,
+        "end densification before this step",
+        metavar="N",
+        default_help="half of the steps, at most 15000; mcmc: 5/6, at most 25000",
     )
     cap: int | None = option(
         POSITIVE, None, "with --densify mcmc, number of Gaussians up to which the scene grows", metavar="N",
@@ -121,8 +205,22 @@ class PruneOptions(TuningOptions):
         TEXT, "", "method that decides which Gaussians are removed, see the list below", metavar="NAME",
         default_help="removal; without photographs, to a number, merge", in_job=True,
     )  # fmt: skip
-    iterations: int = option(COUNT, PRUNE_ITERATIONS, "steps spent deciding which Gaussians to remove", metavar="N", steps=True, in_job=True)
-    recovery: int = option(COUNT, RECOVERY, "steps after pruning, which recover the quality", metavar="N", steps=True, in_job=True)
+    iterations: int = option(
+        COUNT,
+        PRUNE_ITERATIONS,
+        "steps spent deciding which Gaussians to remove",
+        metavar="N",
+        steps=True,
+        in_job=True,
+    )
+    recovery: int = option(
+        COUNT,
+        RECOVERY,
+        "steps after pruning, which recover the quality",
+        metavar="N",
+        steps=True,
+        in_job=True,
+    )
     min_contribution: float | None = option(
         SMALL_SHARE, None, "first remove the Gaussians that cover less than this share of every pixel in every training view", metavar="A",
         default_help=f"{MIN_CONTRIBUTION} for methods that learn masks, else 0", in_job=True,
@@ -145,16 +243,29 @@ class PruneOptions(TuningOptions):
         "--levels; with --colmap only the cameras of the dataset are read", in_job=True,
     )  # fmt: skip
     cameras: Path | None = option(
-        PATH, None, "without photographs, views that matter besides the placed ones: cameras.json of 3DGS, or transforms.json", metavar="JSON", in_job=True
+        PATH,
+        None,
+        "without photographs, views that matter besides the placed ones: cameras.json of 3DGS, or"
+        " transforms.json",
+        metavar="JSON",
+        in_job=True,
     )
-    seen_from_only: bool = option(FLAG, False, "with --cameras, only those views count: what they do not see may be removed", in_job=True)
+    seen_from_only: bool = option(
+        FLAG,
+        False,
+        "with --cameras, only those views count: what they do not see may be removed",
+        in_job=True,
+    )
     scene: Path | None = None  # splat file to prune
     out: Path | None = None  # splat file to write
     report: Path | None = None  # folder of the HTML report
 
 
 def refuse_time_and_steps(cls: type, given: Collection[str]):
-    """Raises SceneError if both a time limit and a number of steps are given. given: names of the options of the dataclass that are."""
+    """Raises SceneError if both a time limit and a number of steps are given. given: names of the options of
+    the dataclass that are."""
     steps = [f"--{name}" for name, found in options_of(cls).items() if found.steps and name in given]
     if "time" in given and steps:
-        raise SceneError(f"--time chooses the number of steps itself: leave out {' and '.join(steps)}, or --time")
+        raise SceneError(
+            f"--time chooses the number of steps itself: leave out {' and '.join(steps)}, or --time"
+        )

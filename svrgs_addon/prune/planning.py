@@ -1,4 +1,5 @@
-"""The plan of a job with a time limit: what the job costs on this machine (duration.py), and the schedule that fits (time_plan.py)."""
+"""The plan of a job with a time limit: what the job costs on this machine (duration.py), and the schedule
+that fits (time_plan.py)."""
 
 from __future__ import annotations
 
@@ -21,33 +22,58 @@ from .report.prune_report import REPORT_VIEWS
 from .time_plan import TRAINING_MARGIN, TimePlan, fitted, of_checkpoint
 
 
-def pruning_within(seconds: float, plan: Plan, splat: Path, dataset: Dataset, job: JobContext) -> tuple[Plan, JobContext]:
-    """The plan of `svrgs prune` that takes at most so many seconds, and the context with it. plan: with the whole schedule. It tells what it
-    expects. Raises SceneError if the time is too short; FormatError."""
+def pruning_within(
+    seconds: float, plan: Plan, splat: Path, dataset: Dataset, job: JobContext
+) -> tuple[Plan, JobContext]:
+    """The plan of `svrgs prune` that takes at most so many seconds, and the context with it. plan: with the
+    whole schedule. It tells what it expects. Raises SceneError if the time is too short; FormatError."""
     if found := of_checkpoint(seconds, job.folder) if job.resume else None:
         return _with(found, plan, job, "the job goes on as it was planned")
     scene, read = timed_scene(splat)
-    needed = memory.tuning(scene.count, scene.sh.shape[1], dataset.cameras, dataset.memory_budget)  # of a copy, with which steps are measured
+    # of a copy, with which steps are measured
+    needed = memory.tuning(scene.count, scene.sh.shape[1], dataset.cameras, dataset.memory_budget)
     memory.refuse_excess(f"{splat}: choosing the steps for --time", needed)
     pace = pace_of(scene, dataset, plan, job.lpips)
     kept = plan.target or expected_count(plan, scene, dataset, seen_by_some(scene, dataset, plan))
-    others = 2 * read + (2 * REPORT_VIEWS * pace.measured if job.report else 0.0)  # the splat is read again, and written
-    fit = lambda: fitted(seconds, plan, lambda some: pace.pruning(some, kept / scene.count, job.recorded), job.seconds() + others)  # noqa: E731
+    # the splat is read again, and written
+    others = 2 * read + (2 * REPORT_VIEWS * pace.measured if job.report else 0.0)
+    fit = lambda: fitted(
+        seconds,
+        plan,
+        lambda some: pace.pruning(some, kept / scene.count, job.recorded),
+        job.seconds() + others,
+    )
     found, quality = fit(), None
     if is_foreseen(some := at_schedule(plan, found.schedule)):
-        quality = forecast(scene, dataset, some, expected_order(plan, scene, dataset, seen_by_some(scene, dataset, plan)), kept)
+        quality = forecast(
+            scene,
+            dataset,
+            some,
+            expected_order(plan, scene, dataset, seen_by_some(scene, dataset, plan)),
+            kept,
+        )
         found = fit()  # the forecast has taken some of the time
     psnr = f"PSNR about {quality.after:.1f} dB or more (now {quality.before:.1f} dB)" if quality else ""
     return _with(found, plan, job, f"about {kept:,} of {scene.count:,} Gaussians stay", psnr)
 
 
-def training_within(seconds: float, plan: Plan, dataset: Dataset, job: JobContext, sh_degree: int) -> tuple[Plan, JobContext]:
-    """As pruning_within(), for `svrgs train`. How many Gaussians a training adds is not known before, so it is less exact."""
+def training_within(
+    seconds: float, plan: Plan, dataset: Dataset, job: JobContext, sh_degree: int
+) -> tuple[Plan, JobContext]:
+    """As pruning_within(), for `svrgs train`. How many Gaussians a training adds is not known before, so it
+    is less exact."""
     if found := of_checkpoint(seconds, job.folder) if job.resume else None:
         return _with(found, plan, job, "the job goes on as it was planned")
     growth = plan.phases[0].densify or Densify()
-    pace = pace_of(scene_from_points(dataset.points, dataset.point_colors, sh_degree, *growth.INITIAL), dataset, plan, job.lpips)
-    found = fitted(seconds, plan, lambda some: pace.training(some, job.recorded), job.seconds(), TRAINING_MARGIN)
+    pace = pace_of(
+        scene_from_points(dataset.points, dataset.point_colors, sh_degree, *growth.INITIAL),
+        dataset,
+        plan,
+        job.lpips,
+    )
+    found = fitted(
+        seconds, plan, lambda some: pace.training(some, job.recorded), job.seconds(), TRAINING_MARGIN
+    )
     return _with(found, plan, job, "a quarter more or less, as the scene grows")
 
 

@@ -37,7 +37,8 @@ class Reporter:
         self._next = now + (TERMINAL_PAUSE if self.terminal else LOG_PAUSE)
         if self.terminal:
             line = _fitting(f"{bar(share)} {text}", text)
-            padded = f"{line:{self._width}}"  # spaces clear the rest of a longer line: not every console of Windows knows escapes
+            # spaces clear the rest of a longer line: not every console of Windows knows escapes
+            padded = f"{line:{self._width}}"
             print(f"\r{padded}", end="\n" if last else "", file=sys.stderr, flush=True)
             self._width = len(line)
         else:
@@ -45,7 +46,8 @@ class Reporter:
 
 
 def _fitting(*lines: str) -> str:
-    """The first line that is narrower than the terminal, else the beginning of the last one: a line that wraps cannot be replaced."""
+    """The first line that is narrower than the terminal, else the beginning of the last one: a line that
+    wraps cannot be replaced."""
     columns = shutil.get_terminal_size().columns
     return next((line for line in lines if len(line) < columns), lines[-1][: columns - 1])
 
@@ -59,4 +61,7 @@ def bar(share: float) -> str:
 def describe(p: Progress) -> str:
     """One line: phase, step, speed, number of Gaussians, loss and time left."""
     minutes, seconds = divmod(int(p.seconds_left), 60)
-    return f"{p.phase} {p.iteration}/{p.total}  {p.iterations_per_second:.1f} it/s  {p.count:,} Gaussians  loss {p.loss:.4f}  {minutes}:{seconds:02d} left"
+    return (
+        f"{p.phase} {p.iteration}/{p.total}  {p.iterations_per_second:.1f} it/s  {p.count:,} Gaussians  loss"
+        f" {p.loss:.4f}  {minutes}:{seconds:02d} left"
+    )

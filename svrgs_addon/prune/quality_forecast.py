@@ -1,7 +1,8 @@
 """The quality that is foreseen after pruning: PSNR on some test views, within about a second.
 
-The views are rendered twice: with all Gaussians, and with only those that are expected to stay. The second pictures are those of a
-removal without any learning. How much of that a run wins back is the law of finetune/quality.py.
+The views are rendered twice: with all Gaussians, and with only those that are expected to stay. The second
+pictures are those of a removal without any learning. How much of that a run wins back is the law of
+finetune/quality.py.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ from ..render.metrics.psnr import psnr
 from ..scene.gaussians import Scene
 from ..views.dataset import Dataset
 
-SECONDS, LEAST = 0.8, 2  # time limit of rendering views, without the last one; views that are rendered in any case
+# time limit of rendering views, without the last one; views that are rendered in any case
+SECONDS, LEAST = 0.8, 2
 SIDE = 1024  # longer side of a view in pixels; a view of less than twice this size is not reduced
 LEAST_STEPS = 800  # steps of a run below which nothing was measured
 HIGHEST = 99.0  # PSNR of equal pictures, dB
@@ -39,8 +41,9 @@ class Forecast(NamedTuple):
 
 
 def forecast(scene: Scene, dataset: Dataset, plan: Plan, ranking: np.ndarray, kept: int) -> Forecast:
-    """The forecast for a run that keeps `kept` Gaussians, about those that are highest in `ranking` (N,): removal error for the methods that
-    rank by it, else the largest alpha T. Views: test views, or training views if there are none. Raises FormatError, SceneError."""
+    """The forecast for a run that keeps `kept` Gaussians, about those that are highest in `ranking` (N,):
+    removal error for the methods that rank by it, else the largest alpha T. Views: test views, or training
+    views if there are none. Raises FormatError, SceneError."""
     if not is_foreseen(plan):
         (before,) = _mean_psnrs(scene, dataset, [None])
         return Forecast(before, None, None)
@@ -49,13 +52,15 @@ def forecast(scene: Scene, dataset: Dataset, plan: Plan, ranking: np.ndarray, ke
 
 
 def is_foreseen(plan: Plan) -> bool:
-    """Whether the quality is foreseen. It is not for methods without a fitted number; with an allowed drop, which is the quality; for a run
-    without steps in which the method prunes, or with fewer than LEAST_STEPS steps."""
+    """Whether the quality is foreseen. It is not for methods without a fitted number; with an allowed drop,
+    which is the quality; for a run without steps in which the method prunes, or with fewer than LEAST_STEPS
+    steps."""
     return plan.method.name in HALVED and not plan.max_drop and plan.prunes and plan.total >= LEAST_STEPS
 
 
 def spread(views: list[int]) -> list[int]:
-    """The views in an order whose first ones, however many, are spread over the list: by the fractions of multiples of the golden ratio."""
+    """The views in an order whose first ones, however many, are spread over the list: by the fractions of
+    multiples of the golden ratio."""
     return [views[place] for place in sorted(range(len(views)), key=lambda place: (place + 1) * GOLDEN % 1)]
 
 

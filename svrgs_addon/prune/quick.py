@@ -1,7 +1,7 @@
 """`svrgs prune --quick`: a scene with fewer Gaussians within seconds, without photographs.
 
-The pictures are the original's own. Views are those of the dataset, if one is given (its photographs are not opened), else all around the
-scene. Quality is measured on views that the result was not fitted to.
+The pictures are the original's own. Views are those of the dataset, if one is given (its photographs are not
+opened), else all around the scene. Quality is measured on views that the result was not fitted to.
 """
 
 from __future__ import annotations
@@ -50,7 +50,8 @@ from .smallest_file import smallest_file
 SIDE = 512  # pixels of the longer side of a picture
 VIEWS, TEST_VIEWS, DROP_VIEWS = 32, 16, 6  # to decide on; to measure on; of those, for an allowed drop
 STEPS, MOST_STEPS = 60, 120  # of fine-tuning, with USUAL of the Gaussians and at most
-NEAREST = 20.0  # least distance of a camera from the scene, in near depths: smaller scenes are measured enlarged
+# least distance of a camera from the scene, in near depths: smaller scenes are measured enlarged
+NEAREST = 20.0
 TAKES = (  # options; others are refused
     "colmap", "images", "holdout", "background", "threads", "seed", "target", "target_count", "max_drop", "quiet", "quick", "scene", "out", "levels",
 )  # fmt: skip
@@ -60,7 +61,8 @@ NOT_FINISHED = "stopped; nothing was written, and a quick job has no checkpoint:
 
 
 def prune_quick(options: PruneOptions, job: JobContext) -> dict:
-    """Does `svrgs prune --quick`; of the context, `order` and `stop` count. Returns the JSON result. Raises SplatError, Cancelled."""
+    """Does `svrgs prune --quick`; of the context, `order` and `stop` count. Returns the JSON result. Raises
+    SplatError, Cancelled."""
     assert options.scene is not None and options.out is not None
     refuse_options(options)
     format_to_write(options.out)
@@ -75,7 +77,8 @@ def prune_quick(options: PruneOptions, job: JobContext) -> dict:
 
 
 def like_quick(options: PruneOptions) -> tuple[PruneOptions, RenderedDataset]:
-    """A fine-tuned job that takes about as long as the quick one, and its views: to foresee the time. Raises SceneError, FormatError."""
+    """A fine-tuned job that takes about as long as the quick one, and its views: to foresee the time. Raises
+    SceneError, FormatError."""
     refuse_options(options)
     assert options.scene is not None
     scene = load_scene(options.scene).scene
@@ -87,11 +90,20 @@ def like_quick(options: PruneOptions) -> tuple[PruneOptions, RenderedDataset]:
 
 def refuse_options(options: PruneOptions):
     """Raises SceneError for options that the quick way does not have."""
-    other = [name for name in PruneOptions.__dataclass_fields__ if name not in TAKES and getattr(options, name) != default_of(PruneOptions, name)]
+    other = [
+        name
+        for name in PruneOptions.__dataclass_fields__
+        if name not in TAKES and getattr(options, name) != default_of(PruneOptions, name)
+    ]
     if other:
-        raise SceneError(f"--quick takes no --{other[0].replace('_', '-')}: leave it out, or leave --quick out")
+        raise SceneError(
+            f"--quick takes no --{other[0].replace('_', '-')}: leave it out, or leave --quick out"
+        )
     if not (options.target or options.target_count or options.max_drop or options.levels):
-        raise SceneError("--quick needs --target, --target-count, --max-drop or --levels: it does not choose how many Gaussians to keep")
+        raise SceneError(
+            "--quick needs --target, --target-count, --max-drop or --levels: it does not choose how many"
+            " Gaussians to keep"
+        )
 
 
 def _prune_quick(options: PruneOptions, job: JobContext) -> dict:
@@ -101,10 +113,16 @@ def _prune_quick(options: PruneOptions, job: JobContext) -> dict:
     visible = np.flatnonzero(~invisible(source))
     scene = source.select(visible)
     if not scene.count:
-        raise SceneError(f"{options.scene}: all of its Gaussians have an opacity below 1/255, so there is nothing to keep")
+        raise SceneError(
+            f"{options.scene}: all of its Gaussians have an opacity below 1/255, so there is nothing to keep"
+        )
     enlarged, factor = (scene, 1.0) if options.colmap else _enlarged(scene)
     cameras, test, notes = _views(enlarged, options)
-    memory.refuse_excess(f"{options.scene}: pruning it", memory.decimating(scene.count, scene.sh.shape[1], cameras), memory.BY_BLOCKS)
+    memory.refuse_excess(
+        f"{options.scene}: pruning it",
+        memory.decimating(scene.count, scene.sh.shape[1], cameras),
+        memory.BY_BLOCKS,
+    )
     rasterizer, settings = Rasterizer(), render_options(scene, options.background)
     sums, pictures = looks(enlarged, cameras, rasterizer, settings)
     if not options.colmap and (unseen := hidden(sums)) > MOST_HIDDEN * scene.count:
@@ -116,10 +134,19 @@ def _prune_quick(options: PruneOptions, job: JobContext) -> dict:
     least = max(1, math.floor(min(options.levels, default=1) * wanted))
     order = order_of(enlarged, sums, min(least, math.ceil(SMALLEST * scene.count)) if job.order else least)
     likeness = _Likeness(enlarged, evenly(test, DROP_VIEWS), rasterizer, options)
-    count, quantise = smallest_file(order, wanted, likeness.psnr, options.out, options.max_drop, 1 / factor) if options.max_drop else (wanted, 1.0)
+    count, quantise = (
+        smallest_file(order, wanted, likeness.psnr, options.out, options.max_drop, 1 / factor)
+        if options.max_drop
+        else (wanted, 1.0)
+    )
     counts = [count, *(max(1, round(share * count)) for share in options.levels)]
-    scenes = [_tuned(order, some, likeness, list(map(Look, cameras, pictures)), options, job.stop) for some in counts]
-    written = write_with_levels(options.out, options.levels, [scaled(scene, 1 / factor) for scene in scenes], quantise)
+    scenes = [
+        _tuned(order, some, likeness, list(map(Look, cameras, pictures)), options, job.stop)
+        for some in counts
+    ]
+    written = write_with_levels(
+        options.out, options.levels, [scaled(scene, 1 / factor) for scene in scenes], quantise
+    )
     notes += _kept(job.order, order, visible, source.count, 1 / factor) if job.order else []
     facts: dict[str, Any] = {
         "method": "quick",
@@ -129,17 +156,42 @@ def _prune_quick(options: PruneOptions, job: JobContext) -> dict:
         "hidden": hidden(sums),
     }
     before = {"count": source.count, "bytes": size_on_disk(options.scene)}
-    after, *levels = (_measured(scaled(one.scene, factor), enlarged, test, rasterizer, options) | {"bytes": one.bytes, "out": str(one.path)} for one in written)
+    after, *levels = (
+        _measured(scaled(one.scene, factor), enlarged, test, rasterizer, options)
+        | {
+            "bytes": one.bytes,
+            "out": str(one.path),
+        }
+        for one in written
+    )
     facts["levels"] = [{"share": share, **level} for share, level in zip(options.levels, levels, strict=True)]
     facts["drop"] = ASSUMED - with_error(after["psnr"], PHOTOGRAPHED) if options.max_drop else None
-    notes += [*_of_hidden(facts["hidden"]), *_of_quantise(quantise), *_lost(options.out, source, scenes[0], written[0].scene, factor, likeness)]
-    return {**after, "scene": str(options.scene), "before": before, "after": after, **facts, "notes": [*notes, *missed_drop(facts["drop"], options.max_drop)]}
+    notes += [
+        *_of_hidden(facts["hidden"]),
+        *_of_quantise(quantise),
+        *_lost(options.out, source, scenes[0], written[0].scene, factor, likeness),
+    ]
+    return {
+        **after,
+        "scene": str(options.scene),
+        "before": before,
+        "after": after,
+        **facts,
+        "notes": [*notes, *missed_drop(facts["drop"], options.max_drop)],
+    }
 
 
-def _lost(out: Path, source: Scene, pruned: Scene, stored: Scene, factor: float, likeness: _Likeness) -> list[str]:
-    """Sentences about what the output cannot hold. pruned: the scene that was written, enlarged by `factor`. stored: the scene that is read from the output."""
+def _lost(
+    out: Path, source: Scene, pruned: Scene, stored: Scene, factor: float, likeness: _Likeness
+) -> list[str]:
+    """Sentences about what the output cannot hold. pruned: the scene that was written, enlarged by `factor`.
+    stored: the scene that is read from the output."""
     columns = lost_columns(source, stored, (*NORMALS, ROW))
-    return columns if format_to_write(out).lossless else [*columns, *loss_notes(likeness.psnr(pruned, 0.0), likeness.psnr(scaled(stored, factor), 0.0))]
+    return (
+        columns
+        if format_to_write(out).lossless
+        else [*columns, *loss_notes(likeness.psnr(pruned, 0.0), likeness.psnr(scaled(stored, factor), 0.0))]
+    )
 
 
 def _kept(folder: Path, order: Order, rows: np.ndarray, total: int, factor: float) -> list[str]:
@@ -152,14 +204,16 @@ def _kept(folder: Path, order: Order, rows: np.ndarray, total: int, factor: floa
 
 
 def _wanted(options: PruneOptions, count: int) -> int:
-    """The number of Gaussians that is asked for, of `count` in the file; the smallest one if a drop is allowed."""
+    """The number of Gaussians that is asked for, of `count` in the file; the smallest one if a drop is
+    allowed."""
     if options.max_drop:
         return math.ceil(LEAST * count)
     return options.target_count or max(1, round((options.target or 1.0) * count))
 
 
 class _Likeness:
-    """How much scenes look like the original, in some views. The original's pictures are rendered when they are needed for the first time."""
+    """How much scenes look like the original, in some views. The original's pictures are rendered when they
+    are needed for the first time."""
 
     def __init__(self, original: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: PruneOptions):
         self._original, self._cameras, self._rasterizer = original, cameras, rasterizer
@@ -170,23 +224,42 @@ class _Likeness:
         return [self._picture(self._original, camera) for camera in self._cameras]
 
     def psnr(self, scene: Scene, error: float = PHOTOGRAPHED) -> float:
-        """Mean PSNR in dB against the original. error: mean squared error of the original itself, colours in 0..1."""
+        """Mean PSNR in dB against the original. error: mean squared error of the original itself, colours in
+        0..1."""
         pairs = zip(self._cameras, self._originals, strict=True)
-        return fmean(with_error(psnr(self._picture(scene, camera), original), error) for camera, original in pairs)
+        return fmean(
+            with_error(psnr(self._picture(scene, camera), original), error) for camera, original in pairs
+        )
 
     def _picture(self, scene: Scene, camera: Camera) -> np.ndarray:
         return rounded_to_8_bits(self._rasterizer.forward(scene, camera, self._settings)["rgb"])
 
 
-def _tuned(order: Order, count: int, likeness: _Likeness, shown: list[Look], options: PruneOptions, stop: Callable[[], bool]) -> Scene:
-    """The scene with `count` Gaussians, fine-tuned on the pictures. Where that does harm in other views, it is interpolated with the scene before the
-    steps. Raises Cancelled."""
+def _tuned(
+    order: Order,
+    count: int,
+    likeness: _Likeness,
+    shown: list[Look],
+    options: PruneOptions,
+    stop: Callable[[], bool],
+) -> Scene:
+    """The scene with `count` Gaussians, fine-tuned on the pictures. Where that does harm in other views, it
+    is interpolated with the scene before the steps. Raises Cancelled."""
     small, share = order.at(count), count / order.scene.count
     if share == 1:
         return small
     try:
         settings = render_options(small, options.background)
-        tuned = refit(small, shown, _steps(share), pace_at(share), middle_scale(small.log_scales), settings, options.seed, stop)
+        tuned = refit(
+            small,
+            shown,
+            _steps(share),
+            pace_at(share),
+            middle_scale(small.log_scales),
+            settings,
+            options.seed,
+            stop,
+        )
     except Cancelled:
         raise Cancelled(NOT_FINISHED) from None
     best, highest = tuned, likeness.psnr(tuned)
@@ -199,42 +272,69 @@ def _tuned(order: Order, count: int, likeness: _Likeness, shown: list[Look], opt
 
 
 def _of_hidden(count: int) -> list[str]:
-    return [f"{count:,} Gaussians are hidden in all views, so they are removed or merged first"] if count else []
+    return (
+        [f"{count:,} Gaussians are hidden in all views, so they are removed or merged first"] if count else []
+    )
 
 
 def _of_quantise(factor: float) -> list[str]:
-    return [f"spherical harmonics are stored more coarsely, as by svrgs convert --quantise {factor:g}: that makes the smallest file"] if factor != 1 else []
+    return (
+        [
+            f"spherical harmonics are stored more coarsely, as by svrgs convert --quantise {factor:g}: that"
+            " makes the smallest file"
+        ]
+        if factor != 1
+        else []
+    )
 
 
 def _steps(share: float) -> int:
-    """The number of steps of fine-tuning for this share of the Gaussians: with few of them, a step is quick and more is to be gained."""
+    """The number of steps of fine-tuning for this share of the Gaussians: with few of them, a step is quick
+    and more is to be gained."""
     return round(min(MOST_STEPS, STEPS * (USUAL / share) ** (0.5 if share < USUAL else 0.25)))
 
 
 def _views(scene: Scene, options: PruneOptions) -> tuple[list[Camera], list[Camera], list[str]]:
-    """Views to decide and fine-tune on, others to measure on, and a sentence on where they come from. Raises SceneError, FormatError."""
+    """Views to decide and fine-tune on, others to measure on, and a sentence on where they come from. Raises
+    SceneError, FormatError."""
     if options.colmap is None:
         where = "from outside all around"
-        return cameras_around(scene, VIEWS, SIDE), cameras_around(scene, TEST_VIEWS, SIDE, turn=1.0, nearer=0.9), _of_views(where)
+        return (
+            cameras_around(scene, VIEWS, SIDE),
+            cameras_around(scene, TEST_VIEWS, SIDE, turn=1.0, nearer=0.9),
+            _of_views(where),
+        )
     dataset = load_dataset(options.colmap, options.images or None, holdout=options.holdout, cameras_only=True)
     refuse_unseen(scene, dataset.cameras, str(options.scene))
-    train, test = ([dataset.cameras[i].fitted(SIDE) for i in indices] for indices in (dataset.train_indices, dataset.test_indices or dataset.train_indices))
+    train, test = (
+        [dataset.cameras[i].fitted(SIDE) for i in indices]
+        for indices in (dataset.train_indices, dataset.test_indices or dataset.train_indices)
+    )
     if not train:
         raise SceneError("all views of the dataset are held out for testing: use --holdout 0")
     return evenly(train, VIEWS), evenly(test, TEST_VIEWS), _of_views("from the cameras of the dataset")
 
 
-def _views_within(scene: Scene, options: PruneOptions, unseen: int) -> tuple[list[Camera], list[Camera], list[str]]:
-    """As _views(), for a scene that is seen from inside. unseen: number of Gaussians that views from outside do not show. Raises SceneError if
-    no free space is found inside."""
+def _views_within(
+    scene: Scene, options: PruneOptions, unseen: int
+) -> tuple[list[Camera], list[Camera], list[str]]:
+    """As _views(), for a scene that is seen from inside. unseen: number of Gaussians that views from outside
+    do not show. Raises SceneError if no free space is found inside."""
     rig = quick_rig(scene, VIEWS, held_out=TEST_VIEWS, seed=options.seed)
     if not rig.inside_out:
         raise SceneError(
-            f"{options.scene}: {unseen:,} of its {scene.count:,} Gaussians are hidden in all views from outside, and no free space was found inside;"
-            " give the cameras with --colmap DIR"
+            f"{options.scene}: {unseen:,} of its {scene.count:,} Gaussians are hidden in all views from"
+            " outside, and no free space was found inside; give the cameras with --colmap DIR"
         )
-    where = "from places inside; what is seen only from outside is not measured. To choose the cameras, give --colmap"
-    return [camera.fitted(SIDE) for camera in rig.cameras], [camera.fitted(SIDE) for camera in rig.held_out], _of_views(where)
+    where = (
+        "from places inside; what is seen only from outside is not measured. To choose the cameras, give"
+        " --colmap"
+    )
+    return (
+        [camera.fitted(SIDE) for camera in rig.cameras],
+        [camera.fitted(SIDE) for camera in rig.held_out],
+        _of_views(where),
+    )
 
 
 def _of_views(where: str) -> list[str]:
@@ -248,8 +348,11 @@ def _enlarged(scene: Scene) -> tuple[Scene, float]:
     return (scene, 1.0) if radius >= least else (scaled(scene, least / radius), least / radius)
 
 
-def _measured(scene: Scene, original: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: PruneOptions) -> dict:
-    """Means over the views of psnr (dB), ssim and flip against the original, and the count. The PSNR of equal pictures counts as 100 dB."""
+def _measured(
+    scene: Scene, original: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: PruneOptions
+) -> dict:
+    """Means over the views of psnr (dB), ssim and flip against the original, and the count. The PSNR of equal
+    pictures counts as 100 dB."""
     settings, rows, seconds = picture_options(original, options.background), [], []
     for camera in cameras:
         started = time.perf_counter()
@@ -258,4 +361,11 @@ def _measured(scene: Scene, original: Scene, cameras: list[Camera], rasterizer: 
         target = rounded_to_8_bits(rasterizer.forward(original, camera, settings)["rgb"])
         rows.append((min(psnr(image, target), 100.0), ssim(image, target), flip(image, target)))
     values = [fmean(column) for column in zip(*rows, strict=True)]
-    return {"psnr": values[0], "ssim": values[1], "flip": values[2], "lpips": None, "count": scene.count, "ms_per_frame": 1e3 * fmean(seconds)}
+    return {
+        "psnr": values[0],
+        "ssim": values[1],
+        "flip": values[2],
+        "lpips": None,
+        "count": scene.count,
+        "ms_per_frame": 1e3 * fmean(seconds),
+    }

@@ -1,4 +1,5 @@
-"""The smallest file within an allowed drop (--quick --max-drop): how many Gaussians stay and how exactly they are stored, decided together."""
+"""The smallest file within an allowed drop (--quick --max-drop): how many Gaussians stay and how exactly they
+are stored, decided together."""
 
 from __future__ import annotations
 
@@ -16,11 +17,15 @@ from ..scene.gaussians import Scene
 FACTORS = (1.0, 2.0, 4.0)  # on the error in SH, for formats that take one
 
 
-def smallest_file(order: Order, least: int, psnr_of: Callable[[Scene], float], out: Path, allowed: float, unit: float) -> tuple[int, float]:
-    """(count, quantise) of the smallest file that holds the allowed drop in dB before the steps of fine-tuning, which win a part of it back. At least
-    `least` Gaussians. A coarser factor is tried as long as it makes a smaller file.
+def smallest_file(
+    order: Order, least: int, psnr_of: Callable[[Scene], float], out: Path, allowed: float, unit: float
+) -> tuple[int, float]:
+    """(count, quantise) of the smallest file that holds the allowed drop in dB before the steps of
+    fine-tuning, which win a part of it back. At least `least` Gaussians. A coarser factor is tried as long as
+    it makes a smaller file.
 
-    psnr_of: PSNR in dB of a scene. unit: length of a unit of the order's scene in the file. Raises SceneError if the format alone loses so much.
+    psnr_of: PSNR in dB of a scene. unit: length of a unit of the order's scene in the file. Raises SceneError
+    if the format alone loses so much.
     """
     splat_format, best, smallest = format_to_write(out), (order.scene.count, 1.0), math.inf
     if splat_format.lossless:
@@ -36,7 +41,9 @@ def smallest_file(order: Order, least: int, psnr_of: Callable[[Scene], float], o
             refuse_loss(out, loss, allowed)
         elif loss >= allowed:
             break
-        count = fewest_within(order, least, lambda some, factor=factor: tried_with(some, factor)[0], ASSUMED - allowed)  # type: ignore[misc]
+        count = fewest_within(
+            order, least, lambda some, factor=factor: tried_with(some, factor)[0], ASSUMED - allowed
+        )  # type: ignore[misc]
         size = tried_with(count, factor)[1]
         if size >= smallest:
             break
@@ -45,5 +52,8 @@ def smallest_file(order: Order, least: int, psnr_of: Callable[[Scene], float], o
 
 
 def fewest_within(order: Order, least: int, psnr_of: Callable[[int], float], floor: float) -> int:
-    """The fewest Gaussians, at least `least`, with at least `floor` dB. To 1 % of N. psnr_of: of a number of Gaussians."""
-    return bisected(least - 1, order.scene.count, order.scene.count // 100, lambda count: psnr_of(count) >= floor)
+    """The fewest Gaussians, at least `least`, with at least `floor` dB. To 1 % of N. psnr_of: of a number of
+    Gaussians."""
+    return bisected(
+        least - 1, order.scene.count, order.scene.count // 100, lambda count: psnr_of(count) >= floor
+    )

@@ -11,9 +11,11 @@ from ..system.processes import stop_signals
 
 
 class StopRequest:
-    """A context manager. Within its block, the signals of stop_signals() request a clean stop; a second Ctrl-C interrupts at once.
+    """A context manager. Within its block, the signals of stop_signals() request a clean stop; a second
+    Ctrl-C interrupts at once.
 
-    Calling the object returns whether a stop was requested. tell: called at the first request, within the signal handler.
+    Calling the object returns whether a stop was requested. tell: called at the first request, within the
+    signal handler.
     """
 
     def __init__(self, tell: Callable[[], None] | None = None):
@@ -41,4 +43,5 @@ class StopRequest:
 
 def _announce():
     with contextlib.suppress(OSError):
-        os.write(2, b"\nstopping after this step; press Ctrl-C again to stop at once\n")  # not print(), which the signal may have interrupted
+        # not print(), which the signal may have interrupted
+        os.write(2, b"\nstopping after this step; press Ctrl-C again to stop at once\n")

@@ -1,4 +1,5 @@
-"""Whole jobs: training from sparse points, and pruning of a trained scene. A job checks its inputs and outputs before it starts to work."""
+"""Whole jobs: training from sparse points, and pruning of a trained scene. A job checks its inputs and
+outputs before it starts to work."""
 
 from __future__ import annotations
 
@@ -11,7 +12,16 @@ from pathlib import Path
 import numpy as np
 
 from ..files.atomic import check_writable, reserved
-from ..files.registry import FORMATS, format_to_write, invisible, load_scene, refuse_input, size_on_disk, stored, write_scene
+from ..files.registry import (
+    FORMATS,
+    format_to_write,
+    invisible,
+    load_scene,
+    refuse_input,
+    size_on_disk,
+    stored,
+    write_scene,
+)
 from ..finetune import checkpoint, loop, masks, scores
 from ..finetune.decimate.order import NORMALS, lost_columns
 from ..finetune.engine import NativeEngine
@@ -42,7 +52,8 @@ CANNOT_REACH = "method '{}' cannot reach a target without iterations in which it
 
 
 def train(dataset: Dataset, plan: Plan, job: JobContext, sh_degree: int = 3) -> dict:
-    """Trains from the dataset's sparse points and writes job.out. Returns the JSON result. Raises SplatError, Cancelled."""
+    """Trains from the dataset's sparse points and writes job.out. Returns the JSON result. Raises SplatError,
+    Cancelled."""
     check_outputs(job)
     with reserved(job.out), DiskRoom(job.out, job.folder) as room:
         return _train(dataset, plan, job, sh_degree, room)
@@ -69,8 +80,8 @@ def _train(dataset: Dataset, plan: Plan, job: JobContext, sh_degree: int, room: 
 
 
 def prune(scene_path: Path, dataset: Dataset, plan: Plan, job: JobContext) -> dict:
-    """Prunes a trained scene and recovers its quality. Writes job.out and, if job.report is set, the report. Returns the JSON result.
-    Raises SplatError, Cancelled."""
+    """Prunes a trained scene and recovers its quality. Writes job.out and, if job.report is set, the report.
+    Returns the JSON result. Raises SplatError, Cancelled."""
     check_outputs(job)
     for out in (job.out, *job.level_files.values()):
         refuse_input(out, scene_path)
@@ -87,7 +98,9 @@ def _prune(scene_path: Path, dataset: Dataset, plan: Plan, job: JobContext, room
     with clock.phase("read"):
         source = load_scene(scene_path).scene
         refuse_unseen(source, dataset.cameras, str(scene_path))
-        refuse_excess(f"{scene_path}: pruning it", source.count, source.sh.shape[1], dataset, plan, memory.BY_BLOCKS)
+        refuse_excess(
+            f"{scene_path}: pruning it", source.count, source.sh.shape[1], dataset, plan, memory.BY_BLOCKS
+        )
         room.hold_for(source, source.count, plan.averaged_count(source.count))
     with clock.phase("evaluate before"):
         before = facts_before(source, dataset, job, scene_path)
@@ -107,10 +120,21 @@ def _prune(scene_path: Path, dataset: Dataset, plan: Plan, job: JobContext, room
         after = measured(scene, dataset, job)
         run.drop = held - psnr_to_hold(scene, dataset, plan) if allowed else None
         dataset.notes += tuple(missed_drop(run.drop, allowed))
-    result = {**after, "scene": str(scene_path), "before": before, "after": after, "levels": levels, "first_cut": cut}
-    result |= run_facts(run, job, clock) | ({"rig": dataset.facts} if isinstance(dataset, RenderedDataset) else {})
+    result = {
+        **after,
+        "scene": str(scene_path),
+        "before": before,
+        "after": after,
+        "levels": levels,
+        "first_cut": cut,
+    }
+    result |= run_facts(run, job, clock) | (
+        {"rig": dataset.facts} if isinstance(dataset, RenderedDataset) else {}
+    )
     if job.report:
-        write_prune_report(job.report, scene_path.stem, pictures, scene, dataset, run, result, job.lpips_missing)
+        write_prune_report(
+            job.report, scene_path.stem, pictures, scene, dataset, run, result, job.lpips_missing
+        )
     return {**result, "time": time_facts(job, clock)}
 
 
@@ -144,41 +168,68 @@ def check_outputs(job: JobContext):
 
 
 def check_request(dataset: Dataset, plan: Plan):
-    """Checks, before any work, that the dataset has training views and that the method can do what the plan asks. Raises SceneError."""
+    """Checks, before any work, that the dataset has training views and that the method can do what the plan
+    asks. Raises SceneError."""
     if not dataset.train_indices:
-        raise SceneError("all views of the dataset are held out for testing, none is left for training: use --holdout 0")
+        raise SceneError(
+            "all views of the dataset are held out for testing, none is left for training: use --holdout 0"
+        )
     method, asked = plan.method, plan.target or plan.share
     if plan.max_drop and not (method.supports_max_drop and plan.prunes):
-        raise SceneError(f"method '{method.name}' cannot take --max-drop: it needs a method that learns what to prune, and iterations in which it learns")
+        raise SceneError(
+            f"method '{method.name}' cannot take --max-drop: it needs a method that learns what to prune, and"
+            " iterations in which it learns"
+        )
     if method.ranks and not asked:
-        raise SceneError(f"method '{method.name}' needs --target or --target-count: it ranks Gaussians, it does not learn how many to keep")
+        raise SceneError(
+            f"method '{method.name}' needs --target or --target-count: it ranks Gaussians, it does not learn"
+            " how many to keep"
+        )
     if asked and not method.ranks and not plan.prunes:
         raise SceneError(CANNOT_REACH.format(plan.method.name))
 
 
 def refuse_lost_order(plan: Plan, job: JobContext):
-    """Raises SceneError if the order of the Gaussians is what is asked for, and the format of the output has one of its own."""
+    """Raises SceneError if the order of the Gaussians is what is asked for, and the format of the output has
+    one of its own."""
     if plan.nested and not job.level_files and "order" not in format_to_write(job.out).carries:
-        fitting = [splat_format.suffixes[0] for splat_format in FORMATS if splat_format.write and "order" in splat_format.carries]
-        raise SceneError(f"{job.out}: this format has an order of its own, and a nested result is an order of the Gaussians: write a {' or '.join(fitting)}")
+        fitting = [
+            splat_format.suffixes[0]
+            for splat_format in FORMATS
+            if splat_format.write and "order" in splat_format.carries
+        ]
+        raise SceneError(
+            f"{job.out}: this format has an order of its own, and a nested result is an order of the"
+            f" Gaussians: write a {' or '.join(fitting)}"
+        )
 
 
 def refuse_unseen_points(dataset: Dataset):
     """Raises SceneError if no training view sees a sparse point: training would end with black pictures."""
     if not any_in_view(dataset.points, dataset.cameras, [dataset.cameras[i] for i in dataset.train_indices]):
         count, near = len(dataset.points), thresholds().near
-        raise SceneError(f"no training view sees any of the {count:,} sparse points more than {near:g} in front of it; run COLMAP again, or scale the model up")
+        raise SceneError(
+            f"no training view sees any of the {count:,} sparse points more than {near:g} in front of it; run"
+            " COLMAP again, or scale the model up"
+        )
 
 
 def refuse_excess(what: str, count: int, coefficients: int, dataset: Dataset, plan: Plan, advice: str = ""):
-    """Raises MemoryShort if memory is too short for the fine-tuning of so many Gaussians. coefficients: SH coefficients per channel. advice: what else can
-    be done."""
-    needed = memory.tuning(count, coefficients, dataset.cameras, dataset.memory_budget, plan.averaged_count(count))
-    memory.refuse_excess(what, max(needed, memory.ordering(count, coefficients, dataset.cameras)) if plan.method.merges else needed, advice)
+    """Raises MemoryShort if memory is too short for the fine-tuning of so many Gaussians. coefficients: SH
+    coefficients per channel. advice: what else can be done."""
+    needed = memory.tuning(
+        count, coefficients, dataset.cameras, dataset.memory_budget, plan.averaged_count(count)
+    )
+    memory.refuse_excess(
+        what,
+        max(needed, memory.ordering(count, coefficients, dataset.cameras)) if plan.method.merges else needed,
+        advice,
+    )
 
 
 def facts_before(source: Scene, dataset: Dataset, job: JobContext, path: Path) -> dict:
-    """The figures of the source scene; without its quality if the photographs are its own pictures. Otherwise notes whether both belong together."""
+    """The figures of the source scene; without its quality if the photographs are its own pictures. Otherwise
+    notes whether both belong together."""
     if isinstance(dataset, RenderedDataset):
         return {"count": source.count, "bytes": size_on_disk(path)}
     before = measured(source, dataset, job, path)
@@ -194,7 +245,8 @@ def note_mismatch(scene: Scene, dataset: Dataset):
 
 
 def psnr_to_hold(scene: Scene, dataset: Dataset, plan: Plan) -> float:
-    """PSNR in dB from which an allowed drop counts, on the views of finetune/quality.py. 0 if none is allowed."""
+    """PSNR in dB from which an allowed drop counts, on the views of finetune/quality.py. 0 if none is
+    allowed."""
     if not plan.max_drop:
         return 0.0
     options = render_options(scene, plan.background)
@@ -202,20 +254,27 @@ def psnr_to_hold(scene: Scene, dataset: Dataset, plan: Plan) -> float:
 
 
 def without_format_loss(scene: Scene, dataset: Dataset, plan: Plan, out: Path) -> Plan:
-    """The plan, with what the format of the output loses taken off an allowed drop. Raises SceneError if nothing is left of it."""
+    """The plan, with what the format of the output loses taken off an allowed drop. Raises SceneError if
+    nothing is left of it."""
     if not plan.max_drop:
         return plan
-    return replace(plan, max_drop=plan.max_drop - format_loss(out, scene, lambda some: psnr_to_hold(some, dataset, plan), plan.max_drop))
+    return replace(
+        plan,
+        max_drop=plan.max_drop
+        - format_loss(out, scene, lambda some: psnr_to_hold(some, dataset, plan), plan.max_drop),
+    )
 
 
 def first_cut(scene: Scene, dataset: Dataset, plan: Plan) -> Scene:
-    """The scene after the first removal and the first cut (docs/methods.md, "What all methods share"). Raises SceneError if almost nothing stays.
+    """The scene after the first removal and the first cut (docs/methods.md, "What all methods share"). Raises
+    SceneError if almost nothing stays.
 
-    First removal: Gaussians with an opacity below 1/255; no picture changes. First cut: those whose alpha T is below
-    plan.min_contribution in every pixel of every training view, but never below a target count. Methods that rank keep only the target
-    count here.
+    First removal: Gaussians with an opacity below 1/255; no picture changes. First cut: those whose alpha T
+    is below plan.min_contribution in every pixel of every training view, but never below a target count.
+    Methods that rank keep only the target count here.
 
-    Both masks are applied in one selection, before other arrays exist: two copies would raise the peak memory of the job.
+    Both masks are applied in one selection, before other arrays exist: two copies would raise the peak memory
+    of the job.
     """
     method, faint = plan.method, invisible(scene)
     views = [dataset.cameras[i] for i in dataset.train_indices]
@@ -238,11 +297,20 @@ def make_engine(name: str):
     return TorchEngine()
 
 
-def fine_tune(model: Model, dataset: Dataset, plan: Plan, job: JobContext, clock: Clock, room: DiskRoom, held: float = 0.0) -> tuple[Run, Scene]:
-    """Runs all phases with checkpoints, writes job.out and deletes the checkpoints. The seconds of each phase are added to the clock.
+def fine_tune(
+    model: Model,
+    dataset: Dataset,
+    plan: Plan,
+    job: JobContext,
+    clock: Clock,
+    room: DiskRoom,
+    held: float = 0.0,
+) -> tuple[Run, Scene]:
+    """Runs all phases with checkpoints, writes job.out and deletes the checkpoints. The seconds of each phase
+    are added to the clock.
 
-    held: psnr_to_hold() of the scene before the first cut.
-    Returns the run and the scene, which takes over the arrays of the model. Raises SplatError; Cancelled after a checkpoint.
+    held: psnr_to_hold() of the scene before the first cut. Returns the run and the scene, which takes over
+    the arrays of the model. Raises SplatError; Cancelled after a checkpoint.
     """
     run = Run(model, dataset, plan, make_engine(job.engine), model.metadata["antialiased"])
     if run.recovery_pruning:
@@ -272,20 +340,27 @@ def fine_tune(model: Model, dataset: Dataset, plan: Plan, job: JobContext, clock
 
 
 def curve_psnr(run: Run) -> float | None:
-    """PSNR in dB on a few test views, of the Gaussians that would stay if pruning ended now. None without test views."""
+    """PSNR in dB on a few test views, of the Gaussians that would stay if pruning ended now. None without
+    test views."""
     dataset, model = run.dataset, run.model
     views = dataset.test_indices[:: max(1, len(dataset.test_indices) // CURVE_VIEWS)][:CURVE_VIEWS]
     if not views:
         return None
     kept = run.method.current_mask(model) if model.learns_masks else None
     options = RenderOptions(antialiased=run.antialiased, background=run.settings.background)
-    return mean_psnr(model, dataset, views, run.engine.rasterizer, options, None if kept is None else kept.astype(np.uint8))
+    return mean_psnr(
+        model, dataset, views, run.engine.rasterizer, options, None if kept is None else kept.astype(np.uint8)
+    )
 
 
 def measured(scene: Scene, dataset: Dataset, job: JobContext, path: Path | None = None) -> dict:
-    """The figures of `svrgs eval` for a scene. path: its file, for the size in bytes (default: the output)."""
+    """The figures of `svrgs eval` for a scene. path: its file, for the size in bytes (default: the
+    output)."""
     views = dataset.test_indices or dataset.train_indices
-    return {**evaluate(scene, dataset, views, Rasterizer(), job.lpips), "bytes": size_on_disk(path or job.out)}
+    return {
+        **evaluate(scene, dataset, views, Rasterizer(), job.lpips),
+        "bytes": size_on_disk(path or job.out),
+    }
 
 
 def written_levels(scene: Scene, dataset: Dataset, job: JobContext) -> list[dict]:
@@ -299,7 +374,8 @@ def written_levels(scene: Scene, dataset: Dataset, job: JobContext) -> list[dict
 
 
 def time_facts(job: JobContext, clock: Clock) -> dict | None:
-    """Of a job with a time limit: seconds asked for, foreseen and used, the time between a stop and a resume left out, and the schedule that was chosen."""
+    """Of a job with a time limit: seconds asked for, foreseen and used, the time between a stop and a resume
+    left out, and the schedule that was chosen."""
     return {**asdict(job.planned), "used": clock.earlier + job.seconds()} if job.planned else None
 
 

@@ -1,8 +1,9 @@
 """A complete picture of Gaussians and meshes: colours, and every output that is a render pass.
 
-A mesh is given as a depth per pixel (meshes.py, or the depth buffer of a viewport). The rasterizer takes it as depth limit: a pixel
-blends only Gaussians whose centre is in front of the mesh. Behind these Gaussians, the pixel shows the mesh. There are no shadows, and
-mesh and Gaussians do not light each other. A pixel at the edge of a mesh is the mean of two pictures: with the mesh, and without it.
+A mesh is given as a depth per pixel (meshes.py, or the depth buffer of a viewport). The rasterizer takes it
+as depth limit: a pixel blends only Gaussians whose centre is in front of the mesh. Behind these Gaussians,
+the pixel shows the mesh. There are no shadows, and mesh and Gaussians do not light each other. A pixel at the
+edge of a mesh is the mean of two pictures: with the mesh, and without it.
 """
 
 from __future__ import annotations
@@ -33,12 +34,15 @@ class Composite:
     rgb: np.ndarray  # (H, W, 3) float32 display sRGB, over background and meshes, not clamped; black in holes
     coverage: np.ndarray  # (H, W) float32, alpha of Gaussians and meshes together
     holes: np.ndarray  # (H, W) float32, share of each pixel that shows a holdout
-    images: dict[str, np.ndarray]  # {name: (H, W) float32} of the outputs that are render passes, or of those that were asked for
-    behind: np.ndarray | None = None  # (H, W, 4) float32, display sRGB times alpha: Gaussians behind the surfaces; only of split()
+    # {name: (H, W) float32} of the outputs that are render passes, or of those that were asked for
+    images: dict[str, np.ndarray]
+    # (H, W, 4) float32, display sRGB times alpha: Gaussians behind the surfaces; only of split()
+    behind: np.ndarray | None = None
 
     @property
     def depth(self) -> np.ndarray:
-        """(H, W) float32: mean camera z of Gaussians and meshes, weighted by their contribution to the pixel; FAR where the pixel is empty."""
+        """(H, W) float32: mean camera z of Gaussians and meshes, weighted by their contribution to the pixel;
+        FAR where the pixel is empty."""
         return self.images["depth"]
 
     @property
@@ -52,10 +56,16 @@ def composite(
 ) -> Composite:  # fmt: skip
     """Renders Gaussians over meshes and a background.
 
-    background: display sRGB. surface: meshes as the camera sees them; None: there are none. Scene and camera have the same world. passes: of PASS_OUTPUTS;
-    others are not rendered, but for alpha. Raises Cancelled when rasterizer.cancel[0] is set.
+    background: display sRGB. surface: meshes as the camera sees them; None: there are none. Scene and camera
+    have the same world. passes: of PASS_OUTPUTS; others are not rendered, but for alpha. Raises Cancelled
+    when rasterizer.cancel[0] is set.
     """
-    options = RenderOptions(antialiased=scene.antialiased, mask_kind="svr" if "mask" in passes else "none", background=tuple(background), picture_only=True)
+    options = RenderOptions(
+        antialiased=scene.antialiased,
+        mask_kind="svr" if "mask" in passes else "none",
+        background=tuple(background),
+        picture_only=True,
+    )
     outputs = ("rgb", *(name for name in PASS_OUTPUTS if name in passes or name == "alpha"))
     if surface is None:
         images = rasterizer.forward(scene, camera, options, outputs=outputs)
@@ -64,7 +74,15 @@ def composite(
     if surface.rest is not None:
         assert surface.share is not None
         edges = surface.share < 1
-        behind = _over(rasterizer, scene, camera, options, outputs, surface.rest, np.where(edges, surface.rest.depth, np.float32(0)))
+        behind = _over(
+            rasterizer,
+            scene,
+            camera,
+            options,
+            outputs,
+            surface.rest,
+            np.where(edges, surface.rest.depth, np.float32(0)),
+        )
         share = surface.share[edges]
         for name, image in images.items():
             part = share if image.ndim == 2 else share[:, None]
@@ -77,20 +95,25 @@ def split(
 ) -> Composite:  # fmt: skip
     """Renders the Gaussians in front of surfaces, with alpha, and those behind them as Composite.behind.
 
-    Another picture of the surfaces, with alpha, belongs between the two: front over surfaces over behind. So front ends at the nearest
-    surface of a pixel, even if that has only a part of it: its alpha is in the other picture. Where there is no surface, all Gaussians are
-    in front. Behind holdouts there is nothing. background: display sRGB, a part of behind; None: it is transparent. catcher: shadow
-    catchers; Gaussians that are less than ON_CATCHER in front of them count as behind, because those of the ground on which a shadow falls
-    are on both sides of the catcher. Raises Cancelled.
+    Another picture of the surfaces, with alpha, belongs between the two: front over surfaces over behind. So
+    front ends at the nearest surface of a pixel, even if that has only a part of it: its alpha is in the
+    other picture. Where there is no surface, all Gaussians are in front. Behind holdouts there is nothing.
+    background: display sRGB, a part of behind; None: it is transparent. catcher: shadow catchers; Gaussians
+    that are less than ON_CATCHER in front of them count as behind, because those of the ground on which a
+    shadow falls are on both sides of the catcher. Raises Cancelled.
     """
     whole = composite(rasterizer, scene, camera)
     limit = np.full_like(whole.coverage, np.inf) if surface is None else surface.depth
     if catcher is not None:
         limit = np.minimum(limit, catcher.depth * np.float32(1 - ON_CATCHER))
-    front = composite(rasterizer, scene, camera, surface=Surface(limit, np.zeros((*limit.shape, 4), np.float32)))
+    front = composite(
+        rasterizer, scene, camera, surface=Surface(limit, np.zeros((*limit.shape, 4), np.float32))
+    )
     T = 1 - front.alpha[..., None]  # sums of the whole picture: front + T * behind
     sums = np.concatenate([whole.rgb - front.rgb, (whole.alpha - front.alpha)[..., None]], axis=2)
-    behind = np.divide(sums, T, out=np.zeros_like(sums), where=T > 0).clip(0, np.array((np.inf, np.inf, np.inf, 1), sums.dtype))
+    behind = np.divide(sums, T, out=np.zeros_like(sums), where=T > 0).clip(
+        0, np.array((np.inf, np.inf, np.inf, 1), sums.dtype)
+    )
     if background is not None:
         behind += (1 - behind[..., 3:]) * np.array((*background, 1), sums.dtype)
     if surface is not None:
@@ -99,11 +122,20 @@ def split(
 
 
 def _over(
-    rasterizer: Rasterizer, scene: Scene, camera: Camera, options: RenderOptions, outputs: Sequence[str], surface: Surface, limit: np.ndarray
+    rasterizer: Rasterizer,
+    scene: Scene,
+    camera: Camera,
+    options: RenderOptions,
+    outputs: Sequence[str],
+    surface: Surface,
+    limit: np.ndarray,
 ) -> dict[str, np.ndarray]:
-    """The sums of a pixel: Gaussians with z < limit (H, W) over the surface, which lies over the background."""
+    """The sums of a pixel: Gaussians with z < limit (H, W) over the surface, which lies over the
+    background."""
     limit = np.ascontiguousarray(limit, rasterizer.dtype)
-    images = rasterizer.forward(scene, camera, replace(options, background=(0.0, 0.0, 0.0)), outputs=outputs, depth_limit=limit)
+    images = rasterizer.forward(
+        scene, camera, replace(options, background=(0.0, 0.0, 0.0)), outputs=outputs, depth_limit=limit
+    )
     images = {name: image.astype(rasterizer.dtype, copy=False) for name, image in images.items()}
     T, solid, shown = 1 - images["alpha"], np.isfinite(surface.depth), surface.rgba[..., 3]
     behind = np.where(solid[..., None], surface.rgba[..., :3], np.asarray(options.background, np.float32))
@@ -115,11 +147,14 @@ def _over(
     return images
 
 
-def composite_while(wanted: Callable[[], bool], rasterizer: Rasterizer, draw: Callable[..., Composite], *arguments) -> Composite | None:
-    """Calls draw(rasterizer, *arguments) in another thread. Returns its result, or None if wanted() became false.
+def composite_while(
+    wanted: Callable[[], bool], rasterizer: Rasterizer, draw: Callable[..., Composite], *arguments
+) -> Composite | None:
+    """Calls draw(rasterizer, *arguments) in another thread. Returns its result, or None if wanted() became
+    false.
 
-    The calling thread calls wanted() every POLL_SECONDS. Errors of draw() are raised again. draw must raise Cancelled when
-    rasterizer.cancel[0] is set, as composite() does.
+    The calling thread calls wanted() every POLL_SECONDS. Errors of draw() are raised again. draw must raise
+    Cancelled when rasterizer.cancel[0] is set, as composite() does.
     """
     result: list = []
 
@@ -148,5 +183,7 @@ def _composite(sums: dict) -> Composite:
     coverage = sums["coverage"]
     passes = {name: sums[name].astype(np.float32, copy=False) for name in PASS_OUTPUTS if name in sums}
     if "depth" in sums:
-        passes["depth"] = np.divide(sums["depth"], coverage, out=np.full_like(coverage, FAR), where=coverage > 0)
+        passes["depth"] = np.divide(
+            sums["depth"], coverage, out=np.full_like(coverage, FAR), where=coverage > 0
+        )
     return Composite(sums["rgb"], coverage, sums["holes"], passes)

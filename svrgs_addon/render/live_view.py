@@ -1,7 +1,7 @@
 """Pictures of a view that moves, for the Rendered mode of Blender's viewport. No bpy.
 
-One thread draws the newest view: first coarse (every 4th pixel in x and y), then exact. The main thread takes finished pictures and
-never waits.
+One thread draws the newest view: first coarse (every 4th pixel in x and y), then exact. The main thread takes
+finished pictures and never waits.
 """
 
 from __future__ import annotations
@@ -28,13 +28,17 @@ class Picture:
 
 
 class LiveView:
-    """A thread that draws the newest request. The main thread requests views and takes pictures; it never waits.
+    """A thread that draws the newest request. The main thread requests views and takes pictures; it never
+    waits.
 
-    draw: called in the thread as draw(rasterizer, job, reduction); its result becomes Picture.result. It must raise Cancelled when
-    rasterizer.cancel[0] is set. reductions: the pictures that are drawn for each request, in this order; the last one is 1.
+    draw: called in the thread as draw(rasterizer, job, reduction); its result becomes Picture.result. It must
+    raise Cancelled when rasterizer.cancel[0] is set. reductions: the pictures that are drawn for each
+    request, in this order; the last one is 1.
     """
 
-    def __init__(self, draw: Callable[[Rasterizer, Any, int], Any], reductions: tuple[int, ...] = (COARSE, 1)):
+    def __init__(
+        self, draw: Callable[[Rasterizer, Any, int], Any], reductions: tuple[int, ...] = (COARSE, 1)
+    ):
         self._draw, self._reductions = draw, reductions
         self._rasterizer = Rasterizer()
         self._changed = threading.Condition()
@@ -69,7 +73,9 @@ class LiveView:
         """Whether the exact picture of the newest request, or its error, is still missing."""
         with self._changed:
             done = self._picture
-            return self._wanted is not None and not (done is not None and done.key == self._wanted[0] and done.reduction == 1)
+            return self._wanted is not None and not (
+                done is not None and done.key == self._wanted[0] and done.reduction == 1
+            )
 
     def close(self):
         """Cancels the running picture, ends the thread and waits until it has ended."""
@@ -83,7 +89,9 @@ class LiveView:
         """The thread: waits for a new request and draws its pictures, until close()."""
         while True:
             with self._changed:
-                self._changed.wait_for(lambda: self._closed or (self._wanted is not None and self._wanted[0] != self._started))
+                self._changed.wait_for(
+                    lambda: self._closed or (self._wanted is not None and self._wanted[0] != self._started)
+                )
                 if self._closed:
                     return
                 assert self._wanted is not None
@@ -94,7 +102,8 @@ class LiveView:
                     break
 
     def _attempt(self, key, job, reduction: int) -> bool:
-        """Draws one picture. Returns False if there is a newer request or drawing failed; the other pictures are then skipped."""
+        """Draws one picture. Returns False if there is a newer request or drawing failed; the other pictures
+        are then skipped."""
         with self._changed:
             if reduction == 1 and not self._wants(key):
                 return False

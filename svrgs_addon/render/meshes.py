@@ -1,9 +1,11 @@
 """Meshes as a camera sees them: depth and colour of opaque triangles, with smooth edges.
 
-A pixel at the edge of a mesh shows the mesh in a share of its area and what is behind it in the rest. So a surface has a rest, which is
-the surface behind it in those pixels, and each of the two hides other Gaussians (composite.py).
+A pixel at the edge of a mesh shows the mesh in a share of its area and what is behind it in the rest. So a
+surface has a rest, which is the surface behind it in those pixels, and each of the two hides other Gaussians
+(composite.py).
 
-The light is fixed in Blender's world: bright from above and from the front left, as in a studio. So it is the same from every camera.
+The light is fixed in Blender's world: bright from above and from the front left, as in a studio. So it is the
+same from every camera.
 """
 
 from __future__ import annotations
@@ -18,12 +20,14 @@ from ..scene.camera import Camera
 from .textures import Texture
 
 AMBIENT = 0.62  # brightness of a surface at right angles to LIGHT
-LIGHT = np.array([-0.12, -0.18, 0.32])  # added brightness of a surface with this normal: (x, y, z) of Blender's world
+# added brightness of a surface with this normal: (x, y, z) of Blender's world
+LIGHT = np.array([-0.12, -0.18, 0.32])
 
 
 @dataclass(frozen=True)
 class Triangles:
-    """M opaque triangles in the world of the camera, with z up. Values are those of the corners and are interpolated."""
+    """M opaque triangles in the world of the camera, with z up. Values are those of the corners and are
+    interpolated."""
 
     corners: np.ndarray  # (M, 3, 3) float32: triangle, corner, coordinate
     normals: np.ndarray  # (M, 3, 3) float32, unit length
@@ -62,7 +66,9 @@ class Surface:
 
     def scaled(self, factor: float) -> Surface:
         """The same surface with other units of length: depths are multiplied by `factor`."""
-        return Surface(self.depth * np.float32(factor), self.rgba, self.share, self.rest and self.rest.scaled(factor))
+        return Surface(
+            self.depth * np.float32(factor), self.rgba, self.share, self.rest and self.rest.scaled(factor)
+        )
 
 
 def surface(triangles: Triangles, camera: Camera) -> Surface | None:
@@ -73,4 +79,8 @@ def surface(triangles: Triangles, camera: Camera) -> Surface | None:
     if not np.isfinite(depth[0]).any():
         return None
     whole = share == 1
-    return Surface(depth[0], rgba[0]) if whole.all() else Surface(depth[0], rgba[0], share, Surface(depth[1], rgba[1]))
+    return (
+        Surface(depth[0], rgba[0])
+        if whole.all()
+        else Surface(depth[0], rgba[0], share, Surface(depth[1], rgba[1]))
+    )

@@ -1,9 +1,10 @@
 """Equirectangular panoramas, put together from many perspective views.
 
-A Gaussian is projected with the Jacobian at its centre, and Gaussians are sorted by z. So two views show the same direction a little
-differently, the more so the farther it is from their axes: six cube faces have seams, and are wrong beside them. Here, views stand
-CELL apart in longitude and latitude. The weight of a view falls linearly from 1 at its middle to 0 at the middles of its neighbours.
-So no view is used at its border, and between two pixels nothing jumps.
+A Gaussian is projected with the Jacobian at its centre, and Gaussians are sorted by z. So two views show the
+same direction a little differently, the more so the farther it is from their axes: six cube faces have seams,
+and are wrong beside them. Here, views stand CELL apart in longitude and latitude. The weight of a view falls
+linearly from 1 at its middle to 0 at the middles of its neighbours. So no view is used at its border, and
+between two pixels nothing jumps.
 """
 
 from __future__ import annotations
@@ -27,15 +28,16 @@ RGB, COVERAGE, HOLES, DEPTH, REST = slice(0, 3), 3, 4, 5, 6  # in the last axis 
 class Panorama:
     """Pose and limits of an equirectangular picture.
 
-    Columns are longitudes from left to right, rows latitudes from the top: the pixel (x, y) sees the direction
-    (sin lon cos lat, -sin lat, cos lon cos lat) of the camera frame (x right, y down, z forward).
+    Columns are longitudes from left to right, rows latitudes from the top: the pixel (x, y) sees the
+    direction (sin lon cos lat, -sin lat, cos lon cos lat) of the camera frame (x right, y down, z forward).
     """
 
     viewmat: np.ndarray  # (4, 4) float64, world to camera
     width: int
     height: int
     longitude: tuple[float, float] = (-np.pi, np.pi)  # radians, at the left and at the right border
-    latitude: tuple[float, float] = (-np.pi / 2, np.pi / 2)  # radians, at the lower and at the upper border; within the poles
+    # radians, at the lower and at the upper border; within the poles
+    latitude: tuple[float, float] = (-np.pi / 2, np.pi / 2)
 
     @property
     def longitudes(self) -> np.ndarray:
@@ -51,14 +53,16 @@ class Panorama:
 
     @property
     def focal(self) -> float:
-        """Pixels per radian, the larger number of both axes: the focal length of views with pixels of this size."""
+        """Pixels per radian, the larger number of both axes: the focal length of views with pixels of this
+        size."""
         spans = (abs(last - first) for first, last in (self.longitude, self.latitude))
         return max(side / span for side, span in zip((self.width, self.height), spans, strict=True))
 
 
 @dataclass(frozen=True)
 class Patch:
-    """A perspective view, and its share in each pixel of the panorama: row weight times column weight. All shares of a pixel have the sum 1."""
+    """A perspective view, and its share in each pixel of the panorama: row weight times column weight. All
+    shares of a pixel have the sum 1."""
 
     camera: Camera
     turn: np.ndarray  # (3, 3) from the panorama's frame to that of the view
@@ -71,14 +75,25 @@ def patches(panorama: Panorama) -> Iterator[Patch]:
     for band in range(BANDS + 1):
         latitude = (band - BANDS / 2) * CELL
         row_weights = np.maximum(0, 1 - np.abs(panorama.latitudes - latitude) / CELL)
-        count = 1 if band in (0, BANDS) else int(np.ceil(2 * np.pi * np.cos(max(abs(latitude) - CELL / 2, 0)) / CELL))
+        count = (
+            1
+            if band in (0, BANDS)
+            else int(np.ceil(2 * np.pi * np.cos(max(abs(latitude) - CELL / 2, 0)) / CELL))
+        )
         for number in range(count):
             longitude = -np.pi + 2 * np.pi * (number + 0.5) / count
             apart = np.abs((panorama.longitudes - longitude + np.pi) % (2 * np.pi) - np.pi)
-            column_weights = np.maximum(0, 1 - apart * count / (2 * np.pi)) if count > 1 else np.ones(panorama.width)
+            column_weights = (
+                np.maximum(0, 1 - apart * count / (2 * np.pi)) if count > 1 else np.ones(panorama.width)
+            )
             if row_weights.any() and column_weights.any():
                 turn = _facing(latitude, longitude)
-                yield Patch(_view(panorama, turn, row_weights > 0, column_weights > 0), turn, row_weights, column_weights)
+                yield Patch(
+                    _view(panorama, turn, row_weights > 0, column_weights > 0),
+                    turn,
+                    row_weights,
+                    column_weights,
+                )
 
 
 def directions(latitudes: np.ndarray, longitudes: np.ndarray) -> np.ndarray:
@@ -96,9 +111,13 @@ def _facing(latitude: float, longitude: float) -> np.ndarray:
 
 
 def _view(panorama: Panorama, turn: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> Camera:
-    """The camera of a view, just large enough for its rows (H,) bool and columns (W,) bool of the panorama."""
+    """The camera of a view, just large enough for its rows (H,) bool and columns (W,) bool of the
+    panorama."""
     latitudes, longitudes = panorama.latitudes[rows], panorama.longitudes[columns]
-    border = [directions(latitudes[[0, -1]][:, None], longitudes).reshape(-1, 3), directions(latitudes[:, None], longitudes[[0, -1]]).reshape(-1, 3)]
+    border = [
+        directions(latitudes[[0, -1]][:, None], longitudes).reshape(-1, 3),
+        directions(latitudes[:, None], longitudes[[0, -1]]).reshape(-1, 3),
+    ]
     rays = np.concatenate(border) @ turn.T
     plane = panorama.focal * rays[:, :2] / rays[:, 2:]
     low, high = np.floor(plane.min(axis=0)) - MARGIN, np.ceil(plane.max(axis=0)) + MARGIN
@@ -110,14 +129,25 @@ def _view(panorama: Panorama, turn: np.ndarray, rows: np.ndarray, columns: np.nd
 
 
 def composite_panorama(draw: Callable[[Camera], Composite], panorama: Panorama) -> Composite:
-    """The picture of a panorama. draw: renders a perspective view. Depths are distances from the camera, as in Cycles' panoramas."""
+    """The picture of a panorama. draw: renders a perspective view. Depths are distances from the camera, as
+    in Cycles' panoramas."""
     sums, latitudes, longitudes = None, panorama.latitudes, panorama.longitudes
     for patch in patches(panorama):
         picture = draw(patch.camera)
         layers = _layers(picture)
         if sums is None:
             sums = np.zeros((panorama.height, panorama.width, layers.shape[2]), np.float32)
-        add_view(layers, patch.turn, patch.camera.K, DEPTH, sums, latitudes, longitudes, patch.row_weights, patch.column_weights)
+        add_view(
+            layers,
+            patch.turn,
+            patch.camera.K,
+            DEPTH,
+            sums,
+            latitudes,
+            longitudes,
+            patch.row_weights,
+            patch.column_weights,
+        )
     assert sums is not None
     return _picture(sums, picture)
 
@@ -132,14 +162,21 @@ def _layers(picture: Composite) -> np.ndarray:
     depth = np.where(picture.coverage > 0, picture.depth, 0) * picture.coverage
     rest = [image for name, image in picture.images.items() if name != "depth"]
     flat = np.stack([picture.coverage, picture.holes, depth, *rest], axis=2)
-    return np.concatenate([picture.rgb, flat, *([] if picture.behind is None else [picture.behind])], axis=2, dtype=np.float32)
+    return np.concatenate(
+        [picture.rgb, flat, *([] if picture.behind is None else [picture.behind])], axis=2, dtype=np.float32
+    )
 
 
 def _picture(layers: np.ndarray, like: Composite) -> Composite:
-    """The inverse of _layers, with values in their ranges, which cubic interpolation leaves. like: a picture with the same images."""
+    """The inverse of _layers, with values in their ranges, which cubic interpolation leaves. like: a picture
+    with the same images."""
     coverage, holes = (layers[..., k].clip(0, 1) for k in (COVERAGE, HOLES))
     depth = np.divide(layers[..., DEPTH], coverage, out=np.full_like(coverage, FAR), where=coverage > 0)
     names = [name for name in like.images if name != "depth"]
     images = {name: layers[..., REST + k].clip(0, None) for k, name in enumerate(names)} | {"depth": depth}
-    behind = None if like.behind is None else layers[..., REST + len(names) :].clip(0, (np.inf, np.inf, np.inf, 1))
-    return replace(like, rgb=layers[..., RGB].copy(), coverage=coverage, holes=holes, images=images, behind=behind)
+    behind = (
+        None if like.behind is None else layers[..., REST + len(names) :].clip(0, (np.inf, np.inf, np.inf, 1))
+    )
+    return replace(
+        like, rgb=layers[..., RGB].copy(), coverage=coverage, holes=holes, images=images, behind=behind
+    )

@@ -1,7 +1,8 @@
-"""Converts a composite to Blender's render passes: Combined (linear colour times alpha) and all other passes by name.
+"""Converts a composite to Blender's render passes: Combined (linear colour times alpha) and all other passes
+by name.
 
-The colours of a composite are display sRGB, the colour space of training. Passes are linear, so they hold the linear values, and
-Blender's view transform Standard gives back the display colours.
+The colours of a composite are display sRGB, the colour space of training. Passes are linear, so they hold the
+linear values, and Blender's view transform Standard gives back the display colours.
 """
 
 from __future__ import annotations
@@ -18,26 +19,37 @@ from ..scene.gaussians import Scene
 from .composite import FAR, Composite, composite
 from .meshes import Surface
 
-PASSES = tuple(output.render_pass for output in OUTPUTS.values() if output.render_pass)  # (name, channels, type) of each pass except Combined
-BEHIND = ("Behind", "RGBA", "COLOR")  # a further pass, where Gaussians in front of and behind meshes are separate pictures
+# (name, channels, type) of each pass except Combined
+PASSES = tuple(output.render_pass for output in OUTPUTS.values() if output.render_pass)
+# a further pass, where Gaussians in front of and behind meshes are separate pictures
+BEHIND = ("Behind", "RGBA", "COLOR")
 SRGB_PRIMARIES = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
 
 
-def linear_rgba(picture: Composite, transparent: bool, working_space: Sequence = SRGB_PRIMARIES) -> np.ndarray:
-    """Linear colour times alpha, (H, W, 4) float32, in the working space. The view transform Standard gives back the picture.
+def linear_rgba(
+    picture: Composite, transparent: bool, working_space: Sequence = SRGB_PRIMARIES
+) -> np.ndarray:
+    """Linear colour times alpha, (H, W, 4) float32, in the working space. The view transform Standard gives
+    back the picture.
 
-    transparent: pixels that the picture does not cover stay transparent; the picture must have a black background. Holdouts are
-    transparent in any case. working_space: (3, 3), the rows are linear red, green and blue of sRGB in the working space of the renderer.
+    transparent: pixels that the picture does not cover stay transparent; the picture must have a black
+    background. Holdouts are transparent in any case. working_space: (3, 3), the rows are linear red, green
+    and blue of sRGB in the working space of the renderer.
     """
     return _linear(picture.rgb, picture.coverage if transparent else 1 - picture.holes, working_space)
 
 
-def passes(picture: Composite, transparent: bool, unit: float, working_space: Sequence) -> dict[str, np.ndarray]:
+def passes(
+    picture: Composite, transparent: bool, unit: float, working_space: Sequence
+) -> dict[str, np.ndarray]:
     """Combined (H, W, 4), PASSES (H, W) and, if the picture has it, Behind (H, W, 4), float32, by name.
 
-    transparent, working_space: as in linear_rgba. unit: length of one unit of the picture's depth, in units of Blender's scene.
+    transparent, working_space: as in linear_rgba. unit: length of one unit of the picture's depth, in units
+    of Blender's scene.
     """
-    images = {found[0]: image for name, image in picture.images.items() if (found := OUTPUTS[name].render_pass)}
+    images = {
+        found[0]: image for name, image in picture.images.items() if (found := OUTPUTS[name].render_pass)
+    }
     depth = np.where(picture.depth < FAR, picture.depth * np.float32(unit), np.float32(FAR))
     layers = {"Combined": linear_rgba(picture, transparent, working_space), **images, "Depth": depth}
     if picture.behind is not None:
@@ -47,19 +59,31 @@ def passes(picture: Composite, transparent: bool, unit: float, working_space: Se
 
 def blank(height: int, width: int, kinds: Sequence = PASSES) -> dict[str, np.ndarray]:
     """Combined and the passes of these kinds with zeros, for a picture that could not be drawn."""
-    shapes = {name: (height, width) if len(channels) == 1 else (height, width, len(channels)) for name, channels, _ in kinds}
-    return {name: np.zeros(shape, np.float32) for name, shape in {"Combined": (height, width, 4), **shapes}.items()}
+    shapes = {
+        name: (height, width) if len(channels) == 1 else (height, width, len(channels))
+        for name, channels, _ in kinds
+    }
+    return {
+        name: np.zeros(shape, np.float32)
+        for name, shape in {"Combined": (height, width, 4), **shapes}.items()
+    }
 
 
 def _linear(rgb: np.ndarray, alpha: np.ndarray, working_space: Sequence) -> np.ndarray:
     """Display sRGB times alpha (H, W, 3) -> linear colour times alpha, and alpha: (H, W, 4) float32."""
-    return linear_colours(np.ascontiguousarray(rgb, np.float32), np.ascontiguousarray(alpha, np.float32), working_space)
+    return linear_colours(
+        np.ascontiguousarray(rgb, np.float32), np.ascontiguousarray(alpha, np.float32), working_space
+    )
 
 
 def overlay_rgba(rasterizer: Rasterizer, scene: Scene, camera: Camera, hidden: np.ndarray) -> np.ndarray:
-    """Gaussians to be blended over a picture of other objects, (H, W, 4): display sRGB times alpha, and alpha.
+    """Gaussians to be blended over a picture of other objects, (H, W, 4): display sRGB times alpha, and
+    alpha.
 
-    hidden: camera z (H, W) of that picture, infinite where it is empty; a pixel blends only Gaussians with a smaller z.
+    hidden: camera z (H, W) of that picture, infinite where it is empty; a pixel blends only Gaussians with a
+    smaller z.
     """
-    picture = composite(rasterizer, scene, camera, surface=Surface(hidden, np.zeros((*hidden.shape, 4), np.float32)))
+    picture = composite(
+        rasterizer, scene, camera, surface=Surface(hidden, np.zeros((*hidden.shape, 4), np.float32))
+    )
     return np.concatenate([picture.rgb, picture.alpha[..., None]], axis=-1)

@@ -1,7 +1,7 @@
 """Gaussians as quads for the graphics card: one blended quad per Gaussian, sorted by depth.
 
-The Solid and Material Preview modes of Blender's viewport draw some of the Gaussians in this way while a view moves. When it stops,
-the exact picture of the native renderer replaces them.
+The Solid and Material Preview modes of Blender's viewport draw some of the Gaussians in this way while a view
+moves. When it stops, the exact picture of the native renderer replaces them.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ TOP_PERCENTILE = 99.0  # values from this percentile on have the last colour of 
 
 @dataclass(frozen=True)
 class Quads:
-    """n Gaussians of a scene in random order, so that the first k of them are a random sample of the scene."""
+    """n Gaussians of a scene in random order, so that the first k of them are a random sample of the
+    scene."""
 
     rows: np.ndarray  # (n,) int64, their rows in the scene
     means: np.ndarray  # (n, 3) float32
@@ -38,7 +39,10 @@ def quads(scene: Scene, count: int) -> Quads:
     geometry = np.zeros((len(rows), 3, 4), np.float32)
     for start in range(0, len(rows), BLOCK):
         part = rows[start : start + BLOCK]
-        axes = rotation_matrices(scene.quats[part]) * np.exp(scene.log_scales[part].astype(np.float64))[:, None, :]
+        axes = (
+            rotation_matrices(scene.quats[part])
+            * np.exp(scene.log_scales[part].astype(np.float64))[:, None, :]
+        )
         S = axes @ axes.swapaxes(1, 2)
         block = geometry[start : start + BLOCK]
         block[:, 0, :3], block[:, 0, 3] = scene.means[part], activation.opacities(scene.opacity_logits[part])
@@ -55,15 +59,23 @@ def painted(scene: Scene, values: list[np.ndarray | None]) -> Scene:
     if len(known) < len(values):
         return scene
     joined = np.concatenate(known)
-    return recolored(scene, colored(joined, float(np.percentile(joined, TOP_PERCENTILE)) if len(joined) else 1.0))
+    return recolored(
+        scene, colored(joined, float(np.percentile(joined, TOP_PERCENTILE)) if len(joined) else 1.0)
+    )
 
 
 def highlighted(scene: Scene, counts: list[int], values: list[np.ndarray | None]) -> Scene:
     """The scene with marked Gaussians tinted with HIGHLIGHT. Their shading stays visible.
 
-    counts: of the Gaussians of its parts, joined in order. values: arrays (N_i,), above 0 where marked; None: nothing of the part is.
+    counts: of the Gaussians of its parts, joined in order. values: arrays (N_i,), above 0 where marked; None:
+    nothing of the part is.
     """
-    marks = np.concatenate([np.zeros(count, bool) if part is None else part > 0 for count, part in zip(counts, values, strict=True)])
+    marks = np.concatenate(
+        [
+            np.zeros(count, bool) if part is None else part > 0
+            for count, part in zip(counts, values, strict=True)
+        ]
+    )
     sh = scene.sh.copy()
     sh[marks] *= 1 - TINT
     sh[marks, 0] += (TINT * (np.array(HIGHLIGHT) - 0.5) / SH_C0).astype(np.float32)
@@ -71,7 +83,8 @@ def highlighted(scene: Scene, counts: list[int], values: list[np.ndarray | None]
 
 
 def recolored(scene: Scene, rgb: np.ndarray) -> Scene:
-    """The scene with colours (N, 3), display sRGB in [0, 1], that do not depend on the view direction (SH degree 0)."""
+    """The scene with colours (N, 3), display sRGB in [0, 1], that do not depend on the view direction (SH
+    degree 0)."""
     return replace(scene, sh=np.ascontiguousarray(((rgb - 0.5) / SH_C0)[:, None], np.float32))
 
 

@@ -15,10 +15,16 @@ PART = 1 << 16  # groups that are made together
 
 
 def thinned(scene: Scene) -> Scene:
-    """One Gaussian for each GROUP that follow each other, which are neighbours in Morton order: the one that covers most, as large as all of them
-    together, in their mean colour. Further columns are left out."""
-    parts = [_thinned(scene.select(np.arange(start, min(start + GROUP * PART, scene.count)))) for start in range(0, scene.count, GROUP * PART)]
-    arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in ("means", "log_scales", "quats", "opacity_logits", "sh")}
+    """One Gaussian for each GROUP that follow each other, which are neighbours in Morton order: the one that
+    covers most, as large as all of them together, in their mean colour. Further columns are left out."""
+    parts = [
+        _thinned(scene.select(np.arange(start, min(start + GROUP * PART, scene.count))))
+        for start in range(0, scene.count, GROUP * PART)
+    ]
+    arrays = {
+        name: np.concatenate([getattr(part, name) for part in parts])
+        for name in ("means", "log_scales", "quats", "opacity_logits", "sh")
+    }
     return replace(scene, **arrays, attributes={}, property_order=())
 
 
@@ -26,7 +32,9 @@ def _thinned(scene: Scene) -> Scene:
     count = -(-scene.count // GROUP)
     weights = np.zeros(count * GROUP, np.float32)
     logs = np.sort(np.clip(scene.log_scales, -40, 40), axis=1)
-    weights[: scene.count] = np.exp(logs[:, 1] + logs[:, 2]) / (1 + np.exp(-np.clip(scene.opacity_logits, -40, 40))) + np.float32(1e-30)
+    weights[: scene.count] = np.exp(logs[:, 1] + logs[:, 2]) / (
+        1 + np.exp(-np.clip(scene.opacity_logits, -40, 40))
+    ) + np.float32(1e-30)
     groups = weights.reshape(count, GROUP)
     largest = groups.argmax(axis=1) + GROUP * np.arange(count)
     growth = np.minimum(groups.sum(axis=1) / weights[largest], GROUP)
@@ -39,7 +47,8 @@ def _thinned(scene: Scene) -> Scene:
 
 
 class Thinning:
-    """Which Gaussians the coarse pictures of a scene draw: all, or the thinned ones while many are seen. For one thread."""
+    """Which Gaussians the coarse pictures of a scene draw: all, or the thinned ones while many are seen. For
+    one thread."""
 
     def __init__(self, scene: Scene):
         self._scene = scene

@@ -1,7 +1,9 @@
-"""Converts raw values of 3DGS files to the activated values in Blender's splats and back: scale, opacity, unit quaternion.
+"""Converts raw values of 3DGS files to the activated values in Blender's splats and back: scale, opacity,
+unit quaternion.
 
-float32 cannot invert an exponential exactly. So Blender's splats also hold the raw value. It is used again while its activation
-still equals the activated value, up to TOLERANCE; after an edit, or without a raw value, the activated value is inverted.
+float32 cannot invert an exponential exactly. So Blender's splats also hold the raw value. It is used again
+while its activation still equals the activated value, up to TOLERANCE; after an edit, or without a raw value,
+the activated value is inverted.
 """
 
 from __future__ import annotations
@@ -12,7 +14,8 @@ TOLERANCE = 2e-6  # relative difference of activated values; exp differs less be
 
 
 def scales(log_scales: np.ndarray) -> np.ndarray:
-    """Scales exp(log_scales), float32, in units of length of the scene; values beyond the range of float32 become infinite."""
+    """Scales exp(log_scales), float32, in units of length of the scene; values beyond the range of float32
+    become infinite."""
     with np.errstate(over="ignore"):
         return np.exp(log_scales)
 
@@ -33,21 +36,30 @@ def rotations(quats: np.ndarray) -> np.ndarray:
 
 
 def raw_scales(values: np.ndarray, kept: np.ndarray | None = None) -> np.ndarray:
-    """Log-scales (N, 3) float32 of scales; equal to `kept` where exp(kept) still equals the scale. kept: raw values (N, 3) or None."""
+    """Log-scales (N, 3) float32 of scales; equal to `kept` where exp(kept) still equals the scale. kept: raw
+    values (N, 3) or None."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return _restore(np.log(values), kept, lambda raw: _same(scales(raw), values))
 
 
 def raw_opacities(values: np.ndarray, kept: np.ndarray | None = None) -> np.ndarray:
-    """Opacity logits (N,) float32 of opacities; equal to `kept` where sigmoid(kept) still equals the opacity. kept: (N,) or None."""
+    """Opacity logits (N,) float32 of opacities; equal to `kept` where sigmoid(kept) still equals the opacity.
+    kept: (N,) or None."""
     wide = values.astype(np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return _restore((np.log(wide) - np.log1p(-wide)).astype(np.float32), kept, lambda raw: _same(opacities(raw), values))
+        return _restore(
+            (np.log(wide) - np.log1p(-wide)).astype(np.float32),
+            kept,
+            lambda raw: _same(opacities(raw), values),
+        )
 
 
 def raw_rotations(values: np.ndarray, kept: np.ndarray | None = None) -> np.ndarray:
-    """Quaternions (N, 4) float32 of any length; equal to `kept` where kept / |kept| still equals the row of `values`."""
-    return _restore(values, kept, lambda raw: (np.abs(rotations(raw) - values) <= TOLERANCE).all(axis=1, keepdims=True))
+    """Quaternions (N, 4) float32 of any length; equal to `kept` where kept / |kept| still equals the row of
+    `values`."""
+    return _restore(
+        values, kept, lambda raw: (np.abs(rotations(raw) - values) <= TOLERANCE).all(axis=1, keepdims=True)
+    )
 
 
 def _restore(computed: np.ndarray, kept: np.ndarray | None, holds) -> np.ndarray:

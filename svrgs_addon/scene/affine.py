@@ -11,7 +11,8 @@ from .gaussians import Scene
 from .rotations import quat_product, quats_from_matrices, rotation_matrices
 from .sh_rotation import rotate_sh
 
-UNIFORM = 1e-5  # scales of the axes count as equal up to this relative difference, the precision of float32 matrices
+# scales of the axes count as equal up to this relative difference, the precision of float32 matrices
+UNIFORM = 1e-5
 BLOCK = 65_536  # Gaussians that are computed at a time
 
 
@@ -25,10 +26,12 @@ def stretch(matrix: np.ndarray) -> float:
 
 
 def transformed(scene: Scene, matrix: np.ndarray) -> Scene:
-    """The scene with every point x moved to A x + t; A and t are parts of the affine 4x4 `matrix`, which may mirror.
+    """The scene with every point x moved to A x + t; A and t are parts of the affine 4x4 `matrix`, which may
+    mirror.
 
-    Means and covariances A Σ Aᵀ are exact. View-dependent colours are exact if A scales all axes alike (see stretch); else they are
-    rotated with the rotation nearest to A. Further attributes do not change; with the identity nothing does. Raises SceneError if A is singular or not finite.
+    Means and covariances A Σ Aᵀ are exact. View-dependent colours are exact if A scales all axes alike (see
+    stretch); else they are rotated with the rotation nearest to A. Further attributes do not change; with the
+    identity nothing does. Raises SceneError if A is singular or not finite.
     """
     if np.array_equal(matrix, np.eye(4)):
         return scene
@@ -36,7 +39,8 @@ def transformed(scene: Scene, matrix: np.ndarray) -> Scene:
     left, scales, right = np.linalg.svd(A)
     R, scale = left @ right, float(np.exp(np.log(scales).mean()))
     if scales[0] / scales[-1] - 1 <= UNIFORM:
-        q = quats_from_matrices((R * np.linalg.det(R))[None])[0]  # a Gaussian is its own mirror image, so -R rotates it as R does
+        # a Gaussian is its own mirror image, so -R rotates it as R does
+        q = quats_from_matrices((R * np.linalg.det(R))[None])[0]
         shapes = scene.log_scales + np.log(scale), quat_product(q, scene.quats.astype(np.float64))
     else:
         shapes = _stretched(scene, A)
@@ -53,14 +57,24 @@ def scaled(scene: Scene, factor: float) -> Scene:
     """The scene with all lengths multiplied by a factor above 0, around the origin."""
     if factor == 1:
         return scene
-    return replace(scene, means=(scene.means * factor).astype(np.float32), log_scales=(scene.log_scales + np.log(factor)).astype(np.float32))
+    return replace(
+        scene,
+        means=(scene.means * factor).astype(np.float32),
+        log_scales=(scene.log_scales + np.log(factor)).astype(np.float32),
+    )
 
 
 def _linear(matrix: np.ndarray) -> np.ndarray:
     """The linear part A (3, 3) float64 of a 4x4 matrix. Raises SceneError if it is singular or not finite."""
     A = np.asarray(matrix, np.float64)[:3, :3]
-    if not np.isfinite(A).all() or not abs(np.linalg.det(A)) > 1e-12 * max(float(np.linalg.norm(A)), 1e-300) ** 3:
-        raise SceneError("a scale of the object is zero or not finite, so its Gaussians have no shape in the world; set it to 1 first")
+    if (
+        not np.isfinite(A).all()
+        or not abs(np.linalg.det(A)) > 1e-12 * max(float(np.linalg.norm(A)), 1e-300) ** 3
+    ):
+        raise SceneError(
+            "a scale of the object is zero or not finite, so its Gaussians have no shape in the world; set it"
+            " to 1 first"
+        )
     return A
 
 

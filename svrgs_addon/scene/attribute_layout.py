@@ -1,11 +1,16 @@
-"""Converts a scene to point attributes in the layout of Blender 5.3's own splats, and back. No bpy: names, types and arrays.
+"""Converts a scene to point attributes in the layout of Blender 5.3's own splats, and back. No bpy: names,
+types and arrays.
 
-Blender's attributes hold activated values, from which float32 cannot restore every bit of a file. So a splat also has:
+Blender's attributes hold activated values, from which float32 cannot restore every bit of a file. So a splat
+also has:
 
-- raw values, as attributes svrgs:log_scale, svrgs:quaternion, svrgs:opacity_logit. They count while their activation still equals
-  Blender's attribute. After an edit, or without raw values (a splat that Blender imported), the activated values are inverted
+- raw values, as attributes svrgs:log_scale, svrgs:quaternion, svrgs:opacity_logit. They count while their
+  activation still equals
+  Blender's attribute. After an edit, or without raw values (a splat that Blender imported), the activated
+  values are inverted
   (activation.py).
-- the position, as svrgs:position. Blender's Apply and Join move points and leave shapes and colours as they were. Where points were
+- the position, as svrgs:position. Blender's Apply and Join move points and leave shapes and colours as they
+  were. Where points were
   moved together since, shapes and colours are transformed when the splat is read (scene/moved_points.py).
 - each further column of the file, as an attribute of its own.
 - types, order and comments of the file, as a property of the data-block: a JSON text (notes_of).
@@ -29,7 +34,9 @@ POSITION, SCALE, ROTATION, BASE, SH = "position", "scale", "rotation", "radiance
 RAW_SCALE, RAW_ROTATION, RAW_OPACITY = "svrgs:log_scale", "svrgs:quaternion", "svrgs:opacity_logit"
 RAW_POSITION = "svrgs:position"  # where a point was when its shape and colours were written
 REQUIRED = (SCALE, ROTATION, BASE)
-RESERVED = re.compile(r"(position|scale|rotation|radius|removed|material_index|id)$|[.]|radiance:|svrgs:|ply:")
+RESERVED = re.compile(
+    r"(position|scale|rotation|radius|removed|material_index|id)$|[.]|radiance:|svrgs:|ply:"
+)
 NAME_LIMIT = 60  # bytes of an attribute name; Blender 4.2 allows 63
 STORED_AS = {
     "f4": ("FLOAT", "f4"),
@@ -48,7 +55,11 @@ def to_attributes(scene: Scene) -> Iterator[tuple[str, str, np.ndarray]]:
     yield POSITION, "FLOAT_VECTOR", scene.means
     yield SCALE, "FLOAT_VECTOR", activation.scales(scene.log_scales)
     yield ROTATION, "QUATERNION", activation.rotations(scene.quats)
-    yield BASE, "FLOAT_COLOR", np.concatenate([scene.sh[:, 0], activation.opacities(scene.opacity_logits)[:, None]], axis=1)
+    yield (
+        BASE,
+        "FLOAT_COLOR",
+        np.concatenate([scene.sh[:, 0], activation.opacities(scene.opacity_logits)[:, None]], axis=1),
+    )
     for k in range(1, scene.sh.shape[1]):
         yield f"{SH}{k - 1}", "FLOAT_VECTOR", scene.sh[:, k]
     yield RAW_POSITION, "FLOAT_VECTOR", scene.means
@@ -62,16 +73,25 @@ def to_attributes(scene: Scene) -> Iterator[tuple[str, str, np.ndarray]]:
 
 
 def notes_of(scene: Scene) -> str:
-    """Types, order and comments of the file and the antialiased flag, as JSON. The data-block keeps this text as a property."""
-    return json.dumps({"antialiased": scene.antialiased, "comments": scene.comments, "order": scene.property_order, "further": _extra_columns(scene)})
+    """Types, order and comments of the file and the antialiased flag, as JSON. The data-block keeps this text
+    as a property."""
+    return json.dumps(
+        {
+            "antialiased": scene.antialiased,
+            "comments": scene.comments,
+            "order": scene.property_order,
+            "further": _extra_columns(scene),
+        }
+    )
 
 
 def from_attributes(get: Get, float_names: list[str], notes: str) -> Scene:
     """The scene of attributes with the names and shapes of to_attributes.
 
-    get: values of an attribute by name, or None. notes: the text of notes_of, or "" for a splat that Blender imported. In that
-    case, the attributes float_names, which have one number per Gaussian, become further columns if a PLY can store their names.
-    Incomplete SH degrees and degrees above 3 are left out. Shapes and colours follow points that were moved together.
+    get: values of an attribute by name, or None. notes: the text of notes_of, or "" for a splat that Blender
+    imported. In that case, the attributes float_names, which have one number per Gaussian, become further
+    columns if a PLY can store their names. Incomplete SH degrees and degrees above 3 are left out. Shapes and
+    colours follow points that were moved together.
     """
     position, scale, rotation, base = (_required(get, name) for name in (POSITION, SCALE, ROTATION, BASE))
     file_facts = json.loads(notes or "{}")
@@ -82,7 +102,9 @@ def from_attributes(get: Get, float_names: list[str], notes: str) -> Scene:
         opacity_logits=activation.raw_opacities(base[:, 3], get(RAW_OPACITY)),
         sh=_harmonics(get, base),
         antialiased=file_facts.get("antialiased", False),
-        attributes=_columns(get, file_facts["further"]) if file_facts else {name: _required(get, name) for name in float_names if _is_free_ply_name(name)},
+        attributes=_columns(get, file_facts["further"])
+        if file_facts
+        else {name: _required(get, name) for name in float_names if _is_free_ply_name(name)},
         comments=tuple(file_facts.get("comments", ())),
         property_order=tuple(file_facts.get("order", ())),
     )
@@ -102,8 +124,11 @@ def _extra_columns(scene: Scene) -> dict[str, tuple[str, str]]:
 
     Names that are too long or reserved become ply:0, ply:1, ...
     """
-    free = lambda name: len(name.encode()) <= NAME_LIMIT and not RESERVED.match(name)  # noqa: E731
-    return {name: (name if free(name) else f"ply:{i}", column.dtype.str[1:]) for i, (name, column) in enumerate(scene.attributes.items())}
+    free = lambda name: len(name.encode()) <= NAME_LIMIT and not RESERVED.match(name)
+    return {
+        name: (name if free(name) else f"ply:{i}", column.dtype.str[1:])
+        for i, (name, column) in enumerate(scene.attributes.items())
+    }
 
 
 def _harmonics(get: Get, base: np.ndarray) -> np.ndarray:

@@ -10,26 +10,32 @@ import numpy as np
 from .camera import Camera
 
 MIDDLE = 0.2, 0.8  # quantiles along each axis; outliers and a background all around are outside
-WIDER = 1 / (MIDDLE[1] - MIDDLE[0])  # of the box between them: it then holds a body of even density as a whole
+# of the box between them: it then holds a body of even density as a whole
+WIDER = 1 / (MIDDLE[1] - MIDDLE[0])
 SAMPLES = 200_000  # points that are looked at, at most, evenly spaced in the list
-CLIP_NEAR, CLIP_FAR, CLIP_RATIO = 0.01, 100.0, 1e6  # clipping distances over the distance of the view; far over near
+# clipping distances over the distance of the view; far over near
+CLIP_NEAR, CLIP_FAR, CLIP_RATIO = 0.01, 100.0, 1e6
 
 
 def robust_box(points: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray | None:
-    """Lower and upper corner (2, 3) float64 of a box around the mass of the points: that between the quantiles MIDDLE, WIDER times as wide.
+    """Lower and upper corner (2, 3) float64 of a box around the mass of the points: that between the
+    quantiles MIDDLE, WIDER times as wide.
 
-    points: (P, 3). weights: (P,) of at least 0, such as opacities; None: equal ones. Points that are not finite are left out. None if no
-    point has a weight.
+    points: (P, 3). weights: (P,) of at least 0, such as opacities; None: equal ones. Points that are not
+    finite are left out. None if no point has a weight.
     """
     points, weights = _usable(points, weights)
     if not len(points):
         return None
     low, high = np.array([_quantiles(points[:, axis], weights, MIDDLE) for axis in range(3)]).T
-    return np.array([(low + high) / 2 - WIDER * (high - low) / 2, (low + high) / 2 + WIDER * (high - low) / 2])
+    return np.array(
+        [(low + high) / 2 - WIDER * (high - low) / 2, (low + high) / 2 + WIDER * (high - low) / 2]
+    )
 
 
 def median_depth(camera: Camera, points: np.ndarray, weights: np.ndarray | None = None) -> float | None:
-    """The weighted median of the distances, along the axis of the camera, of the points that it shows; None if it shows none.
+    """The weighted median of the distances, along the axis of the camera, of the points that it shows; None
+    if it shows none.
 
     points: (P, 3), world. weights: as in robust_box.
     """
@@ -48,7 +54,8 @@ def corners(box: np.ndarray, matrix: np.ndarray) -> np.ndarray:
 
 
 def sphere_around(points: np.ndarray) -> tuple[np.ndarray, float]:
-    """Centre (3,) of the box around the points (P, 3), and the radius of the sphere around it that holds them all."""
+    """Centre (3,) of the box around the points (P, 3), and the radius of the sphere around it that holds them
+    all."""
     centre = (points.min(axis=0) + points.max(axis=0)) / 2
     return centre, float(np.linalg.norm(points - centre, axis=1).max())
 
@@ -56,14 +63,16 @@ def sphere_around(points: np.ndarray) -> tuple[np.ndarray, float]:
 def viewing_distance(radius: float, lens: float, width: int, height: int, sensor: float) -> float:
     """The distance from the centre of a sphere at which it just fits into the picture.
 
-    lens, sensor: millimetres; the sensor is as long as the longer side of the picture. width, height: of the picture, in pixels.
+    lens, sensor: millimetres; the sensor is as long as the longer side of the picture. width, height: of the
+    picture, in pixels.
     """
     tangent = sensor / 2 / lens * min(width, height) / max(width, height)
     return radius / math.sin(math.atan(tangent))
 
 
 def clipping(distance: float, start: float, end: float) -> tuple[float, float]:
-    """Near and far clipping distances that suit a view from this distance: `start` and `end`, widened where that is needed.
+    """Near and far clipping distances that suit a view from this distance: `start` and `end`, widened where
+    that is needed.
 
     Their ratio stays below CLIP_RATIO, for the precision of the depth buffer.
     """

@@ -1,4 +1,5 @@
-"""A perspective or orthographic camera. Camera frame of COLMAP: x right, y down, z forward. Pixel centres are at k + 0.5."""
+"""A perspective or orthographic camera. Camera frame of COLMAP: x right, y down, z forward. Pixel centres are
+at k + 0.5."""
 
 from __future__ import annotations
 
@@ -20,8 +21,8 @@ MAX_DISTANCE = 1e15  # of a camera from the world's origin; nothing farther is r
 class Camera:
     """Pose and intrinsics of one view.
 
-    A point (x, y, z) of the camera frame is projected to pixel (fx x / z + cx, fy y / z + cy) by a perspective camera, and to
-    (fx x + cx, fy y + cy) by an orthographic one.
+    A point (x, y, z) of the camera frame is projected to pixel (fx x / z + cx, fy y / z + cy) by a
+    perspective camera, and to (fx x + cx, fy y + cy) by an orthographic one.
     """
 
     viewmat: np.ndarray  # (4, 4) float64, world to camera
@@ -29,7 +30,8 @@ class Camera:
     width: int
     height: int
     name: str = ""  # image name, with '/' between folders
-    orthographic: bool = False  # parallel rays: no division by z; the view direction of all colours is the camera's axis
+    # parallel rays: no division by z; the view direction of all colours is the camera's axis
+    orthographic: bool = False
 
     @property
     def position(self) -> np.ndarray:
@@ -39,23 +41,29 @@ class Camera:
 
     @property
     def usable(self) -> bool:
-        """Whether pose and intrinsics are finite and not absurdly large, and both focal lengths are positive."""
+        """Whether pose and intrinsics are finite and not absurdly large, and both focal lengths are
+        positive."""
         in_range = (np.abs(self.K) < MAX_PIXELS).all() and (np.abs(self.viewmat) < MAX_DISTANCE).all()
         return bool(in_range and self.K[0, 0] > 0 and self.K[1, 1] > 0)
 
     @property
     def key(self) -> bytes:
-        """Bytes that are equal for two cameras with the same pose, intrinsics, image size and kind of projection; the name does not count."""
-        return np.array([*self.viewmat.flat, *self.K.flat, self.width, self.height, self.orthographic], np.float64).tobytes()
+        """Bytes that are equal for two cameras with the same pose, intrinsics, image size and kind of
+        projection; the name does not count."""
+        return np.array(
+            [*self.viewmat.flat, *self.K.flat, self.width, self.height, self.orthographic], np.float64
+        ).tobytes()
 
     def pixels(self, points: np.ndarray) -> np.ndarray:
-        """Projects points (..., 3) of the camera frame. Returns pixel coordinates (..., 2), float64, which are meaningless where z <= 0."""
+        """Projects points (..., 3) of the camera frame. Returns pixel coordinates (..., 2), float64, which
+        are meaningless where z <= 0."""
         with np.errstate(divide="ignore", invalid="ignore"):
             plane = points[..., :2] if self.orthographic else points[..., :2] / points[..., 2:]
         return plane @ self.K[:2, :2].T + self.K[:2, 2]
 
     def directions(self, points: np.ndarray) -> np.ndarray:
-        """Unit view directions (N, 3), from the camera to world points (N, 3), in world coordinates and in the dtype of the points."""
+        """Unit view directions (N, 3), from the camera to world points (N, 3), in world coordinates and in
+        the dtype of the points."""
         if self.orthographic:
             return np.broadcast_to(self.viewmat[2, :3].astype(points.dtype), points.shape)
         rays = points - self.position.astype(points.dtype)
@@ -64,16 +72,19 @@ class Camera:
     def moved(self, matrix: np.ndarray) -> Camera:
         """The same view in other world coordinates.
 
-        matrix: (4, 4), maps the new world to this camera's world; a rotation, a translation and one uniform scale s.
-        Lengths in the new world, depths included, are 1 / s of those in this one.
+        matrix: (4, 4), maps the new world to this camera's world; a rotation, a translation and one uniform
+        scale s. Lengths in the new world, depths included, are 1 / s of those in this one.
         """
         viewmat: np.ndarray = self.viewmat @ np.asarray(matrix, np.float64)
         scale = abs(np.linalg.det(viewmat[:3, :3])) ** (1 / 3)
         viewmat[:3] /= scale
-        return replace(self, viewmat=viewmat, K=self.K @ np.diag([scale, scale, 1.0]) if self.orthographic else self.K)
+        return replace(
+            self, viewmat=viewmat, K=self.K @ np.diag([scale, scale, 1.0]) if self.orthographic else self.K
+        )
 
     def resized(self, width: int, height: int) -> Camera:
-        """The same view with another image size in pixels. fx, cx are scaled by the ratio of the widths, fy, cy by that of the heights."""
+        """The same view with another image size in pixels. fx, cx are scaled by the ratio of the widths, fy,
+        cy by that of the heights."""
         scale = np.diag([width / self.width, height / self.height, 1.0])
         return replace(self, K=scale @ self.K, width=width, height=height)
 
@@ -83,29 +94,42 @@ class Camera:
         return self.resized(max(1, round(share * self.width)), max(1, round(share * self.height)))
 
     def reduced(self, factor: int) -> Camera:
-        """The same view at 1 / factor of the size: each pixel covers a block of factor x factor pixels of this camera.
+        """The same view at 1 / factor of the size: each pixel covers a block of factor x factor pixels of
+        this camera.
 
-        Columns and rows at the end that do not fill a block are left out. The intrinsics are exact: the centre k + 0.5 of a
-        new pixel is the centre of its block.
+        Columns and rows at the end that do not fill a block are left out. The intrinsics are exact: the
+        centre k + 0.5 of a new pixel is the centre of its block.
         """
-        return replace(self, K=np.diag([1 / factor, 1 / factor, 1.0]) @ self.K, width=self.width // factor, height=self.height // factor)
+        return replace(
+            self,
+            K=np.diag([1 / factor, 1 / factor, 1.0]) @ self.K,
+            width=self.width // factor,
+            height=self.height // factor,
+        )
 
 
 def evenly(views: Sequence[View], count: int) -> list[View]:
     """At most `count` of the views, evenly spread in the list, with the first and the last one."""
-    return [views[k] for k in np.unique(np.linspace(0, len(views) - 1, min(count, len(views))).round().astype(int))]
+    return [
+        views[k]
+        for k in np.unique(np.linspace(0, len(views) - 1, min(count, len(views))).round().astype(int))
+    ]
 
 
 def view_stem(name: str) -> str:
-    """The image name without its extension. Folders are kept. A suffix that is a number, as in 'frame.0001', is no extension and is kept."""
+    """The image name without its extension. Folders are kept. A suffix that is a number, as in 'frame.0001',
+    is no extension and is kept."""
     path = PurePosixPath(name)
     return str(path if path.suffix[1:].isdecimal() else path.with_suffix(""))
 
 
 def refuse_same_stems(cameras: Iterable[Camera], advice: str):
-    """Raises SceneError if the files of one view, which are named after its stem, would replace those of another. advice: what to do."""
+    """Raises SceneError if the files of one view, which are named after its stem, would replace those of
+    another. advice: what to do."""
     by_stem: dict[str, Camera] = {}
     for camera in cameras:
         other = by_stem.setdefault(view_stem(camera.name), camera)
         if other is not camera:
-            raise SceneError(f"views '{other.name}' and '{camera.name}' would be written to the same files; {advice}")
+            raise SceneError(
+                f"views '{other.name}' and '{camera.name}' would be written to the same files; {advice}"
+            )

@@ -1,4 +1,5 @@
-"""A splat scene: the raw parameters that 3DGS stores (logits, logarithms), and the further contents of its file."""
+"""A splat scene: the raw parameters that 3DGS stores (logits, logarithms), and the further contents of its
+file."""
 
 from __future__ import annotations
 
@@ -26,8 +27,10 @@ class Scene:
     quats: np.ndarray  # (N, 4) w x y z, of any length > 0
     opacity_logits: np.ndarray  # (N,)
     sh: np.ndarray  # (N, K, 3), coefficient-major; K = 1, 4, 9 or 16 coefficients per channel
-    antialiased: bool = False  # trained with opacity compensated for the 2-D low-pass filter, "antialiased" in gsplat
-    attributes: dict[str, np.ndarray] = field(default_factory=dict)  # further columns of the file, (N,) each, as read
+    # trained with opacity compensated for the 2-D low-pass filter, "antialiased" in gsplat
+    antialiased: bool = False
+    # further columns of the file, (N,) each, as read
+    attributes: dict[str, np.ndarray] = field(default_factory=dict)
     comments: tuple[str, ...] = ()  # header comments of the source file; written back
     property_order: tuple[str, ...] = ()  # order of columns in the source file; empty: the order of 3DGS
 
@@ -53,7 +56,12 @@ class Scene:
     @classmethod
     def of(cls, means, log_scales, quats, opacity_logits, sh) -> Scene:
         """From arrays of any real type and memory layout. Raises SceneError for other shapes."""
-        return cls(*(np.ascontiguousarray(array, np.float32) for array in (means, log_scales, quats, opacity_logits, sh)))  # type: ignore[arg-type]
+        return cls(
+            *(
+                np.ascontiguousarray(array, np.float32)
+                for array in (means, log_scales, quats, opacity_logits, sh)
+            )
+        )  # type: ignore[arg-type]
 
     @property
     def count(self) -> int:
@@ -66,8 +74,9 @@ class Scene:
         return SH_COEFFICIENTS.index(self.sh.shape[1])
 
     def select(self, index: np.ndarray) -> Scene:
-        """Returns the scene with the Gaussians that a boolean mask (N,) marks, or that an integer array lists, in this order."""
-        pick = lambda a: np.ascontiguousarray(a[index])  # noqa: E731
+        """Returns the scene with the Gaussians that a boolean mask (N,) marks, or that an integer array
+        lists, in this order."""
+        pick = lambda a: np.ascontiguousarray(a[index])
         return replace(
             self,
             means=pick(self.means),

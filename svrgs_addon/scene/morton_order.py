@@ -1,7 +1,7 @@
 """Morton order of Gaussians (Z-order curve).
 
-A run keeps its Gaussians in memory in this order. Gaussians that are close in space, and so are seen by the same views, are then
-close in memory, and a view reads fewer cache lines. Files keep their own order.
+A run keeps its Gaussians in memory in this order. Gaussians that are close in space, and so are seen by the
+same views, are then close in memory, and a view reads fewer cache lines. Files keep their own order.
 """
 
 from __future__ import annotations
@@ -9,12 +9,20 @@ from __future__ import annotations
 import numpy as np
 
 BITS = 21  # per axis; three axes fill the 63 bits of a non-negative int64
-CENTRAL_PERCENTILES = (25, 75)  # means between them define centre and extent, so that outliers have no influence
+# means between them define centre and extent, so that outliers have no influence
+CENTRAL_PERCENTILES = (25, 75)
 BOX_HALF_SIDE = 32  # in extents; means outside the box are clamped to its sides
 BLOCK = 1 << 16  # means whose codes are found together; the arrays of one block stay in the cache
 
-# (shift, mask) of each step: it halves the length of the groups of adjacent bits, until two zeros separate any two bits.
-_SPREAD = ((32, 0x1F00000000FFFF), (16, 0x1F0000FF0000FF), (8, 0x100F00F00F00F00F), (4, 0x10C30C30C30C30C3), (2, 0x1249249249249249))
+# (shift, mask) of each step: it halves the length of the groups of adjacent bits, until two zeros separate
+# any two bits.
+_SPREAD = (
+    (32, 0x1F00000000FFFF),
+    (16, 0x1F0000FF0000FF),
+    (8, 0x100F00F00F00F00F),
+    (4, 0x10C30C30C30C30C3),
+    (2, 0x1249249249249249),
+)
 
 
 def morton_order(means: np.ndarray) -> np.ndarray:
@@ -23,7 +31,8 @@ def morton_order(means: np.ndarray) -> np.ndarray:
 
 
 def morton_codes(means: np.ndarray) -> np.ndarray:
-    """Morton code of each mean (N, 3), (N,) int64: its position on the curve through a box of 2^21 cells per side.
+    """Morton code of each mean (N, 3), (N,) int64: its position on the curve through a box of 2^21 cells per
+    side.
 
     The box has its centre and size from central_box(). NaN is clamped to the low side of the box.
     """
@@ -46,7 +55,8 @@ def _codes(means: np.ndarray, centre: np.ndarray, extent: float) -> np.ndarray:
 
 
 def central_box(means: np.ndarray) -> tuple[np.ndarray, float]:
-    """Centre (3,) and longest side of the box between the 25th and 75th percentile of the finite means (N, 3) per axis, float64.
+    """Centre (3,) and longest side of the box between the 25th and 75th percentile of the finite means (N, 3)
+    per axis, float64.
 
     The side is never 0. Without finite means the result is (0, 0, 0) and 1.
     """

@@ -1,7 +1,9 @@
-"""Lets shapes and colours of Gaussians follow points that were moved together: by a rotation, a scaling, or another affine map.
+"""Lets shapes and colours of Gaussians follow points that were moved together: by a rotation, a scaling, or
+another affine map.
 
-Blender's Apply and Join move the points of a splat and leave its other attributes as they were. From the positions before and after,
-the matrix of each group of points is found again, and affine.py transforms the Gaussians with it.
+Blender's Apply and Join move the points of a splat and leave its other attributes as they were. From the
+positions before and after, the matrix of each group of points is found again, and affine.py transforms the
+Gaussians with it.
 """
 
 from __future__ import annotations
@@ -23,7 +25,8 @@ BLOCK = 65_536  # points that are computed at a time
 
 
 def follow_points(scene: Scene, before: np.ndarray) -> tuple[Scene, int]:
-    """The scene with the shapes and view-dependent colours that belong to its means, and the number of Gaussians that were transformed.
+    """The scene with the shapes and view-dependent colours that belong to its means, and the number of
+    Gaussians that were transformed.
 
     before: (N, 3) float32, the means to which the shapes and colours of the scene belong.
     """
@@ -42,8 +45,9 @@ def follow_points(scene: Scene, before: np.ndarray) -> tuple[Scene, int]:
 def moved_parts(before: np.ndarray, after: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Yields (rows, matrix) of each group of points that an affine map other than a translation has moved.
 
-    before, after: (N, 3) float32. rows: (n,) of the group. matrix: (4, 4) float64 with after = matrix · before up to rounding. Points
-    that were moved one by one, and points whose position before is (0, 0, 0) or not finite, belong to no group.
+    before, after: (N, 3) float32. rows: (n,) of the group. matrix: (4, 4) float64 with after = matrix ·
+    before up to rounding. Points that were moved one by one, and points whose position before is (0, 0, 0) or
+    not finite, belong to no group.
     """
     for rows, matrix in _groups(before, after):
         if not _is_translation(matrix, before[rows].astype(np.float64)):
@@ -51,17 +55,26 @@ def moved_parts(before: np.ndarray, after: np.ndarray) -> Iterator[tuple[np.ndar
 
 
 def common_motion(before: np.ndarray, after: np.ndarray) -> np.ndarray | None:
-    """The one matrix (4, 4) float64 that moves all points before (N, 3) float32 to after; None if there is none, or too few points."""
+    """The one matrix (4, 4) float64 that moves all points before (N, 3) float32 to after; None if there is
+    none, or too few points."""
     if np.array_equal(before, after):
         return np.eye(4)
     _, matrix = next(_groups(before, after), (None, None))
-    return matrix if matrix is not None and _all_moved_by(matrix, before, after, np.arange(len(before))).all() else None
+    return (
+        matrix
+        if matrix is not None and _all_moved_by(matrix, before, after, np.arange(len(before))).all()
+        else None
+    )
 
 
 def _groups(before: np.ndarray, after: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """As moved_parts, with translations."""
     rows = np.flatnonzero((before != after).any(axis=1))
-    rows = rows[(before[rows] != 0).any(axis=1) & np.isfinite(before[rows]).all(axis=1) & np.isfinite(after[rows]).all(axis=1)]
+    rows = rows[
+        (before[rows] != 0).any(axis=1)
+        & np.isfinite(before[rows]).all(axis=1)
+        & np.isfinite(after[rows]).all(axis=1)
+    ]
     least, rng = SMALLEST_SHARE * len(rows), np.random.default_rng(0)
     for _ in range(PARTS):
         if len(rows) < max(least, min(SMALLEST.values())):
@@ -81,11 +94,17 @@ def _groups(before: np.ndarray, after: np.ndarray) -> Iterator[tuple[np.ndarray,
 def _all_moved_by(matrix: np.ndarray, before: np.ndarray, after: np.ndarray, rows: np.ndarray) -> np.ndarray:
     """Whether the matrix moves these rows, (n,) bool."""
     blocks = [rows[start : start + BLOCK] for start in range(0, len(rows), BLOCK)]
-    return np.concatenate([_moves(matrix, before[block].astype(np.float64), after[block].astype(np.float64), TOLERANCE) for block in blocks])
+    return np.concatenate(
+        [
+            _moves(matrix, before[block].astype(np.float64), after[block].astype(np.float64), TOLERANCE)
+            for block in blocks
+        ]
+    )
 
 
 def _most_common(x: np.ndarray, y: np.ndarray, rng: np.random.Generator) -> np.ndarray | None:
-    """The matrix (4, 4) that moves most of the points x (n, 3) to y, as far as is found; None if no matrix moves several."""
+    """The matrix (4, 4) that moves most of the points x (n, 3) to y, as far as is found; None if no matrix
+    moves several."""
     matrix, count = _refined(x, y, np.ones(len(x), bool))
     if count == len(x):
         return matrix
@@ -101,7 +120,8 @@ def _most_common(x: np.ndarray, y: np.ndarray, rng: np.random.Generator) -> np.n
 
 
 def _guesses(count: int, rng: np.random.Generator) -> Iterator[np.ndarray]:
-    """Rows of small samples: neighbours in the list (joined splats lie one after the other), and rows from anywhere."""
+    """Rows of small samples: neighbours in the list (joined splats lie one after the other), and rows from
+    anywhere."""
     size = min(count, max(SMALLEST.values()))
     for _ in range(TRIES):
         yield rng.integers(0, count - size + 1) + np.arange(size)
@@ -109,7 +129,8 @@ def _guesses(count: int, rng: np.random.Generator) -> Iterator[np.ndarray]:
 
 
 def _refined(x: np.ndarray, y: np.ndarray, some: np.ndarray) -> tuple[np.ndarray | None, int]:
-    """The better of both fits to some points (n,) bool, fitted again to all points that it moves, and their number; (None, 0): too few."""
+    """The better of both fits to some points (n,) bool, fitted again to all points that it moves, and their
+    number; (None, 0): too few."""
     best: tuple[np.ndarray | None, int] = (None, 0)
     for name, fit in (("similarity", _similarity), ("affine", _affine)):
         belongs = some
@@ -125,7 +146,8 @@ def _refined(x: np.ndarray, y: np.ndarray, some: np.ndarray) -> tuple[np.ndarray
 
 
 def _moves(matrix: np.ndarray, x: np.ndarray, y: np.ndarray, tolerance: float) -> np.ndarray:
-    """Whether the matrix moves x (n, 3) to y, (n,) bool. tolerance: relative to the numbers that are added."""
+    """Whether the matrix moves x (n, 3) to y, (n,) bool. tolerance: relative to the numbers that are
+    added."""
     A, t = matrix[:3, :3], matrix[:3, 3]
     size = np.abs(x) @ np.abs(A).T + np.abs(t) + np.abs(y)
     return (np.abs(x @ A.T + t - y) <= tolerance * size.max(axis=1, keepdims=True)).all(axis=1)
@@ -144,13 +166,18 @@ def _affine(x: np.ndarray, y: np.ndarray) -> np.ndarray | None:
         return None
     centre_x, centre_y = x.mean(axis=0), y.mean(axis=0)
     A, _, rank, sizes = np.linalg.lstsq(x - centre_x, y - centre_y, rcond=None)
-    if rank < 3 or not sizes[2] > 1e-4 * sizes[0] or not abs(np.linalg.det(A)) > 1e-9 * np.linalg.norm(A) ** 3:
+    if (
+        rank < 3
+        or not sizes[2] > 1e-4 * sizes[0]
+        or not abs(np.linalg.det(A)) > 1e-9 * np.linalg.norm(A) ** 3
+    ):
         return None
     return _matrix(A.T, centre_x, centre_y)
 
 
 def _similarity(x: np.ndarray, y: np.ndarray) -> np.ndarray | None:
-    """The rotation, with or without mirroring, and uniform scale of least squares (Umeyama 1991), (4, 4); None if they are not defined."""
+    """The rotation, with or without mirroring, and uniform scale of least squares (Umeyama 1991), (4, 4);
+    None if they are not defined."""
     centre_x, centre_y = x.mean(axis=0), y.mean(axis=0)
     variance = ((x - centre_x) ** 2).sum()
     if len(x) < 3 or not variance > 0:

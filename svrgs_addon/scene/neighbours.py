@@ -1,7 +1,7 @@
 """The nearest points of a point cloud and their distances, exact, with NumPy alone.
 
-The points are split at medians into leaves of up to LEAF points. The points of a leaf are compared with those of all leaves that are
-near enough. A tree of groups of leaves keeps the search for these short.
+The points are split at medians into leaves of up to LEAF points. The points of a leaf are compared with those
+of all leaves that are near enough. A tree of groups of leaves keeps the search for these short.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ FIRST = 16  # leaves that are looked at first where there are many
 
 
 def nearest_distances(points: np.ndarray, count: int) -> np.ndarray:
-    """The distances (P, count) float64, ascending, of each point to its nearest other ones. points: (P, 3) finite, P > count."""
+    """The distances (P, count) float64, ascending, of each point to its nearest other ones. points: (P, 3)
+    finite, P > count."""
     result = np.empty((len(points), count))
     for own, squares, places, _ in _searches(points, count):
         result[own] = np.sqrt(_smallest(squares, count, places))
@@ -24,7 +25,8 @@ def nearest_distances(points: np.ndarray, count: int) -> np.ndarray:
 
 
 def nearest_rows(points: np.ndarray, count: int) -> np.ndarray:
-    """The rows (P, count) int64 of the nearest other points of each point, in no order. points: (P, 3) finite, P > count."""
+    """The rows (P, count) int64 of the nearest other points of each point, in no order. points: (P, 3)
+    finite, P > count."""
     result = np.empty((len(points), count), np.int64)
     for own, squares, places, others in _searches(points, count):
         squares[np.arange(len(own)), places] = np.inf
@@ -32,15 +34,20 @@ def nearest_rows(points: np.ndarray, count: int) -> np.ndarray:
     return result
 
 
-def _searches(points: np.ndarray, count: int) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
-    """For each leaf: rows (A,) of its points; squared distances (A, B) to points among which the `count` nearest others are; the columns (A,)
-    of the leaf's own points; rows (B,) of the columns."""
+def _searches(
+    points: np.ndarray, count: int
+) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+    """For each leaf: rows (A,) of its points; squared distances (A, B) to points among which the `count`
+    nearest others are; the columns (A,) of the leaf's own points; rows (B,) of the columns."""
     points = np.asarray(points, np.float64)
     order, starts = _leaves(points, max(LEAF, 2 * (count + 1)))
     sorted_points = points[order]
     low, high = (ufunc.reduceat(sorted_points, starts[:-1], axis=0) for ufunc in (np.minimum, np.maximum))
     groups = np.arange(0, len(low), GROUP)
-    low_of_groups, high_of_groups = np.minimum.reduceat(low, groups, axis=0), np.maximum.reduceat(high, groups, axis=0)
+    low_of_groups, high_of_groups = (
+        np.minimum.reduceat(low, groups, axis=0),
+        np.maximum.reduceat(high, groups, axis=0),
+    )
     for leaf in range(len(low)):
         rows = slice(starts[leaf], starts[leaf + 1])
         own = sorted_points[rows]
@@ -52,15 +59,23 @@ def _searches(points: np.ndarray, count: int) -> Iterator[tuple[np.ndarray, np.n
         leaves, gaps = leaves[gaps <= reach.max()], gaps[gaps <= reach.max()]
         if len(leaves) > 2 * FIRST:  # the nearest of them bring the reach down
             first = _rows(starts, np.union1d(leaves[np.argpartition(gaps, FIRST)[:FIRST]], leaf))
-            reach = _reach(own, sorted_points[first], count, np.searchsorted(first, np.arange(rows.start, rows.stop)))
+            reach = _reach(
+                own, sorted_points[first], count, np.searchsorted(first, np.arange(rows.start, rows.stop))
+            )
             leaves = leaves[gaps <= reach.max()]
             leaves = leaves[_any_within(own, low[leaves], high[leaves], reach)]
         others = _rows(starts, leaves)
-        yield order[rows], _squares(own, sorted_points[others]), np.searchsorted(others, np.arange(rows.start, rows.stop)), order[others]
+        yield (
+            order[rows],
+            _squares(own, sorted_points[others]),
+            np.searchsorted(others, np.arange(rows.start, rows.stop)),
+            order[others],
+        )
 
 
 def _leaves(points: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """The rows of the points, leaf after leaf of up to `size` points, and where the leaves begin (one more: the number of points)."""
+    """The rows of the points, leaf after leaf of up to `size` points, and where the leaves begin (one more:
+    the number of points)."""
     stack, parts = [np.arange(len(points))], []
     while stack:
         rows = stack.pop()
@@ -80,12 +95,18 @@ def _rows(starts: np.ndarray, leaves: np.ndarray) -> np.ndarray:
 
 
 def _reach(own: np.ndarray, others: np.ndarray, count: int, places: np.ndarray) -> np.ndarray:
-    """Squared distances (A,) of points to their `count`-th nearest of the others, of which `places` (A,) are these points; inf with too few."""
-    return _smallest(_squares(own, others), count, places)[:, -1] if len(others) > count else np.full(len(own), np.inf)
+    """Squared distances (A,) of points to their `count`-th nearest of the others, of which `places` (A,) are
+    these points; inf with too few."""
+    return (
+        _smallest(_squares(own, others), count, places)[:, -1]
+        if len(others) > count
+        else np.full(len(own), np.inf)
+    )
 
 
 def _any_within(points: np.ndarray, lows: np.ndarray, highs: np.ndarray, reach: np.ndarray) -> np.ndarray:
-    """(B,) bool: the boxes with corners (B, 3) that one of the points (A, 3) reaches. reach: (A,) squared distances."""
+    """(B,) bool: the boxes with corners (B, 3) that one of the points (A, 3) reaches. reach: (A,) squared
+    distances."""
     gap = np.maximum(np.maximum(lows - points[:, None], points[:, None] - highs), 0)
     return ((gap**2).sum(axis=2) <= reach[:, None]).any(axis=0)
 

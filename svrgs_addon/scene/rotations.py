@@ -7,7 +7,9 @@ import numpy as np
 
 def rotation_matrices(quats: np.ndarray) -> np.ndarray:
     """Rotation matrices (N, 3, 3) float64 of quaternions (N, 4), w x y z, of any length > 0."""
-    w, x, y, z = (quats.astype(np.float64) / np.linalg.norm(quats.astype(np.float64), axis=1, keepdims=True)).T
+    w, x, y, z = (
+        quats.astype(np.float64) / np.linalg.norm(quats.astype(np.float64), axis=1, keepdims=True)
+    ).T
     rows = (
         1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
         2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
@@ -17,22 +19,39 @@ def rotation_matrices(quats: np.ndarray) -> np.ndarray:
 
 
 def rotated(quats: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    """The vectors (N, 3), each turned by its quaternion (N, 4), w x y z, of any length > 0. In the dtype of the inputs."""
+    """The vectors (N, 3), each turned by its quaternion (N, 4), w x y z, of any length > 0. In the dtype of
+    the inputs."""
     (w, x, y, z), (a, b, c) = quats.T, vectors.T
     length = np.sqrt(w * w + x * x + y * y + z * z)
     w, x, y, z = w / length, x / length, y / length, z / length
-    p, q, r = 2 * (y * c - z * b), 2 * (z * a - x * c), 2 * (x * b - y * a)  # t = 2 (x, y, z) cross v;  v + w t + (x, y, z) cross t
+    # t = 2 (x, y, z) cross v;  v + w t + (x, y, z) cross t
+    p, q, r = 2 * (y * c - z * b), 2 * (z * a - x * c), 2 * (x * b - y * a)
     return np.stack([a + w * p + y * r - z * q, b + w * q + z * p - x * r, c + w * r + x * q - y * p], axis=1)
 
 
 def quats_from_matrices(R: np.ndarray) -> np.ndarray:
     """Unit quaternions (N, 4) float64, w x y z, of rotation matrices (N, 3, 3)."""
     m = np.moveaxis(R, 0, -1)
-    t = np.stack([m[0, 0] + m[1, 1] + m[2, 2], m[0, 0] - m[1, 1] - m[2, 2], m[1, 1] - m[0, 0] - m[2, 2], m[2, 2] - m[0, 0] - m[1, 1]])
+    t = np.stack(
+        [
+            m[0, 0] + m[1, 1] + m[2, 2],
+            m[0, 0] - m[1, 1] - m[2, 2],
+            m[1, 1] - m[0, 0] - m[2, 2],
+            m[2, 2] - m[0, 0] - m[1, 1],
+        ]
+    )
     a, b, c = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
     d, e, f = m[1, 0] + m[0, 1], m[0, 2] + m[2, 0], m[2, 1] + m[1, 2]
-    candidates = np.stack([np.stack([t[0] + 1, a, b, c]), np.stack([a, t[1] + 1, d, e]), np.stack([b, d, t[2] + 1, f]), np.stack([c, e, f, t[3] + 1])])
-    best = candidates[t.argmax(axis=0), :, np.arange(R.shape[0])]  # the numerically stable one of four equivalent formulas
+    candidates = np.stack(
+        [
+            np.stack([t[0] + 1, a, b, c]),
+            np.stack([a, t[1] + 1, d, e]),
+            np.stack([b, d, t[2] + 1, f]),
+            np.stack([c, e, f, t[3] + 1]),
+        ]
+    )
+    # the numerically stable one of four equivalent formulas
+    best = candidates[t.argmax(axis=0), :, np.arange(R.shape[0])]
     return best / np.linalg.norm(best, axis=1, keepdims=True)
 
 

@@ -1,8 +1,9 @@
 """Which way is up in a photographed scene, and the turn that brings it upright.
 
-Photographers hold cameras level: the right-hand side of most photographs points along the horizon, whether they look down or not. So up
-is the direction at right angles to the right-hand sides. Where all of them are nearly parallel, as in a walk along a street, that
-leaves a choice, and the mean of the upper sides of the photographs decides.
+Photographers hold cameras level: the right-hand side of most photographs points along the horizon, whether
+they look down or not. So up is the direction at right angles to the right-hand sides. Where all of them are
+nearly parallel, as in a walk along a street, that leaves a choice, and the mean of the upper sides of the
+photographs decides.
 """
 
 from __future__ import annotations
@@ -10,23 +11,28 @@ from __future__ import annotations
 import numpy as np
 
 LEAST_VIEWS = 3
-LEVEL = np.sin(np.radians(20))  # a photograph counts as level if its right-hand side is no further above or below the horizon
+# a photograph counts as level if its right-hand side is no further above or below the horizon
+LEVEL = np.sin(np.radians(20))
 CONSENSUS = 2 / 3  # share of the views that must be level and not upside down
-SPREAD, NOISE = 8.0, 1e-4  # right-hand sides span a plane if their second smallest variance is SPREAD times the smallest, at least NOISE
-CLEAR = 0.2  # a mean upper side that agrees less with the result does not decide which of its two directions is up
+# right-hand sides span a plane if their second smallest variance is SPREAD times the smallest, at least NOISE
+SPREAD, NOISE = 8.0, 1e-4
+# a mean upper side that agrees less with the result does not decide which of its two directions is up
+CLEAR = 0.2
 ROUNDS = 10
 
 
 def up_direction(rotations: np.ndarray) -> np.ndarray | None:
     """The unit vector (3,) that points up in the world, or None if the views do not agree on one.
 
-    rotations: (V, 3, 3), world to camera, camera frame of COLMAP. A third of the views may be rolled, as photographs in portrait format.
+    rotations: (V, 3, 3), world to camera, camera frame of COLMAP. A third of the views may be rolled, as
+    photographs in portrait format.
     """
     rotations = np.asarray(rotations, np.float64).reshape(-1, 3, 3)
     if len(rotations) < LEAST_VIEWS:
         return None
     right, top, forward = rotations[:, 0], -rotations[:, 1], rotations[:, 2]
-    for guess in (_median_direction(top), _fitted(right, top, forward)):  # the second for views straight down, whose upper sides cancel out
+    # the second for views straight down, whose upper sides cancel out
+    for guess in (_median_direction(top), _fitted(right, top, forward)):
         up = _refined(guess, right, top, forward)
         if _level(right, top, up).mean() >= CONSENSUS:
             return up
@@ -34,7 +40,8 @@ def up_direction(rotations: np.ndarray) -> np.ndarray | None:
 
 
 def levelled(matrix: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """The affine matrix (4, 4), turned the shortest way so that it maps the direction `up` (3,) to +z. Scale and origin stay."""
+    """The affine matrix (4, 4), turned the shortest way so that it maps the direction `up` (3,) to +z. Scale
+    and origin stay."""
     turned = np.array(matrix, np.float64)
     now = turned[:3, :3] @ up
     turned[:3, :3] = _shortest_turn(now / np.linalg.norm(now)) @ turned[:3, :3]
@@ -77,7 +84,8 @@ def _fitted(right: np.ndarray, top: np.ndarray, forward: np.ndarray) -> np.ndarr
 
 
 def _median_direction(directions: np.ndarray) -> np.ndarray:
-    """The direction (3,) with the smallest sum of distances to unit vectors (V, 3): few outliers do not move it."""
+    """The direction (3,) with the smallest sum of distances to unit vectors (V, 3): few outliers do not move
+    it."""
     middle = directions.mean(axis=0)
     for _ in range(ROUNDS):
         weights = 1 / np.maximum(np.linalg.norm(directions - middle, axis=1), 1e-6)
@@ -86,8 +94,11 @@ def _median_direction(directions: np.ndarray) -> np.ndarray:
 
 
 def _shortest_turn(start: np.ndarray) -> np.ndarray:
-    """The rotation (3, 3) by the smallest angle that takes the unit vector `start` to +z; from -z, half a turn about x."""
+    """The rotation (3, 3) by the smallest angle that takes the unit vector `start` to +z; from -z, half a
+    turn about x."""
     x, y, z = start
     if z < -1 + 1e-12:
         return np.diag([1.0, -1.0, -1.0])
-    return np.array([[1 - x * x / (1 + z), -x * y / (1 + z), -x], [-x * y / (1 + z), 1 - y * y / (1 + z), -y], [x, y, z]])
+    return np.array(
+        [[1 - x * x / (1 + z), -x * y / (1 + z), -x], [-x * y / (1 + z), 1 - y * y / (1 + z), -y], [x, y, z]]
+    )

@@ -1,6 +1,7 @@
 """Exit status, error sentence and JSON result of a process.
 
-Exit status 0: done. 1: failure of the program or the system. 2: wrong usage or input. 130: stopped by the user; the run can be resumed.
+Exit status 0: done. 1: failure of the program or the system. 2: wrong usage or input. 130: stopped by the
+user; the run can be resumed.
 """
 
 from __future__ import annotations
@@ -18,12 +19,14 @@ from .file_names import shown
 from .packages import import_reason
 
 STOPPED = 130
-# Control characters of ASCII and Latin-1, separators of lines and paragraphs, changes of the writing direction.
+# Control characters of ASCII and Latin-1, separators of lines and paragraphs, changes of the writing
+# direction.
 CONTROLS = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
 
 
 def guarded(run: Callable[[], int], tell: Callable[[str], None]) -> int:
-    """Calls run() and returns its exit status. An expected error is passed to tell() as one sentence and becomes a status (see above).
+    """Calls run() and returns its exit status. An expected error is passed to tell() as one sentence and
+    becomes a status (see above).
 
     Other exceptions pass through.
     """
@@ -47,13 +50,16 @@ def guarded(run: Callable[[], int], tell: Callable[[str], None]) -> int:
     except RuntimeError as error:
         if "start new thread" not in str(error):
             raise
-        tell("no further thread can be started: memory or the number of threads is limited (ulimit -v, -u); raise the limit, or use fewer --threads")
+        tell(
+            "no further thread can be started: memory or the number of threads is limited (ulimit -v, -u);"
+            " raise the limit, or use fewer --threads"
+        )
     return 1
 
 
 def printable(text: str) -> str:
-    """The text with control characters replaced by escapes such as \\x1b, so that a name in it cannot command the terminal or add a line.
-    Paths are as the user wrote them."""
+    """The text with control characters replaced by escapes such as \\x1b, so that a name in it cannot command
+    the terminal or add a line. Paths are as the user wrote them."""
     return CONTROLS.sub(lambda found: found[0].encode("unicode_escape").decode(), shown(text))
 
 
@@ -72,14 +78,16 @@ def log_to_stderr() -> None:
 
 
 def use_utf_8() -> None:
-    """stdin and stdout are UTF-8 from here on, whatever the locale says: they are pipes to another process of this product."""
+    """stdin and stdout are UTF-8 from here on, whatever the locale says: they are pipes to another process of
+    this product."""
     for stream in (sys.stdin, sys.stdout):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(encoding="utf-8")
 
 
 def answer(work: Callable[[dict], dict]) -> int:
-    """The main function of a child process: it gives work() the JSON object on stdin, and prints its result as JSON on stdout.
+    """The main function of a child process: it gives work() the JSON object on stdin, and prints its result
+    as JSON on stdout.
 
     An expected error is printed as {"error": sentence}. Returns the exit status.
     """
@@ -97,8 +105,8 @@ def answer(work: Callable[[dict], dict]) -> int:
 
 
 def plain(value):
-    """Returns the value in a form that JSON can store. Infinity and NaN become None, tuples become lists; containers are converted recursively.
-    Paths in texts are as the user wrote them."""
+    """Returns the value in a form that JSON can store. Infinity and NaN become None, tuples become lists;
+    containers are converted recursively. Paths in texts are as the user wrote them."""
     if isinstance(value, dict):
         return {k: plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):

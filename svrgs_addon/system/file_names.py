@@ -17,9 +17,11 @@ JUNCTION = 0xA0000003  # tag of a folder of Windows that leads to another one, w
 
 
 def what_is_forbidden(path: str | os.PathLike) -> str:
-    """What the system forbids in the names of a path as the user wrote it, as the end of a sentence; '' if nothing.
+    """What the system forbids in the names of a path as the user wrote it, as the end of a sentence; '' if
+    nothing.
 
-    Without this check, Windows would write `NUL.ply` to no file, and `a:b.ply` into a hidden stream of the file `a`.
+    Without this check, Windows would write `NUL.ply` to no file, and `a:b.ply` into a hidden stream of the
+    file `a`.
     """
     if not here.WINDOWS:
         return ""
@@ -35,8 +37,8 @@ def what_is_forbidden(path: str | os.PathLike) -> str:
 
 
 def extended(path: str | os.PathLike) -> Path:
-    """The path in the form in which the system opens it. On Windows, a path of more than LONGEST characters becomes absolute, without '..',
-    and gets the prefix that lifts the limit of 260 characters."""
+    """The path in the form in which the system opens it. On Windows, a path of more than LONGEST characters
+    becomes absolute, without '..', and gets the prefix that lifts the limit of 260 characters."""
     path = Path(path)
     text = os.fspath(path)
     if not here.WINDOWS or text.startswith(PREFIX):
@@ -48,7 +50,8 @@ def extended(path: str | os.PathLike) -> Path:
 
 
 def real(path: str | os.PathLike) -> Path:
-    """The absolute path without symbolic links, in the form of extended(). Where Windows cannot follow links, as on some drives, they stay."""
+    """The absolute path without symbolic links, in the form of extended(). Where Windows cannot follow links,
+    as on some drives, they stay."""
     try:
         return extended(os.path.realpath(path))
     except OSError:
@@ -69,7 +72,8 @@ def remove_link(path: Path) -> bool:
 
 
 def shown(text: str) -> str:
-    """The text of a message, with its paths as the user wrote them: without the prefix of extended(). Python's own errors double each backslash."""
+    """The text of a message, with its paths as the user wrote them: without the prefix of extended().
+    Python's own errors double each backslash."""
     if here.WINDOWS:
         for single in ("\\\\", "\\"):
             prefix = PREFIX.replace("\\", single)

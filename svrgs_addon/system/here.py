@@ -6,5 +6,6 @@ import sys
 
 WINDOWS = sys.platform == "win32"
 MACOS = sys.platform == "darwin"
-LIBRARY = "svrgs.dll" if WINDOWS else "libsvrgs.dylib" if MACOS else "libsvrgs.so"  # file name of the native library
+# file name of the native library
+LIBRARY = "svrgs.dll" if WINDOWS else "libsvrgs.dylib" if MACOS else "libsvrgs.so"
 WHEEL = "win" if WINDOWS else "macosx" if MACOS else "manylinux"  # begins the platform in the names of wheels

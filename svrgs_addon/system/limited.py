@@ -1,4 +1,5 @@
-"""A script, run as a child process: runs another script with limits, where the system can set them. It imports nothing else of this package.
+"""A script, run as a child process: runs another script with limits, where the system can set them. It
+imports nothing else of this package.
 
 python limited.py SECONDS MEGABYTES SCRIPT WORD…    SECONDS of the processor, MEGABYTES of addresses
 """

@@ -1,8 +1,9 @@
-"""Files that belong to a process until it ends, however it ends. Another process sees that, and removes those whose owner was killed.
+"""Files that belong to a process until it ends, however it ends. Another process sees that, and removes those
+whose owner was killed.
 
-POSIX: the owner has locked the file (flock). On file systems without locks, nobody owns a file.
-Windows: the owner has the file open. Opening it for oneself alone then fails. No program there can remove a file between its creation
-and a lock, and a killed process leaves no lock behind.
+POSIX: the owner has locked the file (flock). On file systems without locks, nobody owns a file. Windows: the
+owner has the file open. Opening it for oneself alone then fails. No program there can remove a file between
+its creation and a lock, and a killed process leaves no lock behind.
 """
 
 from __future__ import annotations
@@ -21,21 +22,28 @@ try:
 except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
-PATIENCE_S, PAUSE_S = 0.5, 0.05  # a virus scanner, or another process that looks for abandoned files, holds a file for a moment only
+# a virus scanner, or another process that looks for abandoned files, holds a file for a moment only
+PATIENCE_S, PAUSE_S = 0.5, 0.05
 
 
 def create_owned(path: Path) -> BinaryIO:
-    """Creates a new empty file that this process owns until the returned file is closed. Meanwhile it can be opened, written and renamed.
+    """Creates a new empty file that this process owns until the returned file is closed. Meanwhile it can be
+    opened, written and renamed.
 
     Raises FileExistsError if there is one, OSError if it cannot be created.
     """
     if here.WINDOWS:
-        return _opened(windows.create_file(path, windows.GENERIC_READ | windows.GENERIC_WRITE, windows.SHARE_ALL, windows.CREATE_NEW))
+        return _opened(
+            windows.create_file(
+                path, windows.GENERIC_READ | windows.GENERIC_WRITE, windows.SHARE_ALL, windows.CREATE_NEW
+            )
+        )
     while True:
         file = open(path, "xb")  # noqa: SIM115 (owned until it is closed)
         with contextlib.suppress(OSError):  # a file system without locks
             fcntl.flock(file, fcntl.LOCK_EX)
-        if os.fstat(file.fileno()).st_nlink:  # not 0, so remove_abandoned() of another process did not remove it before it was locked
+        # not 0, so remove_abandoned() of another process did not remove it before it was locked
+        if os.fstat(file.fileno()).st_nlink:
             return file
         file.close()
 
@@ -43,7 +51,11 @@ def create_owned(path: Path) -> BinaryIO:
 def remove_abandoned(path: Path) -> None:
     """Removes the file unless a process owns it. Raises OSError if it was not removed."""
     if here.WINDOWS:
-        os.close(windows.create_file(path, windows.DELETE, windows.SHARE_NOTHING, windows.OPEN_EXISTING, windows.DELETE_ON_CLOSE))
+        os.close(
+            windows.create_file(
+                path, windows.DELETE, windows.SHARE_NOTHING, windows.OPEN_EXISTING, windows.DELETE_ON_CLOSE
+            )
+        )
         return
     with open(path, "r+b") as file:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -52,7 +64,8 @@ def remove_abandoned(path: Path) -> None:
 
 @contextlib.contextmanager
 def exclusive(path: Path) -> Iterator[bool]:
-    """Context manager: owns the file, which is created if it is missing and removed at the end. Yields False if another one owns it.
+    """Context manager: owns the file, which is created if it is missing and removed at the end. Yields False
+    if another one owns it.
 
     The other one may be a thread of this process. Raises OSError if the file cannot be created.
     """
@@ -90,7 +103,11 @@ def _taken_on_windows(path: Path) -> BinaryIO | None:
     while True:
         try:
             access = windows.GENERIC_WRITE | windows.DELETE
-            return _opened(windows.create_file(path, access, windows.SHARE_NOTHING, windows.OPEN_ALWAYS, windows.DELETE_ON_CLOSE))
+            return _opened(
+                windows.create_file(
+                    path, access, windows.SHARE_NOTHING, windows.OPEN_ALWAYS, windows.DELETE_ON_CLOSE
+                )
+            )
         except PermissionError as error:
             if time.monotonic() > end:
                 if getattr(error, "winerror", 0) == windows.SHARING_VIOLATION:

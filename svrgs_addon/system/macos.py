@@ -1,4 +1,5 @@
-"""The functions of macOS that Python does not offer, through ctypes. Nothing here is called on another system."""
+"""The functions of macOS that Python does not offer, through ctypes. Nothing here is called on another
+system."""
 
 from __future__ import annotations
 
@@ -36,8 +37,11 @@ def _host() -> int:
 
 
 def available_memory() -> int | None:
-    """Bytes that are free, or hold what can be dropped or written elsewhere (inactive); None if the kernel does not say."""
+    """Bytes that are free, or hold what can be dropped or written elsewhere (inactive); None if the kernel
+    does not say."""
     pages, size = VirtualMemory(), ctypes.c_uint32(ctypes.sizeof(VirtualMemory) // 4)
-    if system_library().host_statistics64(ctypes.c_uint32(_host()), _HOST_VM_INFO64, ctypes.byref(pages), ctypes.byref(size)):
+    if system_library().host_statistics64(
+        ctypes.c_uint32(_host()), _HOST_VM_INFO64, ctypes.byref(pages), ctypes.byref(size)
+    ):
         return None
     return (pages.free + pages.inactive) * os.sysconf("SC_PAGE_SIZE")

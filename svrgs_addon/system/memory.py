@@ -1,7 +1,7 @@
 """Estimates of the memory that a job needs, and the memory that is available.
 
-A job whose estimate exceeds the available memory is refused before it starts; the message names both numbers. What the system says is
-read in system/memory_limits.py.
+A job whose estimate exceeds the available memory is refused before it starts; the message names both numbers.
+What the system says is read in system/memory_limits.py.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ from .memory_limits import address_limit, available
 
 
 class View(Protocol):
-    """Anything with the size of a picture, in pixels: a Camera. Importing that, and with it NumPy, needs memory."""
+    """Anything with the size of a picture, in pixels: a Camera. Importing that, and with it NumPy, needs
+    memory."""
 
     @property
     def width(self) -> int: ...
@@ -24,8 +25,11 @@ class View(Protocol):
 
 # Measured as the growth of the process in bytes (docs/reliability.md).
 READING = 1.3  # bytes per byte of a splat file: its arrays, and copies of some of them during repair
-ROW_FLOATS = 13  # 4-byte values per Gaussian without SH: mean 3, log-scale 3, quaternion 4, opacity logit, existence logit, source row
-SH_MOMENT = 2  # bytes of Adam moments per SH coefficient; other values have moments of their own size, 4 bytes
+# 4-byte values per Gaussian without SH: mean 3, log-scale 3, quaternion 4, opacity logit, existence logit,
+# source row
+ROW_FLOATS = 13
+# bytes of Adam moments per SH coefficient; other values have moments of their own size, 4 bytes
+SH_MOMENT = 2
 STATISTICS = 8  # bytes per Gaussian: the statistics of densification
 ADDED_COPIES = 2  # temporary copies of the values of a Gaussian that densification adds
 PROJECTED = 150  # bytes per projected Gaussian
@@ -37,7 +41,8 @@ KEPT_PIXEL = 50  # the same, for what gradients or statistics need in addition
 TUNED_PIXEL, MEASURED_PIXEL = 200, 100  # the same: fine-tuning, metrics
 LPIPS_PIXEL = 2000  # bytes per pixel of a view: LPIPS
 COMPARED_PIXEL = 60  # bytes per pixel of each view of which two scenes are shown in a report
-NUMPY_ADDRESSES, PHOTOGRAPH_ADDRESSES = 200_000_000, 800_000_000  # bytes of addresses needed by NumPy; by pycolmap, OpenImageIO and SciPy too
+# bytes of addresses needed by NumPy; by pycolmap, OpenImageIO and SciPy too
+NUMPY_ADDRESSES, PHOTOGRAPH_ADDRESSES = 200_000_000, 800_000_000
 
 
 def reading(file_bytes: int) -> int:
@@ -46,42 +51,52 @@ def reading(file_bytes: int) -> int:
 
 
 def unpacking(count: int, coefficients: int) -> int:
-    """Bytes of memory needed to read `count` Gaussians out of a compressed file: in parts, which are then joined. coefficients: SH coefficients per
-    channel, K."""
+    """Bytes of memory needed to read `count` Gaussians out of a compressed file: in parts, which are then
+    joined. coefficients: SH coefficients per channel, K."""
     return 2 * 4 * (11 + 3 * coefficients) * count
 
 
 def unpacking_in_parts(count: int, coefficients: int) -> int:
-    """Bytes of memory needed to read `count` Gaussians out of a compressed file in parts: for the file, and the streams or textures
-    that are unpacked as a whole. coefficients: as for unpacking()."""
+    """Bytes of memory needed to read `count` Gaussians out of a compressed file in parts: for the file, and
+    the streams or textures that are unpacked as a whole. coefficients: as for unpacking()."""
     return (STREAMED + 6 * coefficients) * count
 
 
 def texturing(count: int, coefficients: int) -> int:
-    """Bytes of memory needed to turn `count` Gaussians that are in memory already into textures and a palette. coefficients: SH coefficients per
-    channel, K."""
+    """Bytes of memory needed to turn `count` Gaussians that are in memory already into textures and a
+    palette. coefficients: SH coefficients per channel, K."""
     return (TEXTURED + 4 * 3 * coefficients) * count
 
 
 def rendering(count: int, width: int, height: int) -> int:
-    """Bytes of memory needed to render one view of width x height pixels of `count` Gaussians that are in memory already."""
+    """Bytes of memory needed to render one view of width x height pixels of `count` Gaussians that are in
+    memory already."""
     return PROJECTED * count + RENDERED_PIXEL * width * height
 
 
-def tuning(count: int, coefficients: int, cameras: Sequence[View], kept_photographs: int, averaged: int = 0) -> int:
+def tuning(
+    count: int, coefficients: int, cameras: Sequence[View], kept_photographs: int, averaged: int = 0
+) -> int:
     """Bytes of memory needed to fine-tune and evaluate `count` Gaussians.
 
-    coefficients: SH coefficients per channel, K. cameras: all views; the largest one counts. kept_photographs: memory budget of
-    cached photographs in bytes; at most 3 bytes per pixel of all views are counted. averaged: number of those that are left when values are
-    averaged; 0 if none are.
+    coefficients: SH coefficients per channel, K. cameras: all views; the largest one counts.
+    kept_photographs: memory budget of cached photographs in bytes; at most 3 bytes per pixel of all views are
+    counted. averaged: number of those that are left when values are averaged; 0 if none are.
     """
     row, moments = _trained_row(coefficients)
-    besides = max(PROJECTED * count, (PROJECTED + row) * averaged)  # the first steps, the averaged ones; the memory of removed rows is not freed
-    return int((row + moments) * count + besides + (TUNED_PIXEL + MEASURED_PIXEL) * _pixels(cameras) + _kept(cameras, kept_photographs))
+    # the first steps, the averaged ones; the memory of removed rows is not freed
+    besides = max(PROJECTED * count, (PROJECTED + row) * averaged)
+    return int(
+        (row + moments) * count
+        + besides
+        + (TUNED_PIXEL + MEASURED_PIXEL) * _pixels(cameras)
+        + _kept(cameras, kept_photographs)
+    )
 
 
 def decimating(count: int, coefficients: int, cameras: Sequence[View]) -> int:
-    """Bytes of memory needed to remove and merge Gaussians (finetune/decimate/) and to fine-tune those that are left, on pictures that are all kept.
+    """Bytes of memory needed to remove and merge Gaussians (finetune/decimate/) and to fine-tune those that
+    are left, on pictures that are all kept.
 
     coefficients: SH coefficients per channel, K. cameras: all views.
     """
@@ -91,11 +106,14 @@ def decimating(count: int, coefficients: int, cameras: Sequence[View]) -> int:
 
 def ordering(count: int, coefficients: int, cameras: Sequence[View]) -> int:
     """Bytes of memory needed to order removals and merges. coefficients, cameras: as for decimating()."""
-    return (DECIMATED + _trained_row(coefficients)[0]) * count + (RENDERED_PIXEL + KEPT_PIXEL) * _pixels(cameras)
+    return (DECIMATED + _trained_row(coefficients)[0]) * count + (RENDERED_PIXEL + KEPT_PIXEL) * _pixels(
+        cameras
+    )
 
 
 def measuring(count: int, cameras: Sequence[View], kept_photographs: int, lpips: bool) -> int:
-    """Bytes of memory needed to evaluate `count` Gaussians that are in memory already. cameras: the views; the largest one counts.
+    """Bytes of memory needed to evaluate `count` Gaussians that are in memory already. cameras: the views;
+    the largest one counts.
 
     kept_photographs: as for tuning(). lpips: whether LPIPS is measured too.
     """
@@ -103,8 +121,11 @@ def measuring(count: int, cameras: Sequence[View], kept_photographs: int, lpips:
     return PROJECTED * count + pixel * _pixels(cameras) + _kept(cameras, kept_photographs)
 
 
-def comparing(count: int, cameras: Sequence[View], shown: Sequence[View], kept_photographs: int, lpips: bool) -> int:
-    """Bytes of memory needed to compare two scenes in memory, the larger one with `count` Gaussians, in figures and pictures.
+def comparing(
+    count: int, cameras: Sequence[View], shown: Sequence[View], kept_photographs: int, lpips: bool
+) -> int:
+    """Bytes of memory needed to compare two scenes in memory, the larger one with `count` Gaussians, in
+    figures and pictures.
 
     cameras, kept_photographs, lpips: as for measuring(). shown: the views with pictures.
     """
@@ -115,7 +136,8 @@ def comparing(count: int, cameras: Sequence[View], shown: Sequence[View], kept_p
 def growing(count: int, added: int, coefficients: int, cameras: Sequence[View]) -> int:
     """Further bytes of memory needed to add `added` Gaussians to `count` ones during training.
 
-    The arrays are copied one after the other, so one copy of the largest array counts. Metrics of a view at the end must fit as well.
+    The arrays are copied one after the other, so one copy of the largest array counts. Metrics of a view at
+    the end must fit as well.
     """
     (row, moments), largest = _trained_row(coefficients), 4 * 3 * coefficients
     new = (1 + ADDED_COPIES) * row + moments + PROJECTED
@@ -123,8 +145,8 @@ def growing(count: int, added: int, coefficients: int, cameras: Sequence[View]) 
 
 
 def checkpoint(count: int, coefficients: int, averaged: int = 0) -> int:
-    """Bytes on disk of the largest checkpoint of a run that has `count` Gaussians now. coefficients: SH coefficients per channel. averaged: as
-    for tuning()."""
+    """Bytes on disk of the largest checkpoint of a run that has `count` Gaussians now. coefficients: SH
+    coefficients per channel. averaged: as for tuning()."""
     row, moments = _trained_row(coefficients)
     return max((row + moments + STATISTICS) * count, (2 * row + moments + STATISTICS) * averaged)
 
@@ -135,16 +157,22 @@ def _trained_row(coefficients: int) -> tuple[int, int]:
     return other + 4 * 3 * coefficients, other + SH_MOMENT * 3 * coefficients
 
 
-BY_BLOCKS, IN_PARTS = "svrgs large prunes it by blocks, with less", "svrgs convert and svrgs large read it in parts"  # advice
+# advice
+BY_BLOCKS, IN_PARTS = (
+    "svrgs large prunes it by blocks, with less",
+    "svrgs convert and svrgs large read it in parts",
+)
 
 
 def without_advice(sentence: str) -> str:
-    """The sentence of an error without BY_BLOCKS or IN_PARTS at its end: for work that then goes on in this way."""
+    """The sentence of an error without BY_BLOCKS or IN_PARTS at its end: for work that then goes on in this
+    way."""
     return sentence.removesuffix(f"; {BY_BLOCKS}").removesuffix(f"; {IN_PARTS}")
 
 
 def shortage(what: str, needed: int) -> str:
-    """A sentence if `needed` bytes exceed the available memory, else ''. what: subject of the sentence, such as 'pruning a.ply'."""
+    """A sentence if `needed` bytes exceed the available memory, else ''. what: subject of the sentence, such
+    as 'pruning a.ply'."""
     free = available()
     if free is None or needed <= free:
         return ""
@@ -160,11 +188,15 @@ def refuse_excess(what: str, needed: int, advice: str = "") -> None:
 def refuse_few_addresses(least: int) -> None:
     """Raises SceneError if the process may have less than `least` bytes of addresses (ulimit -v).
 
-    Call it before NumPy and pycolmap are imported: with too few, they fail in ways that a program cannot catch, or never return.
+    Call it before NumPy and pycolmap are imported: with too few, they fail in ways that a program cannot
+    catch, or never return.
     """
     limit = address_limit()
     if limit is not None and limit < least:
-        raise SceneError(f"this process may use only {size_text(limit)} of memory (ulimit -v), but needs at least {size_text(least)}; raise the limit")
+        raise SceneError(
+            f"this process may use only {size_text(limit)} of memory (ulimit -v), but needs at least"
+            f" {size_text(least)}; raise the limit"
+        )
 
 
 def _kept(cameras: Sequence[View], budget: int) -> int:
@@ -186,7 +218,12 @@ def size_text(value: float) -> str:
 
 
 def part_text(part: int, whole: int) -> str:
-    """Two numbers of bytes, the first below the second, as text: '0.1 of 21.7 MB', or '12 bytes of 21.7 MB are missing'."""
+    """Two numbers of bytes, the first below the second, as text: '0.1 of 21.7 MB', or '12 bytes of 21.7 MB
+    are missing'."""
     number, unit = size_text(whole).split()
     shown = f"{part * float(number) / whole:.1f}" if unit != "bytes" else str(part)
-    return f"{shown} of {number} {unit}" if shown != number else f"{size_text(whole - part)} of {number} {unit} are missing"
+    return (
+        f"{shown} of {number} {unit}"
+        if shown != number
+        else f"{size_text(whole - part)} of {number} {unit} are missing"
+    )

@@ -14,16 +14,22 @@ except ImportError:  # Windows
     resource = None  # type: ignore[assignment]
 
 CGROUP, OWN_CGROUPS = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
-CGROUP_2 = ("memory.max", "memory.current", "inactive_file")  # files with limit and use, and name of the cached files in memory.stat
+# files with limit and use, and name of the cached files in memory.stat
+CGROUP_2 = ("memory.max", "memory.current", "inactive_file")
 CGROUP_1 = ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file")
 
 
 def available() -> int | None:
     """Bytes that this process can still allocate without swapping; None if the system does not report it.
 
-    Limits are included: of containers (cgroups), of the process (ulimit -v), of the job object of a process on Windows.
+    Limits are included: of containers (cgroups), of the process (ulimit -v), of the job object of a process
+    on Windows.
     """
-    sources = (_windows_available, _job_available) if here.WINDOWS else (_system_available, _cgroup_available, _addresses_available)
+    sources = (
+        (_windows_available, _job_available)
+        if here.WINDOWS
+        else (_system_available, _cgroup_available, _addresses_available)
+    )
     limits = [limit for source in sources if (limit := source()) is not None]
     return min(limits) if limits else None
 
@@ -58,11 +64,15 @@ def _windows_available() -> int | None:
 
 
 def _job_available() -> int | None:
-    """Bytes below the limit of the job object; None without one. Of a limit on all its processes, other ones may have used a part."""
+    """Bytes below the limit of the job object; None without one. Of a limit on all its processes, other ones
+    may have used a part."""
     job, memory = windows.own_job_limits(), windows.process_memory()
     if job is None or memory is None:
         return None
-    limits = ((windows.LIMITS_PROCESS_MEMORY, job.process_memory), (windows.LIMITS_JOB_MEMORY, job.job_memory))
+    limits = (
+        (windows.LIMITS_PROCESS_MEMORY, job.process_memory),
+        (windows.LIMITS_JOB_MEMORY, job.job_memory),
+    )
     return min((max(0, limit - memory.private) for flag, limit in limits if job.flags & flag), default=None)
 
 
@@ -80,13 +90,15 @@ def _system_available() -> int | None:
 
 
 def proc_bytes(file: str, name: str) -> int:
-    """Bytes in the line `name` of /proc/`file`. Raises OSError or ValueError if there is no such file or line."""
+    """Bytes in the line `name` of /proc/`file`. Raises OSError or ValueError if there is no such file or
+    line."""
     text = Path("/proc", file).read_text(encoding="utf-8", errors="surrogateescape")
     return 1024 * int(text.partition(f"{name}:")[2].partition("kB")[0])
 
 
 def _cgroup_available() -> int | None:
-    """Bytes below the nearest limit of the containers (cgroups, version 1 or 2), where cached files count as free; None without a limit."""
+    """Bytes below the nearest limit of the containers (cgroups, version 1 or 2), where cached files count as
+    free; None without a limit."""
     left = [_below_limit(folder, *names) for folder, names in _cgroups()]
     return min((value for value in left if value is not None), default=None)
 
@@ -94,16 +106,24 @@ def _cgroup_available() -> int | None:
 def _cgroups() -> Iterator[tuple[Path, tuple[str, str, str]]]:
     """The folders of the cgroups of this process and of those around them, and the names of their files.
 
-    In a container, the path of the process in /proc may not exist below /sys/fs/cgroup; then only the root, which is the container's, does.
+    In a container, the path of the process in /proc may not exist below /sys/fs/cgroup; then only the root,
+    which is the container's, does.
     """
     try:
-        lines = [line.split(":", 2) for line in OWN_CGROUPS.read_text(encoding="utf-8", errors="surrogateescape").splitlines()]
+        lines = [
+            line.split(":", 2)
+            for line in OWN_CGROUPS.read_text(encoding="utf-8", errors="surrogateescape").splitlines()
+        ]
     except OSError:
         lines = []
     paths = {controllers: path for _, controllers, path in lines}
     own_2 = paths.get("", "/")
     own_1 = next((path for controllers, path in paths.items() if "memory" in controllers.split(",")), "/")
-    for root, own, names in ((CGROUP, own_2, CGROUP_2), (CGROUP / "unified", own_2, CGROUP_2), (CGROUP / "memory", own_1, CGROUP_1)):
+    for root, own, names in (
+        (CGROUP, own_2, CGROUP_2),
+        (CGROUP / "unified", own_2, CGROUP_2),
+        (CGROUP / "memory", own_1, CGROUP_1),
+    ):
         inner = PurePosixPath(own.lstrip("/"))
         for part in (inner, *inner.parents):
             if ".." not in part.parts:  # above the root of a namespace
@@ -113,7 +133,10 @@ def _cgroups() -> Iterator[tuple[Path, tuple[str, str, str]]]:
 def _below_limit(folder: Path, limit_file: str, use_file: str, cached_name: str) -> int | None:
     """Bytes that may still be used in one cgroup; None if it has no limit or does not exist."""
     try:
-        limit, used, stat = ((folder / name).read_text(encoding="utf-8").strip() for name in (limit_file, use_file, "memory.stat"))
+        limit, used, stat = (
+            (folder / name).read_text(encoding="utf-8").strip()
+            for name in (limit_file, use_file, "memory.stat")
+        )
         facts = dict(line.split() for line in stat.splitlines())
         return None if limit == "max" else max(0, int(limit) - int(used) + int(facts.get(cached_name, 0)))
     except (OSError, ValueError):

@@ -1,6 +1,7 @@
 """Kinds of options, and options as fields of a dataclass.
 
-A kind says how the command line parses an option, which values a job folder may hold, and which range Blender offers.
+A kind says how the command line parses an option, which values a job folder may hold, and which range Blender
+offers.
 """
 
 from __future__ import annotations
@@ -21,9 +22,10 @@ MAX_SHOWN = 80  # characters of a word in a message
 class Kind:
     """Kind of a value.
 
-    type: Python type of the value. wanted: description of valid values, for messages ('a number of dB above 0'). good: whether a
-    value of this type is valid. parse: makes the value of a word of the command line; None: the type does. minimum, maximum:
-    range of Blender's property. choices: the only valid values, if there are any.
+    type: Python type of the value. wanted: description of valid values, for messages ('a number of dB above
+    0'). good: whether a value of this type is valid. parse: makes the value of a word of the command line;
+    None: the type does. minimum, maximum: range of Blender's property. choices: the only valid values, if
+    there are any.
     """
 
     type: type
@@ -41,11 +43,14 @@ class Kind:
         except ValueError:  # also a number of thousands of digits
             value = None
         if value is None or not self.good(value):
-            raise ValueError(f"'{word if len(word) < MAX_SHOWN else word[:MAX_SHOWN] + '...'}' is not {self.wanted}")
+            raise ValueError(
+                f"'{word if len(word) < MAX_SHOWN else word[:MAX_SHOWN] + '...'}' is not {self.wanted}"
+            )
         return value
 
     def fits(self, value: Any) -> bool:
-        """Whether a value that was read from JSON is valid: finite numbers, bool only for flags, text for paths."""
+        """Whether a value that was read from JSON is valid: finite numbers, bool only for flags, text for
+        paths."""
         if self.type is float:
             right = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
         elif self.type is Path:
@@ -77,23 +82,46 @@ POSITIVE = Kind(int, "a whole number of 1 or more", lambda value: value > 0, min
 SH_DEGREE = Kind(int, "a degree of 0 to 3", choices=(0, 1, 2, 3))
 DENSIFY = Kind(str, "3dgs or mcmc", lambda value: value in ("3dgs", "mcmc"), choices=("3dgs", "mcmc"))
 WEIGHT = Kind(float, "a weight of 0 to 1e9", lambda value: 0 <= value <= 1e9, minimum=0, maximum=1e9)
-GIGABYTES = Kind(float, "a number of gigabytes of 0 to 1,000,000", lambda value: 0 <= value <= 1e6, minimum=0, maximum=1e6)
+GIGABYTES = Kind(
+    float, "a number of gigabytes of 0 to 1,000,000", lambda value: 0 <= value <= 1e6, minimum=0, maximum=1e6
+)
 SECONDS = Kind(float, "a number of seconds above 0", lambda value: 0 < value < math.inf, minimum=0)
 DECIBELS = Kind(float, "a number of dB above 0", lambda value: 0 < value < math.inf, minimum=0)
 SHARE = Kind(float, "a share above 0 and up to 1", lambda value: 0 < value <= 1, minimum=0, maximum=1)
-SMALLER_SHARE = Kind(float, "a share above 0 and below 1", lambda value: 0 < value < 1, minimum=0, maximum=0.99)
-SMALL_SHARE = Kind(float, "a share of 0 or more, below 1", lambda value: 0 <= value < 1, minimum=0, maximum=0.99)
+SMALLER_SHARE = Kind(
+    float, "a share above 0 and below 1", lambda value: 0 < value < 1, minimum=0, maximum=0.99
+)
+SMALL_SHARE = Kind(
+    float, "a share of 0 or more, below 1", lambda value: 0 <= value < 1, minimum=0, maximum=0.99
+)
 FACTOR = Kind(float, "a factor of 0.001 to 10", lambda value: 0.001 <= value <= 10, minimum=0.001, maximum=10)
 COLOUR = Kind(
-    tuple, "three numbers of 0..1 with commas between", lambda parts: len(parts) == 3 and all(0 <= part <= 1 for part in parts), _numbers, minimum=0, maximum=1
+    tuple,
+    "three numbers of 0..1 with commas between",
+    lambda parts: len(parts) == 3 and all(0 <= part <= 1 for part in parts),
+    _numbers,
+    minimum=0,
+    maximum=1,
 )
 SHARES = Kind(
     tuple, "shares above 0 and below 1 with commas between, each once",
     lambda parts: len({f"{100 * part:g}" for part in parts}) == len(parts) and all(0 < part < 1 for part in parts), _numbers,
 )  # fmt: skip
-RANGE = Kind(tuple, "two numbers with a comma between, the lower one first; either may be left out", lambda ends: ends[0] <= ends[1], _range)
-BOX = Kind(tuple, "six numbers with commas between", lambda numbers: len(numbers) == 6 and _finite(numbers), _numbers)
-POINT = ANGLES = Kind(tuple, "three numbers with commas between", lambda numbers: len(numbers) == 3 and _finite(numbers), _numbers)
+RANGE = Kind(
+    tuple,
+    "two numbers with a comma between, the lower one first; either may be left out",
+    lambda ends: ends[0] <= ends[1],
+    _range,
+)
+BOX = Kind(
+    tuple, "six numbers with commas between", lambda numbers: len(numbers) == 6 and _finite(numbers), _numbers
+)
+POINT = ANGLES = Kind(
+    tuple,
+    "three numbers with commas between",
+    lambda numbers: len(numbers) == 3 and _finite(numbers),
+    _numbers,
+)
 POSITIVE_FLOAT = Kind(float, "a number above 0", lambda value: 0 < value < math.inf)
 SPZ_VERSION = Kind(int, "a version from 2 to 4", choices=(2, 3, 4))
 SPHERE = Kind(
@@ -131,8 +159,8 @@ def default_of(cls: type, name: str) -> Any:
 
 
 def check_mapping(cls: type, values: object, in_job: bool = True) -> dict[str, Any]:
-    """Checks options that were read from JSON by name, type and range and returns them. Texts of path options become Path, empty ones None, lists
-    tuples. in_job: only options that are allowed in a job folder.
+    """Checks options that were read from JSON by name, type and range and returns them. Texts of path options
+    become Path, empty ones None, lists tuples. in_job: only options that are allowed in a job folder.
 
     Raises SceneError with one sentence.
     """

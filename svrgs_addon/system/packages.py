@@ -14,14 +14,17 @@ from types import ModuleType
 
 from .errors import NativeError, SceneError
 
-MISSING_VARIABLE = "SVRGS_MISSING_PACKAGES"  # of the environment: why packages are missing and what to do, a sentence
+# of the environment: why packages are missing and what to do, a sentence
+MISSING_VARIABLE = "SVRGS_MISSING_PACKAGES"
 ON_PYPI = {"pxr": "usd-core"}  # names of packages that have another one there
 
 
 def load(name: str, purpose: str) -> ModuleType:
-    """Imports the package or module. purpose: subject of the sentence if it is missing ('reading COLMAP models').
+    """Imports the package or module. purpose: subject of the sentence if it is missing ('reading COLMAP
+    models').
 
-    Raises SceneError if it is not installed, NativeError if it is installed but cannot be loaded, for instance for lack of memory.
+    Raises SceneError if it is not installed, NativeError if it is installed but cannot be loaded, for
+    instance for lack of memory.
     """
     package = name.partition(".")[0]
     try:
@@ -29,7 +32,10 @@ def load(name: str, purpose: str) -> ModuleType:
             return importlib.import_module(name)
     except ModuleNotFoundError as error:
         if error.name == package:
-            remedy = os.environ.get(MISSING_VARIABLE) or f"run {sys.executable} -m pip install {ON_PYPI.get(package, package)}"
+            remedy = (
+                os.environ.get(MISSING_VARIABLE)
+                or f"run {sys.executable} -m pip install {ON_PYPI.get(package, package)}"
+            )
             raise SceneError(f"{purpose} needs the package {package}: {remedy}") from None
         raise NativeError(f"the package {package} cannot be loaded ({import_reason(error)})") from error
     except (ImportError, RuntimeError) as error:  # pycolmap turns an ImportError into a RuntimeError
@@ -45,7 +51,8 @@ def is_installed(name: str) -> bool:
 def uninterrupted() -> Iterator[None]:
     """Context manager for imports: while its block runs, Ctrl-C waits. Then it raises KeyboardInterrupt.
 
-    Within an import, packages in C turn a KeyboardInterrupt into other errors. Other handlers of Ctrl-C than Python's stay as they are.
+    Within an import, packages in C turn a KeyboardInterrupt into other errors. Other handlers of Ctrl-C than
+    Python's stay as they are.
     """
     usual = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if not usual or threading.current_thread() is not threading.main_thread():

@@ -1,7 +1,7 @@
 """Child processes: their group, their console window, how they are asked to stop and how they are ended.
 
-Windows has no signals for processes. What takes their place there: Ctrl-C and Ctrl-Break, which the console sends to every process in it, and
-job objects, which end a process with all its children.
+Windows has no signals for processes. What takes their place there: Ctrl-C and Ctrl-Break, which the console
+sends to every process in it, and job objects, which end a process with all its children.
 """
 
 from __future__ import annotations
@@ -23,20 +23,28 @@ class ChildProcess(subprocess.Popen):
     """
 
     def __init__(self, command: Sequence[str | os.PathLike], **options: Any):
-        super().__init__(command, **options, **_flags(0 if here.WINDOWS and windows.has_console() else windows.CREATE_NO_WINDOW))
+        super().__init__(
+            command,
+            **options,
+            **_flags(0 if here.WINDOWS and windows.has_console() else windows.CREATE_NO_WINDOW),
+        )
         self._job = _job_of(self, dies_with_parent=True)
 
     def ask_to_stop(self):
-        """Requests a clean stop (SIGTERM). On Windows the console has told the child already when it told this process."""
+        """Requests a clean stop (SIGTERM). On Windows the console has told the child already when it told
+        this process."""
         if not here.WINDOWS:
             self.terminate()
 
 
 class ProcessGroup(subprocess.Popen):
-    """A child that leads a group of its own: Ctrl-C in a terminal does not reach it, and it outlives this process. It opens no console window."""
+    """A child that leads a group of its own: Ctrl-C in a terminal does not reach it, and it outlives this
+    process. It opens no console window."""
 
     def __init__(self, command: Sequence[str | os.PathLike], **options: Any):
-        own_group = _flags(windows.CREATE_NO_WINDOW | windows.CREATE_NEW_PROCESS_GROUP) or {"start_new_session": True}
+        own_group = _flags(windows.CREATE_NO_WINDOW | windows.CREATE_NEW_PROCESS_GROUP) or {
+            "start_new_session": True
+        }
         super().__init__(command, **options, **own_group)
         self._job = _job_of(self, dies_with_parent=False)
 
@@ -52,24 +60,33 @@ class ProcessGroup(subprocess.Popen):
 
 
 def killed_from_outside(status: int, silent: bool) -> bool:
-    """Whether the exit status is that of a process that was killed, by a user or because memory ran out. silent: it wrote nothing to stderr.
+    """Whether the exit status is that of a process that was killed, by a user or because memory ran out.
+    silent: it wrote nothing to stderr.
 
-    On Windows, the status 1 is that of a process that was ended by the Task Manager, and of a Python that failed. But that says why.
+    On Windows, the status 1 is that of a process that was ended by the Task Manager, and of a Python that
+    failed. But that says why.
     """
     return silent and status == 1 if here.WINDOWS else status == -signal.SIGKILL
 
 
 def stop_signals() -> tuple[int, ...]:
-    """The signals that request a clean stop: SIGINT and SIGTERM; SIGHUP where it is not ignored, as under nohup; Ctrl-Break on Windows."""
+    """The signals that request a clean stop: SIGINT and SIGTERM; SIGHUP where it is not ignored, as under
+    nohup; Ctrl-Break on Windows."""
     names: Mapping[str, Any] = vars(signal)
     hangup, ctrl_break = names.get("SIGHUP"), names.get("SIGBREAK")  # each system has one of them
     heard = hangup is not None and signal.getsignal(hangup) != signal.SIG_IGN
-    return (signal.SIGINT, signal.SIGTERM, *((hangup,) if heard else ()), *((ctrl_break,) if ctrl_break is not None else ()))
+    return (
+        signal.SIGINT,
+        signal.SIGTERM,
+        *((hangup,) if heard else ()),
+        *((ctrl_break,) if ctrl_break is not None else ()),
+    )
 
 
 @contextlib.contextmanager
 def interrupting() -> Iterator[None]:
-    """Within its block, each of the stop_signals() raises KeyboardInterrupt, as Ctrl-C does: what was begun is tidied up."""
+    """Within its block, each of the stop_signals() raises KeyboardInterrupt, as Ctrl-C does: what was begun
+    is tidied up."""
     old = {number: signal.signal(number, signal.default_int_handler) for number in stop_signals()}
     try:
         yield

@@ -1,7 +1,8 @@
 """Replacing and reading files that other programs have open.
 
-Windows refuses to replace, rename or remove a file while another program has it open: a viewer, a virus scanner, or a reader of this
-product. It also refuses to open a file within the moment in which it is replaced. So both are tried again for a while.
+Windows refuses to replace, rename or remove a file while another program has it open: a viewer, a virus
+scanner, or a reader of this product. It also refuses to open a file within the moment in which it is
+replaced. So both are tried again for a while.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ Result = TypeVar("Result")
 
 
 def patiently(action: Callable[[], Result]) -> Result:
-    """Calls the action. On Windows, after a PermissionError, again and again for PATIENCE_S seconds; then the error is raised."""
+    """Calls the action. On Windows, after a PermissionError, again and again for PATIENCE_S seconds; then the
+    error is raised."""
     end = time.monotonic() + PATIENCE_S
     while here.WINDOWS:
         try:
@@ -42,9 +44,11 @@ def read_bytes(path: Path) -> bytes:
 
 
 def may_be_replaced(path: Path) -> bool:
-    """Whether no program has the file open in a way that keeps it from being replaced. Always true on systems without such a way.
+    """Whether no program has the file open in a way that keeps it from being replaced. Always true on systems
+    without such a way.
 
-    A program may allow others to rename the file. Whether Windows replaces it then, depends on its version and on the file system.
+    A program may allow others to rename the file. Whether Windows replaces it then, depends on its version
+    and on the file system.
     """
     if not here.WINDOWS or not path.exists():
         return True

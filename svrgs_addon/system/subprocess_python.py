@@ -1,6 +1,7 @@
 """Child processes of the Python that runs this process, in Blender those of Blender's own Python.
 
-Work that could end the process runs here: libraries that conflict with those of Blender, or a crash, cannot end Blender.
+Work that could end the process runs here: libraries that conflict with those of Blender, or a crash, cannot
+end Blender.
 """
 
 from __future__ import annotations
@@ -21,22 +22,36 @@ from .wheels import ROOT, importable, missing
 Tell = Callable[..., None]
 
 
-def run(words: list[str], module: str = "svrgs_addon", request: dict | None = None, capture: bool = True, tell: Tell = lambda *_: None) -> tuple[int, dict]:
-    """Runs `python -m MODULE WORDS…` and waits for it. Returns (exit status, JSON object in the last line of its stdout).
+def run(
+    words: list[str],
+    module: str = "svrgs_addon",
+    request: dict | None = None,
+    capture: bool = True,
+    tell: Tell = lambda *_: None,
+) -> tuple[int, dict]:
+    """Runs `python -m MODULE WORDS…` and waits for it. Returns (exit status, JSON object in the last line of
+    its stdout).
 
-    request: sent as JSON to its stdin. If there is no JSON, the object is {"error": last line of stderr} for an exit status that is
-    not 0, else {}. capture=False: the child process uses stdout and stderr of this process, and the object is {}. tell: called with
-    the values of each line {"progress": [value, …]} as it comes.
+    request: sent as JSON to its stdin. If there is no JSON, the object is {"error": last line of stderr} for
+    an exit status that is not 0, else {}. capture=False: the child process uses stdout and stderr of this
+    process, and the object is {}. tell: called with the values of each line {"progress": [value, …]} as it
+    comes.
     """
-    command, asked = [sys.executable, "-m", module, *words], json.dumps(request) if request is not None else ""
+    command, asked = (
+        [sys.executable, "-m", module, *words],
+        json.dumps(request) if request is not None else "",
+    )
     if not capture:
         with ChildProcess(command, env=environment(), encoding="utf-8", stdin=subprocess.PIPE) as child:
             child.communicate(asked)
         return child.returncode, {}
     last, pipe = "", subprocess.PIPE
-    variables = environment() | {"PYTHONIOENCODING": "utf-8"}  # of the three streams, which are read here and nowhere else
+    # of the three streams, which are read here and nowhere else
+    variables = environment() | {"PYTHONIOENCODING": "utf-8"}
     with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as errors:
-        with ChildProcess(command, env=variables, encoding="utf-8", errors="replace", stdin=pipe, stdout=pipe, stderr=errors) as child:
+        with ChildProcess(
+            command, env=variables, encoding="utf-8", errors="replace", stdin=pipe, stdout=pipe, stderr=errors
+        ) as child:
             assert child.stdin is not None and child.stdout is not None
             with contextlib.suppress(OSError):  # it ended without reading
                 child.stdin.write(asked)
@@ -53,13 +68,18 @@ def _result(status: int, last: str, error_lines: list[str]) -> dict:
     """The JSON object in the last line; without one the error, {} if the exit status is 0."""
     with contextlib.suppress(ValueError):
         return json.loads(last)
-    reason = error_lines[-1].removeprefix("svrgs: ") if error_lines else f"the process ended without a result (exit status {status})"
+    reason = (
+        error_lines[-1].removeprefix("svrgs: ")
+        if error_lines
+        else f"the process ended without a result (exit status {status})"
+    )
     return {"error": reason} if status else {}
 
 
 def environment(packages: Mapping[str, Path] | None = None) -> dict[str, str]:
-    """The environment variables of this process, with a PYTHONPATH on which a child process finds this package and those it needs, and
-    with what to do about packages that are missing. Files in the current folder, such as a json.py, are not taken for modules.
+    """The environment variables of this process, with a PYTHONPATH on which a child process finds this
+    package and those it needs, and with what to do about packages that are missing. Files in the current
+    folder, such as a json.py, are not taken for modules.
 
     packages: {package: its folder}. Default: where this process finds them.
     """

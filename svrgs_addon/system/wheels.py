@@ -1,8 +1,8 @@
 """The packages that the product needs, and where they lie.
 
-Blender unpacks the wheels of an enabled extension into a folder on its sys.path. A checkout, and an extension that is not enabled, have
-only the wheels, in wheels/. Compiled modules cannot be imported from a wheel. So the wheels that fit this Python are unpacked, once,
-into the user's cache folder.
+Blender unpacks the wheels of an enabled extension into a folder on its sys.path. A checkout, and an extension
+that is not enabled, have only the wheels, in wheels/. Compiled modules cannot be imported from a wheel. So
+the wheels that fit this Python are unpacked, once, into the user's cache folder.
 """
 
 from __future__ import annotations
@@ -31,21 +31,31 @@ UNFINISHED = ".unpack-"  # begins the names of folders in the cache that are bei
 def importable() -> dict[str, Path]:
     """{package: its folder on sys.path} of those PACKAGES that this process can import."""
     specs = {name: importlib.util.find_spec(name) for name in PACKAGES}
-    return {name: Path(next(iter(spec.submodule_search_locations))).parent for name, spec in specs.items() if spec and spec.submodule_search_locations}
+    return {
+        name: Path(next(iter(spec.submodule_search_locations))).parent
+        for name, spec in specs.items()
+        if spec and spec.submodule_search_locations
+    }
 
 
 def find(folders: Iterable[Path] = (), extensions: Iterable[Path] = ()) -> dict[str, Path]:
-    """{package: folder to import it from} of those PACKAGES that are found. missing() says what to do about the others.
+    """{package: folder to import it from} of those PACKAGES that are found. missing() says what to do about
+    the others.
 
-    They are looked for on sys.path, then in `folders`, then among the wheels of ROOT, then among those of `extensions`, which are
-    folders of installed extensions. Raises SceneError if numpy is found nowhere, and if a wheel cannot be unpacked.
+    They are looked for on sys.path, then in `folders`, then among the wheels of ROOT, then among those of
+    `extensions`, which are folders of installed extensions. Raises SceneError if numpy is found nowhere, and
+    if a wheel cannot be unpacked.
     """
     found = importable()
     for folder in folders:
         found |= {name: folder for name in PACKAGES if name not in found and (folder / name).is_dir()}
     wheels = _wheels(extensions)
     for name in PACKAGES:
-        fitting = [wheel for wheel in wheels if _package(wheel) == name and _fits_platform(wheel) and _python(wheel) == _this_python()]
+        fitting = [
+            wheel
+            for wheel in wheels
+            if _package(wheel) == name and _fits_platform(wheel) and _python(wheel) == _this_python()
+        ]
         if name not in found and fitting:
             found[name] = _unpacked(fitting[0])
     if "numpy" not in found:
@@ -54,7 +64,8 @@ def find(folders: Iterable[Path] = (), extensions: Iterable[Path] = ()) -> dict[
 
 
 def missing(found: Iterable[str], extensions: Iterable[Path] = ()) -> str:
-    """The sentence that says which of the PACKAGES this Python lacks, and what to do; empty if all are in `found`."""
+    """The sentence that says which of the PACKAGES this Python lacks, and what to do; empty if all are in
+    `found`."""
     lacking = [name for name in PACKAGES if name not in found]
     return _what_to_do(lacking, _wheels(extensions)) if lacking else ""
 
@@ -87,36 +98,63 @@ def _fits_platform(wheel: Path) -> bool:
 
 
 def _what_to_do(lacking: list[str], wheels: list[Path]) -> str:
-    lacks = f"Python {sys.version_info[0]}.{sys.version_info[1]} ({sys.executable}) lacks {' and '.join(lacking)}"
+    lacks = (
+        f"Python {sys.version_info[0]}.{sys.version_info[1]} ({sys.executable}) lacks {' and '.join(lacking)}"
+    )
     install = f"{sys.executable} -m pip install {' '.join(lacking)}"
     if "numpy" in lacking:
-        return f"{lacks}: a Blender that uses the system's Python needs the system's numpy too, on Debian the package python3-numpy"
+        return (
+            f"{lacks}: a Blender that uses the system's Python needs the system's numpy too, on Debian the"
+            " package python3-numpy"
+        )
     if not wheels and (ROOT / "Makefile").exists():
-        return f"{lacks}: run 'make wheels' in {ROOT}, or install the extension in this Blender, or run {install}"
+        return (
+            f"{lacks}: run 'make wheels' in {ROOT}, or install the extension in this Blender, or run"
+            f" {install}"
+        )
     if not wheels and (ROOT / "blender_manifest.toml").exists():
-        return f"{lacks}: use a Blender with a Python for which there is a zip with packages, or run {install}"
+        return (
+            f"{lacks}: use a Blender with a Python for which there is a zip with packages, or run {install}"
+        )
     if not wheels:
         return f"{lacks}: run {install}"
-    pythons = set.intersection(*({_python(wheel) for wheel in wheels if _package(wheel) == name and _fits_platform(wheel)} for name in lacking))
+    pythons = set.intersection(
+        *(
+            {_python(wheel) for wheel in wheels if _package(wheel) == name and _fits_platform(wheel)}
+            for name in lacking
+        )
+    )
     if not pythons:
-        return f"{lacks}, and the wheels in {wheels[0].parent} are not for {platform.system()} {platform.machine()}: run {install}"
-    versions = ", ".join(sorted((f"{tag[2]}.{tag[3:]}" for tag in pythons), key=lambda version: int(version[2:])))
-    return f"{lacks}, and the wheels in {wheels[0].parent} are for Python {versions}: use a Blender with one of these, or run {install}"
+        return (
+            f"{lacks}, and the wheels in {wheels[0].parent} are not for {platform.system()}"
+            f" {platform.machine()}: run {install}"
+        )
+    versions = ", ".join(
+        sorted((f"{tag[2]}.{tag[3:]}" for tag in pythons), key=lambda version: int(version[2:]))
+    )
+    return (
+        f"{lacks}, and the wheels in {wheels[0].parent} are for Python {versions}: use a Blender with one of"
+        f" these, or run {install}"
+    )
 
 
 # --- the cache
 
 
 def cache_folder() -> Path:
-    """The folder of this product in the user's cache. It can be deleted at any time. Raises SceneError if the user has no folder."""
+    """The folder of this product in the user's cache. It can be deleted at any time. Raises SceneError if the
+    user has no folder."""
     try:
         return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "svrgs"
     except RuntimeError:
-        raise SceneError("there is no home folder to unpack the packages in: set XDG_CACHE_HOME to a folder") from None
+        raise SceneError(
+            "there is no home folder to unpack the packages in: set XDG_CACHE_HOME to a folder"
+        ) from None
 
 
 def _unpacked(wheel: Path) -> Path:
-    """The folder in the cache that holds the files of the wheel. It is filled under another name and then renamed.
+    """The folder in the cache that holds the files of the wheel. It is filled under another name and then
+    renamed.
 
     Raises SceneError if the wheel is damaged or the folder cannot be written.
     """
@@ -132,9 +170,14 @@ def _unpacked(wheel: Path) -> Path:
             if not folder.is_dir():
                 _rename(Path(temp_dir) / wheel.stem, folder)
     except (zipfile.BadZipFile, zlib.error, EOFError) as error:
-        raise SceneError(f"{wheel}: is damaged ({error}); delete it and run 'make wheels', or install the extension again") from error
+        raise SceneError(
+            f"{wheel}: is damaged ({error}); delete it and run 'make wheels', or install the extension again"
+        ) from error
     except OSError as error:
-        raise SceneError(f"{wheel}: cannot be unpacked into {folder} ({error.strerror or error}); set XDG_CACHE_HOME to another folder") from error
+        raise SceneError(
+            f"{wheel}: cannot be unpacked into {folder} ({error.strerror or error}); set XDG_CACHE_HOME to"
+            " another folder"
+        ) from error
     return folder
 
 

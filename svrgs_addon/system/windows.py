@@ -1,4 +1,5 @@
-"""The functions of Windows that Python does not offer, through ctypes. Nothing here is called on another system.
+"""The functions of Windows that Python does not offer, through ctypes. Nothing here is called on another
+system.
 
 kernel32(), failure() and descriptor() are the only ways out; a test replaces them by a model of Windows.
 """
@@ -16,7 +17,8 @@ GENERIC_READ, GENERIC_WRITE, DELETE = 0x80000000, 0x40000000, 0x00010000
 SHARE_NOTHING, SHARE_ALL = 0, 7  # what others may do with the file meanwhile: read, write, delete or rename
 CREATE_NEW, OPEN_EXISTING, OPEN_ALWAYS = 1, 3, 4
 SHARING_VIOLATION = 32  # OSError.winerror: the file is open in another program, or in this one
-DELETE_ON_CLOSE = 0x04000000  # the system removes the file when the handle is closed, also when the process is killed
+# the system removes the file when the handle is closed, also when the process is killed
+DELETE_ON_CLOSE = 0x04000000
 CREATE_NEW_PROCESS_GROUP, CREATE_NO_WINDOW = 0x00000200, 0x08000000
 KILL_ON_JOB_CLOSE, LIMITS_PROCESS_MEMORY, LIMITS_JOB_MEMORY = 0x2000, 0x100, 0x200
 _EXTENDED_LIMITS = 9  # JobObjectExtendedLimitInformation
@@ -55,7 +57,8 @@ class JobLimits(ctypes.Structure):
 
 @functools.cache
 def kernel32() -> Any:
-    """The library kernel32, with the results that are handles declared: their default type would cut them off."""
+    """The library kernel32, with the results that are handles declared: their default type would cut them
+    off."""
     module: Any = ctypes
     library = module.WinDLL("kernel32", use_last_error=True)
     handle, number, text, pointer = ctypes.c_void_p, ctypes.c_uint32, ctypes.c_wchar_p, ctypes.c_void_p
@@ -93,8 +96,8 @@ def descriptor(handle: int) -> int:
 
 
 def create_file(path: str | os.PathLike, access: int, share: int, disposition: int, flags: int = 0) -> int:
-    """CreateFileW. Returns a descriptor, which child processes do not inherit. Raises OSError: FileExistsError, PermissionError if another
-    program holds the file in a way that excludes this one."""
+    """CreateFileW. Returns a descriptor, which child processes do not inherit. Raises OSError:
+    FileExistsError, PermissionError if another program holds the file in a way that excludes this one."""
     handle = kernel32().CreateFileW(os.fspath(path), access, share, None, disposition, flags, None)
     if handle in (None, _NO_HANDLE):
         raise failure(path)
@@ -110,14 +113,18 @@ def memory_status() -> MemoryStatus | None:
 def process_memory() -> ProcessMemory | None:
     """GetProcessMemoryInfo of this process; None if it fails."""
     memory = ProcessMemory(length=ctypes.sizeof(ProcessMemory))
-    good = kernel32().K32GetProcessMemoryInfo(kernel32().GetCurrentProcess(), ctypes.byref(memory), ctypes.sizeof(memory))
+    good = kernel32().K32GetProcessMemoryInfo(
+        kernel32().GetCurrentProcess(), ctypes.byref(memory), ctypes.sizeof(memory)
+    )
     return memory if good else None
 
 
 def own_job_limits() -> JobLimits | None:
     """The limits of the job object that this process is in; None if it is in none."""
     limits = JobLimits()
-    good = kernel32().QueryInformationJobObject(None, _EXTENDED_LIMITS, ctypes.byref(limits), ctypes.sizeof(limits), None)
+    good = kernel32().QueryInformationJobObject(
+        None, _EXTENDED_LIMITS, ctypes.byref(limits), ctypes.sizeof(limits), None
+    )
     return limits if good else None
 
 
@@ -136,7 +143,9 @@ class Job:
         self.end: Callable[[], Any] = lambda: library.TerminateJobObject(job, 1)
         if dies_with_parent:
             limits = JobLimits(flags=KILL_ON_JOB_CLOSE)
-            library.SetInformationJobObject(job, _EXTENDED_LIMITS, ctypes.byref(limits), ctypes.sizeof(limits))
+            library.SetInformationJobObject(
+                job, _EXTENDED_LIMITS, ctypes.byref(limits), ctypes.sizeof(limits)
+            )
         if not library.AssignProcessToJobObject(job, process):
             raise failure()
 

@@ -1,1 +1,2 @@
-"""Views: COLMAP models, transforms.json, cameras.json, photographs, lenses, and cameras that are placed around a splat (rig/)."""
+"""Views: COLMAP models, transforms.json, cameras.json, photographs, lenses, and cameras that are placed
+around a splat (rig/)."""

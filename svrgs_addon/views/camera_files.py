@@ -1,4 +1,5 @@
-"""Cameras without photographs, from either of the files that programs write: cameras.json of 3DGS, transforms.json of Nerfstudio and instant-ngp."""
+"""Cameras without photographs, from either of the files that programs write: cameras.json of 3DGS,
+transforms.json of Nerfstudio and instant-ngp."""
 
 from __future__ import annotations
 
@@ -13,7 +14,8 @@ START = 4096  # bytes in which the first character of the JSON stands
 
 
 def load_cameras(path: str | os.PathLike) -> list[Camera]:
-    """The cameras of a file, in the order of their names. A list is a cameras.json, an object a transforms.json. Raises FormatError, SceneError."""
+    """The cameras of a file, in the order of their names. A list is a cameras.json, an object a
+    transforms.json. Raises FormatError, SceneError."""
     if _holds_object(Path(path)):
         return load_dataset(path, cameras_only=True).cameras
     return sorted(load_cameras_json(path), key=lambda camera: camera.name)

@@ -22,8 +22,9 @@ MAX_ROTATION_ERROR = 1e-3  # largest entry of |Rᵀ R - I|
 def load_cameras_json(path: str | os.PathLike) -> list[Camera]:
     """The cameras of a 3DGS cameras.json in file order. The principal point is the image centre, as in 3DGS.
 
-    Keys of an entry: img_name; width, height, fx, fy (pixels); position (3, world); rotation (3x3, camera to world). Extensions of this project:
-    cx, cy (pixels) name another principal point; with "orthographic": true, fx and fy are pixels per unit of length. Raises FormatError.
+    Keys of an entry: img_name; width, height, fx, fy (pixels); position (3, world); rotation (3x3, camera to
+    world). Extensions of this project: cx, cy (pixels) name another principal point; with "orthographic":
+    true, fx and fy are pixels per unit of length. Raises FormatError.
     """
     entries = _read_entries(path)
     cameras = []
@@ -56,12 +57,15 @@ def _shift(camera: Camera) -> dict[str, float]:
 
 
 def _read_entries(path: str | os.PathLike) -> list:
-    """The entries of the file, unchecked. Raises FormatError if it is not a JSON list with at least one entry."""
+    """The entries of the file, unchecked. Raises FormatError if it is not a JSON list with at least one
+    entry."""
     if os.path.exists(path) and not os.path.isfile(path):  # a pipe would wait for ever
         raise FormatError(f"{path}: is not a regular file; give a cameras.json of 3DGS")
     try:
         if os.path.getsize(path) > MAX_BYTES:
-            raise FormatError(f"{path}: is larger than {MAX_BYTES // 2**20} MiB, so it is not a cameras.json of 3DGS")
+            raise FormatError(
+                f"{path}: is larger than {MAX_BYTES // 2**20} MiB, so it is not a cameras.json of 3DGS"
+            )
         entries = json.loads(Path(path).read_bytes())
     except OSError as error:
         raise FormatError(f"{path}: cannot be read ({error.strerror or error})") from error
@@ -73,7 +77,8 @@ def _read_entries(path: str | os.PathLike) -> list:
 
 
 def _camera(entry: dict) -> Camera:
-    """The camera of one entry. Raises FormatError, KeyError, TypeError, ValueError or OverflowError if it is not usable."""
+    """The camera of one entry. Raises FormatError, KeyError, TypeError, ValueError or OverflowError if it is
+    not usable."""
     if not isinstance(entry, dict):
         raise FormatError("not an object")
     name = str(entry["img_name"])
@@ -82,7 +87,11 @@ def _camera(entry: dict) -> Camera:
     fx, fy = float(entry["fx"]), float(entry["fy"])
     position = np.array(entry["position"], np.float64).reshape(3)
     rotation = np.array(entry["rotation"], np.float64).reshape(3, 3)  # camera to world
-    if not np.abs(rotation).max() < 2 or not np.abs(rotation.T @ rotation - np.eye(3)).max() < MAX_ROTATION_ERROR or np.linalg.det(rotation) < 0:
+    if (
+        not np.abs(rotation).max() < 2
+        or not np.abs(rotation.T @ rotation - np.eye(3)).max() < MAX_ROTATION_ERROR
+        or np.linalg.det(rotation) < 0
+    ):
         raise FormatError("its rotation is not a rotation matrix")
     orthographic = entry.get("orthographic", False)
     if type(orthographic) is not bool:
@@ -92,7 +101,9 @@ def _camera(entry: dict) -> Camera:
     with np.errstate(all="ignore"):  # the camera is checked below
         viewmat[:3, 3] = -rotation.T @ position
     cx, cy = float(entry.get("cx", width / 2)), float(entry.get("cy", height / 2))
-    camera = Camera(viewmat, np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), width, height, name, orthographic)
+    camera = Camera(
+        viewmat, np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), width, height, name, orthographic
+    )
     if not camera.usable:
         raise FormatError("its focal length or position is not usable")
     return camera

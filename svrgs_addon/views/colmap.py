@@ -1,7 +1,8 @@
 """Finds, checks and reads COLMAP sparse models with pycolmap, and makes a pinhole camera of every camera.
 
-pycolmap is imported inside functions only, and not for pinhole cameras of a transforms.json. It reads a checked copy of cameras,
-images and points3D (colmap_files.py): the poses are in `images`, and the files of rigs and frames are not needed for pinhole views.
+pycolmap is imported inside functions only, and not for pinhole cameras of a transforms.json. It reads a
+checked copy of cameras, images and points3D (colmap_files.py): the poses are in `images`, and the files of
+rigs and frames are not needed for pinhole views.
 """
 
 from __future__ import annotations
@@ -35,7 +36,8 @@ ROUNDING_PX = 1.0  # tolerance of each side of a scaled photograph
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """A camera of any model of COLMAP. width, height: of the photograph, in pixels; params: in COLMAP's order."""
+    """A camera of any model of COLMAP. width, height: of the photograph, in pixels; params: in COLMAP's
+    order."""
 
     model: str  # PINHOLE, OPENCV, ...
     width: int
@@ -61,7 +63,8 @@ class View:
 
 @dataclass(frozen=True)
 class Model:
-    """A sparse model. views: in name order. points: (P, 3) float32, world. point_colors: (P, 3) uint8, RGB."""
+    """A sparse model. views: in name order. points: (P, 3) float32, world. point_colors: (P, 3) uint8,
+    RGB."""
 
     views: list[View]
     points: np.ndarray
@@ -69,7 +72,8 @@ class Model:
 
 
 def find_model(folder: Path) -> Path:
-    """The folder with the three files of the model: `folder`, one of MODEL_FOLDERS below it, or the only sparse/N.
+    """The folder with the three files of the model: `folder`, one of MODEL_FOLDERS below it, or the only
+    sparse/N.
 
     Raises SceneError if there is none, FormatError if there are several sparse/N but no sparse/0.
     """
@@ -78,10 +82,14 @@ def find_model(folder: Path) -> Path:
             return folder / below
     numbered = [found for found in sorted((folder / "sparse").glob("[0-9]*")) if _has_model(found)]
     if len(numbered) > 1:
-        raise FormatError(f"{folder}: holds several models, but no sparse/0; name one of {', '.join(map(str, numbered))}")
+        raise FormatError(
+            f"{folder}: holds several models, but no sparse/0; name one of {', '.join(map(str, numbered))}"
+        )
     if numbered:
         return numbered[0]
-    raise SceneError(f"{folder}: holds no COLMAP model (cameras, images and points3D as .bin or .txt, here or in sparse/0)")
+    raise SceneError(
+        f"{folder}: holds no COLMAP model (cameras, images and points3D as .bin or .txt, here or in sparse/0)"
+    )
 
 
 def _has_model(folder: Path) -> bool:
@@ -89,7 +97,8 @@ def _has_model(folder: Path) -> bool:
 
 
 def read_model(folder: Path) -> Model:
-    """Reads the model in `folder`: the binary files if they exist, else the text files. Raises FormatError."""
+    """Reads the model in `folder`: the binary files if they exist, else the text files. Raises
+    FormatError."""
     library = import_pycolmap()
     try:
         with tempfile.TemporaryDirectory() as temp_dir:
@@ -100,37 +109,58 @@ def read_model(folder: Path) -> Model:
     except OSError as error:
         raise FormatError(f"{folder}: cannot be read ({error.strerror or error})") from error
     except (ValueError, LookupError, RuntimeError, MemoryError) as error:
-        reason = str(error).partition("\n")[0].rpartition("] ")[2]  # without the position in pycolmap's source code
+        # without the position in pycolmap's source code
+        reason = str(error).partition("\n")[0].rpartition("] ")[2]
         raise FormatError(f"{folder}: is not a COLMAP model that can be read ({reason})") from error
 
 
 def pinhole_camera(view: View, width: int, height: int) -> tuple[Camera, pycolmap.Camera | None]:
-    """The pinhole camera of a view for a photograph of width x height pixels, and its distorted camera at that size or None.
+    """The pinhole camera of a view for a photograph of width x height pixels, and its distorted camera at
+    that size or None.
 
-    The pinhole of a distorted view has the size and K of the image that undistort_image returns. Raises SceneError if the
-    photograph has another aspect ratio than the camera, or if no pinhole can be made of the camera model.
+    The pinhole of a distorted view has the size and K of the image that undistort_image returns. Raises
+    SceneError if the photograph has another aspect ratio than the camera, or if no pinhole can be made of the
+    camera model.
     """
     _check_aspect(view, width, height)
     if not (np.isfinite(view.camera.params).all() and np.isfinite(view.viewmat).all()):
-        raise SceneError(f"{view.name}: its camera has a focal length or pose that is not usable; remove the view from the model, or run COLMAP again")
+        raise SceneError(
+            f"{view.name}: its camera has a focal length or pose that is not usable; remove the view from the"
+            " model, or run COLMAP again"
+        )
     K = view.camera.pinhole()
     if K is not None:
-        return _checked_camera(Camera(view.viewmat, K, view.camera.width, view.camera.height, view.name).resized(width, height)), None
+        return (
+            _checked_camera(
+                Camera(view.viewmat, K, view.camera.width, view.camera.height, view.name).resized(
+                    width, height
+                )
+            ),
+            None,
+        )
     distorted, flat = _undistort_camera(view.camera, (width, height))
     if flat is None:
-        raise SceneError(f"{view.name}: its camera model is {view.camera.model}, a panorama, which is not supported; cut it into perspective views first")
-    return _checked_camera(Camera(view.viewmat, flat.calibration_matrix(), flat.width, flat.height, view.name)), distorted
+        raise SceneError(
+            f"{view.name}: its camera model is {view.camera.model}, a panorama, which is not supported; cut"
+            " it into perspective views first"
+        )
+    return (
+        _checked_camera(Camera(view.viewmat, flat.calibration_matrix(), flat.width, flat.height, view.name)),
+        distorted,
+    )
 
 
 def undistort_image(pixels: np.ndarray, distorted: pycolmap.Camera) -> np.ndarray:
-    """Resamples a photograph (H, W, 3) uint8 of the distorted camera (bilinear) to the image (H', W', 3) of its pinhole camera."""
+    """Resamples a photograph (H, W, 3) uint8 of the distorted camera (bilinear) to the image (H', W', 3) of
+    its pinhole camera."""
     library = import_pycolmap("undistorting photographs")
     bitmap = library.Bitmap.from_array(pixels)
     return library.undistort_image(library.UndistortCameraOptions(), bitmap, distorted)[0].to_array()
 
 
 def check_name(name: str) -> None:
-    """Raises FormatError if an image name leads out of the image folder, on POSIX or on Windows, or cannot be the name of a file."""
+    """Raises FormatError if an image name leads out of the image folder, on POSIX or on Windows, or cannot be
+    the name of a file."""
     try:
         possible = b"\0" not in os.fsencode(name)
     except UnicodeEncodeError:  # half of a pair of surrogates
@@ -160,7 +190,9 @@ def _convert(reconstruction: pycolmap.Reconstruction, names: dict[int, str]) -> 
     images.sort(key=lambda pair: pair[0])
     twice = next((a for (a, _), (b, _) in itertools.pairwise(images) if a == b), None)
     if twice is not None:
-        raise FormatError(f"names the photograph {twice!r} twice; remove one of the two images, or export the model again")
+        raise FormatError(
+            f"names the photograph {twice!r} twice; remove one of the two images, or export the model again"
+        )
     points = [point for _, point in sorted(reconstruction.points3D.items())]
     positions = np.array([point.xyz for point in points], np.float64).reshape(-1, 3)
     if not (np.abs(positions) < np.finfo(np.float32).max).all():
@@ -173,7 +205,8 @@ def _convert(reconstruction: pycolmap.Reconstruction, names: dict[int, str]) -> 
 
 
 def _view(name: str, image: pycolmap.Image) -> View:
-    """The view of an image with a pose. Raises FormatError for a name or an image size that is not allowed."""
+    """The view of an image with a pose. Raises FormatError for a name or an image size that is not
+    allowed."""
     check_name(name)
     assert image.camera is not None
     width, height = image.camera.width, image.camera.height
@@ -185,10 +218,15 @@ def _view(name: str, image: pycolmap.Image) -> View:
 
 
 @functools.lru_cache(maxsize=256)  # most views of a dataset share a camera
-def _undistort_camera(camera: Intrinsics, scaled: tuple[int, int]) -> tuple[pycolmap.Camera, pycolmap.Camera | None]:
-    """The distorted camera at the scaled (width, height) in pixels, and the pinhole camera that COLMAP makes of it; None of a panorama."""
+def _undistort_camera(
+    camera: Intrinsics, scaled: tuple[int, int]
+) -> tuple[pycolmap.Camera, pycolmap.Camera | None]:
+    """The distorted camera at the scaled (width, height) in pixels, and the pinhole camera that COLMAP makes
+    of it; None of a panorama."""
     library = import_pycolmap("undistorting photographs")
-    distorted = library.Camera(model=camera.model, width=camera.width, height=camera.height, params=camera.params)
+    distorted = library.Camera(
+        model=camera.model, width=camera.width, height=camera.height, params=camera.params
+    )
     if not distorted.is_perspective():
         return distorted, None
     distorted.rescale(*scaled)
@@ -198,22 +236,28 @@ def _undistort_camera(camera: Intrinsics, scaled: tuple[int, int]) -> tuple[pyco
 def _checked_camera(camera: Camera) -> Camera:
     """Returns the camera. Raises SceneError if its pose or intrinsics are not usable."""
     if not camera.usable:
-        raise SceneError(f"{camera.name}: its camera has a focal length or pose that is not usable; remove the view from the model, or run COLMAP again")
+        raise SceneError(
+            f"{camera.name}: its camera has a focal length or pose that is not usable; remove the view from"
+            " the model, or run COLMAP again"
+        )
     return camera
 
 
 def _check_aspect(view: View, width: int, height: int) -> None:
-    """Raises SceneError if the photograph is not a scaled copy of the camera's image, up to ROUNDING_PX per side."""
+    """Raises SceneError if the photograph is not a scaled copy of the camera's image, up to ROUNDING_PX per
+    side."""
     sides = ((width, view.camera.width), (height, view.camera.height))
     smallest = max((side - ROUNDING_PX) / full for side, full in sides)
     largest = min((side + ROUNDING_PX) / full for side, full in sides)
     if smallest > largest:
         raise SceneError(
-            f"{view.name}: the photograph is {width} x {height}, which is no scaled copy of its camera's {view.camera.width} x {view.camera.height}"
+            f"{view.name}: the photograph is {width} x {height}, which is no scaled copy of its camera's"
+            f" {view.camera.width} x {view.camera.height}"
         )
 
 
 def _param_count(model: int) -> int:
-    """The number of parameters of a camera model, given by its number in COLMAP. Raises ValueError for an unknown one."""
+    """The number of parameters of a camera model, given by its number in COLMAP. Raises ValueError for an
+    unknown one."""
     library = import_pycolmap()
     return len(library.Camera.create_from_model_id(0, library.CameraModelId(model), 1.0, 1, 1).params)

@@ -1,9 +1,10 @@
 """Checks the files of a COLMAP sparse model, and copies what the poses and points need of them.
 
-pycolmap trusts the counts in binary files: a truncated points3D.bin makes it loop for ever. It takes quaternions as they are, so one
-that has not the length 1 would stretch the view. And it refuses models in which a point names a keypoint that its image does not have,
-as converters write them. In text files it takes the first word of an image name for the whole. So counts and quaternions are checked
-here, and the copy has no keypoints, no tracks and other image names: nothing needs the first two, and the caller gets the true names.
+pycolmap trusts the counts in binary files: a truncated points3D.bin makes it loop for ever. It takes
+quaternions as they are, so one that has not the length 1 would stretch the view. And it refuses models in
+which a point names a keypoint that its image does not have, as converters write them. In text files it takes
+the first word of an image name for the whole. So counts and quaternions are checked here, and the copy has no
+keypoints, no tracks and other image names: nothing needs the first two, and the caller gets the true names.
 """
 
 from __future__ import annotations
@@ -29,14 +30,19 @@ def has_files(folder: Path, suffix: str) -> bool:
 
 
 def copy_checked(folder: Path, target: Path, params_of: Callable[[int], int]) -> dict[int, str]:
-    """Copies the binary files if they exist, else the text files, without keypoints and tracks. Returns the image names by image id.
+    """Copies the binary files if they exist, else the text files, without keypoints and tracks. Returns the
+    image names by image id.
 
-    params_of: from the number of a camera model to the number of its parameters; ValueError for an unknown one. Raises FormatError;
-    OSError if a file cannot be read; SceneError if the copy cannot be written.
+    params_of: from the number of a camera model to the number of its parameters; ValueError for an unknown
+    one. Raises FormatError; OSError if a file cannot be read; SceneError if the copy cannot be written.
     """
     names: dict[int, bytes] = {}
     if has_files(folder, ".bin"):
-        for name, copy in {"cameras": _camera_copy(params_of), "images": _image_copy(names), "points3D": _copy_point}.items():
+        for name, copy in {
+            "cameras": _camera_copy(params_of),
+            "images": _image_copy(names),
+            "points3D": _copy_point,
+        }.items():
             _write(target / f"{name}.bin", _binary_copy(folder / f"{name}.bin", copy))
     else:
         _write(target / "cameras.txt", (folder / "cameras.txt").read_bytes())
@@ -49,7 +55,10 @@ def _write(path: Path, data: bytes) -> None:
     try:
         path.write_bytes(data)
     except OSError as error:
-        raise SceneError(f"{path}: this temporary file cannot be written ({error.strerror or error}); free disk space, or set TMPDIR") from error
+        raise SceneError(
+            f"{path}: this temporary file cannot be written ({error.strerror or error}); free disk space, or"
+            " set TMPDIR"
+        ) from error
 
 
 def _binary_copy(path: Path, copy: Callable[[bytes, int], Record]) -> bytes:
@@ -81,7 +90,8 @@ def _camera_copy(params_of: Callable[[int], int]) -> Callable[[bytes, int], Reco
 
 
 def _image_copy(names: dict[int, bytes]) -> Callable[[bytes, int], Record]:
-    """The copier of an image: id, quaternion, translation, camera id, zero-terminated name, then (x, y, point id) of each keypoint.
+    """The copier of an image: id, quaternion, translation, camera id, zero-terminated name, then (x, y, point
+    id) of each keypoint.
 
     Its name is put into `names`.
     """
@@ -104,9 +114,11 @@ def _copy_point(data: bytes, start: int) -> Record:
 
 
 def _image_lines(names: dict[int, bytes]) -> Callable[[bytes], Iterator[bytes]]:
-    """A function from the text of an images.txt to the lines of its copy. It puts the image names into `names`.
+    """A function from the text of an images.txt to the lines of its copy. It puts the image names into
+    `names`.
 
-    Two lines for each image: id, quaternion, translation, camera id, name, which may have spaces; then its keypoints, here none.
+    Two lines for each image: id, quaternion, translation, camera id, name, which may have spaces; then its
+    keypoints, here none.
     """
 
     def copy(text: bytes) -> Iterator[bytes]:
@@ -128,7 +140,9 @@ def _image_lines(names: dict[int, bytes]) -> Callable[[bytes], Iterator[bytes]]:
 
 def _point_lines(text: bytes) -> Iterator[bytes]:
     """One line for each point: id, xyz, rgb, error, then its track, here none."""
-    return (line if line.lstrip().startswith(b"#") else b" ".join(line.split()[:8]) for line in text.splitlines())
+    return (
+        line if line.lstrip().startswith(b"#") else b" ".join(line.split()[:8]) for line in text.splitlines()
+    )
 
 
 def _check_length(quaternion: tuple[float, ...], name: bytes) -> None:
@@ -136,7 +150,10 @@ def _check_length(quaternion: tuple[float, ...], name: bytes) -> None:
     length = math.hypot(*quaternion)
     if not abs(length - 1) < MAX_LENGTH_ERROR:
         shown = name.decode(errors="backslashreplace")
-        raise FormatError(f"the rotation of {shown!r} is a quaternion of length {length:.6g} instead of 1; export the model again")
+        raise FormatError(
+            f"the rotation of {shown!r} is a quaternion of length {length:.6g} instead of 1; export the model"
+            " again"
+        )
 
 
 def _number(word: bytes) -> float:

@@ -1,4 +1,5 @@
-"""A dataset for fine-tuning and evaluation: posed photographs and sparse points, from COLMAP or transforms.json.
+"""A dataset for fine-tuning and evaluation: posed photographs and sparse points, from COLMAP or
+transforms.json.
 
 Photographs are read on demand, cached up to a memory budget, and can be read ahead in background threads.
 """
@@ -50,7 +51,8 @@ class Photo:
 
 @dataclass
 class Dataset:
-    """Views in the order of image names, with pinhole cameras for the undistorted and scaled photographs, and sparse points.
+    """Views in the order of image names, with pinhole cameras for the undistorted and scaled photographs, and
+    sparse points.
 
     Views whose photograph is missing are left out; `notes` says so. Coordinates are those of the files.
     """
@@ -69,7 +71,8 @@ class Dataset:
 
     @property
     def extent(self) -> float:
-        """Scene extent of 3DGS in world units: 1.1 times the largest distance of a training camera from their mean position.
+        """Scene extent of 3DGS in world units: 1.1 times the largest distance of a training camera from their
+        mean position.
 
         Without training cameras, all cameras count.
         """
@@ -79,24 +82,29 @@ class Dataset:
     def image(self, index: int) -> np.ndarray:
         """The photograph of cameras[index], (H, W, 3) display sRGB, read-only.
 
-        It is uint8, or float32 in 0..1 if the file has more than 8 bits per channel and was not undistorted. Raises FormatError,
-        SceneError.
+        It is uint8, or float32 in 0..1 if the file has more than 8 bits per channel and was not undistorted.
+        Raises FormatError, SceneError.
         """
         with self._lock:
             image = self._cache.get(index)
         return self._read(index) if image is None else image
 
-    def stream(self, order: Iterable, read: Callable | None = None, ahead: int = READ_AHEAD) -> Generator[tuple]:
-        """Yields (item, read(item)) for each item of `order`, which may be endless. Threads read `ahead` items in advance.
+    def stream(
+        self, order: Iterable, read: Callable | None = None, ahead: int = READ_AHEAD
+    ) -> Generator[tuple]:
+        """Yields (item, read(item)) for each item of `order`, which may be endless. Threads read `ahead`
+        items in advance.
 
-        read: image() by default; items are then indices. The result does not depend on the timing of the threads. They end when
-        the iterator is exhausted or closed.
+        read: image() by default; items are then indices. The result does not depend on the timing of the
+        threads. They end when the iterator is exhausted or closed.
         """
         read = read or self.image
         order = iter(order)
         pool = ThreadPoolExecutor(READER_THREADS)
         try:
-            pending = deque((item, pool.submit(read, item)) for item in itertools.islice(order, max(1, ahead)))
+            pending = deque(
+                (item, pool.submit(read, item)) for item in itertools.islice(order, max(1, ahead))
+            )
             while pending:
                 item, result = pending.popleft()
                 pending.extend((item, pool.submit(read, item)) for item in itertools.islice(order, 1))
@@ -110,13 +118,17 @@ class Dataset:
 
     @property
     def unexplained(self) -> float:
-        """The mean squared error, colours in 0..1, that an allowed drop counts beside that against the images."""
+        """The mean squared error, colours in 0..1, that an allowed drop counts beside that against the
+        images."""
         return 0.0
 
     def inputs(self) -> Iterator[bytes]:
-        """Digests and texts of all cameras and photographs: equal ones give equal runs. Raises SceneError if a photograph cannot be read."""
+        """Digests and texts of all cameras and photographs: equal ones give equal runs. Raises SceneError if
+        a photograph cannot be read."""
         for camera in self.cameras:
-            yield repr((camera.name, camera.width, camera.height, camera.viewmat.tolist(), camera.K.tolist())).encode()
+            yield repr(
+                (camera.name, camera.width, camera.height, camera.viewmat.tolist(), camera.K.tolist())
+            ).encode()
         for photo in self.photos:
             yield _file_digest(photo.path)
 
@@ -140,7 +152,8 @@ class Dataset:
         return image
 
     def _cache_image(self, index: int, image: np.ndarray) -> None:
-        """Caches the image if it fits into the budget. Images are never replaced: in a random order, no other rule gives more hits."""
+        """Caches the image if it fits into the budget. Images are never replaced: in a random order, no other
+        rule gives more hits."""
         with self._lock:
             used = sum(cached.nbytes for cached in self._cache.values())
             if used + image.nbytes <= self.memory_budget:
@@ -157,22 +170,28 @@ def load_dataset(
     need_points: bool = False,
     memory_budget: int = MEMORY_BUDGET,
 ) -> Dataset:
-    """Loads a dataset. folder: its root, its `sparse` or `sparse/0`, the folder of the model's files, or a transforms.json.
+    """Loads a dataset. folder: its root, its `sparse` or `sparse/0`, the folder of the model's files, or a
+    transforms.json.
 
-    images: name of the image folder in the dataset ("images", "images_4", ...), or a path; default "images". Intrinsics are
-    scaled to the size of each photograph. holdout: every holdout-th view in name order is a test view; 0: none. background:
-    display sRGB 0..1, behind transparent pixels. cameras_only: no photograph is opened; cameras have the size in the model.
-    need_points: refuse a model without points. memory_budget: bytes of cached photographs.
+    images: name of the image folder in the dataset ("images", "images_4", ...), or a path; default "images".
+    Intrinsics are scaled to the size of each photograph. holdout: every holdout-th view in name order is a
+    test view; 0: none. background: display sRGB 0..1, behind transparent pixels. cameras_only: no photograph
+    is opened; cameras have the size in the model. need_points: refuse a model without points. memory_budget:
+    bytes of cached photographs.
 
-    Views whose photograph is missing are left out and logged as a warning. The others stay test or training views as in the whole
-    dataset. Raises SceneError, FormatError; SceneError also if fewer than a third of the photographs are there.
+    Views whose photograph is missing are left out and logged as a warning. The others stay test or training
+    views as in the whole dataset. Raises SceneError, FormatError; SceneError also if fewer than a third of
+    the photographs are there.
     """
     source = read_source(extended(folder), images, not cameras_only)
     model, notes = source.model, source.notes
     if not model.views:
         raise SceneError(f"{source.location}: has no view with a pose; run COLMAP's mapper again")
     if need_points and not len(model.points):
-        raise SceneError(f"{source.location}: has no 3-D points to start from; run COLMAP's mapper again, or export the sparse points")
+        raise SceneError(
+            f"{source.location}: has no 3-D points to start from; run COLMAP's mapper again, or export the"
+            " sparse points"
+        )
     numbers, photos = list(range(len(model.views))), list[Photo]()
     if source.image_folder is None:
         cameras = [pinhole_camera(v, v.camera.width, v.camera.height)[0] for v in model.views]
@@ -184,11 +203,14 @@ def load_dataset(
         logging.warning("%s", note)
     test = [k for k, i in enumerate(numbers) if holdout and i % holdout == 0]
     train = [k for k, i in enumerate(numbers) if not holdout or i % holdout]
-    return Dataset(cameras, model.points, model.point_colors, train, test, photos, background, memory_budget, notes)
+    return Dataset(
+        cameras, model.points, model.point_colors, train, test, photos, background, memory_budget, notes
+    )
 
 
 def _fit_photos(views: list[View], folder: Path) -> tuple[list[Camera], list[Photo]]:
-    """The pinhole camera of each view at the size of its photograph, and the photographs. Raises SceneError, FormatError."""
+    """The pinhole camera of each view at the size of its photograph, and the photographs. Raises SceneError,
+    FormatError."""
     cameras, photos = [], []
     for view in views:
         path = photograph(folder, view.name) or folder / view.name  # reading it then says that it is gone

@@ -1,10 +1,11 @@
 """Converts cameras and viewports of Blender to intrinsics in pixels, and cameras back to Blender's settings.
 
-Perspective and orthographic cameras and viewports are supported; panoramas are refused (operators). Blender fits a sensor,
-in millimetres, to one side of the image; shift is a fraction of this side; a pixel may have unequal sides (aspect). Pixel centres
-are at k + 0.5 in both, so a centred camera has cx = W/2.
+Perspective and orthographic cameras and viewports are supported; panoramas are refused (operators). Blender
+fits a sensor, in millimetres, to one side of the image; shift is a fraction of this side; a pixel may have
+unequal sides (aspect). Pixel centres are at k + 0.5 in both, so a centred camera has cx = W/2.
 
-An orthographic viewport also shows objects behind its eye. So its camera steps back to the near plane (step_back).
+An orthographic viewport also shows objects behind its eye. So its camera steps back to the near plane
+(step_back).
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ SENSOR = 36.0  # millimetres
 
 @dataclass(frozen=True)
 class Lens:
-    """Settings of a perspective or orthographic camera in Blender, with the image size and pixel aspect of Blender's scene."""
+    """Settings of a perspective or orthographic camera in Blender, with the image size and pixel aspect of
+    Blender's scene."""
 
     width: int  # pixels
     height: int  # pixels
@@ -29,11 +31,13 @@ class Lens:
     aspect: tuple[float, float] = (1.0, 1.0)  # width and height of a pixel, in any unit
     sensor: tuple[float, float] = (SENSOR, SENSOR)  # width and height, millimetres
     fit: str = "AUTO"  # HORIZONTAL, VERTICAL; AUTO: the longer side of the image, with sensor[0] for either
-    ortho_scale: float | None = None  # length of the scene along the fitted side; not None: orthographic, lens and sensor are ignored
+    # length of the scene along the fitted side; not None: orthographic, lens and sensor are ignored
+    ortho_scale: float | None = None
 
 
 def intrinsics(lens: Lens) -> np.ndarray:
-    """Intrinsics K (3, 3) float64, pixels; orthographic: fx and fy in pixels per unit of length, as in Camera."""
+    """Intrinsics K (3, 3) float64, pixels; orthographic: fx and fy in pixels per unit of length, as in
+    Camera."""
     side, ratio, sensor = _fitted(lens)
     focal = lens.lens * side / sensor if lens.ortho_scale is None else side / lens.ortho_scale
     cx = lens.width / 2 - lens.shift[0] * side
@@ -42,7 +46,8 @@ def intrinsics(lens: Lens) -> np.ndarray:
 
 
 def lens_of(camera: Camera) -> Lens:
-    """The Lens with fit AUTO and the K of a perspective camera. It is exact, except that Blender has no skew."""
+    """The Lens with fit AUTO and the K of a perspective camera. It is exact, except that Blender has no
+    skew."""
     (fx, _, cx), (_, fy, cy), _ = camera.K
     aspect = (1.0, 1.0) if abs(fx / fy - 1) < 1e-12 else (max(1.0, fy / fx), max(1.0, fx / fy))
     side, ratio, sensor = _fitted(Lens(camera.width, camera.height, 1.0, aspect=aspect))
@@ -53,35 +58,48 @@ def lens_of(camera: Camera) -> Lens:
 def camera_of_projection(projection: np.ndarray, viewmat: np.ndarray, width: int, height: int) -> Camera:
     """The camera of an OpenGL projection matrix (4, 4), perspective or orthographic, and a pose.
 
-    viewmat: (4, 4), world to camera, in the camera frame of COLMAP. width, height: image size in pixels. An orthographic camera is
-    moved back by step_back(), so that everything that the view shows is in front of it.
+    viewmat: (4, 4), world to camera, in the camera frame of COLMAP. width, height: image size in pixels. An
+    orthographic camera is moved back by step_back(), so that everything that the view shows is in front of
+    it.
     """
     P, viewmat = np.asarray(projection, np.float64), np.array(viewmat, np.float64)
     orthographic = P[3, 3] != 0
     x, y = P[:2, 3] if orthographic else -P[:2, 2]
-    K = np.array([[P[0, 0] * width / 2, 0, (1 + x) * width / 2], [0, P[1, 1] * height / 2, (1 - y) * height / 2], [0, 0, 1]])
+    K = np.array(
+        [
+            [P[0, 0] * width / 2, 0, (1 + x) * width / 2],
+            [0, P[1, 1] * height / 2, (1 - y) * height / 2],
+            [0, 0, 1],
+        ]
+    )
     viewmat[2, 3] += step_back(P)
     return Camera(viewmat, K, width, height, orthographic=bool(orthographic))
 
 
 def step_back(projection: np.ndarray) -> float:
-    """Distance of the near plane of an OpenGL projection matrix (4, 4) behind the eye, in units of length; 0 if it is in front."""
+    """Distance of the near plane of an OpenGL projection matrix (4, 4) behind the eye, in units of length; 0
+    if it is in front."""
     P = np.asarray(projection, np.float64)
     return max(0.0, -(P[2, 3] + P[3, 3]) / (P[2, 2] + P[3, 2]))
 
 
 def depth_of_projection(projection: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Camera z of the values of an OpenGL depth buffer, float32, in units of length and the shape of `values`.
+    """Camera z of the values of an OpenGL depth buffer, float32, in units of length and the shape of
+    `values`.
 
-    values: 0..1; 1 is the background and becomes infinity. The camera is that of camera_of_projection(projection, ...).
+    values: 0..1; 1 is the background and becomes infinity. The camera is that of
+    camera_of_projection(projection, ...).
     """
     P, z = np.asarray(projection, np.float64), 2.0 * values - 1
     with np.errstate(divide="ignore"):
-        return np.where(values < 1, (P[2, 3] - z * P[3, 3]) / (P[2, 2] - z * P[3, 2]) + step_back(P), np.inf).astype(np.float32)
+        return np.where(
+            values < 1, (P[2, 3] - z * P[3, 3]) / (P[2, 2] - z * P[3, 2]) + step_back(P), np.inf
+        ).astype(np.float32)
 
 
 def _fitted(lens: Lens) -> tuple[float, float, float]:
-    """Length of the fitted side in pixel widths, height of a pixel over its width, and sensor length of that side in millimetres."""
+    """Length of the fitted side in pixel widths, height of a pixel over its width, and sensor length of that
+    side in millimetres."""
     ratio = lens.aspect[1] / lens.aspect[0]
     horizontal = lens.fit == "HORIZONTAL" or (lens.fit == "AUTO" and lens.width >= ratio * lens.height)
     return lens.width if horizontal else ratio * lens.height, ratio, lens.sensor[lens.fit == "VERTICAL"]

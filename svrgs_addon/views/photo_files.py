@@ -16,17 +16,29 @@ EXTENSIONS = (".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")  # that some exp
 
 def photograph(folder: Path, name: str) -> Path | None:
     """The file of a photograph; None if it is missing. The name may lack one of EXTENSIONS."""
-    return next((folder / f"{name}{extension}" for extension in ("", *EXTENSIONS) if os.path.isfile(folder / f"{name}{extension}")), None)
+    return next(
+        (
+            folder / f"{name}{extension}"
+            for extension in ("", *EXTENSIONS)
+            if os.path.isfile(folder / f"{name}{extension}")
+        ),
+        None,
+    )
 
 
 def present(names: Sequence[str], folder: Path) -> tuple[list[int], tuple[str, ...]]:
-    """The numbers of the photographs that exist, and a sentence on those that are missing. Raises SceneError if too many are."""
+    """The numbers of the photographs that exist, and a sentence on those that are missing. Raises SceneError
+    if too many are."""
     found = [i for i, name in enumerate(names) if photograph(folder, name) is not None]
     missing = [names[i] for i in sorted(set(range(len(names))) - set(found))]
     if not missing:
         return found, ()
-    shown = ", ".join(map(printable, missing[:MISSING_SHOWN])) + (", ..." if len(missing) > MISSING_SHOWN else "")
+    shown = ", ".join(map(printable, missing[:MISSING_SHOWN])) + (
+        ", ..." if len(missing) > MISSING_SHOWN else ""
+    )
     sentence = f"{folder}: {len(missing)} of {len(names)} photographs are missing: {shown}"
     if len(found) < LEAST_PRESENT * len(names):
-        raise SceneError(f"{sentence}; at least a third must be there: give the name or path of the folder that holds them")
+        raise SceneError(
+            f"{sentence}; at least a third must be there: give the name or path of the folder that holds them"
+        )
     return found, (f"{sentence}; the other {len(found)} are used",)

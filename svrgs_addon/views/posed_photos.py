@@ -1,9 +1,9 @@
 """A dataset for Blender: pinhole cameras, undistorted photographs, sparse points.
 
 It is read in a child process, because pycolmap cannot be imported into every Blender. The child process is
-`python -m svrgs_addon.views.posed_photos`. It gets {folder, images, undistorted, out} as JSON on stdin, writes the dataset to the
-file `out`, and prints {} or {"error": sentence} on stdout. While it undistorts, it prints
-{"progress": [photographs done, photographs to undistort]} after each.
+`python -m svrgs_addon.views.posed_photos`. It gets {folder, images, undistorted, out} as JSON on stdin,
+writes the dataset to the file `out`, and prints {} or {"error": sentence} on stdout. While it undistorts, it
+prints {"progress": [photographs done, photographs to undistort]} after each.
 """
 
 from __future__ import annotations
@@ -42,16 +42,24 @@ class PosedPhotos:
         return float(np.linalg.norm(np.ptp([camera.position for camera in self.cameras], axis=0)))
 
 
-def read_in_child(folder: Path, images: str = "", undistorted: Path | None = None, tell: Tell = lambda *_: None) -> PosedPhotos:
-    """Reads the dataset in `folder` in a child process. images: name or path of the image folder, "" for the default.
+def read_in_child(
+    folder: Path, images: str = "", undistorted: Path | None = None, tell: Tell = lambda *_: None
+) -> PosedPhotos:
+    """Reads the dataset in `folder` in a child process. images: name or path of the image folder, "" for the
+    default.
 
-    undistorted: folder for undistorted copies of photographs that have distortion; writing them takes time, and tell() is called after
-    each. None: views with distortion have no file. If the photographs cannot be found or read, the result has only cameras and points,
-    and a warning. Raises SceneError.
+    undistorted: folder for undistorted copies of photographs that have distortion; writing them takes time,
+    and tell() is called after each. None: views with distortion have no file. If the photographs cannot be
+    found or read, the result has only cameras and points, and a warning. Raises SceneError.
     """
     with tempfile.TemporaryDirectory() as temp_dir:
         out = Path(temp_dir) / "photos.npz"
-        request = {"folder": str(folder), "images": images, "undistorted": str(undistorted or ""), "out": str(out)}
+        request = {
+            "folder": str(folder),
+            "images": images,
+            "undistorted": str(undistorted or ""),
+            "out": str(out),
+        }
         status, result = subprocess_python.run([], "svrgs_addon.views.posed_photos", request, tell=tell)
         if status or not out.exists():
             raise SceneError(result.get("error", f"{folder}: reading it failed"))
@@ -80,12 +88,14 @@ def read(folder: Path, images: str, undistorted: Path | None, tell: Tell = lambd
         if undistorted is not None and photo.distorted is not None:
             done += 1
             tell(done, distorted)
-    return PosedPhotos(dataset.cameras, files, dataset.points, dataset.point_colors, distorted, tuple(warnings))
+    return PosedPhotos(
+        dataset.cameras, files, dataset.points, dataset.point_colors, distorted, tuple(warnings)
+    )
 
 
 def _pinhole_photo(dataset, index: int, undistorted: Path | None) -> Path | None:
-    """The photograph, or its undistorted copy, which is written if it is missing or older than the photograph. Raises FormatError if the
-    photograph is damaged; SceneError if the copy cannot be written."""
+    """The photograph, or its undistorted copy, which is written if it is missing or older than the
+    photograph. Raises FormatError if the photograph is damaged; SceneError if the copy cannot be written."""
     from ..files.images import write_image
 
     photo = dataset.photos[index]
@@ -113,15 +123,19 @@ def _unpack(path: Path) -> PosedPhotos:
     """Reads the file of _pack."""
     with np.load(path) as data:
         views = zip(data["viewmats"], data["Ks"], data["sizes"], data["names"], strict=True)
-        cameras = [Camera(viewmat, K, int(size[0]), int(size[1]), str(name)) for viewmat, K, size, name in views]
+        cameras = [
+            Camera(viewmat, K, int(size[0]), int(size[1]), str(name)) for viewmat, K, size, name in views
+        ]
         files = [Path(str(file)) if file else None for file in data["files"]]
         warnings = tuple(str(sentence) for sentence in data["warnings"])
-        return PosedPhotos(cameras, files, data["points"], data["point_colors"], int(data["distorted"]), warnings)
+        return PosedPhotos(
+            cameras, files, data["points"], data["point_colors"], int(data["distorted"]), warnings
+        )
 
 
 def _read_request(request: dict) -> dict:
     undistorted = Path(request["undistorted"]) if request["undistorted"] else None
-    tell = lambda done, total: print(json.dumps({"progress": [done, total]}), flush=True)  # noqa: E731
+    tell = lambda done, total: print(json.dumps({"progress": [done, total]}), flush=True)
     _pack(Path(request["out"]), read(Path(request["folder"]), request["images"], undistorted, tell))
     return {}
 

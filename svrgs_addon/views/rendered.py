@@ -1,4 +1,5 @@
-"""A dataset whose photographs are a scene's own pictures, for scenes that have none. They are rendered when they are asked for."""
+"""A dataset whose photographs are a scene's own pictures, for scenes that have none. They are rendered when
+they are asked for."""
 
 from __future__ import annotations
 
@@ -21,7 +22,8 @@ PHOTOGRAPHED = 1e-3  # mean squared error of a usual splat against photographs o
 
 @dataclass(kw_only=True)
 class RenderedDataset(Dataset):
-    """Views of a scene. Its pictures are rounded to 8 bits, as photographs are, and cached within the memory budget."""
+    """Views of a scene. Its pictures are rounded to 8 bits, as photographs are, and cached within the memory
+    budget."""
 
     scene: Scene
     facts: dict = field(default_factory=dict)  # what a JSON result says about the cameras
@@ -30,13 +32,18 @@ class RenderedDataset(Dataset):
 
     @classmethod
     def of(cls, scene: Any, train: list[Camera], test: list[Camera], **more: Any) -> RenderedDataset:
-        """The dataset of some views to train on and others to test on. scene: a Scene, or what more["rasterizer"] renders. more: further fields."""
-        none, views = (np.empty((0, 3), np.float32), np.empty((0, 3), np.uint8)), list(range(len(train) + len(test)))
+        """The dataset of some views to train on and others to test on. scene: a Scene, or what
+        more["rasterizer"] renders. more: further fields."""
+        none, views = (
+            (np.empty((0, 3), np.float32), np.empty((0, 3), np.uint8)),
+            list(range(len(train) + len(test))),
+        )
         return cls(train + test, *none, views[: len(train)], views[len(train) :], scene=scene, **more)
 
     @property
     def unexplained(self) -> float:
-        """The scene explains its own pictures without an error, but not the photographs that it was trained on: PHOTOGRAPHED stands for that."""
+        """The scene explains its own pictures without an error, but not the photographs that it was trained
+        on: PHOTOGRAPHED stands for that."""
         return PHOTOGRAPHED
 
     def inputs(self) -> Iterator[bytes]:
@@ -47,7 +54,9 @@ class RenderedDataset(Dataset):
         yield digest.digest()
 
     def _pixels(self, index: int) -> np.ndarray:
-        options = RenderOptions(antialiased=self.scene.antialiased, background=self.background, picture_only=True)
+        options = RenderOptions(
+            antialiased=self.scene.antialiased, background=self.background, picture_only=True
+        )
         with self._rendering:
             rgb = self.rasterizer.forward(self.scene, self.cameras[index], options)["rgb"]
             return np.rint(np.clip(rgb, 0, 1) * 255).astype(np.uint8)

@@ -13,7 +13,10 @@ from .transforms_json import NAME, read_transforms
 LOOKED_AT = 64 * 1024  # bytes of a file that may be of another program
 EXPORTS = {
     "Metashape": "in Metashape 2.2 or later, choose File > Export > Export Cameras and the file type Colmap",
-    "RealityScan": "in RealityScan, or RealityCapture 1.5 or later, choose Alignment > Registration and the format COLMAP",
+    "RealityScan": (
+        "in RealityScan, or RealityCapture 1.5 or later, choose Alignment > Registration and the format"
+        " COLMAP"
+    ),
 }
 
 
@@ -28,22 +31,40 @@ class Source:
 
 
 def read_source(folder: Path, images: str | None, with_images: bool = True) -> Source:
-    """Reads the COLMAP model in `folder` or below it; where there is none, its transforms.json, which can also be named itself.
+    """Reads the COLMAP model in `folder` or below it; where there is none, its transforms.json, which can
+    also be named itself.
 
-    images: name of the image folder in the dataset, or a path; None: that of the dataset. Raises SceneError, FormatError.
+    images: name of the image folder in the dataset, or a path; None: that of the dataset. Raises SceneError,
+    FormatError.
     """
     location, is_model = find_cameras(folder)
     if not is_model:
         found = read_transforms(location)
-        image_folder = None if not with_images else _image_folder(location.parent, None, images) if images else found.image_folder
-        return Source(found.model, location, image_folder, (f"the cameras are those of {location}", *found.notes))
+        image_folder = (
+            None
+            if not with_images
+            else _image_folder(location.parent, None, images)
+            if images
+            else found.image_folder
+        )
+        return Source(
+            found.model, location, image_folder, (f"the cameras are those of {location}", *found.notes)
+        )
     transforms = folder / NAME
-    notes = (f"the cameras are those of {location}, not those of {transforms}",) if transforms.is_file() else ()
-    return Source(read_model(location), location, _image_folder(folder, location, images or "images") if with_images else None, notes)
+    notes = (
+        (f"the cameras are those of {location}, not those of {transforms}",) if transforms.is_file() else ()
+    )
+    return Source(
+        read_model(location),
+        location,
+        _image_folder(folder, location, images or "images") if with_images else None,
+        notes,
+    )
 
 
 def find_cameras(folder: Path) -> tuple[Path, bool]:
-    """(folder of the COLMAP model, True), or (transforms.json, False) where there is no model. It reads neither. Raises SceneError."""
+    """(folder of the COLMAP model, True), or (transforms.json, False) where there is no model. It reads
+    neither. Raises SceneError."""
     transforms = folder if folder.is_file() else folder / NAME
     try:
         return find_model(folder), True
@@ -54,13 +75,16 @@ def find_cameras(folder: Path) -> tuple[Path, bool]:
 
 
 def _image_folder(folder: Path, location: Path | None, images: str) -> Path:
-    """The first folder with this name from the given folder up to the root of the dataset, else the path `images`. Raises SceneError."""
+    """The first folder with this name from the given folder up to the root of the dataset, else the path
+    `images`. Raises SceneError."""
     here = Path(os.path.abspath(folder))
     above = here.parents[:2] if folder == location or here.name == "sparse" else ()
     for candidate in [*(base / images for base in (here, *above)), Path(images)]:
         if os.path.isdir(candidate):
             return candidate
-    raise SceneError(f"{folder}: has no image folder {images}; give the name or path of the folder with the photographs")
+    raise SceneError(
+        f"{folder}: has no image folder {images}; give the name or path of the folder with the photographs"
+    )
 
 
 def _other_program(folder: Path) -> str:

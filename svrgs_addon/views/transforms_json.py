@@ -1,11 +1,13 @@
 """Reads transforms.json, the cameras of Nerfstudio and instant-ngp, which many programs export.
 
-A frame's `transform_matrix` is camera to world, in a camera frame with x right, y up and z backwards (OpenGL, Blender). Intrinsics are
-keys of the file or of a frame: fl_x, fl_y, cx, cy, w, h in pixels, or camera_angle_x in radians, and the distortion of OpenCV.
-The world is that of the file: in Nerfstudio z is up. `ply_file_path` names the sparse points, in the same world.
+A frame's `transform_matrix` is camera to world, in a camera frame with x right, y up and z backwards (OpenGL,
+Blender). Intrinsics are keys of the file or of a frame: fl_x, fl_y, cx, cy, w, h in pixels, or camera_angle_x
+in radians, and the distortion of OpenCV. The world is that of the file: in Nerfstudio z is up.
+`ply_file_path` names the sparse points, in the same world.
 
-Nerfstudio turns and scales the world again when it trains, and writes how to dataparser_transforms.json in the folder of its run. A copy
-of that file beside transforms.json moves cameras and points into the world of the trained splat.
+Nerfstudio turns and scales the world again when it trains, and writes how to dataparser_transforms.json in
+the folder of its run. A copy of that file beside transforms.json moves cameras and points into the world of
+the trained splat.
 """
 
 from __future__ import annotations
@@ -40,7 +42,8 @@ UNREADABLE = (KeyError, TypeError, ValueError, OverflowError, FormatError)
 
 @dataclass(frozen=True)
 class Transforms:
-    """The contents of a transforms.json. image_folder: that of all photographs, to which the names of the views are relative."""
+    """The contents of a transforms.json. image_folder: that of all photographs, to which the names of the
+    views are relative."""
 
     model: Model
     image_folder: Path
@@ -84,7 +87,9 @@ def _read_json(path: Path) -> dict:
     """The JSON object in a file. Raises FormatError."""
     try:
         if path.stat().st_size > MAX_BYTES:
-            raise FormatError(f"{path}: is larger than {MAX_BYTES // 2**20} MiB, so it holds more than cameras")
+            raise FormatError(
+                f"{path}: is larger than {MAX_BYTES // 2**20} MiB, so it holds more than cameras"
+            )
         facts = json.loads(path.read_bytes())
     except OSError as error:
         raise FormatError(f"{path}: cannot be read ({error.strerror or error})") from error
@@ -119,17 +124,26 @@ def _pose(rows: object) -> np.ndarray:
     """(4, 4) camera to world, in the camera frame of COLMAP, of a transform_matrix."""
     matrix = _matrix(rows)
     R = matrix[:3, :3]
-    if not np.abs(R).max() < 2 or not np.abs(R.T @ R - np.eye(3)).max() < MAX_ROTATION_ERROR or np.linalg.det(R) < 0:
+    if (
+        not np.abs(R).max() < 2
+        or not np.abs(R.T @ R - np.eye(3)).max() < MAX_ROTATION_ERROR
+        or np.linalg.det(R) < 0
+    ):
         raise FormatError("its transform_matrix does not hold a rotation")
     return matrix @ FLIP
 
 
 def _matrix(rows: object) -> np.ndarray:
-    """A (4, 4) matrix of which the last row may be missing. Raises FormatError if a number is not finite or far too large."""
+    """A (4, 4) matrix of which the last row may be missing. Raises FormatError if a number is not finite or
+    far too large."""
     matrix = np.array(rows, np.float64)
     if matrix.shape == (3, 4):
         matrix = np.concatenate([matrix, [[0, 0, 0, 1]]])
-    if matrix.shape != (4, 4) or not (np.abs(matrix) < LARGEST).all() or not np.array_equal(matrix[3], (0, 0, 0, 1)):
+    if (
+        matrix.shape != (4, 4)
+        or not (np.abs(matrix) < LARGEST).all()
+        or not np.array_equal(matrix[3], (0, 0, 0, 1))
+    ):
         raise FormatError("a matrix of 4 x 4 finite numbers is expected")
     return matrix
 
@@ -142,8 +156,12 @@ def _size(facts: Mapping, folder: Path, name: str) -> tuple[int, int]:
             raise FormatError("neither w and h nor its photograph is there")
         return image_size(file, upright=False)
     width, height = (_number(facts, key) for key in ("w", "h"))
-    if not (0 < width <= MAX_SIDE and 0 < height <= MAX_SIDE and width == int(width) and height == int(height)):
-        raise FormatError(f"its size is {width:g} x {height:g}; whole numbers of 1 to {MAX_SIDE} are expected")
+    if not (
+        0 < width <= MAX_SIDE and 0 < height <= MAX_SIDE and width == int(width) and height == int(height)
+    ):
+        raise FormatError(
+            f"its size is {width:g} x {height:g}; whole numbers of 1 to {MAX_SIDE} are expected"
+        )
     return int(width), int(height)
 
 
@@ -151,7 +169,10 @@ def _camera(facts: Mapping, width: int, height: int) -> Intrinsics:
     """The camera of a frame."""
     model = FISHEYE if facts.get("is_fisheye") is True else facts.get("camera_model", "OPENCV")
     if model not in (*PERSPECTIVE, FISHEYE):
-        raise FormatError(f"its camera_model is {str(model)[:40]!r}; export photographs without distortion, or with the model OPENCV")
+        raise FormatError(
+            f"its camera_model is {str(model)[:40]!r}; export photographs without distortion, or with the"
+            " model OPENCV"
+        )
     fx = _focal(facts, "x", width)
     fy = _focal(facts, "y", height) if "fl_y" in facts or "camera_angle_y" in facts else fx
     pinhole = [fx, fy, _number(facts, "cx", width / 2), _number(facts, "cy", height / 2)]
@@ -160,7 +181,10 @@ def _camera(facts: Mapping, width: int, height: int) -> Intrinsics:
     if model == FISHEYE:
         params = [k1, k2, k3, k4]
     elif k4:
-        raise FormatError(f"its distortion has k4 = {k4:g}, which is not supported; export photographs without distortion, or with k1, k2, k3, p1, p2")
+        raise FormatError(
+            f"its distortion has k4 = {k4:g}, which is not supported; export photographs without distortion,"
+            " or with k1, k2, k3, p1, p2"
+        )
     elif k3:
         model, params = "FULL_OPENCV", [k1, k2, p1, p2, k3, 0.0, 0.0, 0.0]
     elif k1 or k2 or p1 or p2:
@@ -171,11 +195,14 @@ def _camera(facts: Mapping, width: int, height: int) -> Intrinsics:
 
 
 def _focal(facts: Mapping, axis: str, side: int) -> float:
-    """The focal length in pixels along an axis: fl_x or fl_y, or from the angle of view over `side` pixels."""
+    """The focal length in pixels along an axis: fl_x or fl_y, or from the angle of view over `side`
+    pixels."""
     if f"fl_{axis}" in facts:
         focal = _number(facts, f"fl_{axis}")
     else:
-        angle = _number(facts, f"camera_angle_{axis}") if f"camera_angle_{axis}" in facts else _missing_focal()
+        angle = (
+            _number(facts, f"camera_angle_{axis}") if f"camera_angle_{axis}" in facts else _missing_focal()
+        )
         focal = side / 2 / math.tan(angle / 2) if 0 < angle < math.pi else 0.0
     if not 0 < focal < LARGEST:
         raise FormatError("its focal length is not usable")
@@ -195,7 +222,8 @@ def _number(facts: Mapping, key: str, default: float | None = None) -> float:
 
 
 def _points(path: Path, facts: dict) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
-    """Positions (P, 3) float32 and colours (P, 3) uint8 of the sparse points, and what is missing, in sentences."""
+    """Positions (P, 3) float32 and colours (P, 3) uint8 of the sparse points, and what is missing, in
+    sentences."""
     none = np.empty((0, 3), np.float32), np.empty((0, 3), np.uint8)
     name = facts.get("ply_file_path")
     if name is None:
@@ -211,7 +239,8 @@ def _points(path: Path, facts: dict) -> tuple[np.ndarray, np.ndarray, tuple[str,
 
 
 def _in_parser_world(path: Path, facts: dict, model: Model) -> tuple[Model, tuple[str, ...]]:
-    """The model in the world of a splat that Nerfstudio has trained, if dataparser_transforms.json is there, and a sentence that says so."""
+    """The model in the world of a splat that Nerfstudio has trained, if dataparser_transforms.json is there,
+    and a sentence that says so."""
     file = path.with_name(PARSER_NAME)
     if not file.is_file():
         return model, ()
@@ -222,17 +251,31 @@ def _in_parser_world(path: Path, facts: dict, model: Model) -> tuple[Model, tupl
         viewmat[:3] *= scale
         views.append(View(view.name, viewmat, view.camera))
     points = model.points.astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
-    return Model(views, points.astype(np.float32), model.point_colors), (f"{file}: cameras are moved into the world of the splat trained with it",)
+    return Model(views, points.astype(np.float32), model.point_colors), (
+        f"{file}: cameras are moved into the world of the splat trained with it",
+    )
 
 
 def _parser_matrix(parser: dict, facts: dict) -> np.ndarray:
     """(4, 4) from the world of transforms.json to that of the trained splat.
 
-    dataparser_transforms.json leads there from the world before applied_transform and applied_scale, which transforms.json holds.
+    dataparser_transforms.json leads there from the world before applied_transform and applied_scale, which
+    transforms.json holds.
     """
-    matrix, scale = _matrix(parser["transform"]), _number(parser, "scale") / _number(facts, "applied_scale", 1.0)
-    matrix = matrix @ np.linalg.inv(_matrix(facts["applied_transform"])) if "applied_transform" in facts else matrix
+    matrix, scale = (
+        _matrix(parser["transform"]),
+        _number(parser, "scale") / _number(facts, "applied_scale", 1.0),
+    )
+    matrix = (
+        matrix @ np.linalg.inv(_matrix(facts["applied_transform"]))
+        if "applied_transform" in facts
+        else matrix
+    )
     R = matrix[:3, :3]
-    if not 0 < scale < LARGEST or not np.abs(R.T @ R - np.eye(3)).max() < MAX_ROTATION_ERROR or np.linalg.det(R) < 0:
+    if (
+        not 0 < scale < LARGEST
+        or not np.abs(R.T @ R - np.eye(3)).max() < MAX_ROTATION_ERROR
+        or np.linalg.det(R) < 0
+    ):
         raise FormatError("it is no rotation with a scale")
     return np.diag([scale, scale, scale, 1.0]) @ matrix

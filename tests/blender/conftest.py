@@ -1,4 +1,5 @@
-"""Runs inside Blender as a module, started by ../test_extension.py: the installed extension, and a scene without anything in it."""
+"""Runs inside Blender as a module, started by ../test_extension.py: the installed extension, and a scene
+without anything in it."""
 
 from __future__ import annotations
 
@@ -19,7 +20,9 @@ KINDS = ("objects", "meshes", "pointclouds", "cameras", "images", "collections")
 @pytest.fixture(scope="session", autouse=True)
 def installed() -> Path:
     """Folder of the extension, installed and enabled by Blender itself."""
-    bpy.ops.extensions.package_install_files(filepath=os.environ["SVRGS_TEST_ZIP"], repo="user_default", enable_on_install=True)
+    bpy.ops.extensions.package_install_files(
+        filepath=os.environ["SVRGS_TEST_ZIP"], repo="user_default", enable_on_install=True
+    )
     return Path(sys.modules[PACKAGE].__file__).parent
 
 
@@ -61,7 +64,13 @@ class Views:
 @pytest.fixture(params=["tiny", "varied"])
 def dataset(request) -> tuple[Path, Views]:
     with np.load(DATA / f"{request.param}.npz") as stored:
-        return DATA / request.param, Views(stored["viewmats"], stored["Ks"], stored["sizes"], [str(n) for n in stored["names"]], stored["points"])
+        return DATA / request.param, Views(
+            stored["viewmats"],
+            stored["Ks"],
+            stored["sizes"],
+            [str(n) for n in stored["names"]],
+            stored["points"],
+        )
 
 
 @pytest.fixture
@@ -79,9 +88,24 @@ def make_scene():
         }  # fmt: skip
         logits = rng.normal(0, 10, count)
         logits[:3] = 0, 200, -200
-        arrays = (rng.normal(size=(count, 3)), rng.normal(-4, 4, (count, 3)), rng.normal(size=(count, 4)), logits, rng.normal(size=(count, K, 3)))
+        arrays = (
+            rng.normal(size=(count, 3)),
+            rng.normal(-4, 4, (count, 3)),
+            rng.normal(size=(count, 4)),
+            logits,
+            rng.normal(size=(count, K, 3)),
+        )
         means, log_scales, quats, logits, sh = (np.ascontiguousarray(a, np.float32) for a in arrays)
-        return Scene(means, log_scales, quats, logits, sh, True, columns if further else {}, ("made by hand", "SplatRenderMode: mip"))
+        return Scene(
+            means,
+            log_scales,
+            quats,
+            logits,
+            sh,
+            True,
+            columns if further else {},
+            ("made by hand", "SplatRenderMode: mip"),
+        )
 
     return make
 
@@ -95,8 +119,17 @@ def stage():
     scene = bpy.context.scene
     render = scene.render
     render.engine, scene.view_settings.view_transform = "SVRGS", "Standard"
-    render.image_settings.file_format, render.image_settings.color_mode, render.image_settings.color_depth = "PNG", "RGBA", "8"
-    render.resolution_x, render.resolution_y, render.resolution_percentage, render.pixel_aspect_x = 101, 61, 100, 1
+    render.image_settings.file_format, render.image_settings.color_mode, render.image_settings.color_depth = (
+        "PNG",
+        "RGBA",
+        "8",
+    )
+    render.resolution_x, render.resolution_y, render.resolution_percentage, render.pixel_aspect_x = (
+        101,
+        61,
+        100,
+        1,
+    )
     render.dither_intensity = 1.0  # as Blender has it
     render.use_border = render.use_crop_to_border = render.film_transparent = False
     render.border_min_x, render.border_max_x, render.border_min_y, render.border_max_y = 0.23, 0.71, 0.1, 0.55

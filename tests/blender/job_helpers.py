@@ -62,7 +62,8 @@ class Layout:
     def __getattr__(self, name):
         def draw(*words, **options):
             if name == "operator":
-                getattr(bpy.ops.svrgs, words[0].removeprefix("svrgs.")).get_rna_type()  # raises KeyError where there is no such operator
+                # raises KeyError where there is no such operator
+                getattr(bpy.ops.svrgs, words[0].removeprefix("svrgs.")).get_rna_type()
             if name == "prop":
                 assert words[1] in words[0].bl_rna.properties, words[1]
             self.notes.append((name, *words, *options.values()))

@@ -22,7 +22,11 @@ def material(name: str, color=(0.8, 0.8, 0.8)):
 def wall(camera, depth: float, color=(1.0, 0.0, 0.0), half: float = 99.0) -> bpy.types.Object:
     """A square across the camera's view, seen from its front, with a UV map "UVMap" over its whole area."""
     mesh = bpy.data.meshes.new("wall")
-    mesh.from_pydata([(-half, -half, -depth), (half, -half, -depth), (half, half, -depth), (-half, half, -depth)], [], [(0, 1, 2, 3)])
+    mesh.from_pydata(
+        [(-half, -half, -depth), (half, -half, -depth), (half, half, -depth), (-half, half, -depth)],
+        [],
+        [(0, 1, 2, 3)],
+    )
     mesh.materials.append(material("paint", color))
     mesh.uv_layers.new(name="UVMap").uv.foreach_set("vector", [0, 0, 1, 0, 1, 1, 0, 1])
     obj = bpy.data.objects.new("wall", mesh)
@@ -33,9 +37,12 @@ def wall(camera, depth: float, color=(1.0, 0.0, 0.0), half: float = 99.0) -> bpy
 
 
 def lit(color, normal) -> np.ndarray:
-    """Display sRGB of a linear base colour under the engine's light; normal: in Blender's world, of the side that is seen."""
+    """Display sRGB of a linear base colour under the engine's light; normal: in Blender's world, of the side
+    that is seen."""
     meshes = part("svrgs_addon.render.meshes")
-    return part("svrgs_addon.files.images").linear_to_srgb(np.array(color) * (meshes.AMBIENT + np.array(normal) @ meshes.LIGHT))
+    return part("svrgs_addon.files.images").linear_to_srgb(
+        np.array(color) * (meshes.AMBIENT + np.array(normal) @ meshes.LIGHT)
+    )
 
 
 def lit_wall(camera, color=(1.0, 0.0, 0.0)) -> np.ndarray:

@@ -19,19 +19,32 @@ def sources(root: Path) -> list[Path]:
 
 def catalogues(root: Path) -> dict[str, dict[str, str]]:
     """{locale: {English text: translation}}"""
-    return {file.stem: json.loads(file.read_text("utf-8")) for file in sorted((root / "operators/catalogues").glob("*.json"))}
+    return {
+        file.stem: json.loads(file.read_text("utf-8"))
+        for file in sorted((root / "operators/catalogues").glob("*.json"))
+    }
 
 
 def fields(text: str) -> list[str]:
     """The placeholders of a template, sorted."""
-    return sorted(f"{name}!{conversion}:{spec}" for _, name, spec, conversion in string.Formatter().parse(text) if name is not None)
+    return sorted(
+        f"{name}!{conversion}:{spec}"
+        for _, name, spec, conversion in string.Formatter().parse(text)
+        if name is not None
+    )
 
 
 def called(node: ast.AST) -> str:
     """The name of the function that is called, without what is before it; empty for other nodes."""
     if not isinstance(node, ast.Call):
         return ""
-    return node.func.attr if isinstance(node.func, ast.Attribute) else node.func.id if isinstance(node.func, ast.Name) else ""
+    return (
+        node.func.attr
+        if isinstance(node.func, ast.Attribute)
+        else node.func.id
+        if isinstance(node.func, ast.Name)
+        else ""
+    )
 
 
 def is_text(node: ast.AST) -> bool:
@@ -57,18 +70,39 @@ def messages(tree: ast.AST) -> Iterator[str]:
 
 
 def of_jobs(root: Path) -> set[str]:
-    """What a job says it is doing: the panel translates it where it shows it. Sentences with figures, and errors, stay in English."""
+    """What a job says it is doing: the panel translates it where it shows it. Sentences with figures, and
+    errors, stay in English."""
     found: set[str] = set()
-    for file in [*(root / "svrgs_addon/finetune").rglob("*.py"), *(root / "svrgs_addon/jobs").glob("job_*.py")]:
+    for file in [
+        *(root / "svrgs_addon/finetune").rglob("*.py"),
+        *(root / "svrgs_addon/jobs").glob("job_*.py"),
+    ]:
         for node in ast.walk(ast.parse(file.read_text("utf-8"))):
             if called(node) in ("tell", "Phase"):
-                found |= {text for word in node.keywords if word.arg in ("text", "label") for text in literals(word.value)}
+                found |= {
+                    text
+                    for word in node.keywords
+                    if word.arg in ("text", "label")
+                    for text in literals(word.value)
+                }
             elif isinstance(node, ast.Dict):
-                found |= {text for key, value in zip(node.keys, node.values, strict=True) if is_text(key) and key.value == "text" for text in literals(value)}
+                found |= {
+                    text
+                    for key, value in zip(node.keys, node.values, strict=True)
+                    if is_text(key) and key.value == "text"
+                    for text in literals(value)
+                }
             elif isinstance(node, ast.FunctionDef) and node.name == "resume_point":
-                found |= {text.value for text in ast.walk(node) if is_text(text) and text.value.startswith("Resume")}
-            elif isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) in ("(DECIDE, REMOVE)", "self.facts['text']"):
-                found |= {text for value in getattr(node.value, "elts", [node.value]) for text in literals(value)}
+                found |= {
+                    text.value for text in ast.walk(node) if is_text(text) and text.value.startswith("Resume")
+                }
+            elif isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) in (
+                "(DECIDE, REMOVE)",
+                "self.facts['text']",
+            ):
+                found |= {
+                    text for value in getattr(node.value, "elts", [node.value]) for text in literals(value)
+                }
     return found
 
 

@@ -1,4 +1,5 @@
-"""After Apply, and what is hidden: original and pruned splat are ordinary splats; the outliner's eye shows the truth."""
+"""After Apply, and what is hidden: original and pruned splat are ordinary splats; the outliner's eye shows
+the truth."""
 
 from __future__ import annotations
 
@@ -9,7 +10,8 @@ from job_helpers import COUNT, SHORT, drawn, follow, set_up
 
 
 def hidden(obj, layer=None) -> bool:
-    """As the outliner's eye shows it and as a render sees it, which must agree. The monitor icon is not used."""
+    """As the outliner's eye shows it and as a render sees it, which must agree. The monitor icon is not
+    used."""
     assert obj.hide_get(view_layer=layer) == obj.hide_render and not obj.hide_viewport
     return obj.hide_render
 
@@ -32,10 +34,18 @@ def apply(result):
 def test_after_apply_both_can_be_pruned_again(pruned, watch):
     original, result = pruned
     bpy.ops.svrgs.apply()
-    for obj, said in ((result, "Pruned from 'scene', 250 Gaussians, which is hidden"), (original, "Pruned to 'scene pruned', 125 Gaussians")):
+    for obj, said in (
+        (result, "Pruned from 'scene', 250 Gaussians, which is hidden"),
+        (original, "Pruned to 'scene pruned', 125 Gaussians"),
+    ):
         bpy.context.view_layer.objects.active = obj
         text = drawn("prune")
-        assert said in text and "svrgs.job_start" in text and "svrgs.estimate" in text and "Discard Original" in text
+        assert (
+            said in text
+            and "svrgs.job_start" in text
+            and "svrgs.estimate" in text
+            and "Discard Original" in text
+        )
         assert bpy.ops.svrgs.job_start.poll()
 
 
@@ -50,15 +60,25 @@ def test_a_pruned_splat_is_pruned_again(pruned, watch, results, bridge):
     first, second = pruned
     bpy.ops.svrgs.apply()
     third = prune(second, watch, results)
-    assert results.pair_of(third) == results.pair_of(second) == (second, third) and results.pair_of(first) == (first, second)
-    assert [hidden(obj) for obj in (first, second, third)] == [True, True, False] and bridge.count(third) == 62
+    assert results.pair_of(third) == results.pair_of(second) == (second, third) and results.pair_of(
+        first
+    ) == (first, second)
+    assert [hidden(obj) for obj in (first, second, third)] == [True, True, False] and bridge.count(
+        third
+    ) == 62
     third.svrgs_share = 100
     assert [hidden(obj) for obj in (first, second, third)] == [True, False, True]
     third.svrgs_share = 40
     apply(third)
-    assert bridge.count(third) == 50 and [hidden(obj) for obj in (first, second, third)] == [True, True, False]
+    assert bridge.count(third) == 50 and [hidden(obj) for obj in (first, second, third)] == [
+        True,
+        True,
+        False,
+    ]
     bpy.ops.svrgs.discard(what="ORIGINAL")
-    assert set(bpy.data.objects) == {first, third} and results.pair_of(third) == (first, third) and hidden(first)
+    assert (
+        set(bpy.data.objects) == {first, third} and results.pair_of(third) == (first, third) and hidden(first)
+    )
     bpy.context.view_layer.update()
     assert results.pair_of(third) == (first, third) and hidden(first)
 
@@ -70,7 +90,11 @@ def test_a_second_result_that_does_not_please_leaves_the_first(pruned, watch, re
     bpy.context.view_layer.objects.active = third
     bpy.ops.svrgs.discard(what="RESULT")
     bpy.context.view_layer.update()
-    assert set(bpy.data.objects) == {first, second} and bridge.count(second) == 125 and "removed" not in second.data.attributes
+    assert (
+        set(bpy.data.objects) == {first, second}
+        and bridge.count(second) == 125
+        and "removed" not in second.data.attributes
+    )
     assert results.pair_of(second) == (first, second) and [hidden(first), hidden(second)] == [True, False]
 
 

@@ -1,4 +1,5 @@
-"""Cameras from COLMAP, held against Blender's own matrices, and Blender's cameras as the rasterizer needs them."""
+"""Cameras from COLMAP, held against Blender's own matrices, and Blender's cameras as the rasterizer needs
+them."""
 
 from __future__ import annotations
 
@@ -18,22 +19,38 @@ PX = 0.01
 
 
 def seen_by_blender(obj, scene, points) -> np.ndarray:
-    """(P, 2) pixels, from the top left, at which Blender's projection matrix shows world points; NaN behind the camera."""
+    """(P, 2) pixels, from the top left, at which Blender's projection matrix shows world points; NaN behind
+    the camera."""
     render = scene.render
-    width, height = (side * render.resolution_percentage // 100 for side in (render.resolution_x, render.resolution_y))
-    projection = obj.calc_matrix_camera(bpy.context.evaluated_depsgraph_get(), x=width, y=height, scale_x=render.pixel_aspect_x, scale_y=render.pixel_aspect_y)
-    clip = np.array([projection @ obj.matrix_world.normalized().inverted() @ Vector((*point, 1)) for point in points])
+    width, height = (
+        side * render.resolution_percentage // 100 for side in (render.resolution_x, render.resolution_y)
+    )
+    projection = obj.calc_matrix_camera(
+        bpy.context.evaluated_depsgraph_get(),
+        x=width,
+        y=height,
+        scale_x=render.pixel_aspect_x,
+        scale_y=render.pixel_aspect_y,
+    )
+    clip = np.array(
+        [projection @ obj.matrix_world.normalized().inverted() @ Vector((*point, 1)) for point in points]
+    )
     with np.errstate(invalid="ignore"):
         ndc = np.where(clip[:, 3:] > 0.01, clip[:, :2] / clip[:, 3:], np.nan)
     return np.column_stack([(ndc[:, 0] + 1) / 2 * width, (1 - ndc[:, 1]) / 2 * height])
 
 
 def cameras() -> list:
-    return sorted((obj for obj in bpy.data.objects if obj.type == "CAMERA"), key=lambda obj: obj.data["svrgs_image"])
+    return sorted(
+        (obj for obj in bpy.data.objects if obj.type == "CAMERA"), key=lambda obj: obj.data["svrgs_image"]
+    )
 
 
 def in_world(root, points) -> np.ndarray:
-    return points.astype(np.float64) @ np.array(root.matrix_world, np.float64)[:3, :3].T + np.array(root.matrix_world)[:3, 3]
+    return (
+        points.astype(np.float64) @ np.array(root.matrix_world, np.float64)[:3, :3].T
+        + np.array(root.matrix_world)[:3, 3]
+    )
 
 
 def activate(obj):
@@ -48,7 +65,9 @@ def test_imported_cameras_see_what_the_photographs_saw(dataset):
     scene, worst = bpy.context.scene, 0.0
     for view, obj in enumerate(cameras()):
         activate(obj)
-        assert (scene.render.resolution_x, scene.render.resolution_y) == tuple(views.sizes[view]), "the picture's size comes with its camera"
+        assert (scene.render.resolution_x, scene.render.resolution_y) == tuple(views.sizes[view]), (
+            "the picture's size comes with its camera"
+        )
         expected, world = views.pixels(view), in_world(root, views.points)
         found = seen_by_blender(obj, scene, world)
         both = np.isfinite(expected).all(1) & (np.abs(expected) < 4 * views.sizes[view].max()).all(1)
@@ -57,7 +76,10 @@ def test_imported_cameras_see_what_the_photographs_saw(dataset):
         for k in np.flatnonzero(both)[:5]:
             x, y, _ = world_to_camera_view(scene, obj, Vector(world[k]))
             pixel = np.array([x, 1 - y]) * views.sizes[view]
-            assert np.abs(pixel - expected[k]).max() < PX or scene.render.pixel_aspect_x != scene.render.pixel_aspect_y
+            assert (
+                np.abs(pixel - expected[k]).max() < PX
+                or scene.render.pixel_aspect_x != scene.render.pixel_aspect_y
+            )
     assert worst < PX
     assert [obj.data["svrgs_image"] for obj in cameras()] == views.names
 
@@ -83,7 +105,9 @@ def test_transforms_json_gives_the_same_cameras(capfd):
     for name in ("tiny", "nerfstudio"):
         bpy.ops.svrgs.import_colmap(directory=str(DATA / name))
         bpy.context.view_layer.update()
-        found.append([obj for obj in cameras() if obj.name.partition(".png")[2] == ("" if name == "tiny" else ".001")])
+        found.append(
+            [obj for obj in cameras() if obj.name.partition(".png")[2] == ("" if name == "tiny" else ".001")]
+        )
     assert len(found[0]) == len(found[1]) == 12
     for a, b in zip(*found, strict=True):
         np.testing.assert_allclose(a.matrix_world, b.matrix_world, atol=1e-6)
@@ -116,7 +140,11 @@ def test_an_imported_camera_goes_back_as_it_was(dataset):
     root.matrix_world = Matrix.Translation((3, -1, 2)) @ Matrix.Rotation(1, 4, "Y") @ Matrix.Scale(2.5, 4)
     bpy.context.view_layer.update()
     for view, obj in enumerate(cameras()):
-        camera = part("operators.bridge_cameras").camera_from_object(obj, bpy.context.scene).moved(root.matrix_world)
+        camera = (
+            part("operators.bridge_cameras")
+            .camera_from_object(obj, bpy.context.scene)
+            .moved(root.matrix_world)
+        )
         np.testing.assert_allclose(camera.viewmat, views.viewmats[view], atol=2e-5)
         np.testing.assert_allclose(camera.K, views.Ks[view], atol=PX / 10)
         assert (camera.width, camera.height, camera.name) == (*views.sizes[view], views.names[view])
@@ -140,7 +168,12 @@ def test_any_camera_is_what_blender_makes_of_it(kind, fit, size, aspect):
     try:
         bpy.context.view_layer.update()
         camera = part("operators.bridge_cameras").camera_from_object(obj, scene)
-        points = np.array([obj.matrix_world.normalized() @ Vector((*xy, z)) for *xy, z in rng.uniform((-3, -3, -9), (3, 3, -2), (40, 3))])
+        points = np.array(
+            [
+                obj.matrix_world.normalized() @ Vector((*xy, z))
+                for *xy, z in rng.uniform((-3, -3, -9), (3, 3, -2), (40, 3))
+            ]
+        )
         found = camera.pixels(points @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3])
         assert np.abs(found - seen_by_blender(obj, scene, points)).max() < PX
         if size[2] == 100:  # Blender's helper does not round the size
@@ -209,7 +242,9 @@ def test_photographs_of_a_distorting_lens_are_shown_as_their_pinholes_see_them(t
     bpy.ops.svrgs.import_colmap(directory=str(DATA / "distorted"), undistorted=str(tmp_path))
     for obj in cameras():
         image = obj.data.background_images[0].image
-        assert Path(bpy.path.abspath(image.filepath)).resolve().parent == tmp_path and tuple(image.size) == tuple(obj.data["svrgs_size"])
+        assert Path(bpy.path.abspath(image.filepath)).resolve().parent == tmp_path and tuple(
+            image.size
+        ) == tuple(obj.data["svrgs_size"])
 
 
 def follow(undistort, seconds: float = 60):
@@ -228,7 +263,10 @@ def test_cameras_are_there_before_their_photographs_are_undistorted(tmp_path, mo
     said = capfd.readouterr().out
     try:
         assert len(cameras()) == 2 and not any(obj.data.background_images for obj in cameras())
-        assert "Imported 2 cameras and 0 photographs; 2 photographs are being undistorted first; 120 sparse points, hidden" in said
+        assert (
+            "Imported 2 cameras and 0 photographs; 2 photographs are being undistorted first; 120 sparse"
+            " points, hidden" in said
+        )
         assert "; the scene's camera is now '00.png', 60 x 44" in said
         assert looking.photographs in [f"Undistorting photographs: {done} of 2" for done in range(3)]
         (thread,) = undistort._threads
@@ -239,7 +277,10 @@ def test_cameras_are_there_before_their_photographs_are_undistorted(tmp_path, mo
     finally:
         undistort.forget()
     (left,) = cameras()
-    assert Path(bpy.path.abspath(left.data.background_images[0].image.filepath)).resolve().parent == tmp_path and not looking.photographs
+    assert (
+        Path(bpy.path.abspath(left.data.background_images[0].image.filepath)).resolve().parent == tmp_path
+        and not looking.photographs
+    )
 
 
 def test_photographs_that_cannot_be_undistorted_are_missed_and_it_is_said(tmp_path, capfd):
@@ -257,7 +298,10 @@ def test_cameras_come_without_photographs_and_say_so(tmp_path, capfd):
     bpy.ops.svrgs.import_colmap(directory=str(tmp_path))
     assert len(cameras()) == 12 and not any(obj.data.background_images for obj in cameras())
     out = capfd.readouterr().out
-    assert "has no image folder images; give the name" in out and "; the cameras were loaded without photographs" in out
+    assert (
+        "has no image folder images; give the name" in out
+        and "; the cameras were loaded without photographs" in out
+    )
 
 
 def copy_of(name: str, folder: Path) -> Path:
@@ -274,7 +318,9 @@ def test_missing_photographs_are_said_and_the_others_shown(tmp_path, capfd):
     assert len(cameras()) == 10 and all(obj.data.background_images for obj in cameras())
     out = capfd.readouterr().out
     assert sentence in out and "Imported 10 cameras and 10 photographs" in out
-    assert sentence in bpy.context.scene.svrgs_looking.photographs and "photographs are missing" in drawn("scene")
+    assert sentence in bpy.context.scene.svrgs_looking.photographs and "photographs are missing" in drawn(
+        "scene"
+    )
     bpy.data.batch_remove([obj for obj in bpy.data.objects if obj.type == "EMPTY"])
     assert not bpy.context.scene.svrgs_looking.photographs, "what was said is about cameras that are gone"
     bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
@@ -293,10 +339,15 @@ def test_one_damaged_photograph_does_not_hide_the_others(tmp_path):
 def test_each_photograph_finds_its_camera_if_others_vanish_meanwhile(tmp_path, monkeypatch):
     folder, undistort = copy_of("distorted", tmp_path / "data"), part("operators.undistort")
     start = undistort.start
-    monkeypatch.setattr(undistort, "start", lambda *words: ((folder / "images/00.png").unlink(), start(*words)))
+    monkeypatch.setattr(
+        undistort, "start", lambda *words: ((folder / "images/00.png").unlink(), start(*words))
+    )
     bpy.ops.svrgs.import_colmap(directory=str(folder))
     first, second = cameras()
-    assert not first.data.background_images and Path(second.data.background_images[0].image.filepath).name == "01.png.png"
+    assert (
+        not first.data.background_images
+        and Path(second.data.background_images[0].image.filepath).name == "01.png.png"
+    )
 
 
 def test_a_folder_without_a_model_is_refused(tmp_path):

@@ -25,10 +25,14 @@ def test_compare_draws_both_and_measures_against_the_photograph(tmp_path, stage,
     mark_removed(splat, np.arange(scene.count) % 3 == 0)
     bpy.ops.svrgs.compare()
     result = json.loads(stage.svrgs_looking.compare_result)
-    assert result["original"]["count"] == scene.count and result["pruned"]["count"] == scene.count - len(range(0, scene.count, 3))
+    assert result["original"]["count"] == scene.count and result["pruned"]["count"] == scene.count - len(
+        range(0, scene.count, 3)
+    )
     ply.write_ply(tmp_path / "scene.ply", scene)
     assert result["original"]["bytes"] == (tmp_path / "scene.ply").stat().st_size
-    original, pruned, difference = (pixels(bpy.data.images[f"SVR-GS {name}"])[..., :3] for name in ("Original", "Pruned", "Difference"))
+    original, pruned, difference = (
+        pixels(bpy.data.images[f"SVR-GS {name}"])[..., :3] for name in ("Original", "Pruned", "Difference")
+    )
     np.testing.assert_allclose(difference, np.minimum(4 * np.abs(original - pruned), 1), atol=3 * LEVEL)
     photo = pixels(bpy.data.images.load(str(DATA / f"tiny/images/{result['camera']}")))[..., :3]
     for picture, row in ((original, result["original"]), (pruned, result["pruned"])):

@@ -24,13 +24,16 @@ def srgb(color) -> np.ndarray:
 
 @pytest.fixture
 def cycles(stage):
-    """A scene that Cycles renders with a transparent film, without light; afterwards no other scene is left."""
+    """A scene that Cycles renders with a transparent film, without light; afterwards no other scene is
+    left."""
     stage.render.engine, stage.cycles.samples, stage.cycles.use_denoising = "CYCLES", 16, False
     stage.cycles.pixel_filter_type, stage.render.dither_intensity = "BOX", 0
     world = bpy.data.worlds.new("dark")
     if bpy.app.version < (5, 0, 0):
         world.use_nodes = True
-    next(node for node in world.node_tree.nodes if node.type == "BACKGROUND").inputs["Color"].default_value = (0, 0, 0, 1)
+    next(node for node in world.node_tree.nodes if node.type == "BACKGROUND").inputs[
+        "Color"
+    ].default_value = (0, 0, 0, 1)
     stage.world, stage.render.film_transparent = world, True
     yield stage
     for scene in list(bpy.data.scenes):
@@ -51,7 +54,10 @@ def glow(obj, color=COLOR):
     shader = shader_of(obj.data.materials[0])
     shader.inputs["Base Color"].default_value = (0, 0, 0, 1)
     shader.inputs["Specular IOR Level"].default_value = 0
-    shader.inputs["Emission Color"].default_value, shader.inputs["Emission Strength"].default_value = (*color, 1), 1
+    shader.inputs["Emission Color"].default_value, shader.inputs["Emission Strength"].default_value = (
+        (*color, 1),
+        1,
+    )
 
 
 def tree_of(scene):
@@ -102,11 +108,19 @@ def test_one_click_sets_engine_colours_and_resolution(stage, tmp_path):
     stage.view_settings.view_transform, stage.view_settings.exposure = "AgX", 1.0
     assert "does not draw splats" in stage.svrgs_looking.not_drawn
     assert bpy.ops.svrgs.set_up_rendering() == {"FINISHED"}
-    assert (stage.render.engine, stage.view_settings.view_transform, stage.view_settings.exposure) == ("SVRGS", "Standard", 0)
+    assert (stage.render.engine, stage.view_settings.view_transform, stage.view_settings.exposure) == (
+        "SVRGS",
+        "Standard",
+        0,
+    )
     assert (stage.render.resolution_x, stage.render.resolution_y) == size
     assert stage.svrgs_looking.not_drawn == ""
     words = part("operators.set_up_rendering").camera_words(stage)
-    assert f"'{stage.camera.name}'" in words and f"{size[0]} x {size[1]}" in words and words.endswith("as its photograph")
+    assert (
+        f"'{stage.camera.name}'" in words
+        and f"{size[0]} x {size[1]}" in words
+        and words.endswith("as its photograph")
+    )
     stage.camera = None
     assert "no camera" in part("operators.set_up_rendering").camera_words(stage)
 
@@ -119,14 +133,23 @@ def test_the_panels_say_what_is_missing(stage, room):
         return layout.text
 
     assert not part("panels.rendering").SVRGS_PT_not_drawn.poll(bpy.context)
-    stage.render.engine, stage.view_settings.view_transform = "BLENDER_WORKBENCH", "Filmic" if bpy.app.version < (5, 0, 0) else "AgX"
+    stage.render.engine, stage.view_settings.view_transform = (
+        "BLENDER_WORKBENCH",
+        "Filmic" if bpy.app.version < (5, 0, 0) else "AgX",
+    )
     assert part("panels.rendering").SVRGS_PT_not_drawn.poll(bpy.context)
     for name in ("SVRGS_PT_rendering", "SVRGS_PT_not_drawn"):
         text = drawn_panel(name)
-        assert "Workbench does not draw splats" in text and "svrgs.set_up_rendering" in text and "svrgs.set_up_compositing" in text
+        assert (
+            "Workbench does not draw splats" in text
+            and "svrgs.set_up_rendering" in text
+            and "svrgs.set_up_compositing" in text
+        )
         assert "svrgs.use_standard" in text and "changes the colours of the training" in text
     bpy.ops.svrgs.use_standard()
-    assert stage.view_settings.view_transform == "Standard" and "svrgs.use_standard" not in drawn_panel("SVRGS_PT_rendering")
+    assert stage.view_settings.view_transform == "Standard" and "svrgs.use_standard" not in drawn_panel(
+        "SVRGS_PT_rendering"
+    )
     bpy.data.objects.remove(room)
     assert stage.svrgs_looking.not_drawn == ""
     with pytest.raises(RuntimeError, match="no splat"):
@@ -137,13 +160,16 @@ def test_the_panels_say_what_is_missing(stage, room):
 
 
 def test_splats_and_meshes_are_put_together_by_depth(tmp_path, cycles, gaussians, room, camera):
-    """A glowing wall: the Gaussians before it over its colour, those behind it hidden. Beside it all of them."""
+    """A glowing wall: the Gaussians before it over its colour, those behind it hidden. Beside it all of
+    them."""
     glow(wall(camera, 1.5))
     bpy.ops.svrgs.set_up_compositing()
     assert cycles.svrgs_looking.not_drawn == ""
     before, _ = parts(gaussians, cycles, room, camera, 1.5)
     front = rgba(raw(before, camera, room.matrix_world))
-    np.testing.assert_allclose(rendered(tmp_path / "wall.png"), over(front, srgb(COLOR)).clip(0, 1), atol=1.5 * LEVEL)
+    np.testing.assert_allclose(
+        rendered(tmp_path / "wall.png"), over(front, srgb(COLOR)).clip(0, 1), atol=1.5 * LEVEL
+    )
     for obj in [obj for obj in bpy.data.objects if obj.name == "wall"]:
         bpy.data.objects.remove(obj)
     alone = rgba(raw(gaussians, camera, room.matrix_world))
@@ -175,14 +201,24 @@ def test_a_film_that_was_opaque_has_the_background_behind_all(tmp_path, cycles, 
     assert cycles.render.film_transparent
     background = tuple(cycles.svrgs_looking.background)
     expected = rgba(raw(few, camera, half.matrix_world))
-    np.testing.assert_allclose(rendered(tmp_path / "f12.png"), over(expected, np.float32((*background, 1))).clip(0, 1), atol=1.5 * LEVEL)
+    np.testing.assert_allclose(
+        rendered(tmp_path / "f12.png"),
+        over(expected, np.float32((*background, 1))).clip(0, 1),
+        atol=1.5 * LEVEL,
+    )
     bpy.ops.svrgs.set_up_rendering()
     assert not cycles.render.film_transparent
 
 
-def test_with_an_opaque_film_the_world_is_behind_the_splats(tmp_path, cycles, bridge, gaussians, room, camera):
-    next(node for node in cycles.world.node_tree.nodes if node.type == "BACKGROUND").inputs["Color"].default_value = (*GREEN, 1)
-    half = bridge.object_from_scene("half", gaussians.select(np.arange(0, gaussians.count, 20)), cycles.collection)
+def test_with_an_opaque_film_the_world_is_behind_the_splats(
+    tmp_path, cycles, bridge, gaussians, room, camera
+):
+    next(node for node in cycles.world.node_tree.nodes if node.type == "BACKGROUND").inputs[
+        "Color"
+    ].default_value = (*GREEN, 1)
+    half = bridge.object_from_scene(
+        "half", gaussians.select(np.arange(0, gaussians.count, 20)), cycles.collection
+    )
     bpy.data.objects.remove(room)
     glow(wall(camera, 1.5, half=0.3))
     half.hide_render = True
@@ -194,7 +230,10 @@ def test_with_an_opaque_film_the_world_is_behind_the_splats(tmp_path, cycles, br
     few = gaussians.select(np.arange(0, gaussians.count, 20))
     view = view_of(camera, cycles).moved(half.matrix_world)
     before = few.select(np.flatnonzero(few.means @ view.viewmat[2, :3] + view.viewmat[2, 3] <= 1.5))
-    for scene, behind, inside in ((few, srgb(GREEN), share[..., 0] == 0), (before, srgb(COLOR), share[..., 0] == 1)):
+    for scene, behind, inside in (
+        (few, srgb(GREEN), share[..., 0] == 0),
+        (before, srgb(COLOR), share[..., 0] == 1),
+    ):
         picture = rgba(raw(scene, camera, half.matrix_world))
         assert inside.sum() > 500
         np.testing.assert_allclose(seen[inside], over(picture, behind).clip(0, 1)[inside], atol=2 * LEVEL)
@@ -209,12 +248,17 @@ def test_a_holdout_is_a_hole_in_the_whole_picture(tmp_path, cycles, gaussians, r
 
 
 def test_meshes_cast_shadows_on_splats_through_a_shadow_catcher(tmp_path, cycles, bridge, gaussians, camera):
-    """A floor of Gaussians around the catcher, a ball above it, and light from above: the floor is darker under the ball."""
+    """A floor of Gaussians around the catcher, a ball above it, and light from above: the floor is darker
+    under the ball."""
     flat = gaussians.select(np.arange(2500))
     rng = np.random.default_rng(0)
-    means = np.stack([rng.uniform(-2, 2, 2500), np.full(2500, 0.05), rng.uniform(-2, 2, 2500)], 1).astype(np.float32)
+    means = np.stack([rng.uniform(-2, 2, 2500), np.full(2500, 0.05), rng.uniform(-2, 2, 2500)], 1).astype(
+        np.float32
+    )
     grey = np.full((2500, 1, 3), 0.9, np.float32)
-    scene = type(flat)(means, np.full((2500, 3), -2.5, np.float32), flat.quats, np.full(2500, 4, np.float32), grey)
+    scene = type(flat)(
+        means, np.full((2500, 3), -2.5, np.float32), flat.quats, np.full(2500, 4, np.float32), grey
+    )
     bridge.object_from_scene("floor", scene, cycles.collection)
     camera.data.shift_x = camera.data.shift_y = 0
     camera.matrix_world = Matrix.Translation((0, -4, 3)) @ Matrix.Rotation(0.93, 4, "X")
@@ -247,14 +291,18 @@ def test_camera_size_and_border_are_those_of_the_scene(tmp_path, cycles, gaussia
     np.testing.assert_allclose(seen, expected.clip(0, 1), atol=1.5 * LEVEL)
     cycles.render.use_border = cycles.render.use_crop_to_border = True
     rows, columns = part("operators.render_engine").region(cycles)
-    np.testing.assert_allclose(rendered(tmp_path / "border.png"), expected[rows, columns].clip(0, 1), atol=1.5 * LEVEL)
+    np.testing.assert_allclose(
+        rendered(tmp_path / "border.png"), expected[rows, columns].clip(0, 1), atol=1.5 * LEVEL
+    )
     assert layer.camera == other and layer.render.resolution_percentage == 50
 
 
 def test_later_splats_and_meshes_are_in_the_picture(tmp_path, cycles, bridge, gaussians, room, camera):
     bpy.ops.svrgs.set_up_compositing()
     without = f12(tmp_path / "without.png")
-    bridge.object_from_scene("later", gaussians, cycles.collection, bridge.AXES @ Matrix.Translation((0.3, 0.2, 0)))
+    bridge.object_from_scene(
+        "later", gaussians, cycles.collection, bridge.AXES @ Matrix.Translation((0.3, 0.2, 0))
+    )
     assert "'later' as grey dots" in cycles.svrgs_looking.not_drawn
     bpy.ops.svrgs.set_up_compositing()
     assert cycles.svrgs_looking.not_drawn == ""
@@ -264,7 +312,10 @@ def test_later_splats_and_meshes_are_in_the_picture(tmp_path, cycles, bridge, ga
 def test_a_second_click_changes_nothing(cycles, room, camera):
     bpy.ops.svrgs.set_up_compositing()
     tree = tree_of(cycles)
-    wires = lambda: sorted((link.from_node.name, link.from_socket.name, link.to_node.name, link.to_socket.name) for link in tree.links)  # noqa: E731
+    wires = lambda: sorted(
+        (link.from_node.name, link.from_socket.name, link.to_node.name, link.to_socket.name)
+        for link in tree.links
+    )
     once = len(bpy.data.scenes), len(tree.nodes), wires()
     bpy.ops.svrgs.set_up_compositing()
     assert (len(bpy.data.scenes), len(tree.nodes), wires()) == once

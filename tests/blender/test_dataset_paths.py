@@ -1,4 +1,5 @@
-"""Where the photographs are: stored relative to the .blend file, right after any kind of saving, and found again when they were moved."""
+"""Where the photographs are: stored relative to the .blend file, right after any kind of saving, and found
+again when they were moved."""
 
 from __future__ import annotations
 
@@ -32,7 +33,11 @@ def root() -> bpy.types.Object:
 def photographs() -> set[Path]:
     """The folders of all photographs, which must be there and be the background of a camera each."""
     images = [image for image in bpy.data.images if image.source == "FILE"]
-    assert len(images) == sum(bool(obj.data.background_images) for obj in bpy.data.objects if obj.type == "CAMERA") == 12
+    assert (
+        len(images)
+        == sum(bool(obj.data.background_images) for obj in bpy.data.objects if obj.type == "CAMERA")
+        == 12
+    )
     files = [Path(bpy.path.abspath(image.filepath)).resolve() for image in images]
     assert all(file.is_file() for file in files)
     return {file.parent for file in files}
@@ -55,7 +60,9 @@ def test_a_project_that_is_moved_keeps_its_photographs(project, tmp_path):
     bpy.context.scene.svrgs_prune.colmap = str(project / "data")
     save(project / "work.blend")
     settings = bpy.context.scene.svrgs_prune
-    assert root()["svrgs_dataset"] == settings.colmap == "//data" and all(image.filepath.startswith("//data") for image in bpy.data.images if image.filepath)
+    assert root()["svrgs_dataset"] == settings.colmap == "//data" and all(
+        image.filepath.startswith("//data") for image in bpy.data.images if image.filepath
+    )
     bpy.ops.wm.read_homefile(use_empty=True)
     moved = tmp_path / "moved/deeper"
     shutil.move(project, moved)
@@ -71,7 +78,9 @@ def test_cameras_imported_into_a_saved_file_have_relative_paths_at_once(project)
     save(project / "work.blend")
     bpy.ops.svrgs.import_colmap(directory=str(project / "data"))
     assert root()["svrgs_dataset"] == "//data" and photographs() == {project / "data/images"}
-    assert all(image.filepath.startswith("//data/images/") for image in bpy.data.images if image.source == "FILE")
+    assert all(
+        image.filepath.startswith("//data/images/") for image in bpy.data.images if image.source == "FILE"
+    )
 
 
 @pytest.mark.parametrize("copy", [False, True])
@@ -136,8 +145,16 @@ def test_a_lost_dataset_is_said_and_found_again(lost, project):
         with pytest.raises(RuntimeError, match="press Find Dataset in step 1"):
             operator()
     bpy.ops.svrgs.find_dataset(directory=str(lost))
-    assert dataset() == lost and root()["svrgs_dataset"] == "//../new place" and photographs() == {lost / "images"}
-    assert "Find Dataset" not in drawn("prune") and "svrgs.find_dataset" not in drawn("scene") and bpy.ops.svrgs.job_start.poll()
+    assert (
+        dataset() == lost
+        and root()["svrgs_dataset"] == "//../new place"
+        and photographs() == {lost / "images"}
+    )
+    assert (
+        "Find Dataset" not in drawn("prune")
+        and "svrgs.find_dataset" not in drawn("scene")
+        and bpy.ops.svrgs.job_start.poll()
+    )
 
 
 def test_photographs_that_are_missing_in_the_new_place_are_counted(lost, capfd):

@@ -41,7 +41,10 @@ def test_it_says_how_good_the_result_would_be():
     found = part("operators.estimate").of(splat)
     before, removed, after = (found[f"psnr_{name}"] for name in ("before", "removed", "after"))
     assert removed < after <= before
-    assert f"PSNR about {after:.1f} dB or more after pruning (now {before:.1f} dB; without recovery about {removed:.1f} dB)" in said()
+    assert (
+        f"PSNR about {after:.1f} dB or more after pruning (now {before:.1f} dB; without recovery about"
+        f" {removed:.1f} dB)" in said()
+    )
     settings.method = "opacity"
     bpy.ops.svrgs.estimate()
     assert f"PSNR now {before:.1f} dB; after pruning: not foreseen for this method or goal" in said()

@@ -1,4 +1,5 @@
-"""Export Farm Job: the selected splats and the settings of the panel, as a job that a farm does with the same result as Blender."""
+"""Export Farm Job: the selected splats and the settings of the panel, as a job that a farm does with the same
+result as Blender."""
 
 from __future__ import annotations
 
@@ -34,7 +35,12 @@ def run(folder, *words: str) -> int:
 def test_a_farm_prunes_as_the_panel_would(splat, bridge, watch, tmp_path):
     set_up({"depth": "QUICK", "goal": "SHARE", "share": 40, "seed": 3})
     assert export(tmp_path / "job") == {"FINISHED"} and "Tasks: 1. " in lines()
-    assert {path.name for path in (tmp_path / "job").iterdir()} >= {"job.json", "template.json", "flamenco.json", "captures"}
+    assert {path.name for path in (tmp_path / "job").iterdir()} >= {
+        "job.json",
+        "template.json",
+        "flamenco.json",
+        "captures",
+    }
     assert run(tmp_path / "job") == 0
     bpy.ops.svrgs.job_start()
     job = part("operators.job").job_of(splat)
@@ -42,28 +48,58 @@ def test_a_farm_prunes_as_the_panel_would(splat, bridge, watch, tmp_path):
     read = part("svrgs_addon.files.registry").read_scene
     (result,) = (tmp_path / "job/results").glob("*.ply")
     one, other = read(result), read(job.folder / "pruned.ply")
-    assert one.count == other.count == 100 and np.array_equal(one.means, other.means) and np.array_equal(one.sh, other.sh)
+    assert (
+        one.count == other.count == 100
+        and np.array_equal(one.means, other.means)
+        and np.array_equal(one.sh, other.sh)
+    )
 
 
 def test_every_selected_splat_is_a_task_with_its_photographs(splat, tmp_path):
-    set_up({"colmap": str(DATA / "tiny"), "depth": "PHOTOGRAPHS", "goal": "SHARE", "share": 30, "iterations": 40, "recovery": 20})
+    set_up(
+        {
+            "colmap": str(DATA / "tiny"),
+            "depth": "PHOTOGRAPHS",
+            "goal": "SHARE",
+            "share": 30,
+            "iterations": 40,
+            "recovery": 20,
+        }
+    )
     bpy.ops.object.duplicate()
     splat.select_set(True)
     assert export(tmp_path / "job") == {"FINISHED"}
     contents = json.loads((tmp_path / "job/job.json").read_text())
-    assert contents["root"] == str(DATA / "tiny") and [task["options"]["colmap"] for task in contents["tasks"]] == [".", "."]
+    assert contents["root"] == str(DATA / "tiny") and [
+        task["options"]["colmap"] for task in contents["tasks"]
+    ] == [".", "."]
     assert run(tmp_path / "job") == 0 and len(list((tmp_path / "job/results").glob("*.ply"))) == 2
 
 
 def test_a_worker_may_have_job_and_photographs_elsewhere(splat, tmp_path):
     shutil.copytree(DATA / "tiny", tmp_path / "here/tiny")
-    set_up({"colmap": str(tmp_path / "here/tiny"), "depth": "PHOTOGRAPHS", "goal": "SHARE", "share": 30, "iterations": 40, "recovery": 20})
+    set_up(
+        {
+            "colmap": str(tmp_path / "here/tiny"),
+            "depth": "PHOTOGRAPHS",
+            "goal": "SHARE",
+            "share": 30,
+            "iterations": 40,
+            "recovery": 20,
+        }
+    )
     assert export(tmp_path / "job") == {"FINISHED"}
-    assert all(str(tmp_path) not in json.dumps(task) for task in json.loads((tmp_path / "job/job.json").read_text())["tasks"])
+    assert all(
+        str(tmp_path) not in json.dumps(task)
+        for task in json.loads((tmp_path / "job/job.json").read_text())["tasks"]
+    )
     shutil.move(tmp_path / "here", tmp_path / "there")
     shutil.move(tmp_path / "job", tmp_path / "moved")
     assert run(tmp_path / "moved") != 0
-    assert run(tmp_path / "moved", "--root", str(tmp_path / "there/tiny")) == 0 and len(list((tmp_path / "moved/results").glob("*.ply"))) == 1
+    assert (
+        run(tmp_path / "moved", "--root", str(tmp_path / "there/tiny")) == 0
+        and len(list((tmp_path / "moved/results").glob("*.ply"))) == 1
+    )
 
 
 def test_splats_whose_files_would_be_one_are_refused(splat, tmp_path):

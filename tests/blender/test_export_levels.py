@@ -1,4 +1,5 @@
-"""Levels of detail in one go: every selected splat and smaller ones of each, in any format or one streamed SOG, without losing a file."""
+"""Levels of detail in one go: every selected splat and smaller ones of each, in any format or one streamed
+SOG, without losing a file."""
 
 from __future__ import annotations
 
@@ -43,8 +44,12 @@ def test_a_streamed_sog_holds_all_levels(splat, formats, tmp_path):
 
 def test_without_levels_every_splat_is_written_as_it_is(two, formats, bridge, tmp_path):
     assert export(tmp_path, kind="splat", shares="") == {"FINISHED"}
-    assert {file.name for file in tmp_path.glob("*.splat")} == {f"{bpy.path.clean_name(obj.name)}.splat" for obj in two}
-    assert formats.describe(tmp_path / f"{bpy.path.clean_name(two[0].name)}.splat")["count"] == bridge.count(two[0])
+    assert {file.name for file in tmp_path.glob("*.splat")} == {
+        f"{bpy.path.clean_name(obj.name)}.splat" for obj in two
+    }
+    assert formats.describe(tmp_path / f"{bpy.path.clean_name(two[0].name)}.splat")["count"] == bridge.count(
+        two[0]
+    )
 
 
 def test_a_file_that_is_there_is_kept_unless_overwrite_is_set(splat, tmp_path):
@@ -65,7 +70,13 @@ def test_levels_that_are_none_are_refused(splat, shares, tmp_path):
 
 def test_what_the_dialog_foresees_is_nearly_what_is_written(splat, bridge, tmp_path):
     size_in = part("operators.splat_size").size_in
-    for kind, suffix in (("ply", ".ply"), ("compressed-ply", ".compressed.ply"), ("spz", ".spz"), ("glb", ".glb"), ("splat", ".splat")):
+    for kind, suffix in (
+        ("ply", ".ply"),
+        ("compressed-ply", ".compressed.ply"),
+        ("spz", ".spz"),
+        ("glb", ".glb"),
+        ("splat", ".splat"),
+    ):
         assert bpy.ops.svrgs.export_ply(filepath=str(tmp_path / f"a{suffix}"), what="STORED") == {"FINISHED"}
         size = (tmp_path / f"a{suffix}").stat().st_size / 1e6
         said = size_in(splat, bridge.count(splat), kind)

@@ -1,4 +1,5 @@
-"""Splats of every format in Blender: imported upright and with their values, exported by the suffix of the name."""
+"""Splats of every format in Blender: imported upright and with their values, exported by the suffix of the
+name."""
 
 from __future__ import annotations
 
@@ -18,7 +19,9 @@ def formats():
 
 
 @pytest.mark.parametrize("suffix", WRITTEN)
-def test_a_file_is_imported_upright_under_its_name_and_exported_again(suffix, splat, formats, bridge, tmp_path):
+def test_a_file_is_imported_upright_under_its_name_and_exported_again(
+    suffix, splat, formats, bridge, tmp_path
+):
     assert bpy.ops.svrgs.export_ply(filepath=str(tmp_path / f"toy{suffix}")) == {"FINISHED"}
     bpy.ops.svrgs.import_ply(filepath=str(tmp_path / f"toy{suffix}"))
     found, source = bpy.context.object, bridge.scene_from_object(splat)
@@ -32,17 +35,25 @@ def test_a_file_is_imported_upright_under_its_name_and_exported_again(suffix, sp
 @pytest.mark.parametrize("version", ["4", "3", "2"])
 def test_an_spz_of_each_version_is_exported(version, splat, formats, tmp_path):
     assert bpy.ops.svrgs.export_ply(filepath=str(tmp_path / "a.spz"), version=version) == {"FINISHED"}
-    assert part("svrgs_addon.files.spz").streams((tmp_path / "a.spz").read_bytes(), 1_000)[0].version == int(version)
+    assert part("svrgs_addon.files.spz").streams((tmp_path / "a.spz").read_bytes(), 1_000)[0].version == int(
+        version
+    )
 
 
 def test_a_larger_error_in_sh_makes_a_smaller_spz_and_leaves_a_ply_as_it_is(splat, bridge, tmp_path):
     sizes = {}
     for suffix in (".spz", ".ply"):
         for quantise in (0.2, 8):
-            assert bpy.ops.svrgs.export_ply(filepath=str(tmp_path / f"a{suffix}"), quantise=quantise) == {"FINISHED"}
+            assert bpy.ops.svrgs.export_ply(filepath=str(tmp_path / f"a{suffix}"), quantise=quantise) == {
+                "FINISHED"
+            }
             sizes[suffix, quantise] = (tmp_path / f"a{suffix}").stat().st_size
     assert sizes[".ply", 0.2] == sizes[".ply", 8]
-    assert sizes[".spz", 0.2] > sizes[".spz", 8] if bridge.sh_degree(splat) else sizes[".spz", 0.2] == sizes[".spz", 8]
+    assert (
+        sizes[".spz", 0.2] > sizes[".spz", 8]
+        if bridge.sh_degree(splat)
+        else sizes[".spz", 0.2] == sizes[".spz", 8]
+    )
 
 
 def test_blenders_own_reader_of_gltf_takes_a_splat_for_points(splat, bridge, tmp_path):
@@ -52,8 +63,13 @@ def test_blenders_own_reader_of_gltf_takes_a_splat_for_points(splat, bridge, tmp
         bpy.ops.import_scene.gltf(filepath=str(tmp_path / "toy.glb"))
     except (AttributeError, RuntimeError) as error:
         pytest.skip(f"Blender's reader of glTF is missing: {error}")
-    points = np.array([bpy.context.object.matrix_world @ vertex.co for vertex in bpy.context.object.data.vertices])
-    means = bridge.scene_from_object(splat).means @ np.array(splat.matrix_world)[:3, :3].T + np.array(splat.matrix_world)[:3, 3]
+    points = np.array(
+        [bpy.context.object.matrix_world @ vertex.co for vertex in bpy.context.object.data.vertices]
+    )
+    means = (
+        bridge.scene_from_object(splat).means @ np.array(splat.matrix_world)[:3, :3].T
+        + np.array(splat.matrix_world)[:3, 3]
+    )
     assert np.sort(points, axis=0) == pytest.approx(np.sort(means, axis=0), abs=1e-4)
 
 

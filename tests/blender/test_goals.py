@@ -1,4 +1,5 @@
-"""The goals of the prune panel: what they ask of a job, and what the panel says of them; the file size that is foreseen."""
+"""The goals of the prune panel: what they ask of a job, and what the panel says of them; the file size that
+is foreseen."""
 
 from __future__ import annotations
 
@@ -17,9 +18,19 @@ def options(splat) -> dict:
 
 def test_light_balanced_and_small_come_first_and_balanced_is_the_default(splat):
     goals = bpy.context.scene.svrgs_prune.bl_rna.properties["goal"]
-    assert [item.name for item in goals.enum_items][:3] == ["Light", "Balanced", "Small"] and goals.default == "BALANCED"
+    assert [item.name for item in goals.enum_items][:3] == [
+        "Light",
+        "Balanced",
+        "Small",
+    ] and goals.default == "BALANCED"
     assert len({item.value for item in goals.enum_items}) == len(goals.enum_items)
-    assert [goals.enum_items[name].value for name in ("LAMBDA", "SHARE", "COUNT", "SIZE", "DROP")] == [0, 1, 2, 3, 4], "stored in files of earlier versions"
+    assert [goals.enum_items[name].value for name in ("LAMBDA", "SHARE", "COUNT", "SIZE", "DROP")] == [
+        0,
+        1,
+        2,
+        3,
+        4,
+    ], "stored in files of earlier versions"
 
 
 @pytest.mark.parametrize(
@@ -36,7 +47,9 @@ def test_the_plain_goals_are_multiples_of_the_default_strength_or_shares(splat, 
         set_up({"method": method, "goal": goal})
         assert options(splat) == pytest.approx(wanted)
         assert bpy.ops.svrgs.job_start.poll()
-        assert ("Keeps" in drawn("prune")) == ("target_count" in wanted or method == "gns") and "amount" not in drawn("prune")
+        assert ("Keeps" in drawn("prune")) == (
+            "target_count" in wanted or method == "gns"
+        ) and "amount" not in drawn("prune")
 
 
 @pytest.mark.parametrize(
@@ -57,7 +70,9 @@ def test_balanced_is_what_the_default_strength_is(splat):
     strength = options(splat)
     plan = part("svrgs_addon.prune.run_job").plan_of_pruning
     make = part("svrgs_addon.prune.options").PruneOptions
-    assert plan(make(method="removal", **strength)) == plan(make(method="removal")) and strength == {"lambda_f": 1e-4}
+    assert plan(make(method="removal", **strength)) == plan(make(method="removal")) and strength == {
+        "lambda_f": 1e-4
+    }
 
 
 @pytest.mark.parametrize("degree, further", [(0, False), (1, True), (3, True), (3, False)])
@@ -66,7 +81,15 @@ def test_the_size_that_is_foreseen_is_that_of_the_file(tmp_path, ply, make_scene
     from dataclasses import replace
 
     scene = make_scene(500, degree, further)
-    scene = scene if order == "3dgs" else replace(scene, property_order=("x", "y", "z"), attributes={k: v for k, v in scene.attributes.items() if k != "nx"})
+    scene = (
+        scene
+        if order == "3dgs"
+        else replace(
+            scene,
+            property_order=("x", "y", "z"),
+            attributes={k: v for k, v in scene.attributes.items() if k != "nx"},
+        )
+    )
     ply.write_ply(tmp_path / "scene.ply", scene)
     bpy.ops.svrgs.import_ply(filepath=str(tmp_path / "scene.ply"))
     size = part("operators.splat_size").size_of(bpy.context.object, 500)

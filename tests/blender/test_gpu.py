@@ -18,14 +18,21 @@ SIDE = 64
 @pytest.fixture(scope="module")
 def shaders():
     if not hasattr(gpu, "init") or not ctypes.util.find_library("EGL"):
-        pytest.skip("this Blender does not draw with the graphics card in background mode, or libEGL is missing")
+        pytest.skip(
+            "this Blender does not draw with the graphics card in background mode, or libEGL is missing"
+        )
     gpu.init()
     return part("operators.bridge_gpu").Shaders()
 
 
 def quads_picture(shaders, scene, camera, hidden=1.0, reduction: int = 1) -> np.ndarray:
-    """(H, W, 4) of all Gaussians, from the top; hidden: depth in [0, 1] of what is in front, a number or (H, W)."""
-    bridge_gpu, native, quads = part("operators.bridge_gpu"), part("svrgs_addon.native.pictures"), part("svrgs_addon.render.quads")
+    """(H, W, 4) of all Gaussians, from the top; hidden: depth in [0, 1] of what is in front, a number or (H,
+    W)."""
+    bridge_gpu, native, quads = (
+        part("operators.bridge_gpu"),
+        part("svrgs_addon.native.pictures"),
+        part("svrgs_addon.render.quads"),
+    )
     cloud = quads.quads(scene, scene.count)
     lists = {
         "order": bridge_gpu.texture(native.depth_order(cloud.means, camera.viewmat[2, :3]), "R32F"),
@@ -35,12 +42,18 @@ def quads_picture(shaders, scene, camera, hidden=1.0, reduction: int = 1) -> np.
     flip = np.diag([1.0, -1, -1, 1])
     small = camera.resized(camera.width // reduction, camera.height // reduction)
     near, far = part("svrgs_addon.native.library").thresholds().near, 100.0
-    scale, shift = (-2 / (far - near), -(far + near) / (far - near)) if camera.orthographic else (-(far + near) / (far - near), -2 * far * near / (far - near))
+    scale, shift = (
+        (-2 / (far - near), -(far + near) / (far - near))
+        if camera.orthographic
+        else (-(far + near) / (far - near), -2 * far * near / (far - near))
+    )
     constants = {
         "modelview": Matrix(flip @ camera.viewmat), "lens": (small.K[0, 0], small.K[1, 1], small.K[0, 2], small.K[1, 2]),
         "view": (small.width, small.height, near, 1.0), "mode": (float(camera.orthographic), float(scene.antialiased), scale, shift),
     }  # fmt: skip
-    depth = bridge_gpu.depth_texture(np.broadcast_to(np.float32(hidden), (camera.height, camera.width)), reduction)
+    depth = bridge_gpu.depth_texture(
+        np.broadcast_to(np.float32(hidden), (camera.height, camera.width)), reduction
+    )
     target = bridge_gpu.Target(small.width, small.height)
     bridge_gpu.draw_quads(shaders, target, lists, depth, constants, scene.count)
     with target.frame.bind():
@@ -57,7 +70,9 @@ def test_all_quads_are_the_rasterizers_picture(shaders, antialiased, orthographi
     scene, camera = replace(scenes.room(2000), antialiased=antialiased), scenes.orbit_camera(SIDE, SIDE // 2)
     if orthographic:
         camera = replace(camera, K=camera.K @ np.diag([0.15, 0.15, 1]), orthographic=True)
-    expected = native.Rasterizer().forward(scene, camera, native.RenderOptions(antialiased=antialiased), outputs=("rgb", "alpha"))
+    expected = native.Rasterizer().forward(
+        scene, camera, native.RenderOptions(antialiased=antialiased), outputs=("rgb", "alpha")
+    )
     drawn = quads_picture(shaders, scene, camera)
     assert expected["alpha"].mean() > 0.3
     np.testing.assert_allclose(drawn[..., :3], expected["rgb"], atol=0.012)
@@ -68,7 +83,10 @@ def test_all_quads_are_the_rasterizers_picture(shaders, antialiased, orthographi
 def test_what_is_in_front_hides_them(shaders):
     scenes = part("svrgs_bench.scenes")
     scene, camera = scenes.room(500), scenes.orbit_camera(SIDE, SIDE // 2)
-    assert quads_picture(shaders, scene, camera).any() and not quads_picture(shaders, scene, camera, hidden=0.0).any()
+    assert (
+        quads_picture(shaders, scene, camera).any()
+        and not quads_picture(shaders, scene, camera, hidden=0.0).any()
+    )
 
 
 def test_fewer_pixels_show_the_same_picture(shaders):
@@ -85,8 +103,13 @@ def test_a_thin_line_in_front_leaves_no_dots_in_a_smaller_picture(shaders):
     scene, camera = scenes.room(2000), scenes.orbit_camera(4 * SIDE, 2 * SIDE)
     line = np.ones((2 * SIDE, 4 * SIDE), np.float32)
     line[np.arange(2 * SIDE), np.arange(2 * SIDE)] = 0.0
-    np.testing.assert_array_equal(quads_picture(shaders, scene, camera, line, reduction=4), quads_picture(shaders, scene, camera, reduction=4))
-    assert (quads_picture(shaders, scene, camera, line) != quads_picture(shaders, scene, camera)).any(), "at full size it hides what is behind it"
+    np.testing.assert_array_equal(
+        quads_picture(shaders, scene, camera, line, reduction=4),
+        quads_picture(shaders, scene, camera, reduction=4),
+    )
+    assert (quads_picture(shaders, scene, camera, line) != quads_picture(shaders, scene, camera)).any(), (
+        "at full size it hides what is behind it"
+    )
 
 
 def test_blender_does_not_complain_about_the_push_constants(shaders, capfd):

@@ -12,7 +12,13 @@ from mathutils import Matrix, Quaternion, Vector
 def tops() -> np.ndarray:
     """(V, 3) the upper sides of the photographs, in Blender's world."""
     bpy.context.view_layer.update()
-    return np.array([obj.matrix_world.to_3x3().normalized() @ Vector((0, 1, 0)) for obj in bpy.data.objects if obj.type == "CAMERA"])
+    return np.array(
+        [
+            obj.matrix_world.to_3x3().normalized() @ Vector((0, 1, 0))
+            for obj in bpy.data.objects
+            if obj.type == "CAMERA"
+        ]
+    )
 
 
 def root() -> bpy.types.Object:
@@ -22,7 +28,11 @@ def root() -> bpy.types.Object:
 @pytest.fixture
 def views() -> list[tuple]:
     """(space, view) of every viewport, as a user finds them."""
-    found = [(area.spaces.active, area.spaces.active.region_3d) for area in bpy.context.screen.areas if area.type == "VIEW_3D"]
+    found = [
+        (area.spaces.active, area.spaces.active.region_3d)
+        for area in bpy.context.screen.areas
+        if area.type == "VIEW_3D"
+    ]
     assert found
     for space, view in found:
         view.view_location, view.view_distance, view.view_perspective = (7, 8, 9), 123, "PERSP"
@@ -55,7 +65,9 @@ def test_levelling_can_be_left_out(bridge):
     assert tops().mean(axis=0)[1] > 0.95
 
 
-@pytest.mark.parametrize("matrix", [Matrix.Rotation(0.1, 4, "X"), Matrix.Translation((1, 0, 0)), Matrix.Scale(2, 4)])
+@pytest.mark.parametrize(
+    "matrix", [Matrix.Rotation(0.1, 4, "X"), Matrix.Translation((1, 0, 0)), Matrix.Scale(2, 4)]
+)
 def test_a_dataset_that_was_moved_stays_where_it_is(matrix):
     bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
     splat = bpy.context.object
@@ -96,7 +108,10 @@ def test_frame_shows_the_mass_of_the_splat_and_not_its_floaters(bridge, make_sce
     bpy.ops.svrgs.frame()
     for space, view in views:
         assert (view.view_location - Vector((10, 20, 30))).length < 0.5 and 3 < view.view_distance < 20
-        assert (space.clip_start, space.clip_end) == (pytest.approx(0.01), 1000) and view.view_rotation.angle > 1, "what fits is left alone"
+        assert (space.clip_start, space.clip_end) == (
+            pytest.approx(0.01),
+            1000,
+        ) and view.view_rotation.angle > 1, "what fits is left alone"
 
 
 def test_an_imported_splat_is_framed(views, ply, make_scene, tmp_path):
@@ -123,7 +138,9 @@ def test_a_dataset_is_seen_from_its_first_camera_with_the_horizon_level(views):
     bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
     for _, view in views:
         camera = bpy.context.scene.camera.matrix_world.translation
-        assert (eye(view) - camera.lerp(view.view_location, 0.2)).length < 1e-4, "a little nearer, so that the camera is not in the picture"
+        assert (eye(view) - camera.lerp(view.view_location, 0.2)).length < 1e-4, (
+            "a little nearer, so that the camera is not in the picture"
+        )
         assert view.view_location.length < 1, "the middle of the ring of cameras, which are 3 away"
         assert abs((view.view_rotation @ Vector((1, 0, 0))).z) < 1e-6
 
@@ -131,7 +148,9 @@ def test_a_dataset_is_seen_from_its_first_camera_with_the_horizon_level(views):
 def test_cameras_without_a_splat_are_all_in_the_picture(views):
     bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
     for space, view in views:
-        assert view.view_location.length < 1 and view.view_rotation.angle == pytest.approx(Quaternion((0.8, 0.6, 0, 0)).angle)
+        assert view.view_location.length < 1 and view.view_rotation.angle == pytest.approx(
+            Quaternion((0.8, 0.6, 0, 0)).angle
+        )
         assert view.view_distance > 3 * space.lens / 36, "of which each is 3 away from the middle"
 
 
@@ -140,7 +159,9 @@ def test_a_parallel_view_keeps_its_direction(views):
         view.view_perspective = "ORTHO"
     bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
     for _, view in views:
-        assert view.view_perspective == "ORTHO" and view.view_rotation.angle == pytest.approx(Quaternion((0.8, 0.6, 0, 0)).angle)
+        assert view.view_perspective == "ORTHO" and view.view_rotation.angle == pytest.approx(
+            Quaternion((0.8, 0.6, 0, 0)).angle
+        )
         assert view.view_location.length < 1 and view.view_distance < 30
 
 
@@ -151,7 +172,9 @@ def test_a_view_through_a_camera_is_left_alone(views):
     bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
     assert all(view.view_perspective == "CAMERA" and view.view_distance == 123 for _, view in views)
     bpy.ops.svrgs.frame()
-    assert all(view.view_perspective == "PERSP" and view.view_distance < 30 for _, view in views), "asked for by the user"
+    assert all(view.view_perspective == "PERSP" and view.view_distance < 30 for _, view in views), (
+        "asked for by the user"
+    )
 
 
 def test_frame_says_what_it_needs():

@@ -1,4 +1,5 @@
-"""Pruning in the background from the panel: start, follow, stop, go on, the result, and what becomes of it."""
+"""Pruning in the background from the panel: start, follow, stop, go on, the result, and what becomes of
+it."""
 
 from __future__ import annotations
 
@@ -18,8 +19,14 @@ def test_a_job_run_to_its_end_marks_the_original_and_adds_the_recovered(pruned, 
     assert original.data.attributes["svrgs:score"].data_type == "FLOAT"
     assert original.hide_get() and not result.hide_get() and result.matrix_world == original.matrix_world
     (job,) = watch.jobs.values()
-    assert bridge.scene_from_object(result).means.tobytes() == ply.read_ply(job.folder / "pruned.ply").means.tobytes()
-    assert bridge.scene_from_object(original).means.tobytes() == ply.read_ply(DATA / "tiny/scene.ply").means.tobytes()
+    assert (
+        bridge.scene_from_object(result).means.tobytes()
+        == ply.read_ply(job.folder / "pruned.ply").means.tobytes()
+    )
+    assert (
+        bridge.scene_from_object(original).means.tobytes()
+        == ply.read_ply(DATA / "tiny/scene.ply").means.tobytes()
+    )
     assert bpy.context.object == result and watch.tick() is None
     assert result.svrgs_share == pytest.approx(50)
 
@@ -80,8 +87,16 @@ def test_a_result_deleted_with_x_leaves_the_original_free(pruned, bridge, result
     original, result = pruned
     source = bridge.scene_from_object(original).means.tobytes()
     delete(result)
-    assert not original.hide_get() and not original.hide_render and not original.modifiers and results.PRUNED not in original
-    assert "removed" not in original.data.attributes and bridge.scene_from_object(original).means.tobytes() == source
+    assert (
+        not original.hide_get()
+        and not original.hide_render
+        and not original.modifiers
+        and results.PRUNED not in original
+    )
+    assert (
+        "removed" not in original.data.attributes
+        and bridge.scene_from_object(original).means.tobytes() == source
+    )
     bpy.context.view_layer.objects.active = original
     assert results.pair_of(original) == (None, None) and "load its result, or discard it" in drawn("prune")
     bpy.ops.svrgs.job_discard()
@@ -110,7 +125,11 @@ def test_an_original_deleted_with_x_leaves_a_result_that_can_be_applied(pruned, 
     original.hide_set(False)
     delete(original)
     bpy.context.view_layer.objects.active = result
-    assert results.pair_of(result) == (None, result) and results.ORIGINAL not in result and "Gaussians" in drawn("prune")
+    assert (
+        results.pair_of(result) == (None, result)
+        and results.ORIGINAL not in result
+        and "Gaussians" in drawn("prune")
+    )
     result.svrgs_share = 40
     bpy.ops.svrgs.apply()
     assert bridge.count(result) == 50 and bpy.ops.svrgs.job_start.poll()
@@ -120,7 +139,12 @@ def test_probability_of_existence_is_an_attribute_where_masks_were_learned(prune
     original, result = pruned
     (job,) = watch.jobs.values()
     learned, kept = bridge.values(original, "svrgs:probability"), job.folder.arrays()[0]
-    assert learned.shape == (COUNT,) and (learned >= 0).all() and (learned <= 1).all() and learned[kept].min() > 0
+    assert (
+        learned.shape == (COUNT,)
+        and (learned >= 0).all()
+        and (learned <= 1).all()
+        and learned[kept].min() > 0
+    )
     np.testing.assert_array_equal(bridge.values(result, "svrgs:probability"), learned[kept])
     bpy.ops.svrgs.discard(what="RESULT")
     assert "svrgs:probability" not in original.data.attributes
@@ -149,7 +173,9 @@ def test_stopped_and_resumed(splat, watch):
     assert not bpy.ops.svrgs.job_start.poll() and not bpy.ops.svrgs.job_resume.poll()
     follow(watch, lambda: job.facts.get("iteration", 0) > 200)
     bpy.ops.svrgs.job_stop()
-    assert "Stop Now does not wait for it. Resume starts it from the beginning" in drawn("prune") and "Stop Now" in drawn("prune")
+    assert "Stop Now does not wait for it. Resume starts it from the beginning" in drawn(
+        "prune"
+    ) and "Stop Now" in drawn("prune")
     follow(watch, lambda: not job.running)
     saved = job.folder.checkpoint()
     assert job.state == "stopped" and saved > 200
@@ -300,7 +326,9 @@ def test_the_values_of_the_paper_are_offered_for_its_method(splat):
 def test_lambda_is_a_number_with_a_logarithmic_slider(splat):
     settings = bpy.context.scene.svrgs_prune
     bpy.ops.svrgs.set_lambda(value=1.25e-4)
-    assert settings.lambda_f == pytest.approx(1.25e-4) and settings.strength == pytest.approx(np.log10(1.25e-4))
+    assert settings.lambda_f == pytest.approx(1.25e-4) and settings.strength == pytest.approx(
+        np.log10(1.25e-4)
+    )
     assert settings.goal == "LAMBDA", "whoever sets λ_F wants it to count"
     for share, value in ((0.0, 1e-5), (0.5, 1e-4), (1.0, 1e-3)):
         settings.amount = share
@@ -318,7 +346,12 @@ def test_the_estimate_comes_before_anything_runs_and_soon(splat, capfd):
         seconds.append(time.monotonic() - started)
     assert min(seconds) < 5
     found = part("operators.estimate").of(splat)
-    assert found["count"] == COUNT and found["invisible"] == 10 and found["unseen"] >= 10 and 0 < found["kept"] <= COUNT - 10
+    assert (
+        found["count"] == COUNT
+        and found["invisible"] == 10
+        and found["unseen"] >= 10
+        and 0 < found["kept"] <= COUNT - 10
+    )
     assert found["seconds"] > 0 and "would stay" in capfd.readouterr().out and len(bpy.data.objects) == 1
 
 
@@ -350,7 +383,9 @@ def test_the_panel_draws_in_any_state(tmp_path, watch, monkeypatch):
     follow(watch, lambda: str(job.folder.path) in pictures._shown)  # there are no icons without a window
     assert tuple(pictures._pictures[0][pictures._shown[str(job.folder.path)]].image_size) == (64, 48)
     picture = pictures._pictures[0][str(job.folder.path)]
-    assert len({tuple(pixel) for pixel in np.reshape(picture.image_pixels_float, (-1, 4)).round(2)}) == 4, "ground, grid and two lines"
+    assert len({tuple(pixel) for pixel in np.reshape(picture.image_pixels_float, (-1, 4)).round(2)}) == 4, (
+        "ground, grid and two lines"
+    )
     job._process.kill()
     follow(watch, lambda: not job.running)
     assert "An interrupted job was found" in drawn("prune") and "svrgs.job_discard" in drawn("prune")
@@ -363,7 +398,11 @@ def test_the_panel_draws_in_any_state(tmp_path, watch, monkeypatch):
     assert "Quality at 125 Gaussians: PSNR" in said and "not measured" not in said
     bpy.context.object.svrgs_share = 20
     said = " ".join(drawn("prune").split())
-    assert "50 of 250 Gaussians" in said and "Quality at 125 Gaussians: PSNR" in said and "not measured at this setting" in said
+    assert (
+        "50 of 250 Gaussians" in said
+        and "Quality at 125 Gaussians: PSNR" in said
+        and "not measured at this setting" in said
+    )
     bpy.context.object.svrgs_share = 60
     assert "25 more than were recovered" in drawn("prune")
     bpy.ops.svrgs.apply()
@@ -371,7 +410,14 @@ def test_the_panel_draws_in_any_state(tmp_path, watch, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "panel, said", [("scene", "Select a splat"), ("compare", "side by side"), ("spatial_mask", "Refresh draws"), ("overlay", ""), ("engine", "")]
+    "panel, said",
+    [
+        ("scene", "Select a splat"),
+        ("compare", "side by side"),
+        ("spatial_mask", "Refresh draws"),
+        ("overlay", ""),
+        ("engine", ""),
+    ],
 )
 def test_every_panel_draws_without_anything_in_the_scene(panel, said):
     bpy.context.scene.svrgs_looking.compare_result = bpy.context.scene.svrgs_looking.mask_result = ""

@@ -1,4 +1,5 @@
-"""All jobs that Blender knows: the queue, the list, jobs whose splat is gone or came back, and what is left of finished jobs."""
+"""All jobs that Blender knows: the queue, the list, jobs whose splat is gone or came back, and what is left
+of finished jobs."""
 
 from __future__ import annotations
 
@@ -59,8 +60,14 @@ def import_again() -> bpy.types.Object:
 def test_a_second_job_waits_and_starts_when_the_first_has_ended(two, watch, results, listed):
     (splat, first), (other, second) = two
     assert first.running and not second.running and second.folder.state()["state"] == "queued"
-    assert bpy.context.object == other and "Waiting for 'scene': one job runs at a time" in drawn("prune") and "svrgs.job_stop" in drawn("prune")
-    assert listed()["other"]["state"] == "Waiting for 'scene'" and listed()["scene"]["state"].startswith("Running")
+    assert (
+        bpy.context.object == other
+        and "Waiting for 'scene': one job runs at a time" in drawn("prune")
+        and "svrgs.job_stop" in drawn("prune")
+    )
+    assert listed()["other"]["state"] == "Waiting for 'scene'" and listed()["scene"]["state"].startswith(
+        "Running"
+    )
     with pytest.raises(RuntimeError, match="Waiting for 'scene'"):
         bpy.ops.svrgs.job_start()
     follow(watch, lambda: second.running)
@@ -72,7 +79,10 @@ def test_a_second_job_waits_and_starts_when_the_first_has_ended(two, watch, resu
 def test_a_job_that_waits_can_be_taken_out_of_the_queue_and_put_back(two, watch):
     (_, first), (_, second) = two
     bpy.ops.svrgs.job_stop()
-    assert "Not started yet Resume starts it from the beginning" in drawn("prune") and bpy.ops.svrgs.job_resume.poll()
+    assert (
+        "Not started yet Resume starts it from the beginning" in drawn("prune")
+        and bpy.ops.svrgs.job_resume.poll()
+    )
     bpy.ops.svrgs.job_resume()
     assert "Waiting for 'scene'" in drawn("prune")
     bpy.ops.svrgs.job_stop()
@@ -124,11 +134,17 @@ def test_a_job_whose_splat_was_deleted_is_listed_stopped_continued_and_opened(sp
     delete(splat)
     new_file()
     row = listed()["scene"]
-    assert row["buttons"] == ["stop"] and row["state"].startswith("Running at") and row["size"].endswith("its splat is not in this file")
+    assert (
+        row["buttons"] == ["stop"]
+        and row["state"].startswith("Running at")
+        and row["size"].endswith("its splat is not in this file")
+    )
     assert "svrgs.listed_job_stop" in drawn("jobs")
     bpy.ops.svrgs.listed_job_stop(folder=row["folder"])
     follow(watch, lambda: not job.running)
-    assert listed()["scene"]["buttons"] == ["resume", "delete"] and listed()["scene"]["state"].startswith("Stopped at")
+    assert listed()["scene"]["buttons"] == ["resume", "delete"] and listed()["scene"]["state"].startswith(
+        "Stopped at"
+    )
     with pytest.raises(RuntimeError, match="has no result yet"):
         bpy.ops.svrgs.listed_job_open(folder=row["folder"])
     bpy.ops.svrgs.listed_job_resume(folder=row["folder"])
@@ -171,7 +187,9 @@ def test_a_result_is_opened_beside_its_splat_where_that_is(splat, watch, listed,
     bpy.ops.object.mode_set(mode="OBJECT")
     bpy.ops.svrgs.listed_job_open(folder=folder)
     assert results.pruned_of(splat) == bpy.context.object
-    assert listed()["scene"]["state"] == "Finished, its result is in this file" and listed()["scene"]["buttons"] == ["delete"]
+    assert listed()["scene"]["state"] == "Finished, its result is in this file" and listed()["scene"][
+        "buttons"
+    ] == ["delete"]
 
 
 def test_a_job_that_runs_is_not_deleted(splat, watch, listed):

@@ -1,4 +1,5 @@
-"""What a user does while a job is at work or its result undecided: undo, delete, copy, link; and what breaks meanwhile."""
+"""What a user does while a job is at work or its result undecided: undo, delete, copy, link; and what breaks
+meanwhile."""
 
 from __future__ import annotations
 
@@ -96,7 +97,11 @@ def test_a_result_arrives_where_its_collection_is_excluded(splat, watch, results
     (job,) = watch.jobs.values()
     follow(watch, lambda: not job.running)
     result = results.pruned_of(splat)
-    assert job.state == "done" and result.svrgs_share == pytest.approx(50) and results.pair_of(result) == (splat, result)
+    assert (
+        job.state == "done"
+        and result.svrgs_share == pytest.approx(50)
+        and results.pair_of(result) == (splat, result)
+    )
 
 
 @pytest.mark.parametrize("what", ["follow", "stop"])
@@ -111,7 +116,9 @@ def test_a_job_whose_folder_was_deleted_fails_in_a_sentence(splat, watch, what):
         bpy.ops.svrgs.job_stop()
     follow(watch, lambda: not job.running)
     assert process.poll() is not None and watch.tick() is None
-    assert job.state == "failed" and "messages.jsonl" in job.facts["text"] and "The job failed" in drawn("prune")
+    assert (
+        job.state == "failed" and "messages.jsonl" in job.facts["text"] and "The job failed" in drawn("prune")
+    )
     with pytest.raises(RuntimeError, match="is no job of this version"):
         bpy.ops.svrgs.job_resume()
     bpy.ops.svrgs.job_discard()
@@ -130,7 +137,11 @@ def test_a_full_disk_stops_no_other_job(splat, watch, monkeypatch):
     monkeypatch.setattr(folder.JobFolder, "write_json", full)
     job._process.kill()
     follow(watch, lambda: not job.running)
-    assert job.state == "interrupted" and "An interrupted job was found" in drawn("prune") and watch.tick() is None
+    assert (
+        job.state == "interrupted"
+        and "An interrupted job was found" in drawn("prune")
+        and watch.tick() is None
+    )
 
 
 def test_trouble_of_one_job_leaves_the_others_running(splat, watch, results, monkeypatch):

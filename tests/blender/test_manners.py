@@ -38,15 +38,23 @@ def test_enabled_and_disabled_50_times_leaves_nothing_behind(installed):
     enabled = traces()
     bpy.ops.preferences.addon_disable(module=PACKAGE)
     disabled = traces()
-    assert not disabled["types"] and not disabled["operators"] and not disabled["subclasses"] and enabled["operators"]
-    for number in range(50):  # three times by Blender, which unpacks the wheels each time; else what it does beside that
+    assert (
+        not disabled["types"]
+        and not disabled["operators"]
+        and not disabled["subclasses"]
+        and enabled["operators"]
+    )
+    # three times by Blender, which unpacks the wheels each time; else what it does beside that
+    for number in range(50):
         bpy.ops.preferences.addon_enable(module=PACKAGE) if number < 3 else sys.modules[PACKAGE].register()
         assert traces() == enabled
         bpy.ops.preferences.addon_disable(module=PACKAGE) if number < 3 else sys.modules[PACKAGE].unregister()
         assert traces() == disabled
     bpy.ops.preferences.addon_enable(module=PACKAGE)
     assert traces() == enabled
-    assert {path for path in installed.rglob("*") if "__pycache__" not in path.parts} == files, "nothing is written into the add-on"
+    assert {path for path in installed.rglob("*") if "__pycache__" not in path.parts} == files, (
+        "nothing is written into the add-on"
+    )
 
 
 def test_enabling_loads_nothing_heavy():
@@ -56,8 +64,13 @@ def test_enabling_loads_nothing_heavy():
 def test_every_operator_and_panel_explains_itself():
     for name in dir(bpy.ops.svrgs):
         rna = getattr(bpy.ops.svrgs, name).get_rna_type()
-        assert all(word.lstrip("(")[0].isupper() or word in ("3D", "from", "in", "of", "to") for word in rna.name.split()), rna.name
-        assert rna.description and not rna.description.endswith(".") and "undocumented" not in rna.description, rna.identifier
+        assert all(
+            word.lstrip("(")[0].isupper() or word in ("3D", "from", "in", "of", "to")
+            for word in rna.name.split()
+        ), rna.name
+        assert (
+            rna.description and not rna.description.endswith(".") and "undocumented" not in rna.description
+        ), rna.identifier
         for prop in rna.properties:
             if prop.identifier != "rna_type" and not prop.is_hidden:
                 assert not prop.description.endswith("."), (rna.identifier, prop.identifier)
@@ -69,6 +82,11 @@ def test_every_setting_explains_itself():
     for rna in (*settings, *(operator.get_rna_type() for operator in files)):
         for prop in rna.properties:
             if prop.identifier not in ("rna_type", "name") and not prop.is_hidden:
-                assert prop.description and not prop.description.endswith("."), (rna.identifier, prop.identifier)
+                assert prop.description and not prop.description.endswith("."), (
+                    rna.identifier,
+                    prop.identifier,
+                )
                 items = prop.enum_items if prop.type == "ENUM" else ()
-                assert all(item.name and item.description and not item.description.endswith(".") for item in items), (rna.identifier, prop.identifier)
+                assert all(
+                    item.name and item.description and not item.description.endswith(".") for item in items
+                ), (rna.identifier, prop.identifier)

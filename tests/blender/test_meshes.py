@@ -16,7 +16,9 @@ CENTRE = (30, 50)  # row, column of a pixel in the middle
 @pytest.fixture
 def alone(bridge, gaussians, stage, camera):
     """One Gaussian far behind the camera: the engine draws no scene without a splat."""
-    return bridge.object_from_scene("far", gaussians.select(np.arange(1)), stage.collection, Matrix.Translation((0, -999, 0)))
+    return bridge.object_from_scene(
+        "far", gaussians.select(np.arange(1)), stage.collection, Matrix.Translation((0, -999, 0))
+    )
 
 
 def link(material, source, target):
@@ -27,7 +29,9 @@ def picture(name: str, pixels: np.ndarray):
     """An image of (H, W, 3) display sRGB, rows from the bottom."""
     height, width, _ = pixels.shape
     image = bpy.data.images.new(name, width, height)
-    image.pixels.foreach_set(np.concatenate([pixels, np.ones((height, width, 1))], 2).astype(np.float32).reshape(-1))
+    image.pixels.foreach_set(
+        np.concatenate([pixels, np.ones((height, width, 1))], 2).astype(np.float32).reshape(-1)
+    )
     return image
 
 
@@ -38,7 +42,8 @@ def before_wall(gaussians, stage, room, camera, depth: float):
 
 @pytest.mark.parametrize("kind", ["PERSP", "ORTHO"])
 def test_what_meshes_hide_is_hidden(tmp_path, stage, gaussians, room, camera, kind):
-    """A wall across the view: the Gaussians before it over its colour. Hidden for the render, it is not there."""
+    """A wall across the view: the Gaussians before it over its colour. Hidden for the render, it is not
+    there."""
     camera.data.type = kind
     without = f12(tmp_path / "without.png")
     obj = wall(camera, 3)
@@ -53,7 +58,8 @@ def test_what_meshes_hide_is_hidden(tmp_path, stage, gaussians, room, camera, ki
 
 
 def test_edges_of_meshes_are_smooth(tmp_path, stage, alone, camera):
-    """A tilted square is as the mean of 8 x 8 pixels of a picture of eight times the size, colours in display sRGB."""
+    """A tilted square is as the mean of 8 x 8 pixels of a picture of eight times the size, colours in display
+    sRGB."""
     wall(camera, 3, half=0.6).matrix_world = camera.matrix_world @ Matrix.Rotation(0.3, 4, "Z")
     small = f12(tmp_path / "small.png")[..., 0]
     stage.render.resolution_percentage = 800
@@ -81,18 +87,24 @@ def test_the_colour_is_that_of_the_material(tmp_path, alone, camera):
         elif change == "none":
             obj.data.materials.clear()
             expected = (0.8, 0.8, 0.8)
-        np.testing.assert_allclose(f12(tmp_path / "wall.png")[CENTRE][:3], lit_wall(camera, expected), atol=LEVEL, err_msg=change)
+        np.testing.assert_allclose(
+            f12(tmp_path / "wall.png")[CENTRE][:3], lit_wall(camera, expected), atol=LEVEL, err_msg=change
+        )
 
 
 @pytest.mark.parametrize("wires", ["direct", "named", "mapped", "mixed", "group", "generated"])
 def test_the_texture_of_the_base_colour_is_shown(tmp_path, alone, camera, wires):
-    """Four colours in the quarters of a wall that fills the view, which lies on the active UV map or on the named one."""
+    """Four colours in the quarters of a wall that fills the view, which lies on the active UV map or on the
+    named one."""
     camera.data.shift_x = camera.data.shift_y = 0
     obj = wall(camera, 3, half=3.0)
     paint, quarters = obj.data.materials[0], np.array([[(1, 0, 0), (0, 1, 0)], [(0, 0, 1), (1, 1, 0)]], float)
     tree, base = paint.node_tree, shader_of(paint).inputs["Base Color"]
     node = tree.nodes.new("ShaderNodeTexImage")
-    node.image, node.interpolation = picture("quarters", np.repeat(np.repeat(quarters, 64, 0), 64, 1)), "Linear"
+    node.image, node.interpolation = (
+        picture("quarters", np.repeat(np.repeat(quarters, 64, 0), 64, 1)),
+        "Linear",
+    )
     if wires == "group":
         group = bpy.data.node_groups.new("inside", "ShaderNodeTree")
         tree.nodes.remove(node)
@@ -119,12 +131,17 @@ def test_the_texture_of_the_base_colour_is_shown(tmp_path, alone, camera, wires)
         coordinates, mapping = tree.nodes.new("ShaderNodeTexCoord"), tree.nodes.new("ShaderNodeMapping")
         link(paint, coordinates.outputs["UV" if wires == "mapped" else "Generated"], mapping.inputs["Vector"])
         link(paint, mapping.outputs[0], node.inputs["Vector"])
-        mapping.inputs["Location"].default_value, mapping.inputs["Scale"].default_value = (0, 0.5, 0), (1, -1, 1)
+        mapping.inputs["Location"].default_value, mapping.inputs["Scale"].default_value = (
+            (0, 0.5, 0),
+            (1, -1, 1),
+        )
         quarters = quarters if wires == "mapped" else np.full((2, 2, 3), quarters.mean(axis=(0, 1)))
         quarters = np.roll(quarters[::-1], 1, axis=0)
     seen = f12(tmp_path / "wall.png")
     found = seen[[[45], [15]], [25, 75], :3]  # below, above the middle
-    np.testing.assert_allclose(found, [[lit_wall(camera, color) for color in row] for row in quarters], atol=3 * LEVEL)
+    np.testing.assert_allclose(
+        found, [[lit_wall(camera, color) for color in row] for row in quarters], atol=3 * LEVEL
+    )
 
 
 def test_a_changed_image_is_shown(tmp_path, alone, camera):
@@ -141,7 +158,9 @@ def test_a_changed_image_is_shown(tmp_path, alone, camera):
             node.image = bpy.data.images.load(str(path))
         node.image.reload()
         bpy.context.view_layer.update()
-        np.testing.assert_allclose(f12(tmp_path / "wall.png")[CENTRE][:3], lit_wall(camera, color), atol=LEVEL)
+        np.testing.assert_allclose(
+            f12(tmp_path / "wall.png")[CENTRE][:3], lit_wall(camera, color), atol=LEVEL
+        )
 
 
 @pytest.mark.parametrize("domain", ["POINT", "CORNER"])
@@ -156,7 +175,9 @@ def test_colour_attributes_are_shown(tmp_path, alone, camera, domain, kind, name
     node = paint.node_tree.nodes.new("ShaderNodeVertexColor")
     node.layer_name = "hue" if named else ""
     link(paint, node.outputs["Color"], shader_of(paint).inputs["Base Color"])
-    np.testing.assert_allclose(f12(tmp_path / "wall.png")[CENTRE][:3], lit_wall(camera, (0.2, 0.7, 0.1)), atol=2 * LEVEL)
+    np.testing.assert_allclose(
+        f12(tmp_path / "wall.png")[CENTRE][:3], lit_wall(camera, (0.2, 0.7, 0.1)), atol=2 * LEVEL
+    )
 
 
 def test_smooth_and_mirrored_meshes_are_lit_from_above(tmp_path, alone, stage, camera):
@@ -166,9 +187,15 @@ def test_smooth_and_mirrored_meshes_are_lit_from_above(tmp_path, alone, stage, c
     bpy.ops.object.shade_smooth()
     camera.data.shift_x = camera.data.shift_y = 0
     for scale in ((1, 1, 1), (-1, 1, 1), (0.5, -2, 1)):
-        ball.matrix_world = camera.matrix_world @ Matrix.Translation((0, 0, -4)) @ Matrix.Diagonal((*scale, 1))
+        ball.matrix_world = (
+            camera.matrix_world @ Matrix.Translation((0, 0, -4)) @ Matrix.Diagonal((*scale, 1))
+        )
         bpy.context.view_layer.update()
-        np.testing.assert_allclose(f12(tmp_path / "ball.png")[CENTRE][:3], lit((0.8, 0.8, 0.8), camera.matrix_world.col[2].xyz), atol=6 * LEVEL)
+        np.testing.assert_allclose(
+            f12(tmp_path / "ball.png")[CENTRE][:3],
+            lit((0.8, 0.8, 0.8), camera.matrix_world.col[2].xyz),
+            atol=6 * LEVEL,
+        )
 
 
 def test_meshes_of_instances_and_curves_are_there(tmp_path, alone, stage, camera):
@@ -178,7 +205,11 @@ def test_meshes_of_instances_and_curves_are_there(tmp_path, alone, stage, camera
     inner.objects.link(obj)
     for place in (-1.2, 1.2):
         copy = bpy.data.objects.new("copy", None)
-        copy.instance_type, copy.instance_collection, copy.location = "COLLECTION", inner, camera.matrix_world.to_3x3() @ Matrix.Identity(3).col[0] * place
+        copy.instance_type, copy.instance_collection, copy.location = (
+            "COLLECTION",
+            inner,
+            camera.matrix_world.to_3x3() @ Matrix.Identity(3).col[0] * place,
+        )
         stage.collection.objects.link(copy)
     covered = f12(tmp_path / "copies.png")[..., 0] > 0.3
     middle = covered[:, 40:60].sum()
@@ -205,7 +236,9 @@ def test_a_holdout_cuts_a_hole(tmp_path, stage, gaussians, room, camera, of, tra
         stage.collection.objects.unlink(obj)
         held.objects.link(obj)
         bpy.context.view_layer.layer_collection.children["held"].holdout = True
-    expected = drawn(before_wall(gaussians, stage, room, camera, 1.5), camera, room.matrix_world, ("rgb", "alpha"))
+    expected = drawn(
+        before_wall(gaussians, stage, room, camera, 1.5), camera, room.matrix_world, ("rgb", "alpha")
+    )
     seen = f12(tmp_path / "holdout.png")
     np.testing.assert_allclose(seen[..., 3], expected["alpha"], atol=LEVEL)
     np.testing.assert_allclose(seen[..., :3] * seen[..., 3:], expected["rgb"], atol=1.5 * LEVEL)
@@ -225,6 +258,8 @@ def test_a_material_per_face_and_per_object_counts(tmp_path, alone, camera):
     mesh = obj.data
     mesh.materials.append(material("second", (0, 0, 1)))
     mesh.polygons[0].material_index = 1
-    np.testing.assert_allclose(f12(tmp_path / "face.png")[CENTRE][:3], lit_wall(camera, (0, 0, 1)), atol=LEVEL)
+    np.testing.assert_allclose(
+        f12(tmp_path / "face.png")[CENTRE][:3], lit_wall(camera, (0, 0, 1)), atol=LEVEL
+    )
     obj.material_slots[1].link, obj.material_slots[1].material = "OBJECT", material("own", (0, 1, 0))
     np.testing.assert_allclose(f12(tmp_path / "own.png")[CENTRE][:3], lit_wall(camera, (0, 1, 0)), atol=LEVEL)

@@ -1,4 +1,5 @@
-"""The menu of methods: its names and sentences, what old files and jobs hold, and that a renamed method is said once."""
+"""The menu of methods: its names and sentences, what old files and jobs hold, and that a renamed method is
+said once."""
 
 from __future__ import annotations
 
@@ -13,7 +14,11 @@ from job_helpers import LONG, SHORT, Layout, drawn, follow, set_up
 RENAMED = [  # number in the menu, name now, sentence
     (0, "removal", "Method 'svr' of this file is called 'Recommended' now ('removal' on the command line)"),
     (1, "svr", "Method 'svr-mask' of this file is called 'SVR-GS (paper)' now ('svr' on the command line)"),
-    (6, "saliency", "Method 'svr-worth' of this file is called 'Saliency' now ('saliency' on the command line)"),
+    (
+        6,
+        "saliency",
+        "Method 'svr-worth' of this file is called 'Saliency' now ('saliency' on the command line)",
+    ),
 ]
 
 
@@ -42,9 +47,14 @@ def note() -> str:
 
 def test_the_menu_begins_with_the_default_and_the_papers_method(settings):
     items = list(settings.bl_rna.properties["method"].enum_items)
-    assert [(item.identifier, item.name) for item in items[:2]] == [("removal", "Recommended"), ("svr", "SVR-GS (paper)")]
+    assert [(item.identifier, item.name) for item in items[:2]] == [
+        ("removal", "Recommended"),
+        ("svr", "SVR-GS (paper)"),
+    ]
     assert settings.method == "removal"
-    assert len({item.value for item in items}) == len(items) and all("λ_F" in item.description for item in items[:2])
+    assert len({item.value for item in items}) == len(items) and all(
+        "λ_F" in item.description for item in items[:2]
+    )
 
 
 def test_every_method_has_a_name_and_a_sentence_of_its_own(settings):
@@ -55,7 +65,11 @@ def test_every_method_has_a_name_and_a_sentence_of_its_own(settings):
 
 def test_the_short_menu_shows_and_sets_the_method(splat):
     settings = bpy.context.scene.svrgs_prune
-    assert [item.name for item in settings.bl_rna.properties["method_choice"].enum_items] == ["Recommended", "SVR-GS (paper)", "Other…"]
+    assert [item.name for item in settings.bl_rna.properties["method_choice"].enum_items] == [
+        "Recommended",
+        "SVR-GS (paper)",
+        "Other…",
+    ]
     for choice, method in (("PAPER", "svr"), ("OTHER", "maskgs"), ("RECOMMENDED", "removal")):
         settings.method_choice = choice
         assert settings.method == method and settings.method_choice == choice and settings.method_schema == 2
@@ -70,7 +84,10 @@ def test_all_methods_are_under_advanced_with_words_that_explain_themselves(splat
     panel.draw(SimpleNamespace(layout=layout), bpy.context)
     assert "All Methods" in layout.text and panel.poll(bpy.context)
     settings = bpy.context.scene.svrgs_prune.bl_rna.properties
-    assert (settings["holdout"].name, settings["min_contribution"].name) == ("Hold Out Every Nth Photo", "Drop Below")
+    assert (settings["holdout"].name, settings["min_contribution"].name) == (
+        "Hold Out Every Nth Photo",
+        "Drop Below",
+    )
     assert settings["iterations"].description == "Steps spent deciding which Gaussians to remove"
 
 
@@ -88,14 +105,20 @@ def test_the_panel_says_what_the_method_does_and_what_lambda_means(splat, name):
 
 
 @pytest.mark.parametrize("number, name, sentence", RENAMED)
-def test_an_old_file_keeps_its_method_and_says_once_what_it_is_called_now(splat, settings, tmp_path, capfd, number, name, sentence):
+def test_an_old_file_keeps_its_method_and_says_once_what_it_is_called_now(
+    splat, settings, tmp_path, capfd, number, name, sentence
+):
     choose_in_old_version(settings, number)
     settings = save_and_open(tmp_path)
     assert settings.method == name and settings.method_schema == 2
     assert note() == sentence and sentence in " ".join(drawn("prune").split())
     assert capfd.readouterr().out.count(f"SVR-GS: {sentence}\n") == 1
     settings = save_and_open(tmp_path)
-    assert settings.method == name and note() == "" and "is called" not in capfd.readouterr().out + drawn("prune")
+    assert (
+        settings.method == name
+        and note() == ""
+        and "is called" not in capfd.readouterr().out + drawn("prune")
+    )
 
 
 def test_a_file_that_was_not_saved_says_it_again(settings, tmp_path, capfd):
@@ -127,7 +150,10 @@ def test_other_files_say_nothing(settings, tmp_path, capfd, choice):
     assert settings.method_schema == (2 if choice != "never set" else 0)
 
 
-@pytest.mark.parametrize("stored, goal", [({}, "BALANCED"), ({"method": 13}, "LAMBDA"), ({"strength": -3.5}, "LAMBDA"), ({"goal": 1}, "SHARE")])
+@pytest.mark.parametrize(
+    "stored, goal",
+    [({}, "BALANCED"), ({"method": 13}, "LAMBDA"), ({"strength": -3.5}, "LAMBDA"), ({"goal": 1}, "SHARE")],
+)
 def test_an_old_file_keeps_its_goal(settings, tmp_path, stored, goal):
     """The default goal was the strength."""
     for name, value in stored.items():
@@ -157,10 +183,14 @@ def test_every_scene_of_a_file_has_its_own_note(settings, tmp_path, capfd):
 def test_every_former_name_has_a_sentence():
     former = part("svrgs_addon.finetune.methods").FORMER_NAMES
     methods = part("svrgs_addon.finetune.methods").METHODS
-    assert {methods[name].number: name for name in former.values()} == {number: name for number, name, _ in RENAMED}
+    assert {methods[name].number: name for name in former.values()} == {
+        number: name for number, name, _ in RENAMED
+    }
 
 
-@pytest.mark.parametrize("former, name", [("svr", "removal"), ("svr-mask", "svr"), ("svr-worth", "saliency"), (None, "removal")])
+@pytest.mark.parametrize(
+    "former, name", [("svr", "removal"), ("svr-mask", "svr"), ("svr-worth", "saliency"), (None, "removal")]
+)
 def test_a_job_of_the_first_schema_is_resumed_with_its_method(splat, watch, results, capfd, former, name):
     """former None: a job that does not name its method has the default of that time, which is svr."""
     set_up(LONG)
@@ -195,7 +225,9 @@ def test_a_job_of_this_version_says_nothing_when_resumed(splat, watch, capfd):
 
 def test_the_operator_for_scripts_takes_the_names_of_the_command_line():
     methods = bpy.ops.svrgs.prune.get_rna_type().properties["method"].enum_items
-    assert {"removal", "svr", "saliency"} <= set(methods.keys()) and not {"svr-mask", "svr-worth"} & set(methods.keys())
+    assert {"removal", "svr", "saliency"} <= set(methods.keys()) and not {"svr-mask", "svr-worth"} & set(
+        methods.keys()
+    )
     bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
     with pytest.raises(TypeError, match="svr-worth"):
         bpy.ops.svrgs.prune(method="svr-worth")

@@ -1,4 +1,5 @@
-"""A splat that is moved, transformed or given modifiers around a pruning job: the result lies where the original lies."""
+"""A splat that is moved, transformed or given modifiers around a pruning job: the result lies where the
+original lies."""
 
 from __future__ import annotations
 
@@ -22,7 +23,10 @@ def nearest_distances(bridge, pruned, original) -> np.ndarray:
     """From each Gaussian of the result to the one of the original that it was, in Blender's world."""
     rows = bridge.values(pruned, "svrgs:row")
     matrices = [np.array(obj.matrix_world) for obj in (pruned, original)]
-    positions = [bridge.values(obj, "position") @ M[:3, :3].T + M[:3, 3] for obj, M in zip((pruned, original), matrices, strict=True)]
+    positions = [
+        bridge.values(obj, "position") @ M[:3, :3].T + M[:3, 3]
+        for obj, M in zip((pruned, original), matrices, strict=True)
+    ]
     return np.linalg.norm(positions[0] - positions[1][rows], axis=1)
 
 
@@ -36,7 +40,10 @@ def test_transforms_applied_meanwhile_reach_the_result(splat, watch, results, br
     bpy.context.view_layer.update()
     moved_by_recovery = nearest_distances(bridge, pruned, splat)
     assert np.median(moved_by_recovery) < 0.05 and bridge.count_moved(pruned) == 0
-    ratio = bridge.scene_from_object(pruned).log_scales - bridge.scene_from_object(splat).log_scales[bridge.values(pruned, "svrgs:row")]
+    ratio = (
+        bridge.scene_from_object(pruned).log_scales
+        - bridge.scene_from_object(splat).log_scales[bridge.values(pruned, "svrgs:row")]
+    )
     assert abs(np.median(ratio)) < 0.2  # shapes have the applied scale too, log(1.7) = 0.53
 
 

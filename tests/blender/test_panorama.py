@@ -13,7 +13,13 @@ from mesh_objects import material
 from view_helpers import f12
 
 pytestmark = pytest.mark.usefixtures("stage")
-SPOTS = {(0, 3, 0): (1, 0, 0), (3, 0.5, 0): (0, 1, 0), (0, 0.4, 3): (0, 0, 1), (1, 2, -1): (1, 1, 0), (-2, -1, 0.5): (0, 1, 1)}
+SPOTS = {
+    (0, 3, 0): (1, 0, 0),
+    (3, 0.5, 0): (0, 1, 0),
+    (0, 0.4, 3): (0, 0, 1),
+    (1, 2, -1): (1, 1, 0),
+    (-2, -1, 0.5): (0, 1, 1),
+}
 
 
 @pytest.fixture
@@ -37,16 +43,30 @@ def spots(stage, bridge, gaussians):
         glow.inputs["Color"].default_value = (*color, 1)
         tree.links.new(glow.outputs[0], tree.get_output_node("ALL").inputs["Surface"])
         bpy.context.object.data.materials.append(paint)
-    bridge.object_from_scene("far", gaussians.select(np.arange(1)), stage.collection, Matrix.Translation((0, -999, 0)) @ Matrix.Scale(1e-3, 4))
+    bridge.object_from_scene(
+        "far",
+        gaussians.select(np.arange(1)),
+        stage.collection,
+        Matrix.Translation((0, -999, 0)) @ Matrix.Scale(1e-3, 4),
+    )
 
 
 def middles(picture: np.ndarray) -> dict:
     """Middle (column, row) of each spot that is whole in a picture."""
     found = {}
     for color in SPOTS.values():
-        lit, dark = (picture[..., :3][..., [k for k in range(3) if bool(color[k]) == wanted]] for wanted in (True, False))
+        lit, dark = (
+            picture[..., :3][..., [k for k in range(3) if bool(color[k]) == wanted]]
+            for wanted in (True, False)
+        )
         rows, columns = np.nonzero((lit > 0.35).all(axis=2) & (dark < 0.2).all(axis=2))
-        if len(rows) and 0 < rows.min() and rows.max() < picture.shape[0] - 1 and 0 < columns.min() and columns.max() < picture.shape[1] - 1:
+        if (
+            len(rows)
+            and 0 < rows.min()
+            and rows.max() < picture.shape[0] - 1
+            and 0 < columns.min()
+            and columns.max() < picture.shape[1] - 1
+        ):
             found[color] = columns.mean(), rows.mean()
     return found
 
@@ -59,7 +79,12 @@ def test_what_cycles_shows_is_at_the_same_place(tmp_path, stage, panorama, spots
     elif change == "shift":
         data.shift_x, data.latitude_min, data.latitude_max, data.shift_y = 0.2, -1.0, 1.0, 0.1
     else:
-        data.longitude_min, data.longitude_max, data.latitude_min, data.latitude_max = -math.pi, math.pi, -math.pi / 2, math.pi / 2
+        data.longitude_min, data.longitude_max, data.latitude_min, data.latitude_max = (
+            -math.pi,
+            math.pi,
+            -math.pi / 2,
+            math.pi / 2,
+        )
     ours = middles(f12(tmp_path / "ours.png"))
     stage.render.engine, stage.cycles.samples, stage.cycles.use_denoising = "CYCLES", 4, False
     cycles = middles(f12(tmp_path / "cycles.png"))
@@ -73,8 +98,12 @@ def test_a_splat_is_where_its_gaussians_are(tmp_path, stage, bridge, panorama):
     scene = part("svrgs_bench.scenes").room(5)
     means = np.array([[3, 0, 0.5], [-1, 2, 1], [0, -2, -2], [1, 1, 3], [-3, -1, -1]], np.float32)
     white = np.full((5, 1, 3), 1.7, np.float32)
-    scene = type(scene)(means, np.full((5, 3), -2.7, np.float32), scene.quats, np.full(5, 5, np.float32), white)
-    bridge.object_from_scene("white", scene, stage.collection, Matrix.Rotation(0.3, 4, "X") @ Matrix.Scale(1.3, 4))
+    scene = type(scene)(
+        means, np.full((5, 3), -2.7, np.float32), scene.quats, np.full(5, 5, np.float32), white
+    )
+    bridge.object_from_scene(
+        "white", scene, stage.collection, Matrix.Rotation(0.3, 4, "X") @ Matrix.Scale(1.3, 4)
+    )
     seen = f12(tmp_path / "white.png")[..., 0]
     inverse = panorama.matrix_world.inverted()
     for mean in means:
@@ -90,10 +119,14 @@ def test_a_splat_is_where_its_gaussians_are(tmp_path, stage, bridge, panorama):
 def test_depths_are_distances(tmp_path, stage, bridge, gaussians, panorama, monkeypatch):
     """A ball around the camera, as Cycles' Depth pass has it."""
     bpy.ops.mesh.primitive_uv_sphere_add(segments=96, ring_count=48, radius=4, location=panorama.location)
-    bridge.object_from_scene("far", gaussians.select(np.arange(1)), stage.collection, Matrix.Translation((0, -999, 0)))
+    bridge.object_from_scene(
+        "far", gaussians.select(np.arange(1)), stage.collection, Matrix.Translation((0, -999, 0))
+    )
     engine, seen = part("operators.render_engine").SVRGS_engine, {}
     hand_in = engine.hand_in
-    monkeypatch.setattr(engine, "hand_in", lambda self, layers, *size: (seen.update(layers), hand_in(self, layers, *size)))
+    monkeypatch.setattr(
+        engine, "hand_in", lambda self, layers, *size: (seen.update(layers), hand_in(self, layers, *size))
+    )
     f12(tmp_path / "ball.png")
     np.testing.assert_allclose(seen["Depth"], 4, rtol=0.01)
 
@@ -109,7 +142,10 @@ def test_a_border_shows_the_same_pixels(tmp_path, stage, room, panorama):
 def test_other_panoramas_are_refused_in_one_sentence(room, panorama):
     data = panorama.data
     for change, sentence in (
-        ({"panorama_type": "FISHEYE_EQUIDISTANT"}, "type Fisheye Equidistant: choose the type Equirectangular"),
+        (
+            {"panorama_type": "FISHEYE_EQUIDISTANT"},
+            "type Fisheye Equidistant: choose the type Equirectangular",
+        ),
         ({"panorama_type": "EQUIRECTANGULAR", "latitude_max": 1.0, "shift_y": 0.4}, "beyond a pole"),
         ({"shift_y": 0.0, "longitude_min": 1.0, "longitude_max": 1.0}, "sees nothing"),
     ):

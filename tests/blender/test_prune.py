@@ -25,8 +25,23 @@ def from_a_shell(tmp_path_factory) -> tuple[dict, bytes]:
     out = tmp_path_factory.mktemp("shell") / "pruned.ply"
     child = part("svrgs_addon.system.subprocess_python")
     words = [f"--{name}={value}" for name, value in SHORT.items()]
-    command = [sys.executable, "-m", "svrgs_addon", "prune", DATA / "tiny/scene.ply", "--colmap", DATA / "tiny", *words, "--out", out, "--json", "--quiet"]
-    done = subprocess.run([str(word) for word in command], env=child.environment(), capture_output=True, text=True)
+    command = [
+        sys.executable,
+        "-m",
+        "svrgs_addon",
+        "prune",
+        DATA / "tiny/scene.ply",
+        "--colmap",
+        DATA / "tiny",
+        *words,
+        "--out",
+        out,
+        "--json",
+        "--quiet",
+    ]
+    done = subprocess.run(
+        [str(word) for word in command], env=child.environment(), capture_output=True, text=True
+    )
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout), out.read_bytes()
 
@@ -35,7 +50,12 @@ def test_pruning_the_active_splat_is_the_job_of_the_command_line(from_a_shell, b
     expected, content = from_a_shell
     bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
     source = bpy.context.object
-    bpy.ops.svrgs.prune(colmap=str(DATA / "tiny"), out=str(tmp_path / "out.ply"), report_folder=str(tmp_path / "report"), **SHORT)
+    bpy.ops.svrgs.prune(
+        colmap=str(DATA / "tiny"),
+        out=str(tmp_path / "out.ply"),
+        report_folder=str(tmp_path / "report"),
+        **SHORT,
+    )
     said = capfd.readouterr().out
     (result,) = json_lines(said)
     assert result.keys() == expected.keys()
@@ -47,7 +67,11 @@ def test_pruning_the_active_splat_is_the_job_of_the_command_line(from_a_shell, b
     ply.write_ply(tmp_path / "object.ply", bridge.scene_from_object(pruned))
     assert (tmp_path / "object.ply").read_bytes() == content
     assert pruned.matrix_world == source.matrix_world
-    assert part("operators.job_result").pair_of(pruned) == (source, pruned) and source.hide_render and not pruned.hide_render
+    assert (
+        part("operators.job_result").pair_of(pruned) == (source, pruned)
+        and source.hide_render
+        and not pruned.hide_render
+    )
 
 
 def test_photographs_imported_beside_the_splat_need_not_be_named(from_a_shell, bridge, tmp_path):
@@ -58,11 +82,17 @@ def test_photographs_imported_beside_the_splat_need_not_be_named(from_a_shell, b
     bpy.ops.svrgs.prune(out=str(tmp_path / "out.ply"), **SHORT)
     pruned = bpy.context.object
     bpy.context.view_layer.update()
-    assert bridge.count(pruned) == from_a_shell[0]["count"] and pruned.parent == source.parent and pruned.matrix_world == source.matrix_world
+    assert (
+        bridge.count(pruned) == from_a_shell[0]["count"]
+        and pruned.parent == source.parent
+        and pruned.matrix_world == source.matrix_world
+    )
 
 
 def test_pruning_a_file_needs_no_object(from_a_shell, bridge, tmp_path):
-    bpy.ops.svrgs.prune(scene=str(DATA / "tiny/scene.ply"), colmap=str(DATA / "tiny"), out=str(tmp_path / "out.ply"), **SHORT)
+    bpy.ops.svrgs.prune(
+        scene=str(DATA / "tiny/scene.ply"), colmap=str(DATA / "tiny"), out=str(tmp_path / "out.ply"), **SHORT
+    )
     assert bridge.count(bpy.context.object) == from_a_shell[0]["count"]
 
 
@@ -71,7 +101,8 @@ def test_pruning_a_file_needs_no_object(from_a_shell, bridge, tmp_path):
 
 @pytest.fixture
 def saved(tmp_path):
-    """Folder of a saved .blend with the splat "tiny.001", its dataset in data/ beside it. Afterwards the .blend is unsaved again."""
+    """Folder of a saved .blend with the splat "tiny.001", its dataset in data/ beside it. Afterwards the
+    .blend is unsaved again."""
     bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
     bpy.context.object.name = "tiny.001"
     (tmp_path / "data").symlink_to(DATA / "tiny")
@@ -90,7 +121,9 @@ def unsaved():
 def test_in_background_the_result_lies_beside_the_blend(from_a_shell, saved, capfd):
     bpy.ops.svrgs.prune(colmap="//data", report_folder="//report", **SHORT)
     (result,) = json_lines(capfd.readouterr().out)
-    assert result["out"] == str(saved / "tiny_001_pruned.ply") and result["scene"] == str(saved / "work.blend")
+    assert result["out"] == str(saved / "tiny_001_pruned.ply") and result["scene"] == str(
+        saved / "work.blend"
+    )
     assert Path(result["out"]).read_bytes() == from_a_shell[1] and (saved / "report/index.html").exists()
 
 
@@ -105,7 +138,10 @@ def test_in_background_the_result_of_a_file_lies_beside_it(from_a_shell, unsaved
 def test_an_existing_file_is_only_replaced_when_told(saved):
     for name, more in (("tiny_001_pruned.ply", {}), ("mine.ply", {"out": "//mine.ply"})):
         (saved / name).write_text("a day's work")
-        with pytest.raises(RuntimeError, match=f"{name}: exists; name another output with out=, or replace it with overwrite=True"):
+        with pytest.raises(
+            RuntimeError,
+            match=f"{name}: exists; name another output with out=, or replace it with overwrite=True",
+        ):
             bpy.ops.svrgs.prune(colmap="//data", **SHORT, **more)
         assert (saved / name).read_text() == "a day's work" and len(bpy.data.objects) == 1
     bpy.ops.svrgs.prune(colmap="//data", overwrite=True, out="//mine.ply", **SHORT)
@@ -114,7 +150,9 @@ def test_an_existing_file_is_only_replaced_when_told(saved):
 
 def test_a_link_is_only_written_through_when_it_is_named(saved):
     (saved / "tiny_001_pruned.ply").symlink_to(saved / "elsewhere.ply")
-    with pytest.raises(RuntimeError, match=r"tiny_001_pruned.ply: is a link to .*elsewhere.ply; name the output with out="):
+    with pytest.raises(
+        RuntimeError, match=r"tiny_001_pruned.ply: is a link to .*elsewhere.ply; name the output with out="
+    ):
         bpy.ops.svrgs.prune(colmap="//data", overwrite=True, **SHORT)
     assert not (saved / "elsewhere.ply").exists()
     bpy.ops.svrgs.prune(colmap="//data", out="//tiny_001_pruned.ply", **SHORT)
@@ -124,9 +162,18 @@ def test_a_link_is_only_written_through_when_it_is_named(saved):
 @pytest.mark.parametrize(
     "more, sentence",
     [
-        ({}, "name a file for the result with out=: in background mode it lies beside the .blend, and this one has not been saved"),
+        (
+            {},
+            (
+                "name a file for the result with out=: in background mode it lies beside the .blend, and this"
+                " one has not been saved"
+            ),
+        ),
         ({"out": "//a.ply"}, "//a.ply: begins at the folder of the .blend, which has not been saved"),
-        ({"out": "/nowhere/a.ply", "colmap": "//tiny"}, "//tiny: begins at the folder of the .blend, which has not been saved"),
+        (
+            {"out": "/nowhere/a.ply", "colmap": "//tiny"},
+            "//tiny: begins at the folder of the .blend, which has not been saved",
+        ),
         ({"out": "/tmp"}, "/tmp: is a folder; give the name of a file"),
         ({"out": "/nowhere/result"}, "/nowhere/result: scenes are written as .ply"),
     ],
@@ -179,11 +226,15 @@ def test_a_drop_is_the_option_of_the_command_line(capfd, tmp_path):
 def test_a_limit_of_time_is_the_option_of_the_command_line(capfd, tmp_path):
     colmap, out = str(DATA / "tiny"), str(tmp_path / "out.ply")
     bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
-    with pytest.raises(RuntimeError, match="--time chooses the number of steps itself: leave out --iterations"):
+    with pytest.raises(
+        RuntimeError, match="--time chooses the number of steps itself: leave out --iterations"
+    ):
         bpy.ops.svrgs.prune(colmap=colmap, out=out, time=600, iterations=20)
     bpy.ops.svrgs.prune(colmap=colmap, out=out, time=600, method="opacity", target=0.5)
     (result,) = json_lines(capfd.readouterr().out)
-    assert result["time"]["asked"] == 600 and result["iterations"] == round(5_000 * result["time"]["schedule"])
+    assert result["time"]["asked"] == 600 and result["iterations"] == round(
+        5_000 * result["time"]["schedule"]
+    )
 
 
 def test_pruning_without_a_splat_says_so():
@@ -217,8 +268,12 @@ def test_figures_that_cannot_be_compared_are_left_out(capfd, monkeypatch, tmp_pa
         return status, result | {"psnr": None}
 
     monkeypatch.setattr(child, "run", identical)
-    bpy.ops.svrgs.prune(scene=str(DATA / "tiny/scene.ply"), colmap=str(DATA / "tiny"), out=str(tmp_path / "out.ply"), **SHORT)
-    assert "Kept 125 of 250 Gaussians\n" in capfd.readouterr().out and bpy.context.object.name == "scene pruned"
+    bpy.ops.svrgs.prune(
+        scene=str(DATA / "tiny/scene.ply"), colmap=str(DATA / "tiny"), out=str(tmp_path / "out.ply"), **SHORT
+    )
+    assert (
+        "Kept 125 of 250 Gaussians\n" in capfd.readouterr().out and bpy.context.object.name == "scene pruned"
+    )
 
 
 def test_only_what_prunes_can_be_chosen():

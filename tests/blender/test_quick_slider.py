@@ -1,4 +1,5 @@
-"""The slider Keep on a quick result: any number of Gaussians is shown at once, by the order that the job has kept."""
+"""The slider Keep on a quick result: any number of Gaussians is shown at once, by the order that the job has
+kept."""
 
 from __future__ import annotations
 
@@ -45,7 +46,9 @@ def cached(obj):
 
 def test_the_panel_says_what_the_job_notes_until_the_result_is_applied(result):
     note = "36 Gaussians are hidden in all views"
-    assert note in said() and "The quality is measured against" in said() and "svrgs_row" not in said(), "the column of rows is the job's own"
+    assert note in said() and "The quality is measured against" in said() and "svrgs_row" not in said(), (
+        "the column of rows is the job's own"
+    )
     bpy.ops.svrgs.apply()
     assert note not in said() and not any(note in str(value) for value in result.values())
 
@@ -56,8 +59,17 @@ def test_it_shows_any_number_at_once_and_the_data_stay_those_of_the_job(result, 
     assert cached(result).count == 100
     for share, count in ((20, 50), (80, 200), (100, 240), (0, 3)):
         result.svrgs_share = share
-        assert cached(result).count == shown().count == part("operators.compare").shown_scene(result).count == count
-        assert f"{count} of 250 Gaussians" in said() and "not fine-tuned yet" in said() and "prune_again" in drawn("prune")
+        assert (
+            cached(result).count
+            == shown().count
+            == part("operators.compare").shown_scene(result).count
+            == count
+        )
+        assert (
+            f"{count} of 250 Gaussians" in said()
+            and "not fine-tuned yet" in said()
+            and "prune_again" in drawn("prune")
+        )
         assert (bridge.scene_from_object(result).means == own).all()
     result.svrgs_share = 40
     assert sorted(cached(result).means[:, 0]) == sorted(own[:, 0]) and "not fine-tuned yet" not in said()
@@ -67,7 +79,7 @@ def test_more_gaussians_look_more_like_the_original(result, splat, bridge):
     original = bridge.scene_from_object(splat)
     camera = part("svrgs_addon.views.rig.around").cameras_around(original, 8, 128)[3]
     native, psnr = part("svrgs_addon.native.rasterizer"), part("svrgs_addon.render.metrics").psnr
-    draw = lambda scene: native.Rasterizer().forward(scene, camera)["rgb"].copy()  # noqa: E731
+    draw = lambda scene: native.Rasterizer().forward(scene, camera)["rgb"].copy()
     whole, values = draw(original), []
     for share in (5, 30, 90):
         result.svrgs_share = share
@@ -79,8 +91,15 @@ def test_apply_keeps_what_is_shown(result, splat, bridge):
     result.svrgs_share = 70
     means = np.sort(cached(result).means, axis=0)
     bpy.ops.svrgs.apply()
-    assert bridge.count(result) == 175 and (np.sort(bridge.scene_from_object(result).means, axis=0) == means).all()
-    assert "svrgs_shown" not in result and not part("operators.job_result").undecided(result) and bridge.count(splat) == 250
+    assert (
+        bridge.count(result) == 175
+        and (np.sort(bridge.scene_from_object(result).means, axis=0) == means).all()
+    )
+    assert (
+        "svrgs_shown" not in result
+        and not part("operators.job_result").undecided(result)
+        and bridge.count(splat) == 250
+    )
     assert shown().count == 175
 
 
@@ -116,7 +135,9 @@ def test_a_saved_file_still_shows_it(result, tmp_path):
 def test_the_result_moves_with_its_object_and_with_its_points(result, bridge):
     result.location.x += 5
     result.svrgs_share = 20
-    assert cached(result).means.mean(axis=0) == pytest.approx(bridge.scene_from_object(result).means.mean(axis=0), abs=0.3)
+    assert cached(result).means.mean(axis=0) == pytest.approx(
+        bridge.scene_from_object(result).means.mean(axis=0), abs=0.3
+    )
     moved = bridge.values(result, "position") + np.array([0, 0, 7], np.float32)
     bridge.set_values(result, "position", "FLOAT_VECTOR", moved)
     result.svrgs_share = 30
@@ -174,8 +195,15 @@ def test_fine_tune_prunes_again_to_what_is_shown(result, splat, watch, bridge):
     (job,) = watch.jobs.values()
     follow(watch, lambda: ended(job))
     again = bpy.context.object
-    assert again != splat and bridge.count(again) == 50 and again.svrgs_share == pytest.approx(20) and "not fine-tuned yet" not in said()
-    assert not np.array_equal(np.sort(bridge.scene_from_object(again).sh, axis=0), np.sort(untuned.sh, axis=0))
+    assert (
+        again != splat
+        and bridge.count(again) == 50
+        and again.svrgs_share == pytest.approx(20)
+        and "not fine-tuned yet" not in said()
+    )
+    assert not np.array_equal(
+        np.sort(bridge.scene_from_object(again).sh, axis=0), np.sort(untuned.sh, axis=0)
+    )
     again.svrgs_share = 40
     assert cached(again).count == 100
 

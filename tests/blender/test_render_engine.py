@@ -28,7 +28,9 @@ def test_f12_is_svrgs_render(tmp_path, stage):
         assert np.abs(rendered[..., :3] - expected[..., :3]).max() <= LEVEL
 
 
-@pytest.mark.parametrize("change", ["plain", "percentage", "aspect", "portrait", "background", "scaled", "orthographic"])
+@pytest.mark.parametrize(
+    "change", ["plain", "percentage", "aspect", "portrait", "background", "scaled", "orthographic"]
+)
 def test_f12_is_the_rasterizers_picture(tmp_path, stage, gaussians, room, camera, change):
     background = (0.0, 0.0, 0.0)
     if change == "percentage":
@@ -43,7 +45,12 @@ def test_f12_is_the_rasterizers_picture(tmp_path, stage, gaussians, room, camera
         stage.render.pixel_aspect_x, camera.data.type, camera.data.ortho_scale = 1.3, "ORTHO", 4.0
         room.matrix_world = room.matrix_world @ Matrix.Scale(0.7, 4)
     elif change == "scaled":
-        room.matrix_world = Matrix.Translation((0, 1, 0)) @ Matrix.Rotation(0.4, 4, "Z") @ room.matrix_world @ Matrix.Scale(0.7, 4)
+        room.matrix_world = (
+            Matrix.Translation((0, 1, 0))
+            @ Matrix.Rotation(0.4, 4, "Z")
+            @ room.matrix_world
+            @ Matrix.Scale(0.7, 4)
+        )
     expected = drawn(gaussians, camera, room.matrix_world, background=tuple(background))["rgb"]
     assert np.abs(f12(tmp_path / "f12.png")[..., :3] - expected).max() <= LEVEL
 
@@ -82,7 +89,8 @@ def test_a_transparent_film_keeps_the_colours(tmp_path, stage, bridge, gaussians
 
 
 def test_several_splats_are_one_picture(tmp_path, stage, bridge, gaussians, room, camera):
-    """The second one lies there by its matrix: turned, mirrored and stretched, as its Gaussians are turned the other way."""
+    """The second one lies there by its matrix: turned, mirrored and stretched, as its Gaussians are turned
+    the other way."""
     whole = f12(tmp_path / "whole.png")
     bpy.data.objects.remove(room)
     away = Matrix.Rotation(1.1, 4, (1, 2, 3)) @ Matrix.Diagonal((-0.5, 2.0, 1.0, 1.0))
@@ -122,7 +130,9 @@ def test_passes_hold_what_the_rasterizer_counted(tmp_path, stage, bridge, gaussi
     np.testing.assert_array_equal(seen["Count"], expected["hits"])
     np.testing.assert_allclose(seen["Alpha"], expected["alpha"], atol=1e-5)
     some = expected["alpha"] > 0.01
-    np.testing.assert_allclose(seen["Depth"][some], (expected["depth"] / np.maximum(expected["alpha"], 1e-9))[some], rtol=1e-5)
+    np.testing.assert_allclose(
+        seen["Depth"][some], (expected["depth"] / np.maximum(expected["alpha"], 1e-9))[some], rtol=1e-5
+    )
     assert (seen["Depth"][expected["alpha"] == 0] == 1e10).all()
 
 
@@ -150,7 +160,12 @@ def test_an_object_that_is_no_camera_is_refused_in_one_sentence(stage, bridge, r
     stage.camera = bpy.data.objects.new("nothing", None)
     stage.collection.objects.link(stage.camera)
     mark_removed(room, np.arange(bridge.count(room)) % 2)
-    for ask in (bpy.ops.render.render, bpy.ops.svrgs.spatial_mask, bpy.ops.svrgs.compare, lambda: bpy.ops.svrgs.contribution(cameras="ACTIVE")):
+    for ask in (
+        bpy.ops.render.render,
+        bpy.ops.svrgs.spatial_mask,
+        bpy.ops.svrgs.compare,
+        lambda: bpy.ops.svrgs.contribution(cameras="ACTIVE"),
+    ):
         with pytest.raises(RuntimeError, match="'nothing' is no camera"):
             ask()
 
@@ -163,7 +178,9 @@ def test_a_picture_is_handed_in_whatever_happens(room, camera, monkeypatch):
         raise ValueError("nobody expects this")
 
     monkeypatch.setattr(engine, "picture", fail)
-    monkeypatch.setattr(engine, "hand_in", lambda self, *rest: (handed.append(rest[1:]), hand_in(self, *rest)))
+    monkeypatch.setattr(
+        engine, "hand_in", lambda self, *rest: (handed.append(rest[1:]), hand_in(self, *rest))
+    )
     with contextlib.suppress(RuntimeError):
         bpy.ops.render.render()
     assert handed == [(101, 61)]
@@ -197,12 +214,23 @@ def test_modifiers_count(tmp_path, stage, gaussians, room, camera):
     group = bpy.data.node_groups.new("half", "GeometryNodeTree")
     for side in ("INPUT", "OUTPUT"):
         group.interface.new_socket("Geometry", in_out=side, socket_type="NodeSocketGeometry")
-    kinds = "NodeGroupInput", "NodeGroupOutput", "GeometryNodeDeleteGeometry", "FunctionNodeCompare", "GeometryNodeInputIndex"
+    kinds = (
+        "NodeGroupInput",
+        "NodeGroupOutput",
+        "GeometryNodeDeleteGeometry",
+        "FunctionNodeCompare",
+        "GeometryNodeInputIndex",
+    )
     into, out, delete, compare, index = (group.nodes.new(kind) for kind in kinds)
     compare.data_type, compare.operation = "INT", "GREATER_EQUAL"
     number, limit = (socket for socket in compare.inputs if socket.enabled)
     limit.default_value = gaussians.count // 2
-    wires = (into, 0, delete.inputs[0]), (index, 0, number), (compare, 0, delete.inputs[1]), (delete, 0, out.inputs[0])
+    wires = (
+        (into, 0, delete.inputs[0]),
+        (index, 0, number),
+        (compare, 0, delete.inputs[1]),
+        (delete, 0, out.inputs[0]),
+    )
     for node, socket, to in wires:
         group.links.new(node.outputs[socket], to)
     room.modifiers.new("half", "NODES").node_group = group
@@ -222,13 +250,21 @@ def test_viewports_show_splats_of_instanced_collections_as_renders_do(stage, bri
 
     def places(found) -> list:
         bpy.context.view_layer.update()
-        return sorted((obj.name, tuple(round(number, 4) for number in matrix.translation)) for obj, matrix in found())
+        return sorted(
+            (obj.name, tuple(round(number, 4) for number in matrix.translation)) for obj, matrix in found()
+        )
 
     view = types.SimpleNamespace(view_layer=bpy.context.view_layer, space_data=None)
-    in_view, in_render = lambda: graph.splats_in_view(view), lambda: graph.placed_splats(bpy.context.evaluated_depsgraph_get())
+    in_view, in_render = (
+        lambda: graph.splats_in_view(view),
+        lambda: graph.placed_splats(bpy.context.evaluated_depsgraph_get()),
+    )
     inner, outer = bpy.data.collections.new("inner"), bpy.data.collections.new("outer")
     bridge.object_from_scene("copied", gaussians, inner)
-    once, nested = instance("once", inner, stage.collection, (1, 0, 0)), instance("nested", outer, stage.collection, (0, 2, 0))
+    once, nested = (
+        instance("once", inner, stage.collection, (1, 0, 0)),
+        instance("nested", outer, stage.collection, (0, 2, 0)),
+    )
     instance("within", inner, outer, (0, 0, 3))
     own, first, second = ("room", (0, 0, 0)), ("copied", (1, 0, 0)), ("copied", (0, 2, 3))
     assert places(in_view) == places(in_render) == sorted([own, first, second])

@@ -15,13 +15,21 @@ def seen_number(obj) -> int:
     return part("operators.scene_cache").number(obj.evaluated_get(bpy.context.evaluated_depsgraph_get()))
 
 
-def test_gaussians_that_change_by_frame_are_read_anew_and_others_are_not(stage, bridge, gaussians, room, camera):
+def test_gaussians_that_change_by_frame_are_read_anew_and_others_are_not(
+    stage, bridge, gaussians, room, camera
+):
     """Geometry nodes that move the points up with time."""
     still = bridge.object_from_scene("still", gaussians, stage.collection)
     group = bpy.data.node_groups.new("rising", "GeometryNodeTree")
     for side in ("INPUT", "OUTPUT"):
         group.interface.new_socket("Geometry", in_out=side, socket_type="NodeSocketGeometry")
-    kinds = "NodeGroupInput", "NodeGroupOutput", "GeometryNodeSetPosition", "ShaderNodeCombineXYZ", "GeometryNodeInputSceneTime"
+    kinds = (
+        "NodeGroupInput",
+        "NodeGroupOutput",
+        "GeometryNodeSetPosition",
+        "ShaderNodeCombineXYZ",
+        "GeometryNodeInputSceneTime",
+    )
     into, out, move, offset, time = (group.nodes.new(kind) for kind in kinds)
     wires = (
         (into.outputs[0], move.inputs[0]),

@@ -54,7 +54,11 @@ def test_an_object_bounds_a_box_or_a_sphere_wherever_both_stand(splat, bridge, c
     bpy.context.view_layer.update()
     bpy.context.view_layer.objects.active = splat
     bpy.ops.svrgs.select_gaussians(criterion=criterion, volume=empty.name)
-    local = (centres - np.array(empty.location)) @ np.array(empty.matrix_world.to_3x3()) / empty.empty_display_size
+    local = (
+        (centres - np.array(empty.location))
+        @ np.array(empty.matrix_world.to_3x3())
+        / empty.empty_display_size
+    )
     inside = (np.abs(local) <= 1).all(axis=1) if criterion == "BOX" else (local**2).sum(axis=1) <= 1
     assert 10 < inside.sum() < 240 and (selected(splat) == inside).mean() > 0.99
 
@@ -90,14 +94,18 @@ def test_what_cameras_see_needs_cameras(splat):
 
 
 def test_selected_gaussians_are_deleted_or_kept_alone(splat, bridge):
-    splat.data.attributes.new("mine", "FLOAT", "POINT").data.foreach_set("value", np.arange(250, dtype=np.float32))
+    splat.data.attributes.new("mine", "FLOAT", "POINT").data.foreach_set(
+        "value", np.arange(250, dtype=np.float32)
+    )
     low = opacities(bridge, splat) <= 0.5
     before = bridge.scene_from_object(splat)
     bpy.ops.svrgs.select_gaussians(criterion="OPACITY", opacity_low=0, opacity_high=0.5)
     bpy.ops.svrgs.delete_gaussians(what="SELECTED")
     after = bridge.scene_from_object(splat)
     assert (after.means == before.means[~low]).all() and (after.sh == before.sh[~low]).all()
-    assert (bridge.values(splat, "mine") == np.flatnonzero(~low)).all() and SELECTED not in splat.data.attributes
+    assert (
+        bridge.values(splat, "mine") == np.flatnonzero(~low)
+    ).all() and SELECTED not in splat.data.attributes
     with pytest.raises(RuntimeError, match="Select Gaussians first"):
         bpy.ops.svrgs.delete_gaussians()
     bpy.ops.svrgs.select_gaussians(criterion="OPACITY", opacity_low=0.8, opacity_high=1)
@@ -124,7 +132,11 @@ def test_the_panel_counts_and_the_viewport_shows_it(splat):
     assert "svrgs.select_gaussians" in drawn("select") and "svrgs.delete_gaussians" not in drawn("select")
     bpy.ops.svrgs.select_gaussians(criterion="OPACITY", opacity_low=0, opacity_high=0.5)
     count = int(selected(splat).sum())
-    assert looking.selected == count and f"{count:,} Gaussians selected" in drawn("select") and looking.overlay_shown == SELECTED
+    assert (
+        looking.selected == count
+        and f"{count:,} Gaussians selected" in drawn("select")
+        and looking.overlay_shown == SELECTED
+    )
     bpy.ops.svrgs.clear_selection()
     assert looking.selected == 0 and looking.overlay_shown == "COLOR"
 

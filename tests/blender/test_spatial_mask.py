@@ -52,7 +52,11 @@ def test_the_mask_is_drawn_anew_only_when_something_has_moved(stage, room, camer
     mask_image = part("operators.mask_image")
     bpy.ops.svrgs.spatial_mask()
     assert not mask_image.is_stale(bpy.context)
-    for move in (lambda: setattr(camera, "location", (0, -5, 1)), lambda: setattr(room, "scale", (2, 2, 2)), lambda: setattr(room, "hide_viewport", True)):
+    for move in (
+        lambda: setattr(camera, "location", (0, -5, 1)),
+        lambda: setattr(room, "scale", (2, 2, 2)),
+        lambda: setattr(room, "hide_viewport", True),
+    ):
         move()
         bpy.context.view_layer.update()
         assert mask_image.is_stale(bpy.context)
@@ -61,7 +65,9 @@ def test_the_mask_is_drawn_anew_only_when_something_has_moved(stage, room, camer
             assert not mask_image.is_stale(bpy.context)
 
 
-def test_the_mask_is_drawn_anew_where_an_address_in_memory_is_used_again(gaussians, room, camera, monkeypatch):
+def test_the_mask_is_drawn_anew_where_an_address_in_memory_is_used_again(
+    gaussians, room, camera, monkeypatch
+):
     mask_image = part("operators.mask_image")
     monkeypatch.setattr(mask_image, "id", lambda _: 0, raising=False)
     bpy.ops.svrgs.spatial_mask()
@@ -80,7 +86,8 @@ def test_the_mask_follows_in_the_scene_that_changed(stage, gaussians, room, came
         for obj in (other.camera, room):
             other.collection.objects.link(obj)
         with bpy.context.temp_override(scene=other, view_layer=other.view_layers[0]):
-            follower._after_change(other, bpy.context.evaluated_depsgraph_get())  # as Blender does for a scene in a window
+            # as Blender does for a scene in a window
+            follower._after_change(other, bpy.context.evaluated_depsgraph_get())
         follower._follow()
         assert not stage.svrgs_looking.mask_result
         assert json.loads(other.svrgs_looking.mask_result)["camera"] == "of the other"
@@ -95,5 +102,7 @@ def test_contribution_is_the_score(stage, gaussians, room, camera):
     room.data.attributes["contribution"].data.foreach_get("value", values)
     native = part("svrgs_addon.native.rasterizer")
     view = view_of(camera, stage).moved(room.matrix_world)
-    expected, _, _ = part("svrgs_addon.finetune.scores").contribution(gaussians, [view], native.Rasterizer(), native.RenderOptions())
+    expected, _, _ = part("svrgs_addon.finetune.scores").contribution(
+        gaussians, [view], native.Rasterizer(), native.RenderOptions()
+    )
     np.testing.assert_allclose(values, expected, rtol=1e-3, atol=1e-3)

@@ -1,4 +1,5 @@
-"""Whatever Blender does with splats, what is looked at stays right: F12, viewport, export and pruning, for two splats with SH degree 3."""
+"""Whatever Blender does with splats, what is looked at stays right: F12, viewport, export and pruning, for
+two splats with SH degree 3."""
 
 from __future__ import annotations
 
@@ -21,8 +22,18 @@ def two(stage, bridge, camera):
     made = {}
     for name, place in PLACES.items():
         count = 300
-        arrays = rng.normal(0, 0.7, (count, 3)), rng.normal(-2.2, 0.5, (count, 3)), rng.normal(size=(count, 4)), rng.normal(1, 1, count)
-        made[name] = bridge.object_from_scene(name, scene_of(*arrays, rng.normal(0, 0.35, (count, 16, 3))), stage.collection, place @ bridge.AXES)
+        arrays = (
+            rng.normal(0, 0.7, (count, 3)),
+            rng.normal(-2.2, 0.5, (count, 3)),
+            rng.normal(size=(count, 4)),
+            rng.normal(1, 1, count),
+        )
+        made[name] = bridge.object_from_scene(
+            name,
+            scene_of(*arrays, rng.normal(0, 0.35, (count, 16, 3))),
+            stage.collection,
+            place @ bridge.AXES,
+        )
         made[name].select_set(False)
     bpy.context.view_layer.update()
     return made["a"], made["b"]
@@ -39,7 +50,8 @@ def activate(*objects):
 
 
 def in_world(parts) -> object:
-    """The Gaussians of [(scene, matrix to the world)], sorted by opacity, which no operation changes; instances by place."""
+    """The Gaussians of [(scene, matrix to the world)], sorted by opacity, which no operation changes;
+    instances by place."""
     transformed, merged = part("svrgs_addon.scene.affine").transformed, part("svrgs_addon.scene.merge").merged
     scene = merged([transformed(scene, np.array(matrix)) for scene, matrix in parts])
     return scene.select(np.lexsort((scene.means[:, 0], scene.opacity_logits)))
@@ -80,7 +92,10 @@ LOOKS = {"render": in_render, "viewport": in_viewport, "export": in_export, "job
 
 
 def covariances(scene) -> np.ndarray:
-    axes = part("svrgs_addon.scene.rotations").rotation_matrices(scene.quats) * np.exp(scene.log_scales.astype(np.float64))[:, None]
+    axes = (
+        part("svrgs_addon.scene.rotations").rotation_matrices(scene.quats)
+        * np.exp(scene.log_scales.astype(np.float64))[:, None]
+    )
     return axes @ axes.transpose(0, 2, 1)
 
 
@@ -154,7 +169,9 @@ def rotate_in_edit_mode_and_back(a, b):
     turn = np.array(Euler((0.3, 0.4, 0.5)).to_matrix())
     for matrix in (turn, turn.T):
         positions[some] = positions[some] @ matrix.T
-        b.data.attributes["position"].data.foreach_set("vector", np.ascontiguousarray(positions, np.float32).reshape(-1))
+        b.data.attributes["position"].data.foreach_set(
+            "vector", np.ascontiguousarray(positions, np.float32).reshape(-1)
+        )
         b.data.update_tag()
         if matrix is turn:
             assert part("operators.bridge").count_moved(b) == some.sum()
@@ -196,7 +213,11 @@ SAME = (
 
 @pytest.mark.parametrize("operation", SAME, ids=lambda operation: operation.__name__)
 def test_nothing_seems_to_change(two, tmp_path, operation):
-    if operation in (join_with_blender, apply_and_join, join_a_copy) and two[0].type == "POINTCLOUD" and bpy.app.version < (5, 0):
+    if (
+        operation in (join_with_blender, apply_and_join, join_a_copy)
+        and two[0].type == "POINTCLOUD"
+        and bpy.app.version < (5, 0)
+    ):
         pytest.skip("this Blender cannot join point clouds")
     expected = in_render(None)
     operation(*two)
@@ -211,7 +232,9 @@ def test_f12_is_the_same_before_and_after(two, tmp_path, camera, stage):
     before = f12(tmp_path / "before.png")
     assert before[..., :3].std() > 0.05
     graph = part("operators.bridge_graph")
-    look = lambda: drawn(*(lambda p: (p.scene, camera, p.matrix))(graph.splats(bpy.context.evaluated_depsgraph_get())))["rgb"]  # noqa: E731
+    look = lambda: drawn(
+        *(lambda p: (p.scene, camera, p.matrix))(graph.splats(bpy.context.evaluated_depsgraph_get()))
+    )["rgb"]
     apply_with_blender(*two)
     join_with_ours(*two)
     after = f12(tmp_path / "after.png")
@@ -242,7 +265,13 @@ def transform_nodes(group, geometry):
 def crop_nodes(group, geometry):
     """Deletes the points with x > 0."""
     position, parts, compare, delete = (
-        group.nodes.new(kind) for kind in ("GeometryNodeInputPosition", "ShaderNodeSeparateXYZ", "FunctionNodeCompare", "GeometryNodeDeleteGeometry")
+        group.nodes.new(kind)
+        for kind in (
+            "GeometryNodeInputPosition",
+            "ShaderNodeSeparateXYZ",
+            "FunctionNodeCompare",
+            "GeometryNodeDeleteGeometry",
+        )
     )
     compare.operation = "GREATER_THAN"
     group.links.new(position.outputs[0], parts.inputs[0])
@@ -256,7 +285,10 @@ def scatter_nodes(realized: bool):
     """The splat on each of four points of a square."""
 
     def build(group, geometry):
-        grid, instance = group.nodes.new("GeometryNodeMeshGrid"), group.nodes.new("GeometryNodeInstanceOnPoints")
+        grid, instance = (
+            group.nodes.new("GeometryNodeMeshGrid"),
+            group.nodes.new("GeometryNodeInstanceOnPoints"),
+        )
         for name, value in {"Size X": 4.0, "Size Y": 4.0, "Vertices X": 2, "Vertices Y": 2}.items():
             grid.inputs[name].default_value = value
         instance.inputs["Rotation"].default_value = (0.2, 0.1, 0.9)
@@ -295,7 +327,9 @@ MODIFIERS = {
 def test_modifiers_are_seen_and_exported(two, tmp_path, bridge, name, look):
     build, expect = MODIFIERS[name]
     a, b = two
-    expected = in_world([(bridge.scene_from_object(a), a.matrix_world), *expect(bridge.scene_from_object(b), b.matrix_world)])
+    expected = in_world(
+        [(bridge.scene_from_object(a), a.matrix_world), *expect(bridge.scene_from_object(b), b.matrix_world)]
+    )
     b.modifiers.new("test", "NODES").node_group = node_group(build)
     bpy.context.view_layer.update()
     assert_looks_like(LOOKS[look](tmp_path), expected)
@@ -312,7 +346,12 @@ def test_all_stored_leaves_modifiers_out(two, tmp_path, bridge, ply):
 def test_a_mirrored_splat_is_mirrored_everywhere(two, tmp_path, bridge):
     a, b = two
     mirror = Matrix.Diagonal((-1, 1, 1, 1))
-    expected = in_world([(bridge.scene_from_object(a), a.matrix_world), (bridge.scene_from_object(b), mirror @ b.matrix_world)])
+    expected = in_world(
+        [
+            (bridge.scene_from_object(a), a.matrix_world),
+            (bridge.scene_from_object(b), mirror @ b.matrix_world),
+        ]
+    )
     b.matrix_world = mirror @ b.matrix_world
     bpy.context.view_layer.update()
     for look in LOOKS.values():
@@ -333,7 +372,9 @@ def test_instanced_collections_are_seen(two, tmp_path, bridge):
     empty.matrix_world = place = Matrix.LocRotScale((0, 3, 0), Euler((0.1, 0.2, 0.3)), (1.5, 1.5, 1.5))
     bpy.context.scene.collection.objects.link(empty)
     bpy.context.view_layer.update()
-    expected = in_world([(bridge.scene_from_object(a), a.matrix_world), (bridge.scene_from_object(b), place @ b.matrix_world)])
+    expected = in_world(
+        [(bridge.scene_from_object(a), a.matrix_world), (bridge.scene_from_object(b), place @ b.matrix_world)]
+    )
     for look in (in_render, in_viewport):
         assert_looks_like(look(tmp_path), expected)
 
@@ -388,10 +429,13 @@ def test_shared_data_and_mixed_antialiasing_are_refused(two, bridge):
 
 
 def test_the_file_goes_where_the_object_went(two, tmp_path, ply, bridge):
-    """Coordinates 'Imported File': what the user has moved is moved, and what the import has turned is not."""
+    """Coordinates 'Imported File': what the user has moved is moved, and what the import has turned is
+    not."""
     _, b = two
     scene = bridge.scene_from_object(b)
-    expected = part("svrgs_addon.scene.affine").transformed(scene, np.array(bridge.AXES.inverted() @ b.matrix_world))
+    expected = part("svrgs_addon.scene.affine").transformed(
+        scene, np.array(bridge.AXES.inverted() @ b.matrix_world)
+    )
     activate(b)
     bpy.ops.svrgs.export_ply(filepath=str(tmp_path / "moved.ply"))
     assert_looks_like(ply.read_ply(tmp_path / "moved.ply"), expected)

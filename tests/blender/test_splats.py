@@ -24,26 +24,36 @@ def exported(tmp_path, **options):
 def values(obj, name: str, width: int) -> np.ndarray:
     attribute = obj.data.attributes[name]
     array = np.empty((len(attribute.data), width), np.float32)
-    attribute.data.foreach_get({"FLOAT_COLOR": "color", "QUATERNION": "value"}.get(attribute.data_type, "vector"), array.reshape(-1))
+    attribute.data.foreach_get(
+        {"FLOAT_COLOR": "color", "QUATERNION": "value"}.get(attribute.data_type, "vector"), array.reshape(-1)
+    )
     return array
 
 
 def assert_same(a, b):
     for name in ("means", "log_scales", "quats", "opacity_logits", "sh"):
         assert getattr(a, name).tobytes() == getattr(b, name).tobytes(), name
-    assert {name: column.tobytes() for name, column in a.attributes.items()} == {name: column.tobytes() for name, column in b.attributes.items()}
+    assert {name: column.tobytes() for name, column in a.attributes.items()} == {
+        name: column.tobytes() for name, column in b.attributes.items()
+    }
 
 
 def test_attributes_are_those_of_blenders_own_splats(splat):
     obj, scene, _ = splat
     assert obj.type == ("POINTCLOUD" if bpy.app.version >= (4, 5) else "MESH")
     np.testing.assert_array_equal(values(obj, "position", 3), scene.means)
-    np.testing.assert_allclose(values(obj, "scale", 3), np.exp(scene.log_scales.astype(np.float64)), rtol=1e-6)
+    np.testing.assert_allclose(
+        values(obj, "scale", 3), np.exp(scene.log_scales.astype(np.float64)), rtol=1e-6
+    )
     quats = scene.quats.astype(np.float64)
-    np.testing.assert_allclose(values(obj, "rotation", 4), quats / np.linalg.norm(quats, axis=1, keepdims=True), atol=1e-6)
+    np.testing.assert_allclose(
+        values(obj, "rotation", 4), quats / np.linalg.norm(quats, axis=1, keepdims=True), atol=1e-6
+    )
     base = values(obj, "radiance:base", 4)
     np.testing.assert_array_equal(base[:, :3], scene.sh[:, 0])
-    np.testing.assert_allclose(base[:, 3], 1 / (1 + np.exp(-scene.opacity_logits.astype(np.float64))), atol=1e-6)
+    np.testing.assert_allclose(
+        base[:, 3], 1 / (1 + np.exp(-scene.opacity_logits.astype(np.float64))), atol=1e-6
+    )
     for k in range(15):
         np.testing.assert_array_equal(values(obj, f"radiance:sh_{k}", 3), scene.sh[:, k + 1])
     assert obj.type == "MESH" or not {name for name in obj.data.attributes.keys() if name.startswith(".sel")}
@@ -52,7 +62,9 @@ def test_attributes_are_those_of_blenders_own_splats(splat):
 def test_y_down_becomes_z_up(splat):
     obj, scene, _ = splat
     x, y, z = scene.means[0]
-    np.testing.assert_allclose(obj.matrix_world @ obj.data.attributes["position"].data[0].vector, (x, z, -y), atol=1e-6)
+    np.testing.assert_allclose(
+        obj.matrix_world @ obj.data.attributes["position"].data[0].vector, (x, z, -y), atol=1e-6
+    )
 
 
 @pytest.mark.parametrize("degree", range(4))
@@ -107,7 +119,8 @@ def test_edited_attributes_win_over_the_files_numbers(splat, bridge):
 
 
 def test_a_splat_of_blenders_own_import_is_exported(splat, ply, tmp_path):
-    """As Blender 5.3 makes them: its attributes and no others of ours, a band above degree 3, a further column."""
+    """As Blender 5.3 makes them: its attributes and no others of ours, a band above degree 3, a further
+    column."""
     obj, scene, _ = splat
     del obj.data["svrgs"]
     for name in [a.name for a in obj.data.attributes if a.name.startswith(("svrgs:", "ply:"))]:
@@ -162,8 +175,12 @@ def test_unequal_scales_are_warned_about(splat, tmp_path, capfd):
 def test_several_files_at_once_and_one_that_is_none(make_scene, ply, tmp_path, capfd):
     for name in ("a", "b"):
         ply.write_ply(tmp_path / f"{name}.ply", make_scene(100))
-    (tmp_path / "bad.ply").write_bytes(b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n0\n")
-    bpy.ops.svrgs.import_ply(directory=str(tmp_path), files=[{"name": name} for name in ("a.ply", "bad.ply", "b.ply")])
+    (tmp_path / "bad.ply").write_bytes(
+        b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n0\n"
+    )
+    bpy.ops.svrgs.import_ply(
+        directory=str(tmp_path), files=[{"name": name} for name in ("a.ply", "bad.ply", "b.ply")]
+    )
     assert {obj.name for obj in bpy.context.selected_objects} == {"a", "b"}
     said = capfd.readouterr().out
     assert "a.ply: 100 Gaussians; b.ply: 100 Gaussians" in said and "so it is not a 3DGS splat" in said
@@ -226,7 +243,9 @@ def test_a_mesh_is_no_splat(tmp_path):
     bpy.ops.mesh.primitive_cube_add()
     bpy.ops.wm.ply_export(filepath=str(tmp_path / "mesh.ply"))
     with pytest.raises(RuntimeError, match="so it is not a 3DGS splat"):
-        bpy.ops.svrgs.import_ply(filepath=str(tmp_path / "mesh.ply"), directory=str(tmp_path), files=[{"name": "mesh.ply"}])
+        bpy.ops.svrgs.import_ply(
+            filepath=str(tmp_path / "mesh.ply"), directory=str(tmp_path), files=[{"name": "mesh.ply"}]
+        )
     assert len(bpy.data.objects) == 1
 
 
@@ -239,7 +258,9 @@ def test_other_gaussians_leave_the_splat_its_materials_and_properties(splat, bri
     assert bridge.count(obj) == 100 and obj.data.name == name and obj.data.users == 1
     assert [slot.material for slot in obj.material_slots] == [material]
     assert obj.data["note"] == "mine" and tuple(obj.data["place"]) == (1.0, 2.0, 3.0)
-    assert len(bpy.data.pointclouds) + len(bpy.data.meshes) == 1 == len(bpy.data.objects), "what was replaced is gone, and nothing else was left"
+    assert len(bpy.data.pointclouds) + len(bpy.data.meshes) == 1 == len(bpy.data.objects), (
+        "what was replaced is gone, and nothing else was left"
+    )
     assert_same(bridge.scene_from_object(obj), scene.select(slice(0, 100)))
 
 
@@ -269,6 +290,8 @@ def test_the_panel_says_what_an_export_would_hold(make_scene, bridge, degree):
     assert bpy.context.scene.svrgs_looking.about == f"1,234 Gaussians, SH degree {degree}"
     if degree:
         obj.data.attributes.remove(obj.data.attributes["radiance:sh_1"])  # of the first band
-        assert bridge.scene_from_object(obj).sh.shape[1] == 1 and bpy.context.scene.svrgs_looking.about.endswith("SH degree 0")
+        assert bridge.scene_from_object(obj).sh.shape[
+            1
+        ] == 1 and bpy.context.scene.svrgs_looking.about.endswith("SH degree 0")
     obj.data.attributes.remove(obj.data.attributes["rotation"])
     assert bpy.context.scene.svrgs_looking.about == ""

@@ -27,14 +27,19 @@ def test_a_splat_is_trained_and_placed_with_its_cameras(root, watch, bridge):
     bpy.ops.svrgs.train()
     (job,) = watch.jobs.values()
     assert job.folder.kind == "train" and not bpy.context.scene.svrgs_train.about
-    assert bpy.context.window_manager.svrgs_prune_state.stage == "BUSY" and bpy.context.window_manager.svrgs_prune_state.subject == root.name
+    assert (
+        bpy.context.window_manager.svrgs_prune_state.stage == "BUSY"
+        and bpy.context.window_manager.svrgs_prune_state.subject == root.name
+    )
     follow(watch, lambda: splats(bridge))
     (splat,) = splats(bridge)
     assert splat.name == f"{root.name} splat" and splat.parent == root and bpy.context.object == splat
     bpy.context.view_layer.update()
     np.testing.assert_array_equal(splat.matrix_world, root.matrix_world)
     assert bridge.count(splat) == job.folder.result()["count"] and bridge.sh_degree(splat) == 3
-    assert watch.job_of(root) is None and bpy.context.window_manager.svrgs_prune_state.stage == "READY", "the splat can be pruned"
+    assert watch.job_of(root) is None and bpy.context.window_manager.svrgs_prune_state.stage == "READY", (
+        "the splat can be pruned"
+    )
     assert bpy.ops.svrgs.job_start.poll()
 
 
@@ -91,7 +96,10 @@ def test_it_waits_for_other_jobs_and_its_files_go_when_the_file_is_saved(root, w
     bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
     bpy.ops.svrgs.train()
     second = watch.job_of(bpy.context.object)
-    assert f"Waiting for '{root.name}'" in bpy.context.window_manager.svrgs_prune_state.sentences and not second.running
+    assert (
+        f"Waiting for '{root.name}'" in bpy.context.window_manager.svrgs_prune_state.sentences
+        and not second.running
+    )
     follow(watch, lambda: len(splats(bridge)) == 2)
     assert watch.job_of(root) is None and first.folder.path.exists() and second.folder.path.exists()
     assert drawn("jobs").count("its files are deleted when the file is saved".split()[-1]) == 2
@@ -108,7 +116,10 @@ def test_a_job_whose_cameras_are_gone_is_opened_as_a_splat(root, watch, bridge):
     assert "its cameras are not in this file" in drawn("jobs")
     follow(watch, lambda: not job.running)
     bpy.ops.svrgs.listed_job_open(folder=str(job.folder.path))
-    assert bpy.context.object.name == f"{job.name} splat" and bridge.count(bpy.context.object) == job.folder.result()["count"]
+    assert (
+        bpy.context.object.name == f"{job.name} splat"
+        and bridge.count(bpy.context.object) == job.folder.result()["count"]
+    )
 
 
 def test_discarding_leaves_the_cameras(root, watch):

@@ -1,4 +1,5 @@
-"""Every text that a user sees is in the catalogues, and nothing else is. The panels show no text that is not translated."""
+"""Every text that a user sees is in the catalogues, and nothing else is. The panels show no text that is not
+translated."""
 
 from __future__ import annotations
 
@@ -13,7 +14,14 @@ from extension import PACKAGE, part
 from job_helpers import LONG, SHORT, follow, set_up
 from messages import catalogues, messages_of, of_jobs
 
-KINDS = (bpy.types.Operator, bpy.types.Panel, bpy.types.PropertyGroup, bpy.types.AddonPreferences, bpy.types.RenderEngine, bpy.types.FileHandler)
+KINDS = (
+    bpy.types.Operator,
+    bpy.types.Panel,
+    bpy.types.PropertyGroup,
+    bpy.types.AddonPreferences,
+    bpy.types.RenderEngine,
+    bpy.types.FileHandler,
+)
 
 
 def classes() -> Iterator[type]:
@@ -21,20 +29,39 @@ def classes() -> Iterator[type]:
     for name, module in sorted(sys.modules.items()):
         if name.startswith(PACKAGE) and module is not None:
             for found in vars(module).values():
-                if isinstance(found, type) and issubclass(found, KINDS) and found.__module__ == name and found.is_registered:
+                if (
+                    isinstance(found, type)
+                    and issubclass(found, KINDS)
+                    and found.__module__ == name
+                    and found.is_registered
+                ):
                     yield found
 
 
 def rna_of(cls: type):
     """Blender's description of a class; of an operator that with its properties."""
-    return getattr(bpy.ops.svrgs, cls.bl_idname.split(".")[1]).get_rna_type() if issubclass(cls, bpy.types.Operator) else cls.bl_rna
+    return (
+        getattr(bpy.ops.svrgs, cls.bl_idname.split(".")[1]).get_rna_type()
+        if issubclass(cls, bpy.types.Operator)
+        else cls.bl_rna
+    )
 
 
 def declared(cls: type) -> Iterator[bpy.types.Property]:
-    """The properties that the extension gives to a class, apart from those that no panel shows: hidden ones, and those without a name."""
-    names = {name for base in cls.__mro__ if base.__module__.startswith(PACKAGE) for name in vars(base).get("__annotations__", ())}
+    """The properties that the extension gives to a class, apart from those that no panel shows: hidden ones,
+    and those without a name."""
+    names = {
+        name
+        for base in cls.__mro__
+        if base.__module__.startswith(PACKAGE)
+        for name in vars(base).get("__annotations__", ())
+    }
     properties = rna_of(cls).properties
-    yield from (properties[name] for name in sorted(names) if name in properties and not properties[name].is_hidden and properties[name].name != name)
+    yield from (
+        properties[name]
+        for name in sorted(names)
+        if name in properties and not properties[name].is_hidden and properties[name].name != name
+    )
 
 
 def texts_of(prop: bpy.types.Property) -> Iterator[str]:
@@ -45,8 +72,16 @@ def texts_of(prop: bpy.types.Property) -> Iterator[str]:
 
 def told_to_blender() -> set[str]:
     """Labels and descriptions of the classes and properties."""
-    found = {getattr(cls, name, "") for cls in classes() for name in ("bl_label", "bl_description", "bl_category")}
-    found |= {text for cls in classes() if not issubclass(cls, bpy.types.Panel) for prop in declared(cls) for text in texts_of(prop)}
+    found = {
+        getattr(cls, name, "") for cls in classes() for name in ("bl_label", "bl_description", "bl_category")
+    }
+    found |= {
+        text
+        for cls in classes()
+        if not issubclass(cls, bpy.types.Panel)
+        for prop in declared(cls)
+        for text in texts_of(prop)
+    }
     found |= set(texts_of(bpy.types.Object.bl_rna.properties["svrgs_share"]))
     return found - {""}
 
@@ -54,7 +89,12 @@ def told_to_blender() -> set[str]:
 def of_methods() -> set[str]:
     """Texts of svrgs_addon that the panel translates where it shows them."""
     options = part("operators.option_properties")
-    return {text for m in part("svrgs_addon.finetune.methods").METHODS.values() for text in (m.label, options.method_sentence(m), m.lambda_f_help) if text}
+    return {
+        text
+        for m in part("svrgs_addon.finetune.methods").METHODS.values()
+        for text in (m.label, options.method_sentence(m), m.lambda_f_help)
+        if text
+    }
 
 
 def test_the_catalogues_hold_exactly_the_texts_that_are_shown(installed):
@@ -69,7 +109,8 @@ def test_the_catalogues_hold_exactly_the_texts_that_are_shown(installed):
 
 
 class Layout:
-    """Notes the texts that a panel draws, as Blender would show them: each text of the catalogues in brackets."""
+    """Notes the texts that a panel draws, as Blender would show them: each text of the catalogues in
+    brackets."""
 
     def __init__(self, known: set[str], shown: list[str]):
         self.__dict__.update(known=known, shown=shown)
@@ -78,7 +119,11 @@ class Layout:
         def draw(*words, text="", translate=True, **options):
             if text:
                 self.shown.append(f"⟦{text}⟧" if translate and text in self.known else text)
-            return Layout(self.known, self.shown) if name in ("row", "column", "box", "grid_flow", "split") else SimpleNamespace()
+            return (
+                Layout(self.known, self.shown)
+                if name in ("row", "column", "box", "grid_flow", "split")
+                else SimpleNamespace()
+            )
 
         return draw
 
@@ -90,12 +135,18 @@ class Layout:
 def drawn(installed, monkeypatch):
     """What a panel shows, in one line."""
     known = set(catalogues(installed)["de_DE"])
-    for module in [module for name, module in sys.modules.items() if name.startswith(PACKAGE) and hasattr(module, "tr")]:
+    for module in [
+        module for name, module in sys.modules.items() if name.startswith(PACKAGE) and hasattr(module, "tr")
+    ]:
         monkeypatch.setattr(module, "tr", lambda text, *_: f"⟦{text}⟧" if text in known else text)
 
     def draw(panel: str) -> str:
         shown: list[str] = []
-        for cls in (cls for cls in classes() if issubclass(cls, bpy.types.Panel) and cls.__module__ == f"{PACKAGE}.panels.{panel}"):
+        for cls in (
+            cls
+            for cls in classes()
+            if issubclass(cls, bpy.types.Panel) and cls.__module__ == f"{PACKAGE}.panels.{panel}"
+        ):
             if not hasattr(cls, "poll") or cls.poll(bpy.context):
                 cls.draw(SimpleNamespace(layout=Layout(known, shown)), bpy.context)
         return " ".join(shown)
@@ -103,7 +154,8 @@ def drawn(installed, monkeypatch):
     return draw
 
 
-NAMES = re.compile(r"\b(scene|room|camera|pruned|PSNR|SSIM|FLIP|MB|kB|bytes|svr|paper)\b")  # of objects and files of the tests, of measures and units
+# of objects and files of the tests, of measures and units
+NAMES = re.compile(r"\b(scene|room|camera|pruned|PSNR|SSIM|FLIP|MB|kB|bytes|svr|paper)\b")
 
 
 def untranslated(shown: str) -> list[str]:
@@ -115,7 +167,10 @@ def untranslated(shown: str) -> list[str]:
 
 
 def test_untranslated_words_are_found():
-    assert untranslated("⟦Kept⟧ 3 Gaussians ⟦about ⟦Method⟧ x⟧, scene: PSNR 3.1 Decibel") == ["Gaussians", "Decibel"]
+    assert untranslated("⟦Kept⟧ 3 Gaussians ⟦about ⟦Method⟧ x⟧, scene: PSNR 3.1 Decibel") == [
+        "Gaussians",
+        "Decibel",
+    ]
 
 
 def test_panels_and_reports_show_translated_texts(drawn, splat, room, camera, capfd):
@@ -123,7 +178,10 @@ def test_panels_and_reports_show_translated_texts(drawn, splat, room, camera, ca
     bpy.context.scene.svrgs_looking.pruned = room
     bpy.ops.svrgs.compare()
     bpy.context.view_layer.objects.active = splat
-    bpy.context.scene.render.engine, bpy.context.scene.view_settings.view_transform = "BLENDER_WORKBENCH", "AgX"
+    bpy.context.scene.render.engine, bpy.context.scene.view_settings.view_transform = (
+        "BLENDER_WORKBENCH",
+        "AgX",
+    )
     for panel in ("scene", "spatial_mask", "compare", "export", "rendering"):
         assert "⟦" in drawn(panel) and not untranslated(drawn(panel)), panel
     reports = re.findall(r"(?:Info|Warning|Error): (.*)", capfd.readouterr().out)
@@ -177,4 +235,6 @@ def test_lines_of_chinese_fit_and_do_not_begin_with_a_mark():
     wrapped_label.wrapped_label(Layout(set(), shown), sentence)
     widths = [sum(1 + (character > "\u2fff") for character in line) for line in shown]
     assert len(shown) > 5 and max(widths) <= wrapped_label.SIDEBAR_WIDTH / wrapped_label.CHARACTER_WIDTH
-    assert "".join(shown).replace(" ", "") == sentence.replace(" ", "") and not [line for line in shown if line[0] in "，。"]
+    assert "".join(shown).replace(" ", "") == sentence.replace(" ", "") and not [
+        line for line in shown if line[0] in "，。"
+    ]

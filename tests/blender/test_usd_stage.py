@@ -1,4 +1,5 @@
-"""A USD stage that Blender exports keeps its splats: as prims of their kind, where the objects are, also as instances."""
+"""A USD stage that Blender exports keeps its splats: as prims of their kind, where the objects are, also as
+instances."""
 
 from __future__ import annotations
 
@@ -19,7 +20,13 @@ def formats():
 @pytest.fixture(autouse=True)
 def own_pxr(monkeypatch):
     """Blender's own OpenUSD comes first, as in Blender itself; other tests may have loaded that of PyPI."""
-    folder = Path(bpy.utils.resource_path("LOCAL"), "python", "lib", f"python3.{sys.version_info.minor}", "site-packages")
+    folder = Path(
+        bpy.utils.resource_path("LOCAL"),
+        "python",
+        "lib",
+        f"python3.{sys.version_info.minor}",
+        "site-packages",
+    )
     if not (folder / "pxr").is_dir():
         pytest.skip("this Blender has no OpenUSD")
     kept = {name: module for name, module in sys.modules.items() if name.partition(".")[0] == "pxr"}
@@ -39,7 +46,9 @@ def export(path, **words):
 
 def moved(scene, matrix):
     """The scene in Blender's world, as the file has it: y down."""
-    return part("svrgs_addon.scene.affine").transformed(scene, part("operators.bridge").to_world(matrix, True))
+    return part("svrgs_addon.scene.affine").transformed(
+        scene, part("operators.bridge").to_world(matrix, True)
+    )
 
 
 def same(found, expected):
@@ -52,9 +61,20 @@ def same(found, expected):
 def test_an_exported_stage_holds_the_splat_where_it_is(up, splat, formats, bridge, tmp_path):
     splat.location, splat.rotation_euler, splat.scale = (1, 2, 3), (0.4, 0.5, 0.6), (2, 2, 2)
     bpy.context.view_layer.update()
-    words = {"convert_orientation": True, "export_global_forward_selection": "NEGATIVE_Z", "export_global_up_selection": "Y"} if up else {}
+    words = (
+        {
+            "convert_orientation": True,
+            "export_global_forward_selection": "NEGATIVE_Z",
+            "export_global_up_selection": "Y",
+        }
+        if up
+        else {}
+    )
     assert export(tmp_path / "stage.usdc", **words) == {"FINISHED"}
-    same(formats.read_scene(tmp_path / "stage.usdc"), moved(bridge.scene_from_object(splat), splat.matrix_world))
+    same(
+        formats.read_scene(tmp_path / "stage.usdc"),
+        moved(bridge.scene_from_object(splat), splat.matrix_world),
+    )
 
 
 @pytest.mark.parametrize("instances", [False, True])
@@ -68,7 +88,9 @@ def test_instances_and_copies_are_splats_too(instances, splat, formats, bridge, 
     assert export(tmp_path / "stage.usda", use_instancing=instances) == {"FINISHED"}
     found = formats.read_scene(tmp_path / "stage.usda")
     assert found.count == 2 * bridge.count(splat)
-    assert np.ptp(found.means[:, 0]) == pytest.approx(5 + np.ptp(moved(bridge.scene_from_object(splat), splat.matrix_world).means[:, 0]), abs=1e-3)
+    assert np.ptp(found.means[:, 0]) == pytest.approx(
+        5 + np.ptp(moved(bridge.scene_from_object(splat), splat.matrix_world).means[:, 0]), abs=1e-3
+    )
 
 
 def test_gaussians_hidden_as_removed_are_not_in_the_stage(splat, formats, bridge, tmp_path):

@@ -25,7 +25,9 @@ def sides(wipe) -> list:
     bpy.context.view_layer.update()
     graph = bpy.context.evaluated_depsgraph_get()
     found = [part("operators.bridge_graph").placed_splats(graph)]
-    return wipe.sides(bpy.context.scene, wipe.shown([(obj, matrix) for pairs in found for obj, matrix in pairs]))
+    return wipe.sides(
+        bpy.context.scene, wipe.shown([(obj, matrix) for pairs in found for obj, matrix in pairs])
+    )
 
 
 def counts(wipe) -> list[list[int]]:
@@ -98,6 +100,8 @@ def test_the_images_of_a_comparison_follow_when_it_ends(room, camera, wipe, brid
     before = pixels(bpy.data.images["SVR-GS Wipe"])
     bpy.ops.svrgs.viewport_wipe()
     bpy.context.scene.svrgs_looking.wipe = 0.9
-    assert (pixels(bpy.data.images["SVR-GS Wipe"]) == before).all() and "svrgs.open_image" not in drawn("compare")
+    assert (pixels(bpy.data.images["SVR-GS Wipe"]) == before).all() and "svrgs.open_image" not in drawn(
+        "compare"
+    )
     bpy.ops.svrgs.viewport_wipe()
     assert (pixels(bpy.data.images["SVR-GS Wipe"]) != before).any() and "svrgs.open_image" in drawn("compare")

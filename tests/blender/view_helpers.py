@@ -31,7 +31,8 @@ def view_of(camera: bpy.types.Object, scene: bpy.types.Scene):
 
 
 def drawn(scene, camera, matrix, outputs=("rgb",), **options) -> dict:
-    """What the rasterizer makes of a scene under a matrix, seen by Blender's camera; rgb as 8 bits show it."""
+    """What the rasterizer makes of a scene under a matrix, seen by Blender's camera; rgb as 8 bits show
+    it."""
     bpy.context.view_layer.update()
     native = part("svrgs_addon.native.rasterizer")
     view = view_of(camera, bpy.context.scene).moved(matrix)

@@ -1,4 +1,5 @@
-"""The zip without wheels, in a Blender whose Python has no pycolmap: all but COLMAP models works. ../test_extension.py runs this by name."""
+"""The zip without wheels, in a Blender whose Python has no pycolmap: all but COLMAP models works.
+../test_extension.py runs this by name."""
 
 from __future__ import annotations
 
@@ -31,12 +32,23 @@ def test_a_splat_is_imported_with_cameras_of_transforms_json_pruned_and_rendered
     assert np.abs(f12(tmp_path / "original.png")[..., :3] - expected[..., :3]).max() <= LEVEL
     bpy.ops.svrgs.prune(out=str(tmp_path / "pruned.ply"), report_folder=str(tmp_path / "report"), **SHORT)
     pruned = bpy.context.object
-    assert pruned != room and bridge.count(pruned) == 125 and (tmp_path / "pruned.ply").exists() and (tmp_path / "report/index.html").exists()
+    assert (
+        pruned != room
+        and bridge.count(pruned) == 125
+        and (tmp_path / "pruned.ply").exists()
+        and (tmp_path / "report/index.html").exists()
+    )
     assert f12(tmp_path / "pruned.png").std() > 0.01
 
 
 def test_a_colmap_model_is_refused_with_what_to_do(room, tmp_path):
-    with pytest.raises(RuntimeError, match=r"pycolmap.*use a Blender with a Python for which there is a zip with packages, or run .* -m pip install pycolmap"):
+    with pytest.raises(
+        RuntimeError,
+        match=(
+            r"pycolmap.*use a Blender with a Python for which there is a zip with packages, or run .* -m pip"
+            r" install pycolmap"
+        ),
+    ):
         bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
     with pytest.raises(RuntimeError, match="pip install pycolmap"):
         bpy.ops.svrgs.prune(colmap=str(DATA / "tiny"), out=str(tmp_path / "pruned.ply"), **SHORT)

@@ -12,7 +12,9 @@ from demo_scene.scenes import SCENES
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(prog="demo_scene", description="Render a generated scene as a COLMAP dataset.")
+    parser = argparse.ArgumentParser(
+        prog="demo_scene", description="Render a generated scene as a COLMAP dataset."
+    )
     parser.add_argument("out", type=Path, help="folder to create")
     scenes = "; ".join(f"{name}: {kind.about}" for name, kind in SCENES.items())
     parser.add_argument("--scene", choices=list(SCENES), default="plaza", help=f"{scenes} (default: plaza)")
@@ -22,7 +24,9 @@ def main() -> int:
     parser.add_argument("--points", type=int, help="sparse points aimed at")
     args = parser.parse_args()
     try:
-        request = Request.of(args.scene, views=args.views, width=args.width, samples=args.samples, points=args.points)
+        request = Request.of(
+            args.scene, views=args.views, width=args.width, samples=args.samples, points=args.points
+        )
         made = ensure(args.out, request)
     except (ValueError, ImportError, OSError) as error:
         print(f"demo_scene: {error}", file=sys.stderr)

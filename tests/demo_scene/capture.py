@@ -1,4 +1,5 @@
-"""What a phone makes of the light: blur, exposure and white balance that drift, noise. Plain NumPy: no Blender here."""
+"""What a phone makes of the light: blur, exposure and white balance that drift, noise. Plain NumPy: no
+Blender here."""
 
 import math
 
@@ -6,13 +7,15 @@ import numpy as np
 
 DRIFT = 0.10  # of exposure and of the ratio of red to blue, from their least to their greatest
 FOCUS = 0.7  # pixels, standard deviation of the blur of lens and sensor
-SHAKE = (0.0, 1.5), (2.0, 3.0)  # pixels that the picture moves while it is taken: most views, every SHAKEN-th view
+# pixels that the picture moves while it is taken: most views, every SHAKEN-th view
+SHAKE = (0.0, 1.5), (2.0, 3.0)
 SHAKEN = 6
 NOISE = 0.008  # standard deviation where the linear value is 1; it grows with the square root of the light
 
 
 def gains(count: int) -> np.ndarray:
-    """Factors of linear red, green and blue in each of `count` views, (count, 3), smooth from view to view."""
+    """Factors of linear red, green and blue in each of `count` views, (count, 3), smooth from view to
+    view."""
     along = np.linspace(0, 1, count)
     exposure = 1 + DRIFT / 2 * np.sin(2 * np.pi * (0.75 * along + 0.1))
     warmth = np.sqrt(1 + DRIFT / 2 * np.cos(np.pi * along))
@@ -22,7 +25,10 @@ def gains(count: int) -> np.ndarray:
 def photograph(linear: np.ndarray, gain: np.ndarray, seed: int) -> np.ndarray:
     """A linear picture (H, W, 3) as view number `seed` of a phone shows it: (H, W, 3) uint8 sRGB."""
     rng = np.random.default_rng([7, seed])
-    light = _shaken(_blurred(linear), rng.uniform(*SHAKE[seed % SHAKEN == SHAKEN - 1]), rng.uniform(0, np.pi)) * gain
+    light = (
+        _shaken(_blurred(linear), rng.uniform(*SHAKE[seed % SHAKEN == SHAKEN - 1]), rng.uniform(0, np.pi))
+        * gain
+    )
     light += NOISE * np.sqrt(light) * rng.standard_normal(light.shape)
     return srgb(light)
 
@@ -40,7 +46,9 @@ def _blurred(picture: np.ndarray) -> np.ndarray:
     for axis in (0, 1):
         ends = [(reach, reach) if k == axis else (0, 0) for k in range(3)]
         padded = np.pad(picture, ends, mode="edge")
-        shifted = [np.take(padded, np.arange(k, k + picture.shape[axis]), axis=axis) for k in range(len(weights))]
+        shifted = [
+            np.take(padded, np.arange(k, k + picture.shape[axis]), axis=axis) for k in range(len(weights))
+        ]
         picture = np.tensordot(weights / weights.sum(), shifted, axes=1)
     return picture
 

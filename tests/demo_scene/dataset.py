@@ -19,8 +19,8 @@ from .scenes import SCENES, Kind
 
 STAMP = "demo_scene.json"
 NO_BLENDER = (
-    "rendering the demo scene needs Blender as a Python module (bpy), which exists for Python 3.11 and 3.13 only; "
-    "with one of these: make demo PYTHON=python3.11 VENV=.venv311"
+    "rendering the demo scene needs Blender as a Python module (bpy), which exists for Python 3.11 and 3.13"
+    " only; with one of these: make demo PYTHON=python3.11 VENV=.venv311"
 )
 
 
@@ -43,7 +43,16 @@ class Request:
         """The scene's defaults, and `changes` that are not None."""
         kind = SCENES[scene]
         given = {name: value for name, value in changes.items() if value is not None}
-        return cls(**{"scene": scene, "views": kind.views, "width": kind.width, "samples": kind.samples, "points": kind.points, **given})
+        return cls(
+            **{
+                "scene": scene,
+                "views": kind.views,
+                "width": kind.width,
+                "samples": kind.samples,
+                "points": kind.points,
+                **given,
+            }
+        )
 
     @property
     def kind(self) -> Kind:

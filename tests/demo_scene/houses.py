@@ -19,7 +19,11 @@ def row_of_houses(seed: int, places: list[tuple[float, float, float, float]]) ->
     rng = np.random.default_rng(seed)
     pane = mat.patterned("pane", "Noise", [(0.02, 0.03, 0.05), (0.25, 0.32, 0.40)], roughness=0.1, Scale=1.5)
     frame = mat.weathered(mat.plain("frame", (0.80, 0.78, 0.72)), 0.7)
-    tiles = mat.weathered(mat.bricks("tiles", [(0.30, 0.09, 0.05), (0.48, 0.20, 0.12), (0.12, 0.05, 0.04)], Scale=1.6), 0.5, Scale=1)
+    tiles = mat.weathered(
+        mat.bricks("tiles", [(0.30, 0.09, 0.05), (0.48, 0.20, 0.12), (0.12, 0.05, 0.04)], Scale=1.6),
+        0.5,
+        Scale=1,
+    )
     for index, (x, y, z, degrees) in enumerate(places):
         wall = mat.weathered(mat.bricks("wall", WALLS[index % len(WALLS)], Scale=1.2), 0.6, Scale=0.7)
         width, height = rng.uniform((8, 5.2), (12, 7.5))
@@ -31,7 +35,12 @@ def _house(width: float, depth: float, height: float, wall, tiles, pane, frame) 
     body = [add("wall", block(width, height, depth), wall, at=(0, depth / 2, height / 2), turn=(90, 0, 0))]
     roof = add("roof", gable(width + 0.6, depth + 0.9, 3.2), tiles, at=(0, 0, height))
     chimney = add("chimney", block(0.7, 0.7, 2.2), wall, at=(0.3 * width, 1.0, height + 1.6))
-    door = add("door", block(1.1, 0.16, 2.1), mat.weathered(mat.plain("door", (0.05, 0.16, 0.14))), at=(0.08 * width, -depth / 2, 0))
+    door = add(
+        "door",
+        block(1.1, 0.16, 2.1),
+        mat.weathered(mat.plain("door", (0.05, 0.16, 0.14))),
+        at=(0.08 * width, -depth / 2, 0),
+    )
     glass, border = mould("pane", block(0.95, 0.22, 1.3), pane), mould("frame", block(1.2, 0.14, 1.55), frame)
     things = [*body, roof, chimney, door]
     columns = int(width // 2.1)
@@ -42,5 +51,8 @@ def _house(width: float, depth: float, height: float, wall, tiles, pane, frame) 
                 continue
             low = 0.9 + floor * (height - 0.6) / 2
             for side in (-1, 1):
-                things += [again(border, (x, side * depth / 2, low)), again(glass, (x, side * depth / 2, low + 0.13))]
+                things += [
+                    again(border, (x, side * depth / 2, low)),
+                    again(glass, (x, side * depth / 2, low + 0.13)),
+                ]
     return things

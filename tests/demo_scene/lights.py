@@ -5,7 +5,13 @@ import math
 import bpy
 
 
-def sun(scene: bpy.types.Scene, energy: float, angle: float, colour: tuple[float, float, float], turn: tuple[float, float, float]) -> None:
+def sun(
+    scene: bpy.types.Scene,
+    energy: float,
+    angle: float,
+    colour: tuple[float, float, float],
+    turn: tuple[float, float, float],
+) -> None:
     """A sun of `angle` degrees; `turn`, in degrees, leads from straight down to its direction."""
     light = bpy.data.lights.new("sun", "SUN")
     light.energy, light.angle, light.color = energy, math.radians(angle), colour

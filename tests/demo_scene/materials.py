@@ -9,7 +9,9 @@ Colour = tuple[float, float, float]  # linear Rec. 709
 
 def linear(rgb: Sequence[int]) -> Colour:
     """The linear colour of an sRGB one, 0..255."""
-    red, green, blue = (value / 255 / 12.92 if value <= 10 else ((value / 255 + 0.055) / 1.055) ** 2.4 for value in rgb)
+    red, green, blue = (
+        value / 255 / 12.92 if value <= 10 else ((value / 255 + 0.055) / 1.055) ** 2.4 for value in rgb
+    )
     return red, green, blue
 
 
@@ -42,7 +44,8 @@ def patterned(
 ) -> bpy.types.Material:
     """A texture node ("Noise", "Voronoi", "Wave", "Magic", "Checker") through a ramp of colours.
 
-    `settings` are the node's inputs, spaces written as underscores, such as `Scale=4`, or its properties, such as `wave_type="RINGS"`.
+    `settings` are the node's inputs, spaces written as underscores, such as `Scale=4`, or its properties,
+    such as `wave_type="RINGS"`.
     """
     material, shader = _new(name)
     texture = _texture(material, pattern, settings)
@@ -73,7 +76,9 @@ def bricks(name: str, colours: list[Colour], **settings: float) -> bpy.types.Mat
     return material
 
 
-def weathered(material: bpy.types.Material, darkest: float = 0.5, **settings: float | str) -> bpy.types.Material:
+def weathered(
+    material: bpy.types.Material, darkest: float = 0.5, **settings: float | str
+) -> bpy.types.Material:
     """The same material with its colour multiplied by noise between `darkest` and 1: dirt, wear, grain."""
     tree = material.node_tree
     colour = next(n for n in tree.nodes if n.type == "BSDF_PRINCIPLED").inputs["Base Color"]
@@ -85,7 +90,12 @@ def weathered(material: bpy.types.Material, darkest: float = 0.5, **settings: fl
     if colour.is_linked:
         _link(material, colour.links[0].from_socket, mix.inputs["Color1"])
     # Noise is seldom below 0.3 or above 0.7.
-    _ramp(material, noise.outputs[0], [(f, f, f) for f in (darkest, darkest, (1 + darkest) / 2, 1.0, 1.0)], mix.inputs["Color2"])
+    _ramp(
+        material,
+        noise.outputs[0],
+        [(f, f, f) for f in (darkest, darkest, (1 + darkest) / 2, 1.0, 1.0)],
+        mix.inputs["Color2"],
+    )
     _link(material, mix.outputs[0], colour)
     return material
 

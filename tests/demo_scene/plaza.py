@@ -18,8 +18,8 @@ from demo_scene.views import Pose, look_at
 
 DOME_RADIUS = 60.0
 PAVING = 0.06  # height of the yard's floor
-# A ball on the column, striped yellow and red. It is unshaded and both colours are as red as can be without any blue,
-# so that a test can find the whole ball in an image.
+# A ball on the column, striped yellow and red. It is unshaded and both colours are as red as can be without
+# any blue, so that a test can find the whole ball in an image.
 MARKER = {"centre": [1.3, -0.6, 1.82], "radius": 0.12, "rgb": [[255, 210, 0], [255, 50, 0]]}
 NOTES = {"marker": MARKER}  # for the stamp
 STRIPES = 12  # like a beach ball's, from pole to pole
@@ -81,7 +81,9 @@ def _surroundings() -> None:
 
 def _pines_and_rocks() -> None:
     rng = np.random.default_rng(3)
-    needles = mat.patterned("pine", "Noise", [(0.01, 0.03, 0.01), (0.03, 0.10, 0.03), (0.10, 0.22, 0.06)], Scale=9)
+    needles = mat.patterned(
+        "pine", "Noise", [(0.01, 0.03, 0.01), (0.03, 0.10, 0.03), (0.10, 0.22, 0.06)], Scale=9
+    )
     stone = mat.patterned("rock", "Voronoi", [(0.10, 0.10, 0.11), (0.45, 0.42, 0.38)], Scale=3)
     for index in range(48):
         angle, away, size = rng.uniform((0, 7.5, 0.7), (2 * math.pi, 30, 1.3))
@@ -132,7 +134,9 @@ def _monument() -> None:
 
 def _column() -> None:
     """The occluder: it stands in front of the clutter."""
-    bands = mat.patterned("bands", "Wave", [(0.06, 0.10, 0.30), (0.85, 0.80, 0.62)], Scale=3.2, Distortion=7, Detail=3)
+    bands = mat.patterned(
+        "bands", "Wave", [(0.06, 0.10, 0.30), (0.85, 0.80, 0.62)], Scale=3.2, Distortion=7, Detail=3
+    )
     x, y, z = MARKER["centre"]
     top = z - MARKER["radius"]
     smooth(add("column", cone(0.17, 0.14), bands, at=(x, y, top / 2), size=(1, 1, top)))
@@ -225,7 +229,10 @@ def _crates() -> None:
 
 def _railing() -> None:
     paint = mat.patterned("rust", "Noise", [(0.02, 0.02, 0.03), (0.30, 0.10, 0.04)], roughness=0.5, Scale=3)
-    posts = [Vector((2.2 * math.cos(angle), 2.2 * math.sin(angle), PAVING)) for angle in np.radians(np.linspace(140, 245, 16))]
+    posts = [
+        Vector((2.2 * math.cos(angle), 2.2 * math.sin(angle), PAVING))
+        for angle in np.radians(np.linspace(140, 245, 16))
+    ]
     for post in posts:
         bar(paint, post, post + Vector((0, 0, 0.7)))
     for here, there in pairwise(posts):

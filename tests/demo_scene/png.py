@@ -14,7 +14,9 @@ def write(path: Path, rgb: np.ndarray) -> None:
     height, width = rgb.shape[:2]
     rows = b"".join(b"\0" + row.tobytes() for row in rgb)  # each led by its filter: none
     head = struct.pack(">2I5B", width, height, 8, 2, 0, 0, 0)
-    path.write_bytes(SIGNATURE + _chunk(b"IHDR", head) + _chunk(b"IDAT", zlib.compress(rows)) + _chunk(b"IEND", b""))
+    path.write_bytes(
+        SIGNATURE + _chunk(b"IHDR", head) + _chunk(b"IDAT", zlib.compress(rows)) + _chunk(b"IEND", b"")
+    )
 
 
 def without_notes(data: bytes) -> bytes:

@@ -37,7 +37,8 @@ def build(scene: bpy.types.Scene) -> None:
 
 
 def cameras(count: int) -> list[Pose]:
-    """Half around the plant at arm's length, from left to right, the phone held a little differently in each view."""
+    """Half around the plant at arm's length, from left to right, the phone held a little differently in each
+    view."""
     rng = np.random.default_rng(21)
     poses = []
     for number, along in enumerate(np.linspace(0, 1, count)):
@@ -46,7 +47,9 @@ def cameras(count: int) -> list[Pose]:
         away = 1.32 + 0.12 * math.sin(5 * along) + 0.04 * hand[1]
         height = 1.18 + 0.22 * math.sin(9 * along + 0.5) + 0.04 * hand[2]
         eye = [away * math.cos(angle), away * math.sin(angle), height]
-        poses.append(pose(number, eye, HEART + 0.04 * hand[3:], roll=0.04 * math.sin(7 * along) + 0.01 * hand[5]))
+        poses.append(
+            pose(number, eye, HEART + 0.04 * hand[3:], roll=0.04 * math.sin(7 * along) + 0.01 * hand[5])
+        )
     return poses
 
 
@@ -75,7 +78,9 @@ def _ground() -> None:
 def _grass() -> None:
     rng = np.random.default_rng(5)
     looks = [
-        mat.patterned("grass", "Noise", [(0.03, 0.10, 0.01), (0.12, 0.26, 0.03), (0.40, 0.48, 0.12)], Scale=3, Detail=3),
+        mat.patterned(
+            "grass", "Noise", [(0.03, 0.10, 0.01), (0.12, 0.26, 0.03), (0.40, 0.48, 0.12)], Scale=3, Detail=3
+        ),
         mat.patterned("hay", "Noise", [(0.16, 0.18, 0.04), (0.50, 0.44, 0.18)], Scale=3),
     ]
     tufts = [mould("tuft", tuft(26, seed), looks[seed % 3 == 2]) for seed in range(6)]
@@ -84,7 +89,14 @@ def _grass() -> None:
         away = 0.42 + 12 * away**2
         x, y = away * math.cos(angle), away * math.sin(angle)
         again(tufts[rng.integers(6)], (x, y, _height(x, y) - 0.01), (0, 0, turn), size)
-    petals = [mat.plain(name, colour) for name, colour in (("daisy", (0.85, 0.82, 0.75)), ("dandelion", (0.85, 0.60, 0.02)), ("clover", (0.60, 0.12, 0.40)))]
+    petals = [
+        mat.plain(name, colour)
+        for name, colour in (
+            ("daisy", (0.85, 0.82, 0.75)),
+            ("dandelion", (0.85, 0.60, 0.02)),
+            ("clover", (0.60, 0.12, 0.40)),
+        )
+    ]
     heads = [mould("flower", rock, petal) for petal in petals]
     for _ in range(420):
         away, angle, up = rng.uniform((0.5, -math.pi, 0.06), (9, math.pi, 0.15))
@@ -95,12 +107,22 @@ def _grass() -> None:
 def _litter() -> None:
     """Fallen leaves and stones on the lawn, and a path of flags that leads to the houses."""
     rng = np.random.default_rng(6)
-    fallen = [mat.patterned("fallen", "Noise", [(0.25, 0.08, 0.02), (0.60, 0.32, 0.05), (0.75, 0.60, 0.20)], Scale=s) for s in (2, 5)]
+    fallen = [
+        mat.patterned(
+            "fallen", "Noise", [(0.25, 0.08, 0.02), (0.60, 0.32, 0.05), (0.75, 0.60, 0.20)], Scale=s
+        )
+        for s in (2, 5)
+    ]
     dry = [mould("dry leaf", leaf, look) for look in fallen]
     for _ in range(380):
         away, angle, size = rng.uniform((0.6, -math.pi, 0.08), (11, math.pi, 0.2))
         x, y = away * math.cos(angle), away * math.sin(angle)
-        again(dry[rng.integers(2)], (x, y, _height(x, y) + 0.04), rng.uniform((-20, -20, 0), (20, 20, 360)), size)
+        again(
+            dry[rng.integers(2)],
+            (x, y, _height(x, y) + 0.04),
+            rng.uniform((-20, -20, 0), (20, 20, 360)),
+            size,
+        )
     stone = mat.patterned("stone", "Voronoi", [(0.14, 0.13, 0.13), (0.50, 0.46, 0.40)], Scale=3)
     boulder, flag = mould("boulder", rock, stone), mould("flag", cone(0.32, 0.30, 9), stone)
     for _ in range(60):
@@ -120,12 +142,22 @@ def _stump() -> None:
         return Vector((out * math.cos(angle), out * math.sin(angle), STUMP * 0.3 * v))
 
     bark = [(0.04, 0.025, 0.015), (0.16, 0.10, 0.06), (0.34, 0.25, 0.17), (0.20, 0.24, 0.10)]
-    rough = mat.weathered(mat.patterned("bark", "Noise", bark, Scale=16, Detail=6, Roughness=0.8), 0.4, Scale=40)
+    rough = mat.weathered(
+        mat.patterned("bark", "Noise", bark, Scale=16, Detail=6, Roughness=0.8), 0.4, Scale=40
+    )
     # Modelled low and stretched, so that the bark's pattern runs upwards.
     smooth(add("stump", sheet(120, 8, side, closed=False), rough, size=(1, 1, 1 / 0.3)))
     cut = [(0.26, 0.15, 0.07), (0.60, 0.42, 0.23), (0.46, 0.30, 0.15)]
-    rings = mat.patterned("rings", "Wave", cut, wave_type="RINGS", rings_direction="Z", Scale=11, Distortion=2.5, Detail=3)
-    add("cut", cone(0.315, 0.30, 48), mat.weathered(rings, 0.5, Scale=6), at=(0, 0, STUMP - 0.008), size=(1, 1, 0.02))
+    rings = mat.patterned(
+        "rings", "Wave", cut, wave_type="RINGS", rings_direction="Z", Scale=11, Distortion=2.5, Detail=3
+    )
+    add(
+        "cut",
+        cone(0.315, 0.30, 48),
+        mat.weathered(rings, 0.5, Scale=6),
+        at=(0, 0, STUMP - 0.008),
+        size=(1, 1, 0.02),
+    )
 
 
 def _potted_plant() -> None:
@@ -136,7 +168,9 @@ def _potted_plant() -> None:
         return out, up
 
     clay = [(0.06, 0.16, 0.26), (0.55, 0.50, 0.38), (0.62, 0.22, 0.08), (0.07, 0.20, 0.30)]
-    glaze = mat.patterned("glaze", "Wave", clay, roughness=0.25, Scale=7, Distortion=7, Detail=3, bands_direction="Z")
+    glaze = mat.patterned(
+        "glaze", "Wave", clay, roughness=0.25, Scale=7, Distortion=7, Detail=3, bands_direction="Z"
+    )
     smooth(add("pot", turned(wall, 64, 40), glaze, at=(-0.02, 0.02, STUMP)))
     soil = mat.patterned("soil", "Noise", [(0.02, 0.012, 0.008), (0.10, 0.065, 0.04)], Scale=40)
     middle = Vector((-0.02, 0.02, STUMP + POT))
@@ -147,12 +181,22 @@ def _potted_plant() -> None:
     for k in range(7):  # hanging over the rim
         angle = 0.9 * k + 0.3
         out = Vector((math.cos(angle), math.sin(angle), 0))
-        stem(middle + 0.09 * out, middle + 0.24 * out - Vector((0, 0, rng.uniform(0.1, 0.3))), 0.16, 7, 0.075, kinds, rng)
+        stem(
+            middle + 0.09 * out,
+            middle + 0.24 * out - Vector((0, 0, rng.uniform(0.1, 0.3))),
+            0.16,
+            7,
+            0.075,
+            kinds,
+            rng,
+        )
     _blossoms(ends[::2])
 
 
 def _blossoms(places: list[Vector]) -> None:
-    red = mat.patterned("petal", "Noise", [(0.75, 0.03, 0.06), (0.90, 0.25, 0.30), (0.95, 0.75, 0.70)], roughness=0.5, Scale=2)
+    red = mat.patterned(
+        "petal", "Noise", [(0.75, 0.03, 0.06), (0.90, 0.25, 0.30), (0.95, 0.75, 0.70)], roughness=0.5, Scale=2
+    )
     gold = mat.patterned("heart", "Noise", [(0.35, 0.15, 0.01), (0.90, 0.60, 0.05)], Scale=3)
     petal, heart = mould("petal", sphere, red), mould("heart", rock, gold)
     for index, at in enumerate(places):
@@ -168,13 +212,32 @@ def _gnome() -> None:
     coat = mat.patterned("coat", "Checker", [(0.05, 0.12, 0.40), (0.75, 0.70, 0.55)], Scale=9)
     skin = mat.weathered(mat.plain("skin", (0.72, 0.42, 0.30), 0.5), 0.7, Scale=9)
     beard = mat.patterned("beard", "Wave", [(0.55, 0.52, 0.48), (0.9, 0.88, 0.84)], Scale=6, Distortion=4)
-    hat = mat.patterned("hat", "Wave", [(0.62, 0.03, 0.03), (0.85, 0.70, 0.10)], roughness=0.3, Scale=2.2, Distortion=2, bands_direction="Z")
+    hat = mat.patterned(
+        "hat",
+        "Wave",
+        [(0.62, 0.03, 0.03), (0.85, 0.70, 0.10)],
+        roughness=0.3,
+        Scale=2.2,
+        Distortion=2,
+        bands_direction="Z",
+    )
     smooth(add("coat", cone(0.065, 0.035), coat, at=at + Vector((0, 0, 0.06)), size=(1, 1, 0.12)))
     smooth(add("head", sphere, skin, at=at + Vector((0, 0, 0.145)), size=0.042))
     smooth(add("beard", sphere, beard, at=at + Vector((0.028, -0.02, 0.115)), size=(0.03, 0.03, 0.045)))
     smooth(add("nose", sphere, skin, at=at + Vector((0.038, -0.025, 0.15)), size=0.012))
-    smooth(add("hat", cone(0.05, 0.004), hat, at=at + Vector((-0.006, 0, 0.215)), turn=(0, -8, 0), size=(1, 1, 0.12)))
-    brass = mat.patterned("brass", "Noise", [(0.55, 0.30, 0.08), (0.95, 0.75, 0.40)], roughness=0.15, metallic=1, Scale=2)
+    smooth(
+        add(
+            "hat",
+            cone(0.05, 0.004),
+            hat,
+            at=at + Vector((-0.006, 0, 0.215)),
+            turn=(0, -8, 0),
+            size=(1, 1, 0.12),
+        )
+    )
+    brass = mat.patterned(
+        "brass", "Noise", [(0.55, 0.30, 0.08), (0.95, 0.75, 0.40)], roughness=0.15, metallic=1, Scale=2
+    )
     smooth(add("ball", sphere, brass, at=(0.17, 0.17, STUMP + 0.05), size=0.05))
     can = mat.weathered(mat.plain("can", (0.10, 0.32, 0.30), 0.35), 0.45, Scale=9)
     smooth(add("can", cone(0.06, 0.05), can, at=(0.03, 0.23, STUMP + 0.055), size=(1, 1, 0.11)))
@@ -193,7 +256,13 @@ def _ring(count: int, seed: int, away: tuple[float, float], first: float = 0.0, 
 
 def _far() -> None:
     rng = np.random.default_rng(12)
-    row_of_houses(2, [(x, y, z - 0.3, math.degrees(angle) - 90 + rng.uniform(-25, 25)) for x, y, z, angle in _ring(9, 31, (30, 46), 1.2, 5.1)])
+    row_of_houses(
+        2,
+        [
+            (x, y, z - 0.3, math.degrees(angle) - 90 + rng.uniform(-25, 25))
+            for x, y, z, angle in _ring(9, 31, (30, 46), 1.2, 5.1)
+        ],
+    )
     near = [(x, y, z, rng.uniform(4, 6)) for x, y, z, _ in _ring(9, 32, (20, 27))]
     trees(1, near + [(x, y, z, rng.uniform(7, 12)) for x, y, z, _ in _ring(56, 33, (42, 62))])
 
@@ -216,14 +285,30 @@ def _strollers() -> None:
     rng = np.random.default_rng(14)
     tyre = mat.plain("tyre", (0.02, 0.02, 0.02))
     for x, y, z, _ in _ring(9, 41, (20.5, 27), 1.6, 4.7):
-        coat = mat.patterned("coat", "Checker", [tuple(rng.uniform(0.02, 0.7, 3)), tuple(rng.uniform(0.02, 0.7, 3))], Scale=3)
+        coat = mat.patterned(
+            "coat", "Checker", [tuple(rng.uniform(0.02, 0.7, 3)), tuple(rng.uniform(0.02, 0.7, 3))], Scale=3
+        )
         add("coat", cone(0.32, 0.18, 12), coat, at=(x, y, z + 0.75), size=(1, 1, 1.5))
         add("head", rock, mat.plain("skin", (0.6, 0.38, 0.27)), at=(x, y, z + 1.64), size=0.15)
     for x, y, z, angle in _ring(5, 42, (24, 29), 1.5, 4.9):
         paint = mat.weathered(mat.plain("paint", tuple(rng.uniform(0.03, 0.6, 3)), 0.2), 0.7, Scale=1)
         turn = (0, 0, math.degrees(angle) + 90 + rng.uniform(-20, 20))
         add("body", block(4.2, 1.7, 0.75), paint, at=(x, y, z + 0.3), turn=turn)
-        add("cabin", cube, mat.plain("glass", (0.03, 0.05, 0.07), 0.1), at=(x, y, z + 1.3), turn=turn, size=(2.2, 1.5, 0.55))
+        add(
+            "cabin",
+            cube,
+            mat.plain("glass", (0.03, 0.05, 0.07), 0.1),
+            at=(x, y, z + 1.3),
+            turn=turn,
+            size=(2.2, 1.5, 0.55),
+        )
         ahead = Vector((math.cos(math.radians(turn[2])), math.sin(math.radians(turn[2])), 0))
         for end in (-1.3, 1.3):
-            add("wheels", cone(0.33, 0.33, 16), tyre, at=Vector((x, y, z + 0.33)) + end * ahead, turn=(90, 0, turn[2]), size=(1, 1, 1.8))
+            add(
+                "wheels",
+                cone(0.33, 0.33, 16),
+                tyre,
+                at=Vector((x, y, z + 0.33)) + end * ahead,
+                turn=(90, 0, turn[2]),
+                size=(1, 1, 1.8),
+            )

@@ -33,7 +33,8 @@ def captured(log: Path) -> Iterator[TextIO]:
 
 
 def _point(targets: tuple[int, int]) -> None:
-    """Let stdout and stderr lead to these descriptors. What was printed before still goes where it belongs."""
+    """Let stdout and stderr lead to these descriptors. What was printed before still goes where it
+    belongs."""
     sys.stdout.flush()
     sys.stderr.flush()
     ctypes.CDLL(None).fflush(None)
@@ -42,7 +43,8 @@ def _point(targets: tuple[int, int]) -> None:
 
 
 def progress(stream: TextIO, what: str) -> Callable[[int, int], None]:
-    """A function of how much is done and of how much: it advances one line on a terminal, elsewhere it prints a few lines."""
+    """A function of how much is done and of how much: it advances one line on a terminal, elsewhere it prints
+    a few lines."""
 
     def show(done: int, of: int) -> None:
         text = f"{what}: {done} of {of} views"

@@ -23,7 +23,8 @@ def render_views(
     progress: Callable[[int, int], None],
     develop: Develop | None = None,
 ) -> np.ndarray:
-    """Write one PNG a pose into `folder`, telling `progress` how many are done. Returns the images, (V, H, W, 3) uint8 sRGB.
+    """Write one PNG a pose into `folder`, telling `progress` how many are done. Returns the images, (V, H, W,
+    3) uint8 sRGB.
 
     Without `develop`, Blender makes the pictures from the light.
     """

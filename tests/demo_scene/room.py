@@ -24,7 +24,8 @@ DOME_RADIUS = 60.0
 def build(scene: bpy.types.Scene) -> None:
     lights.sun(scene, 6.0, 1, (1.0, 0.88, 0.70), (-52, 0, 24))
     lights.sky(scene, (0.80, 0.86, 1.0), 0.9)
-    scene.world.light_settings.distance = 1.2  # m; light of further bounces reaches what is this far from the next thing
+    # m; light of further bounces reaches what is this far from the next thing
+    scene.world.light_settings.distance = 1.2
     _lamps(scene)
     _shell()
     _windows()
@@ -34,7 +35,8 @@ def build(scene: bpy.types.Scene) -> None:
 
 
 def cameras(count: int) -> list[Pose]:
-    """Three fifths on a walk around the table, looking ahead and outwards; the others lower, on a smaller round, towards the far wall."""
+    """Three fifths on a walk around the table, looking ahead and outwards; the others lower, on a smaller
+    round, towards the far wall."""
     rng = np.random.default_rng(22)
     walk = round(0.6 * count)
     poses = []
@@ -43,9 +45,17 @@ def cameras(count: int) -> list[Pose]:
         first = number < walk
         angle = 2 * math.pi * (number / walk if first else (number - walk) / (count - walk) + 0.04)
         along, across, height = (1.45, 0.95, 1.5) if first else (0.95, 0.75, 1.15)
-        eye = np.array([along * math.cos(angle), across * math.sin(angle), height + 0.12 * math.sin(3 * angle) + 0.05 * hand[0]])
+        eye = np.array(
+            [
+                along * math.cos(angle),
+                across * math.sin(angle),
+                height + 0.12 * math.sin(3 * angle) + 0.05 * hand[0],
+            ]
+        )
         gaze = angle + (0.75 if first else math.pi) + 0.15 * hand[1]
-        ahead = np.array([math.cos(gaze), math.sin(gaze), -0.16 + 0.10 * math.sin(5 * angle) + 0.05 * hand[2]])
+        ahead = np.array(
+            [math.cos(gaze), math.sin(gaze), -0.16 + 0.10 * math.sin(5 * angle) + 0.05 * hand[2]]
+        )
         poses.append(pose(number, eye, eye + ahead, roll=0.015 * hand[3]))
     return poses
 
@@ -72,19 +82,55 @@ def _shell() -> None:
     oak = [(0.30, 0.15, 0.06), (0.52, 0.31, 0.14), (0.10, 0.05, 0.02)]
     planks = mat.bricks("parquet", oak, Scale=1, Brick_Width=0.7, Row_Height=0.12, Mortar_Size=0.006)
     add("floor", block(LENGTH + 0.4, DEPTH + 0.4, 0.2), mat.weathered(planks, 0.45, Scale=9), at=(0, 0, -0.2))
-    plaster = mat.weathered(mat.patterned("plaster", "Noise", [(0.55, 0.52, 0.46), (0.82, 0.79, 0.72)], Scale=5, Detail=8, Roughness=0.8), 0.7, Scale=0.8)
+    plaster = mat.weathered(
+        mat.patterned(
+            "plaster", "Noise", [(0.55, 0.52, 0.46), (0.82, 0.79, 0.72)], Scale=5, Detail=8, Roughness=0.8
+        ),
+        0.7,
+        Scale=0.8,
+    )
     add("ceiling", block(LENGTH + 0.4, DEPTH + 0.4, 0.2), plaster, at=(0, 0, HEIGHT))
     wood = furniture.wood("beam", 0.5)
     for x in np.linspace(-2.4, 2.4, 5):
         add("beam", block(0.16, DEPTH, 0.18), wood, at=(x, 0, HEIGHT - 0.17))
-    striped = mat.patterned("stripes", "Wave", [(0.62, 0.55, 0.38), (0.40, 0.48, 0.36), (0.70, 0.66, 0.52)], Scale=1.6, Distortion=0.6, Detail=2)
-    dotted = mat.patterned("dots", "Voronoi", [(0.70, 0.22, 0.12), (0.72, 0.62, 0.42), (0.60, 0.52, 0.36), (0.42, 0.50, 0.46)], Scale=6, Randomness=0.35)
+    striped = mat.patterned(
+        "stripes",
+        "Wave",
+        [(0.62, 0.55, 0.38), (0.40, 0.48, 0.36), (0.70, 0.66, 0.52)],
+        Scale=1.6,
+        Distortion=0.6,
+        Detail=2,
+    )
+    dotted = mat.patterned(
+        "dots",
+        "Voronoi",
+        [(0.70, 0.22, 0.12), (0.72, 0.62, 0.42), (0.60, 0.52, 0.36), (0.42, 0.50, 0.46)],
+        Scale=6,
+        Randomness=0.35,
+    )
     red = mat.bricks("bricks", [(0.42, 0.16, 0.09), (0.62, 0.33, 0.21), (0.66, 0.62, 0.54)], Scale=3)
-    swirls = mat.patterned("swirls", "Magic", [(0.16, 0.26, 0.34), (0.40, 0.52, 0.55), (0.66, 0.62, 0.48)], Scale=5, Distortion=1.6, turbulence_depth=3)
+    swirls = mat.patterned(
+        "swirls",
+        "Magic",
+        [(0.16, 0.26, 0.34), (0.40, 0.52, 0.55), (0.66, 0.62, 0.48)],
+        Scale=5,
+        Distortion=1.6,
+        turbulence_depth=3,
+    )
     trim = mat.weathered(mat.plain("trim", (0.70, 0.66, 0.56), 0.4), 0.6, Scale=6)
-    walls = [(striped, 180, LENGTH, DEPTH, WINDOWS), (red, 0, LENGTH, DEPTH, []), (dotted, 90, DEPTH, LENGTH, []), (swirls, 270, DEPTH, LENGTH, [])]
+    walls = [
+        (striped, 180, LENGTH, DEPTH, WINDOWS),
+        (red, 0, LENGTH, DEPTH, []),
+        (dotted, 90, DEPTH, LENGTH, []),
+        (swirls, 270, DEPTH, LENGTH, []),
+    ]
     for paper, turn, length, away, holes in walls:
-        wall = add("wall", slab(length + 0.4, HEIGHT, 0.2, holes), mat.weathered(paper, 0.7, Scale=2), turn=(90, 0, 0))
+        wall = add(
+            "wall",
+            slab(length + 0.4, HEIGHT, 0.2, holes),
+            mat.weathered(paper, 0.7, Scale=2),
+            turn=(90, 0, 0),
+        )
         skirting = add("skirting", block(length, 0.02, 0.12), trim, at=(0, 0.01, 0))
         moved([wall, skirting], _against(turn, away), turn)
 
@@ -98,10 +144,14 @@ def _against(turn: float, away: float) -> Vector:
 def _windows() -> None:
     paint = mat.weathered(mat.plain("window", (0.75, 0.73, 0.68), 0.4), 0.7, Scale=8)
     cloth = mat.patterned("curtain", "Checker", [(0.55, 0.12, 0.08), (0.72, 0.60, 0.42)], Scale=9)
-    rust = mat.patterned("radiator", "Noise", [(0.50, 0.48, 0.42), (0.72, 0.70, 0.64)], roughness=0.3, Scale=12)
+    rust = mat.patterned(
+        "radiator", "Noise", [(0.50, 0.48, 0.42), (0.72, 0.70, 0.64)], roughness=0.3, Scale=12
+    )
 
     def folds(u: float, v: float) -> Vector:
-        return Vector((0.42 * (u - 0.5) * (1.1 - 0.25 * v), 0.05 * math.sin(22 * u) * (1.2 - 0.5 * v), 1.85 * v))
+        return Vector(
+            (0.42 * (u - 0.5) * (1.1 - 0.25 * v), 0.05 * math.sin(22 * u) * (1.2 - 0.5 * v), 1.85 * v)
+        )
 
     curtain = mould("curtain", patch(44, 6, folds), mat.weathered(cloth, 0.6, Scale=6))
     rib = mould("rib", block(0.05, 0.1, 0.5), rust)
@@ -122,23 +172,47 @@ def _windows() -> None:
 
 def _outside() -> None:
     grass = [(0.06, 0.12, 0.02), (0.16, 0.28, 0.05), (0.40, 0.42, 0.15)]
-    add("lawn", cone(DOME_RADIUS, DOME_RADIUS, 64), mat.patterned("lawn", "Noise", grass, Scale=1.5, Detail=8, Roughness=0.8), at=(0, 0, -2.55))
+    add(
+        "lawn",
+        cone(DOME_RADIUS, DOME_RADIUS, 64),
+        mat.patterned("lawn", "Noise", grass, Scale=1.5, Detail=8, Roughness=0.8),
+        at=(0, 0, -2.55),
+    )
     dome = add("sky", sphere, mat.sky("sky", 1.0), size=DOME_RADIUS)
     dome.visible_shadow = dome.visible_diffuse = False  # only looked at
     row_of_houses(5, [(-14, 24, -2.1, 20), (1, 27, -2.1, 0), (16, 23, -2.1, -25)])
-    trees(6, [(-5, 14, -2.1, 5.5), (4, 17, -2.1, 6.0), (9, 12, -2.1, 5.0), (-10, 18, -2.1, 6.5), (-1, 40, -2, 12), (12, 38, -2, 13), (-15, 36, -2, 12)])
+    trees(
+        6,
+        [
+            (-5, 14, -2.1, 5.5),
+            (4, 17, -2.1, 6.0),
+            (9, 12, -2.1, 5.0),
+            (-10, 18, -2.1, 6.5),
+            (-1, 40, -2, 12),
+            (12, 38, -2, 13),
+            (-15, 36, -2, 12),
+        ],
+    )
 
 
 def _rug_and_table() -> None:
     border = mat.patterned("border", "Checker", [(0.42, 0.05, 0.05), (0.70, 0.55, 0.25)], Scale=14)
-    weave = mat.patterned("rug", "Magic", [(0.10, 0.10, 0.30), (0.55, 0.08, 0.06), (0.75, 0.60, 0.32), (0.08, 0.25, 0.22)], Scale=1.6, Distortion=2.2)
+    weave = mat.patterned(
+        "rug",
+        "Magic",
+        [(0.10, 0.10, 0.30), (0.55, 0.08, 0.06), (0.75, 0.60, 0.32), (0.08, 0.25, 0.22)],
+        Scale=1.6,
+        Distortion=2.2,
+    )
     add("rug", block(2.9, 2.0, 0.008), mat.weathered(border, 0.6, Scale=12))
     add("rug", block(2.6, 1.7, 0.014), mat.weathered(weave, 0.55, Scale=16))
     furniture.low_table()
 
 
 def _furnish() -> None:
-    def stand(things: list[bpy.types.Object], turn: float, away: float, aside: float, gap: float = 0.03) -> None:
+    def stand(
+        things: list[bpy.types.Object], turn: float, away: float, aside: float, gap: float = 0.03
+    ) -> None:
         angle = math.radians(turn)
         right = Vector((math.cos(angle), math.sin(angle), 0))
         moved(things, _against(turn, away - 2 * gap) + aside * right, turn)
@@ -153,7 +227,9 @@ def _furnish() -> None:
     stand(furniture.door(), 0, DEPTH, -1.55, 0.005)
     stand(furniture.sideboard(), 180, DEPTH, 0.0)
     stand(furniture.boxes(), 0, DEPTH, 1.62, 0.03)
-    clay = mat.patterned("clay", "Wave", [(0.45, 0.18, 0.08), (0.70, 0.45, 0.25)], Scale=4, Distortion=3, bands_direction="Z")
+    clay = mat.patterned(
+        "clay", "Wave", [(0.45, 0.18, 0.08), (0.70, 0.45, 0.25)], Scale=4, Distortion=3, bands_direction="Z"
+    )
     add("pot", cone(0.17, 0.22), clay, at=(-2.55, 1.85, 0.2), size=(1, 1, 0.4))
     rng = np.random.default_rng(4)
     bush(Vector((-2.55, 1.85, 0.38)), 12, (0.15, 0.38), (0.5, 1.2), 0.22, leaves(), rng)

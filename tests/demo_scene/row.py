@@ -1,6 +1,8 @@
-"""A row of shops, seen from across the street by cameras that all look forward: goods, stalls, an alley between the houses.
+"""A row of shops, seen from across the street by cameras that all look forward: goods, stalls, an alley
+between the houses.
 
-Metres, z up; the street runs along x, the fronts stand at y = 0 and look along -y. Everything is placed by constants or fixed seeds.
+Metres, z up; the street runs along x, the fronts stand at y = 0 and look along -y. Everything is placed by
+constants or fixed seeds.
 """
 
 import math
@@ -14,7 +16,20 @@ from demo_scene import materials as mat
 from demo_scene.furniture import wood
 from demo_scene.houses import WALLS, row_of_houses
 from demo_scene.plants import bush, leaves, stem, trees
-from demo_scene.shapes import add, again, bar, block, cone, lettering, mould, patch, rock, slab, smooth, sphere
+from demo_scene.shapes import (
+    add,
+    again,
+    bar,
+    block,
+    cone,
+    lettering,
+    mould,
+    patch,
+    rock,
+    slab,
+    smooth,
+    sphere,
+)
 from demo_scene.views import Pose, pose
 
 DOME_RADIUS = 60.0
@@ -53,7 +68,10 @@ def cameras(count: int) -> list[Pose]:
         row, column = divmod(number, COLUMNS)
         hand = rng.uniform(-1, 1, 6)
         across = column / (COLUMNS - 1) - 0.5
-        eye = np.array([0.8 + 2.6 * (-across if row % 2 else across), -8.3, 1.25 + 1.3 * row / (rows - 1)]) + np.array([0.08, 0.2, 0.06]) * hand[:3]
+        eye = (
+            np.array([0.8 + 2.6 * (-across if row % 2 else across), -8.3, 1.25 + 1.3 * row / (rows - 1)])
+            + np.array([0.08, 0.2, 0.06]) * hand[:3]
+        )
         target = [0.6 * eye[0] + 0.3, 0.0, 2.15 + 0.3 * (eye[2] - 1.8)] + 0.08 * hand[3:]
         poses.append(pose(number, eye, target, roll=0.01 * hand[5]))
     return poses
@@ -62,7 +80,13 @@ def cameras(count: int) -> list[Pose]:
 def _lit(scene: bpy.types.Scene, x: float) -> None:
     """The lamp of a shop."""
     light = bpy.data.lights.new("lamp", "AREA")
-    light.energy, light.color, light.shape, light.size, light.size_y = 45, (1.0, 0.82, 0.60), "RECTANGLE", 2.6, 0.6
+    light.energy, light.color, light.shape, light.size, light.size_y = (
+        45,
+        (1.0, 0.82, 0.60),
+        "RECTANGLE",
+        2.6,
+        0.6,
+    )
     lamp = bpy.data.objects.new("lamp", light)
     lamp.location = (x, WALL + 0.5, STOREY - 0.25)
     lamp.visible_camera = lamp.visible_glossy = False
@@ -71,20 +95,45 @@ def _lit(scene: bpy.types.Scene, x: float) -> None:
 
 def _street() -> None:
     stones = [(0.16, 0.15, 0.15), (0.36, 0.34, 0.32), (0.08, 0.075, 0.07)]
-    cobbles = mat.weathered(mat.bricks("cobbles", stones, Scale=1, Brick_Width=0.2, Row_Height=0.12, Mortar_Size=0.012), 0.45, Scale=5)
+    cobbles = mat.weathered(
+        mat.bricks("cobbles", stones, Scale=1, Brick_Width=0.2, Row_Height=0.12, Mortar_Size=0.012),
+        0.45,
+        Scale=5,
+    )
     add("street", block(60, 50, 0.3), cobbles, at=(0, -10, -0.42))
-    flags = mat.bricks("flags", [(0.40, 0.37, 0.33), (0.55, 0.52, 0.46), (0.16, 0.15, 0.14)], Scale=1, Brick_Width=0.6, Row_Height=0.45, Mortar_Size=0.012)
+    flags = mat.bricks(
+        "flags",
+        [(0.40, 0.37, 0.33), (0.55, 0.52, 0.46), (0.16, 0.15, 0.14)],
+        Scale=1,
+        Brick_Width=0.6,
+        Row_Height=0.45,
+        Mortar_Size=0.012,
+    )
     add("pavement", block(60, 3.4, 0.12), mat.weathered(flags, 0.5, Scale=4), at=(0, -1.4, -0.12))
-    kerb = mat.weathered(mat.bricks("kerb", [(0.5, 0.48, 0.44), (0.6, 0.58, 0.54), (0.2, 0.2, 0.2)], Scale=1, Brick_Width=0.9, Row_Height=9), 0.5, Scale=8)
+    kerb = mat.weathered(
+        mat.bricks(
+            "kerb",
+            [(0.5, 0.48, 0.44), (0.6, 0.58, 0.54), (0.2, 0.2, 0.2)],
+            Scale=1,
+            Brick_Width=0.9,
+            Row_Height=9,
+        ),
+        0.5,
+        Scale=8,
+    )
     add("kerb", block(60, 0.16, 0.15), kerb, at=(0, -3.18, -0.14))
     dome = add("sky", sphere, mat.sky("sky", 1.0), size=DOME_RADIUS)
     dome.visible_shadow = dome.visible_diffuse = False  # only looked at
 
 
 def _front(index: int, x: float, width: float, sign: str, paint) -> None:
-    """The ground floor: a wall with a wide window and a door, panelled woodwork, the sign, the shop behind."""
+    """The ground floor: a wall with a wide window and a door, panelled woodwork, the sign, the shop
+    behind."""
     wall = mat.weathered(mat.bricks("front", WALLS[index], Scale=2.4), 0.5, Scale=2)
-    door, window = (width / 2 - 1.15, width / 2 - 0.2, 0, 2.25), (-width / 2 + 0.25, width / 2 - 1.4, 0.62, 2.25)
+    door, window = (
+        (width / 2 - 1.15, width / 2 - 0.2, 0, 2.25),
+        (-width / 2 + 0.25, width / 2 - 1.4, 0.62, 2.25),
+    )
     add("front", slab(width, STOREY, WALL, [window, door]), wall, at=(x, WALL, 0), turn=(90, 0, 0))
     varnish = mat.weathered(mat.plain("woodwork", paint, 0.35), 0.45, Scale=7)
     for left, right, bottom, top in (window, door):
@@ -96,7 +145,12 @@ def _front(index: int, x: float, width: float, sign: str, paint) -> None:
     for k in range(4):
         add("panel", block(0.46, 0.05, 0.4), varnish, at=(middle + 0.56 * (k - 1.5), -0.01, 0.1))
     for k in (1, 2):
-        bar(varnish, (x + window[0] + k * (window[1] - window[0]) / 3, 0.05, 0.62), (x + window[0] + k * (window[1] - window[0]) / 3, 0.05, 2.25), 0.025)
+        bar(
+            varnish,
+            (x + window[0] + k * (window[1] - window[0]) / 3, 0.05, 0.62),
+            (x + window[0] + k * (window[1] - window[0]) / 3, 0.05, 2.25),
+            0.025,
+        )
     add("fascia", block(width - 0.1, 0.12, 0.44), varnish, at=(x, -0.05, 2.82))
     gold = mat.weathered(mat.plain("gold", (0.85, 0.65, 0.25), 0.3), 0.7, Scale=9)
     lettering(sign, gold, (x, -0.13, 3.03), (90, 0, 0), 0.34)
@@ -106,10 +160,21 @@ def _front(index: int, x: float, width: float, sign: str, paint) -> None:
 def _inside(index: int, x: float, width: float) -> None:
     tints = [(0.62, 0.48, 0.30), (0.38, 0.50, 0.30), (0.50, 0.30, 0.20)]
     darker = tuple(0.6 * c for c in tints[index])
-    paper = mat.weathered(mat.patterned("paper", ("Checker", "Voronoi", "Wave")[index], [tints[index], darker], Scale=(6, 5, 3)[index]), 0.55, Scale=4)
+    paper = mat.weathered(
+        mat.patterned(
+            "paper", ("Checker", "Voronoi", "Wave")[index], [tints[index], darker], Scale=(6, 5, 3)[index]
+        ),
+        0.55,
+        Scale=4,
+    )
     add("back", block(width, 0.1, STOREY), paper, at=(x, WALL + INSIDE + 0.05, 0))
     for side in (-1, 1):
-        add("side", block(0.1, INSIDE, STOREY), paper, at=(x + side * (width / 2 - 0.05), WALL + INSIDE / 2, 0))
+        add(
+            "side",
+            block(0.1, INSIDE, STOREY),
+            paper,
+            at=(x + side * (width / 2 - 0.05), WALL + INSIDE / 2, 0),
+        )
     add("floor", block(width, INSIDE, 0.05), wood("boards", 0.6), at=(x, WALL + INSIDE / 2, -0.04))
     add("ceiling", block(width, INSIDE, 0.05), paper, at=(x, WALL + INSIDE / 2, STOREY - 0.06))
 
@@ -121,10 +186,19 @@ def _upstairs(index: int, x: float, width: float) -> None:
     stone = mat.weathered(mat.plain("stone", (0.62, 0.57, 0.48)), 0.5, Scale=9)
     add("cornice", block(width, 0.4, 0.16), stone, at=(x, 0.05, STOREY - 0.02))
     add("gutter", block(width, 0.5, 0.2), stone, at=(x, 0.0, 2 * STOREY))
-    tiles = mat.weathered(mat.bricks("tiles", [(0.30, 0.09, 0.05), (0.48, 0.20, 0.12), (0.12, 0.05, 0.04)], Scale=3), 0.5)
+    tiles = mat.weathered(
+        mat.bricks("tiles", [(0.30, 0.09, 0.05), (0.48, 0.20, 0.12), (0.12, 0.05, 0.04)], Scale=3), 0.5
+    )
     add("roof", block(width, 4.0, 0.1), tiles, at=(x, 1.9, 2 * STOREY + 1.0), turn=(32, 0, 0))
-    paint, pane = mat.plain("frame", (0.75, 0.72, 0.65), 0.4), mat.patterned("pane", "Noise", [(0.02, 0.03, 0.04), (0.30, 0.26, 0.20)], 0.12, Scale=2)
-    shutter = mat.weathered(mat.plain("shutter", ((0.10, 0.25, 0.22), (0.12, 0.18, 0.34), (0.30, 0.14, 0.06))[index]), 0.5, Scale=9)
+    paint, pane = (
+        mat.plain("frame", (0.75, 0.72, 0.65), 0.4),
+        mat.patterned("pane", "Noise", [(0.02, 0.03, 0.04), (0.30, 0.26, 0.20)], 0.12, Scale=2),
+    )
+    shutter = mat.weathered(
+        mat.plain("shutter", ((0.10, 0.25, 0.22), (0.12, 0.18, 0.34), (0.30, 0.14, 0.06))[index]),
+        0.5,
+        Scale=9,
+    )
     rng, kinds = np.random.default_rng(40 + index), leaves()
     slat = mould("slat", block(0.42, 0.03, 0.055), shutter)
     for left, right, bottom, top in holes:
@@ -140,16 +214,31 @@ def _upstairs(index: int, x: float, width: float) -> None:
         add("box", block(1.0, 0.2, 0.18), wood("box", 0.5), at=(middle, -0.12, low - 0.1))
         for k in range(3):
             shopping.blossoms(
-                bush(Vector((middle + 0.32 * (k - 1), -0.12, low + 0.06)), 5, (0.08, 0.2), (0.1, 0.28), 0.1, kinds, rng)[:3], int(rng.integers(4))
+                bush(
+                    Vector((middle + 0.32 * (k - 1), -0.12, low + 0.06)),
+                    5,
+                    (0.08, 0.2),
+                    (0.1, 0.28),
+                    0.1,
+                    kinds,
+                    rng,
+                )[:3],
+                int(rng.integers(4)),
             )
 
 
 def _awning(index: int, x: float, width: float) -> None:
     def cloth(u: float, v: float) -> Vector:
-        drop = 0.55 * v if v < 0.85 else 0.4675 + 1.0 * (v - 0.85) * (1 + 0.5 * abs(math.sin(12 * math.pi * u)))
+        drop = (
+            0.55 * v if v < 0.85 else 0.4675 + 1.0 * (v - 0.85) * (1 + 0.5 * abs(math.sin(12 * math.pi * u)))
+        )
         return Vector((width * 0.94 * (u - 0.5), -1.25 * min(v / 0.85, 1), -drop))
 
-    colours = [[(0.62, 0.10, 0.06), (0.82, 0.76, 0.64)], [(0.08, 0.30, 0.14), (0.85, 0.80, 0.66)], [(0.80, 0.50, 0.06), (0.30, 0.12, 0.05)]][index]
+    colours = [
+        [(0.62, 0.10, 0.06), (0.82, 0.76, 0.64)],
+        [(0.08, 0.30, 0.14), (0.85, 0.80, 0.66)],
+        [(0.80, 0.50, 0.06), (0.30, 0.12, 0.05)],
+    ][index]
     striped = mat.patterned("awning", "Wave", [colours[0], colours[0], colours[1], colours[1]], Scale=1.1)
     add("awning", patch(96, 20, cloth), mat.weathered(striped, 0.6, Scale=4), at=(x, -0.02, 2.84))
 
@@ -168,7 +257,15 @@ def _alley() -> None:
     rng, kinds = np.random.default_rng(44), leaves()
     for _ in range(16):  # ivy
         root = Vector((rng.uniform(2.05, 2.2), -0.05, rng.uniform(0.0, 2.6)))
-        stem(root, root + Vector((rng.uniform(-0.5, 0.05), -0.06, rng.uniform(0.5, 1.1))), 0.05, 10, 0.11, kinds, rng)
+        stem(
+            root,
+            root + Vector((rng.uniform(-0.5, 0.05), -0.06, rng.uniform(0.5, 1.1))),
+            0.05,
+            10,
+            0.11,
+            kinds,
+            rng,
+        )
 
 
 def _pavement() -> None:
@@ -190,12 +287,28 @@ def _pavement() -> None:
 def _bunting() -> None:
     """Small flags on two lines."""
     rng = np.random.default_rng(46)
-    colours = [(0.70, 0.06, 0.05), (0.85, 0.65, 0.08), (0.06, 0.22, 0.50), (0.10, 0.40, 0.18), (0.80, 0.76, 0.68)]
+    colours = [
+        (0.70, 0.06, 0.05),
+        (0.85, 0.65, 0.08),
+        (0.06, 0.22, 0.50),
+        (0.10, 0.40, 0.18),
+        (0.80, 0.76, 0.68),
+    ]
     looks = [mat.weathered(mat.plain("flag", colour), 0.6, Scale=20) for colour in colours]
-    flags = [mould("flag", patch(1, 1, lambda u, v: Vector(((u - 0.5) * (1 - 0.9 * v), 0, -1.3 * v))), look) for look in looks]
+    flags = [
+        mould("flag", patch(1, 1, lambda u, v: Vector(((u - 0.5) * (1 - 0.9 * v), 0, -1.3 * v))), look)
+        for look in looks
+    ]
     cord = mat.plain("cord", (0.15, 0.12, 0.10))
     for y, high, sag in ((-1.7, 5.0, 0.4), (-2.9, 5.5, 0.6)):
-        points = [Vector((x, y, high - sag * math.sin(1.1 * (x + 6)) ** 2)) for x in np.arange(-6, 6.01, 0.25)]
+        points = [
+            Vector((x, y, high - sag * math.sin(1.1 * (x + 6)) ** 2)) for x in np.arange(-6, 6.01, 0.25)
+        ]
         for here, there in zip(points, points[1:], strict=False):
             bar(cord, here, there, 0.006)
-            again(flags[rng.integers(5)], here.lerp(there, 0.5), (rng.uniform(-20, 20), 0, rng.uniform(-15, 15)), 0.2)
+            again(
+                flags[rng.integers(5)],
+                here.lerp(there, 0.5),
+                (rng.uniform(-20, 20), 0, rng.uniform(-15, 15)),
+                0.2,
+            )

@@ -1,6 +1,7 @@
 """The scenes that can be made, and the size each has if nothing else is asked for.
 
-Each is a module of this package: `build(scene)` models it in an empty scene of Blender, `cameras(count)` returns the poses.
+Each is a module of this package: `build(scene)` models it in an empty scene of Blender, `cameras(count)`
+returns the poses.
 """
 
 from dataclasses import dataclass
@@ -23,6 +24,15 @@ class Kind:
 SCENES = {
     "plaza": Kind("things in a paved yard, from all around", 60, 360, (4, 3), 0.9, 8, 5000),
     "room": Kind("a furnished room, from inside", 50, 360, (4, 3), 0.8, 12, 5000),
-    "portrait": Kind("a potted plant close up before a far background, taken with a phone", 40, 270, (9, 16), 1.3, 8, 5000, phone=True),
+    "portrait": Kind(
+        "a potted plant close up before a far background, taken with a phone",
+        40,
+        270,
+        (9, 16),
+        1.3,
+        8,
+        5000,
+        phone=True,
+    ),
     "row": Kind("a row of shops, from cameras that all look forward", 30, 360, (4, 3), 0.9, 12, 5000),
 }

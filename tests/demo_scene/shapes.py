@@ -40,7 +40,8 @@ def _set(thing: bpy.types.Object, at, turn, size) -> bpy.types.Object:
 
 
 def moved(things: list[bpy.types.Object], at, turn: float = 0.0) -> None:
-    """Turn things that were modelled around the origin by `turn` degrees around z, then move the origin to `at`."""
+    """Turn things that were modelled around the origin by `turn` degrees around z, then move the origin to
+    `at`."""
     to_place = Matrix.Translation(at) @ Matrix.Rotation(math.radians(turn), 4, "Z")
     for thing in things:
         thing.matrix_basis = to_place @ thing.matrix_basis
@@ -85,13 +86,18 @@ def block(width: float, depth: float, height: float):
     """A box that stands on the origin. Unlike a scaled cube it has materials in metres."""
 
     def shape(solid) -> None:
-        bmesh.ops.create_cube(solid, size=1, matrix=Matrix.Translation((0, 0, height / 2)) @ Matrix.Diagonal((width, depth, height, 1)))
+        bmesh.ops.create_cube(
+            solid,
+            size=1,
+            matrix=Matrix.Translation((0, 0, height / 2)) @ Matrix.Diagonal((width, depth, height, 1)),
+        )
 
     return shape
 
 
 def slab(length: float, height: float, thickness: float, holes: list[tuple[float, float, float, float]] = ()):
-    """A wall on its back: x from -length / 2, y from 0 to its height, its face at z = 0. `holes` are (left, right, bottom, top), from left to right."""
+    """A wall on its back: x from -length / 2, y from 0 to its height, its face at z = 0. `holes` are (left,
+    right, bottom, top), from left to right."""
     pieces, at = [], -length / 2
     for left, right, bottom, top in holes:
         pieces += [(at, left, 0, height), (left, right, 0, bottom), (left, right, top, height)]
@@ -101,7 +107,9 @@ def slab(length: float, height: float, thickness: float, holes: list[tuple[float
     def shape(solid) -> None:
         for left, right, bottom, top in pieces:
             middle = Matrix.Translation(((left + right) / 2, (bottom + top) / 2, thickness / 2))
-            bmesh.ops.create_cube(solid, size=1, matrix=middle @ Matrix.Diagonal((right - left, top - bottom, thickness, 1)))
+            bmesh.ops.create_cube(
+                solid, size=1, matrix=middle @ Matrix.Diagonal((right - left, top - bottom, thickness, 1))
+            )
 
     return shape
 
@@ -111,7 +119,10 @@ def gable(width: float, depth: float, height: float):
 
     def shape(solid) -> None:
         x, y = width / 2, depth / 2
-        ends = [[solid.verts.new(at) for at in ((side, -y, 0), (side, 0, height), (side, y, 0))] for side in (-x, x)]
+        ends = [
+            [solid.verts.new(at) for at in ((side, -y, 0), (side, 0, height), (side, y, 0))]
+            for side in (-x, x)
+        ]
         for corners in (ends[0], ends[1][::-1]):
             solid.faces.new(corners)
         for a, b in ((0, 1), (1, 2), (2, 0)):
@@ -144,7 +155,10 @@ def sheet(columns: int, rows: int, place, closed: bool):
 
     def shape(solid) -> None:
         height = rows if closed else rows + 1
-        points = [[solid.verts.new(place(column / columns, row / rows)) for column in range(columns)] for row in range(height)]
+        points = [
+            [solid.verts.new(place(column / columns, row / rows)) for column in range(columns)]
+            for row in range(height)
+        ]
         for row in range(rows):
             for column in range(columns):
                 here, above = points[row], points[(row + 1) % height]
@@ -168,7 +182,10 @@ def patch(columns: int, rows: int, place):
     """A sheet of quads with four borders; `place` takes u and v in 0..1 to a point."""
 
     def shape(solid) -> None:
-        points = [[solid.verts.new(place(column / columns, row / rows)) for column in range(columns + 1)] for row in range(rows + 1)]
+        points = [
+            [solid.verts.new(place(column / columns, row / rows)) for column in range(columns + 1)]
+            for row in range(rows + 1)
+        ]
         for below, above in pairwise(points):
             for k in range(columns):
                 solid.faces.new((below[k], below[k + 1], above[k + 1], above[k]))

@@ -8,7 +8,20 @@ from mathutils import Matrix, Vector
 from demo_scene import materials as mat
 from demo_scene.furniture import books, cloth, covers, ornament, wood
 from demo_scene.plants import bush, leaves
-from demo_scene.shapes import add, again, bar, block, cone, lettering, mould, moved, rock, sheet, smooth, sphere
+from demo_scene.shapes import (
+    add,
+    again,
+    bar,
+    block,
+    cone,
+    lettering,
+    mould,
+    moved,
+    rock,
+    sheet,
+    smooth,
+    sphere,
+)
 
 PETALS = [(0.80, 0.06, 0.08), (0.90, 0.62, 0.05), (0.75, 0.20, 0.50), (0.85, 0.80, 0.72)]
 FRUIT = [
@@ -37,7 +50,15 @@ def crate(kind: int, at: Vector, turn: float, width: float = 0.6) -> None:
     for x in (-width / 2, width / 2):
         things.append(add("lath", block(0.02, 0.44, 0.16), lath, at=(x, 0, 0.02)))
     size = (0.042, 0.048, 0.04, 0.03, 0.05, 0.045)[kind]
-    one = smooth(add("fruit", sphere, mat.patterned("fruit", "Noise", FRUIT[kind], 0.35, Scale=3, Detail=5), at=(0, 0, 0.1), size=size))
+    one = smooth(
+        add(
+            "fruit",
+            sphere,
+            mat.patterned("fruit", "Noise", FRUIT[kind], 0.35, Scale=3, Detail=5),
+            at=(0, 0, 0.1),
+            size=size,
+        )
+    )
     things.append(one)
     for x in np.arange(-width / 2 + size, width / 2 - size / 2, 1.9 * size):
         for y in np.arange(-0.22 + size, 0.22 - size / 2, 1.9 * size):
@@ -77,19 +98,32 @@ def shelves(x: float, y: float, width: float, count: int, seed: int) -> None:
 
 
 def bakery(x: float, y: float) -> None:
-    crust = mat.patterned("crust", "Noise", [(0.25, 0.09, 0.02), (0.60, 0.33, 0.10), (0.85, 0.66, 0.38)], Scale=3, Detail=6)
+    crust = mat.patterned(
+        "crust", "Noise", [(0.25, 0.09, 0.02), (0.60, 0.33, 0.10), (0.85, 0.66, 0.38)], Scale=3, Detail=6
+    )
     loaf, cake_board = mould("loaf", sphere, crust), wood("counter", 0.8)
     rng = np.random.default_rng(52)
     for depth, up in ((0.2, 0.66), (0.45, 0.95), (0.7, 1.24)):
         add("step", block(2.3, 0.26, 0.03), cake_board, at=(x - 0.57, y + depth, up))
         for place in np.arange(-1.05, 1.06, 0.19):
-            again(loaf, (x - 0.57 + place, y + depth, up + 0.09), (0, 0, rng.uniform(-30, 30)), (0.075, rng.uniform(0.06, 0.15), 0.06))
+            again(
+                loaf,
+                (x - 0.57 + place, y + depth, up + 0.09),
+                (0, 0, rng.uniform(-30, 30)),
+                (0.075, rng.uniform(0.06, 0.15), 0.06),
+            )
     icing = [
         mat.patterned("icing", "Wave", [a, b], 0.3, Scale=3, Distortion=3)
         for a, b in (((0.8, 0.35, 0.42), (0.9, 0.85, 0.8)), ((0.12, 0.05, 0.02), (0.85, 0.7, 0.5)))
     ]
     for k in range(5):
-        add("cake", cone(0.15, 0.14, 24), icing[k % 2], at=(x - 1.45 + 0.42 * k, y + 0.98, 1.62), size=(1, 1, 0.16))
+        add(
+            "cake",
+            cone(0.15, 0.14, 24),
+            icing[k % 2],
+            at=(x - 1.45 + 0.42 * k, y + 0.98, 1.62),
+            size=(1, 1, 0.16),
+        )
     add("step", block(2.3, 0.34, 0.03), cake_board, at=(x - 0.57, y + 0.98, 1.51))
     shelves(x, y + 1.5, 3.4, 4, 71)
 
@@ -105,7 +139,12 @@ def bookshop(x: float, y: float) -> None:
         moved(books(-1.1, 1.1, 0.3, -0.1, up + 0.031, bindings, rng), (x - 0.57, y + depth, 0), 0)
     add("table", block(1.3, 0.5, 0.05), board, at=(x - 0.9, -0.75, 0.7))
     for k in range(4):
-        bar(board, (x - 1.5 + 1.2 * (k % 2), -0.95 + 0.4 * (k // 2), 0), (x - 1.5 + 1.2 * (k % 2), -0.95 + 0.4 * (k // 2), 0.7), 0.03)
+        bar(
+            board,
+            (x - 1.5 + 1.2 * (k % 2), -0.95 + 0.4 * (k // 2), 0),
+            (x - 1.5 + 1.2 * (k % 2), -0.95 + 0.4 * (k // 2), 0.7),
+            0.03,
+        )
     moved(books(-0.6, 0.6, 0.28, -0.1, 0.751, bindings, rng), (x - 0.9, -0.78, 0), 0)
 
 
@@ -115,13 +154,25 @@ def cafe(x: float, y: float) -> None:
     seat = wood("seat", 0.9)
     for k in range(2):
         at = Vector((x + 1.35 * k, y + 0.35 * k, 0))
-        add("top", cone(0.36, 0.36, 40), cloth("tablecloth", [(0.80, 0.76, 0.66), (0.55, 0.10, 0.08)], 14), at=at + Vector((0, 0, 0.72)), size=(1, 1, 0.03))
+        add(
+            "top",
+            cone(0.36, 0.36, 40),
+            cloth("tablecloth", [(0.80, 0.76, 0.66), (0.55, 0.10, 0.08)], 14),
+            at=at + Vector((0, 0, 0.72)),
+            size=(1, 1, 0.03),
+        )
         bar(iron, at, at + Vector((0, 0, 0.7)), 0.03)
         add("foot", cone(0.22, 0.18, 24), iron, at=at + Vector((0, 0, 0.015)), size=(1, 1, 0.03))
         for j, (dx, dy) in enumerate(((-0.1, -0.1), (0.14, 0.02), (-0.02, 0.16))):
-            ornament(4 + 5 * ((j + k) % 3) if j else 15 * k, (0.2, 0.11, 0.11)[j], at + Vector((dx, dy, 0.736)))
+            ornament(
+                4 + 5 * ((j + k) % 3) if j else 15 * k, (0.2, 0.11, 0.11)[j], at + Vector((dx, dy, 0.736))
+            )
         for turn in (25 + 40 * k, 205 + 15 * k):
-            moved(_stool(iron, seat), at + 0.62 * Vector((math.cos(math.radians(turn)), math.sin(math.radians(turn)), 0)), turn - 90)
+            moved(
+                _stool(iron, seat),
+                at + 0.62 * Vector((math.cos(math.radians(turn)), math.sin(math.radians(turn)), 0)),
+                turn - 90,
+            )
 
 
 def _stool(iron, seat) -> list:
@@ -143,29 +194,59 @@ def bicycle(at: Vector) -> None:
 
     def ring(u: float, v: float) -> Vector:
         out = 0.33 + 0.02 * math.cos(2 * math.pi * v)
-        return Vector((out * math.cos(2 * math.pi * u), 0.02 * math.sin(2 * math.pi * v), out * math.sin(2 * math.pi * u)))
+        return Vector(
+            (
+                out * math.cos(2 * math.pi * u),
+                0.02 * math.sin(2 * math.pi * v),
+                out * math.sin(2 * math.pi * u),
+            )
+        )
 
     hubs = [at + Vector((dx, 0, 0.35)) for dx in (-0.52, 0.52)]
     for hub in hubs:
         smooth(add("tyre", sheet(48, 8, ring, closed=True), tyre, at=hub))
         for angle in np.arange(0, 2 * math.pi, math.pi / 8):
             bar(steel, hub, hub + 0.32 * Vector((math.cos(angle), 0, math.sin(angle))), 0.004)
-    saddle, pedals, head = at + Vector((-0.22, 0, 0.86)), at + Vector((-0.08, 0, 0.32)), at + Vector((0.38, 0, 0.82))
-    for start, end in ((hubs[0], saddle), (hubs[0], pedals), (pedals, saddle), (pedals, head), (saddle - Vector((0, 0, 0.1)), head), (hubs[1], head)):
+    saddle, pedals, head = (
+        at + Vector((-0.22, 0, 0.86)),
+        at + Vector((-0.08, 0, 0.32)),
+        at + Vector((0.38, 0, 0.82)),
+    )
+    for start, end in (
+        (hubs[0], saddle),
+        (hubs[0], pedals),
+        (pedals, saddle),
+        (pedals, head),
+        (saddle - Vector((0, 0, 0.1)), head),
+        (hubs[1], head),
+    ):
         bar(paint, start, end, 0.018)
     bar(steel, head, head + Vector((-0.04, 0, 0.18)), 0.014)
     bar(steel, head + Vector((-0.04, -0.28, 0.18)), head + Vector((-0.04, 0.28, 0.18)), 0.013)
     add("saddle", block(0.26, 0.14, 0.05), wood("leather", 0.35), at=saddle)
-    add("basket", block(0.26, 0.34, 0.24), cloth("basket", [(0.55, 0.36, 0.15), (0.30, 0.17, 0.06)], 28), at=head + Vector((0.2, 0, -0.02)))
+    add(
+        "basket",
+        block(0.26, 0.34, 0.24),
+        cloth("basket", [(0.55, 0.36, 0.15), (0.30, 0.17, 0.06)], 28),
+        at=head + Vector((0.2, 0, -0.02)),
+    )
 
 
 def notice(text: str, at, turn: float) -> None:
     """A board on the pavement."""
-    slate, frame = mat.patterned("slate", "Noise", [(0.03, 0.04, 0.04), (0.10, 0.11, 0.11)], Scale=9, Detail=6), wood("frame", 0.7)
+    slate, frame = (
+        mat.patterned("slate", "Noise", [(0.03, 0.04, 0.04), (0.10, 0.11, 0.11)], Scale=9, Detail=6),
+        wood("frame", 0.7),
+    )
     chalk = mat.weathered(mat.plain("chalk", (0.85, 0.83, 0.75)), 0.5, Scale=30)
-    things = [add("board", block(0.62, 0.03, 0.95), frame, at=(0, 0, 0)), add("slate", block(0.54, 0.03, 0.82), slate, at=(0, -0.006, 0.08))]
+    things = [
+        add("board", block(0.62, 0.03, 0.95), frame, at=(0, 0, 0)),
+        add("slate", block(0.54, 0.03, 0.82), slate, at=(0, -0.006, 0.08)),
+    ]
     for k, word in enumerate(text.split()):
         things.append(lettering(word, chalk, (0, -0.024, 0.72 - 0.2 * k), (90, 0, 0), 0.15))
     for k in range(3):
-        things.append(add("line", block(0.36 - 0.06 * k, 0.005, 0.025), chalk, at=(0, -0.022, 0.33 - 0.08 * k)))
+        things.append(
+            add("line", block(0.36 - 0.06 * k, 0.005, 0.025), chalk, at=(0, -0.022, 0.33 - 0.08 * k))
+        )
     moved(things, at, turn)

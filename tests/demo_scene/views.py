@@ -39,7 +39,8 @@ class Pose:
 
 
 def pose(number: int, eye: np.ndarray, target: np.ndarray, roll: float = 0.0) -> Pose:
-    """The view of this number, from `eye` towards `target`, turned clockwise by `roll` radians around its viewing axis."""
+    """The view of this number, from `eye` towards `target`, turned clockwise by `roll` radians around its
+    viewing axis."""
     turned = np.eye(4)
     turned[:2, :2] = [[np.cos(roll), np.sin(roll)], [-np.sin(roll), np.cos(roll)]]
     return Pose(f"{number:04d}.png", turned @ look_at(np.array(eye), np.array(target)))

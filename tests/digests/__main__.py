@@ -1,5 +1,6 @@
-"""`python -m tests.digests`: runs the native core of every target that can be run here, and compares it with this checkout's own, built by
-another compiler; with --record, what the levels in RECORDED_LEVELS give is written to digests.txt. The exit status is 1 if anything differs.
+"""`python -m tests.digests`: runs the native core of every target that can be run here, and compares it with
+this checkout's own, built by another compiler; with --record, what the levels in RECORDED_LEVELS give is
+written to digests.txt. The exit status is 1 if anything differs.
 """
 
 from __future__ import annotations
@@ -11,7 +12,17 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from digests import RECORD, RECORDED_LEVELS, TARGETS, build, cross_build, differences, lines, missing, recorded
+from digests import (
+    RECORD,
+    RECORDED_LEVELS,
+    TARGETS,
+    build,
+    cross_build,
+    differences,
+    lines,
+    missing,
+    recorded,
+)
 from svrgs_addon.native import library
 
 
@@ -25,7 +36,11 @@ def of_target(target: str, own: dict[str, list[str]]) -> tuple[dict[str, list[st
             wrong = differences(found[level], own.get(level) or recorded(level))
         except RuntimeError as error:
             wrong = [str(error)]
-        print(f"{target:24} {level:9} {len(found.get(level, []))} lines, {'the same' if not wrong else 'different:'}", flush=True)
+        print(
+            f"{target:24} {level:9} {len(found.get(level, []))} lines,"
+            f" {'the same' if not wrong else 'different:'}",
+            flush=True,
+        )
         print("".join(f"  {line}\n" for line in wrong), end="")
         right &= not wrong
     return found, right
@@ -49,7 +64,9 @@ def main() -> int:
     if options.record:
         if absent := [level for level in RECORDED_LEVELS if level not in found]:
             parser.error(f"cannot record without {', '.join(absent)}")
-        RECORD.write_text("\n".join(line for level in RECORDED_LEVELS for line in found[level]) + "\n", encoding="utf-8")
+        RECORD.write_text(
+            "\n".join(line for level in RECORDED_LEVELS for line in found[level]) + "\n", encoding="utf-8"
+        )
     return int(not right)
 
 

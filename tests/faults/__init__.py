@@ -1,7 +1,7 @@
 """kill -9 at random moments: of a fine-tuning run that is taken up again, and of every writer.
 
-Children are forked from a process that has everything imported, so that each costs no start; it must never have used the native
-library itself, whose threads a fork does not take along.
+Children are forked from a process that has everything imported, so that each costs no start; it must never
+have used the native library itself, whose threads a fork does not take along.
 """
 
 from __future__ import annotations
@@ -38,7 +38,8 @@ class Survived:
     """How it went."""
 
     kills: int = 0
-    finished: int = 0  # runs that came to their end, or writers that had replaced the file when they were killed
+    # runs that came to their end, or writers that had replaced the file when they were killed
+    finished: int = 0
     resumed: int = 0  # starts that went on from a checkpoint
 
 
@@ -63,7 +64,8 @@ def done(work: Callable[[], object]):
 
 
 def killed(work: Callable[[], object], seconds: float) -> int | None:
-    """The work in a child that is killed after so many seconds; its exit status if it ended before, else None."""
+    """The work in a child that is killed after so many seconds; its exit status if it ended before, else
+    None."""
     child, end = forked(work), time.monotonic() + seconds
     while time.monotonic() < end:
         if (found := os.waitpid(child, os.WNOHANG))[0]:
@@ -76,14 +78,16 @@ def killed(work: Callable[[], object], seconds: float) -> int | None:
 
 def digest(path: Path) -> str:
     """Of the bytes, without the time that an EXR says it was made."""
-    return hashlib.sha256(re.sub(rb"capDate\0string\0.{4}[0-9: ]{19}", b"", path.read_bytes(), flags=re.DOTALL)).hexdigest()
+    return hashlib.sha256(
+        re.sub(rb"capDate\0string\0.{4}[0-9: ]{19}", b"", path.read_bytes(), flags=re.DOTALL)
+    ).hexdigest()
 
 
 # --- writers
 
 
 def scene_of(count: int, value: float) -> Scene:
-    full = lambda *shape: np.full((count, *shape), value, np.float32)  # noqa: E731
+    full = lambda *shape: np.full((count, *shape), value, np.float32)
     return Scene(full(3), full(3), full(4), full(), full(4, 3))
 
 
@@ -100,16 +104,23 @@ def write_npz(path: Path, version: int):
 
 WRITERS: dict[str, Callable[[Path, int], object]] = {
     "scene.ply": lambda path, version: write_ply(path, scene_of(20_000, version)),
-    "view.png": lambda path, version: write_image(path, np.full((300, 400, 3), 0.25 + version / 2, np.float32)),
-    "view.exr": lambda path, version: write_image(path, np.full((300, 400, 3), 0.25 + version / 2, np.float32)),
+    "view.png": lambda path, version: write_image(
+        path, np.full((300, 400, 3), 0.25 + version / 2, np.float32)
+    ),
+    "view.exr": lambda path, version: write_image(
+        path, np.full((300, 400, 3), 0.25 + version / 2, np.float32)
+    ),
     "array.npy": write_npy,
     "arrays.npz": write_npz,
-    "state.json": lambda path, version: JobFolder(path.parent).write_json(path.name, {"version": version, "text": "x" * 50_000}),
+    "state.json": lambda path, version: JobFolder(path.parent).write_json(
+        path.name, {"version": version, "text": "x" * 50_000}
+    ),
 }
 
 
 def kill_writer(name: str, folder: Path, kills: int, seed: int = 0) -> Survived:
-    """A file that is written over and over, its two contents in turn: whenever the writer dies, one of them is there, whole."""
+    """A file that is written over and over, its two contents in turn: whenever the writer dies, one of them
+    is there, whole."""
     chance, survived, path, write = random.Random(seed), Survived(), folder / name, WRITERS[name]
     contents = []
     for version in (1, 0):
@@ -136,7 +147,8 @@ def kill_writer(name: str, folder: Path, kills: int, seed: int = 0) -> Survived:
 
 
 def kill_run(splat: Path, dataset: Path, folder: Path, kills: int, seed: int = 0) -> Survived:
-    """A pruning job that saves a checkpoint each step, killed again and again, taken up each time: the same bytes in the end."""
+    """A pruning job that saves a checkpoint each step, killed again and again, taken up each time: the same
+    bytes in the end."""
     settings = replace(prune_settings("svr", 40, 20, prune_every=15, lambda_f=1e-3), mask_init=0.5, seed=5)
     out, data = folder / "o.ply", load_dataset(dataset)
 
@@ -149,7 +161,23 @@ def kill_run(splat: Path, dataset: Path, folder: Path, kills: int, seed: int = 0
 def kill_blocks(splat: Path, dataset: Path, folder: Path, kills: int, seed: int = 0) -> Survived:
     """The same of a job by blocks."""
     out = folder / "o.ply"
-    words = ["large", "prune", splat, "--colmap", dataset, "--method", "removal", "--target", 0.5, "--iterations", 20, "--recovery", 10, "--block", 130]
+    words = [
+        "large",
+        "prune",
+        splat,
+        "--colmap",
+        dataset,
+        "--method",
+        "removal",
+        "--target",
+        0.5,
+        "--iterations",
+        20,
+        "--recovery",
+        10,
+        "--block",
+        130,
+    ]
 
     def prune():
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()) as said:
@@ -159,7 +187,9 @@ def kill_blocks(splat: Path, dataset: Path, folder: Path, kills: int, seed: int 
     return _kill_job(prune, out, "o.ply.blocks/**/manifest.json", kills, 1.0, seed)
 
 
-def _kill_job(prune: Callable[[], object], out: Path, checkpoints: str, kills: int, longest: float, seed: int) -> Survived:
+def _kill_job(
+    prune: Callable[[], object], out: Path, checkpoints: str, kills: int, longest: float, seed: int
+) -> Survived:
     """checkpoints: pattern of their files beside the output. longest: seconds until a kill, at most."""
     loop.CHECKPOINT_SECONDS = 0
     chance, survived = random.Random(seed), Survived()

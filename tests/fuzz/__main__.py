@@ -1,4 +1,5 @@
-"""python -m tests.fuzz TARGET [--seconds 30] [--seed 0] [--atheris]: inputs tried, accepted, slowest; the input that breaks a promise.
+"""python -m tests.fuzz TARGET [--seconds 30] [--seed 0] [--atheris]: inputs tried, accepted, slowest; the
+input that breaks a promise.
 
 With --atheris (its package is needed) coverage leads the search; else mutate.py's changes do.
 """
@@ -43,7 +44,10 @@ def _with_mutations(options: argparse.Namespace, folder: Path) -> int:
         except Exception:
             broken = Path(f"broken-{options.target}.bin")
             broken.write_bytes(data)
-            print(f"{options.target}: a promise is broken by {broken.resolve()} ({tried} tried before)", file=sys.stderr)
+            print(
+                f"{options.target}: a promise is broken by {broken.resolve()} ({tried} tried before)",
+                file=sys.stderr,
+            )
             raise
         tried, slowest = tried + 1, max(slowest, time.process_time() - started)
     print(f"{options.target}: {tried} inputs, {accepted} accepted, slowest {slowest:.3f} s, nothing broken")
@@ -61,7 +65,13 @@ def _with_atheris(options: argparse.Namespace, folder: Path) -> int:
     corpus.mkdir()
     for number, data in enumerate(seeds):
         (corpus / str(number)).write_bytes(data)
-    words = [sys.argv[0], f"-max_total_time={int(options.seconds)}", f"-seed={options.seed + 1}", "-max_len=65536", "-print_final_stats=1"]
+    words = [
+        sys.argv[0],
+        f"-max_total_time={int(options.seconds)}",
+        f"-seed={options.seed + 1}",
+        "-max_len=65536",
+        "-print_final_stats=1",
+    ]
     words += [f"-artifact_prefix=broken-{options.target}-", str(corpus)]
     atheris.Setup(words, lambda data: check(bytes(data)) and None)
     atheris.Fuzz()

@@ -67,11 +67,14 @@ def spz_seeds(folder: Path) -> list[bytes]:
 
 
 def sog_seeds(folder: Path) -> list[bytes]:
-    """Bundles by another program, without and with a palette; what is in them is stored, so changes reach it."""
+    """Bundles by another program, without and with a palette; what is in them is stored, so changes reach
+    it."""
     gaussforge, found = __import__("gaussforge"), []
     for degree in (0, 1):
         write_scene(folder / "seed.ply", room(5, degree))
-        found.append(gaussforge.GaussForge().convert((folder / "seed.ply").read_bytes(), "ply", "sog")["data"])
+        found.append(
+            gaussforge.GaussForge().convert((folder / "seed.ply").read_bytes(), "ply", "sog")["data"]
+        )
     return found
 
 
@@ -81,7 +84,11 @@ def ply_seeds(folder: Path) -> list[bytes]:
     header, body = found[0].split(b"end_header\n")
     values = np.frombuffer(body, "<f4").reshape(5, -1)
     found.append(header.replace(b"float", b"double") + b"end_header\n" + values.astype("<f8").tobytes())
-    found.append(header.replace(b"binary_little_endian", b"binary_big_endian") + b"end_header\n" + values.astype(">f4").tobytes())
+    found.append(
+        header.replace(b"binary_little_endian", b"binary_big_endian")
+        + b"end_header\n"
+        + values.astype(">f4").tobytes()
+    )
     text = io.BytesIO()
     np.savetxt(text, values, fmt="%.6g")
     found.append(header.replace(b"binary_little_endian", b"ascii") + b"end_header\n" + text.getvalue())
@@ -96,16 +103,33 @@ def camera_entries(count: int = 2) -> list[dict]:
     """What 3DGS training writes for each view, and that it is perspective."""
     turn = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
     sizes = {"width": 64, "height": 48, "fx": 60.0, "fy": 60.0, "orthographic": False}
-    return [{"id": i, "img_name": f"{i:02}", "position": [0.1 * i, 0.0, -3.0], "rotation": turn, **sizes} for i in range(count)]
+    return [
+        {"id": i, "img_name": f"{i:02}", "position": [0.1 * i, 0.0, -3.0], "rotation": turn, **sizes}
+        for i in range(count)
+    ]
 
 
 def transforms_contents() -> list[dict]:
     """Pinholes as instant-ngp writes them, and a lens with distortion as Nerfstudio does."""
     pose = [[1.0, 0.0, 0.0, 0.1], [0.0, 0.0, -1.0, -3.0], [0.0, 1.0, 0.0, 0.2], [0.0, 0.0, 0.0, 1.0]]
     frames = [{"file_path": f"./images/{i:02}.png", "transform_matrix": pose} for i in range(2)]
-    lens = {"fl_x": 60.0, "fl_y": 58.0, "cx": 31.0, "cy": 25.0, "w": 64, "h": 48, "k1": -0.1, "k2": 0.02, "p1": 0.002, "p2": -0.001}
+    lens = {
+        "fl_x": 60.0,
+        "fl_y": 58.0,
+        "cx": 31.0,
+        "cy": 25.0,
+        "w": 64,
+        "h": 48,
+        "k1": -0.1,
+        "k2": 0.02,
+        "p1": 0.002,
+        "p2": -0.001,
+    }
     named = {"camera_model": "OPENCV", "applied_transform": pose[:3], "ply_file_path": "sparse_pc.ply"}
-    return [{"camera_angle_x": 0.9, "w": 64, "h": 48, "frames": frames}, {**named, "frames": [frame | lens for frame in frames]}]
+    return [
+        {"camera_angle_x": 0.9, "w": 64, "h": 48, "frames": frames},
+        {**named, "frames": [frame | lens for frame in frames]},
+    ]
 
 
 def colmap_folder(folder: Path, text: bool) -> Path:
@@ -131,7 +155,14 @@ def checkpoint_folder(folder: Path) -> Path:
     target.mkdir()
     np.savez(target / "arrays.npz", values=np.arange(7.0))
     digest = hashlib.sha256((target / "arrays.npz").read_bytes()).hexdigest()
-    manifest = {"schema": checkpoint.SCHEMA, "identity": "x", "sha256": digest, "iteration": 3, "loss": 0.5, "curves": {"count": [1, 2]}}
+    manifest = {
+        "schema": checkpoint.SCHEMA,
+        "identity": "x",
+        "sha256": digest,
+        "iteration": 3,
+        "loss": 0.5,
+        "curves": {"count": [1, 2]},
+    }
     manifest["digest"] = checkpoint.text_digest(manifest)
     (target / "manifest.json").write_text(json.dumps(manifest))
     return target

@@ -1,6 +1,8 @@
-"""What a reader promises of any bytes: a valid scene, model or list of cameras, or one sentence; soon; in bounded memory.
+"""What a reader promises of any bytes: a valid scene, model or list of cameras, or one sentence; soon; in
+bounded memory.
 
-A target is a function of bytes that returns True where they were accepted and raises AssertionError where a promise is broken.
+A target is a function of bytes that returns True where they were accepted and raises AssertionError where a
+promise is broken.
 """
 
 from __future__ import annotations
@@ -42,7 +44,9 @@ def splat(splat_format: SplatFormat, data: bytes) -> bool:
     """The whole file and its parts agree, and what is left after repair is finite."""
     with _file(data, splat_format.suffixes[0]) as path:
         accepted, scene = _held(lambda: splat_format.whole(path), len(data))
-        parted, parts = _held(lambda: [part.select(slice(None)) for part in splat_format.read_parts(path)], len(data))
+        parted, parts = _held(
+            lambda: [part.select(slice(None)) for part in splat_format.read_parts(path)], len(data)
+        )
         assert accepted == parted
         if accepted:
             assert sum(part.count for part in parts) == scene.count
@@ -67,7 +71,11 @@ def cameras_json(data: bytes) -> bool:
     with _file(data, ".json") as path:
         accepted, cameras = _held(lambda: load_cameras_json(path), len(data))
         for camera in cameras or ():
-            assert np.isfinite(camera.viewmat).all() and np.isfinite(camera.K).all() and camera.K[0, 0] > 0 < camera.K[1, 1]
+            assert (
+                np.isfinite(camera.viewmat).all()
+                and np.isfinite(camera.K).all()
+                and camera.K[0, 0] > 0 < camera.K[1, 1]
+            )
         return accepted
 
 
@@ -77,9 +85,17 @@ def transforms_json(data: bytes) -> bool:
         path.write_bytes(data)
         accepted, found = _held(lambda: read_transforms(path), len(data))
         if accepted:
-            _held(lambda: [pinhole_camera(view, view.camera.width, view.camera.height) for view in found.model.views], len(data))
+            _held(
+                lambda: [
+                    pinhole_camera(view, view.camera.width, view.camera.height) for view in found.model.views
+                ],
+                len(data),
+            )
             assert found.image_folder.resolve().is_relative_to(Path(folder).resolve())
-            assert all(".." not in view.name.split("/") and np.isfinite(view.viewmat).all() for view in found.model.views)
+            assert all(
+                ".." not in view.name.split("/") and np.isfinite(view.viewmat).all()
+                for view in found.model.views
+            )
         return accepted
 
 
@@ -99,10 +115,17 @@ class Colmap:
             Path(folder, name).write_bytes(data[1:])
             accepted, model = _held(lambda: read_model(Path(folder)), len(data))
             if accepted:
-                _held(lambda: [pinhole_camera(view, view.camera.width, view.camera.height) for view in model.views], len(data))
+                _held(
+                    lambda: [
+                        pinhole_camera(view, view.camera.width, view.camera.height) for view in model.views
+                    ],
+                    len(data),
+                )
         if accepted:
             assert np.isfinite(model.points).all()
-            assert all(".." not in view.name.split("/") and not view.name.startswith("/") for view in model.views)
+            assert all(
+                ".." not in view.name.split("/") and not view.name.startswith("/") for view in model.views
+            )
         return accepted
 
     def seeds(self) -> list[bytes]:
@@ -110,7 +133,8 @@ class Colmap:
 
 
 class Checkpoint:
-    """A checkpoint of which one file, named by the first byte, is replaced: read as it was, or not taken for one."""
+    """A checkpoint of which one file, named by the first byte, is replaced: read as it was, or not taken for
+    one."""
 
     names = ("manifest.json", "arrays.npz")
 
@@ -132,7 +156,8 @@ class Checkpoint:
 
 
 class Streamed:
-    """A streamed SOG whose lod-meta.json is replaced: its files are read, or not; none outside of its folder."""
+    """A streamed SOG whose lod-meta.json is replaced: its files are read, or not; none outside of its
+    folder."""
 
     def __init__(self, folder: Path):
         self.path = folder / streamed_sog.INDEX
@@ -164,7 +189,8 @@ def _file(data: bytes, suffix: str):
 
 
 def _held(read: Callable, size: int):
-    """(True, what was read) or (False, None); within memory where tracemalloc runs, which slows all down, else within time."""
+    """(True, what was read) or (False, None); within memory where tracemalloc runs, which slows all down,
+    else within time."""
     started = time.process_time()
     before = tracemalloc.get_traced_memory()[0]
     if tracemalloc.is_tracing():

@@ -1,7 +1,9 @@
-"""Instructions the native core needs for fixed small cases, counted by valgrind: the same on every run, whatever else runs.
+"""Instructions the native core needs for fixed small cases, counted by valgrind: the same on every run,
+whatever else runs.
 
-counts.json holds what they were when last recorded. Times vary by a tenth from run to run on a shared machine; a loss
-of a few per cent shows here alone. One thread; levels as valgrind knows them (it has no AVX-512).
+counts.json holds what they were when last recorded. Times vary by a tenth from run to run on a shared
+machine; a loss of a few per cent shows here alone. One thread; levels as valgrind knows them (it has no
+AVX-512).
 """
 
 from __future__ import annotations
@@ -49,7 +51,14 @@ def builder() -> str:
 def measure(folder: Path) -> Counts:
     """Every count of this build; folder: for what is made on the way."""
     driver, case = folder / "driver", folder / "case.bin"
-    command = [os.environ.get("CXX", "g++"), "-std=c++20", "-O1", f"-I{ROOT / 'native' / 'include'}", HERE / "driver.cc", LIBRARY]
+    command = [
+        os.environ.get("CXX", "g++"),
+        "-std=c++20",
+        "-O1",
+        f"-I{ROOT / 'native' / 'include'}",
+        HERE / "driver.cc",
+        LIBRARY,
+    ]
     subprocess.run([*command, f"-Wl,-rpath,{LIBRARY.parent}", "-o", driver], check=True)
     write_case(case)
     counts = {}
@@ -76,7 +85,10 @@ def _dumps(out: Path):
     """(name, instructions) of each of callgrind's dumps: out.1, out.2, ..."""
     for path in sorted(out.parent.glob(f"{out.name}.*"), key=lambda path: int(path.suffix[1:])):
         text = path.read_text()
-        yield re.search(r"Client Request: (\w+)", text)[1], int(re.search(r"^totals: (\d+)", text, re.MULTILINE)[1])
+        yield (
+            re.search(r"Client Request: (\w+)", text)[1],
+            int(re.search(r"^totals: (\d+)", text, re.MULTILINE)[1]),
+        )
 
 
 def recorded() -> dict:
@@ -90,7 +102,16 @@ def record(counts: Counts):
 
 def changes(counts: Counts, before: Counts) -> tuple[list[str], list[str]]:
     """Sentences on what grew beyond the tolerance (or was never recorded), and on what shrank beyond it."""
-    new = [f"{name}: {count:,} instructions, not recorded before" for name, count in counts.items() if name not in before]
+    new = [
+        f"{name}: {count:,} instructions, not recorded before"
+        for name, count in counts.items()
+        if name not in before
+    ]
     share = {name: count / before[name] - 1 for name, count in counts.items() if name in before}
-    lines = {name: f"{name}: {counts[name]:,} instructions, {change:+.1%} against the {before[name]:,} recorded" for name, change in share.items()}
-    return new + [lines[name] for name in share if share[name] > TOLERANCE], [lines[name] for name in share if share[name] < -TOLERANCE]
+    lines = {
+        name: f"{name}: {counts[name]:,} instructions, {change:+.1%} against the {before[name]:,} recorded"
+        for name, change in share.items()
+    }
+    return new + [lines[name] for name in share if share[name] > TOLERANCE], [
+        lines[name] for name in share if share[name] < -TOLERANCE
+    ]

@@ -1,4 +1,5 @@
-"""`python -m tests.instruction_counts`: counts, beside those recorded; with --record, they become the recorded ones."""
+"""`python -m tests.instruction_counts`: counts, beside those recorded; with --record, they become the
+recorded ones."""
 
 from __future__ import annotations
 
@@ -24,7 +25,9 @@ def main() -> int:
         counts = measure(Path(folder))
     print(builder())
     for name, count in counts.items():
-        print(f"{name:20} {count:12,}" + (f"  {count / before[name] - 1:+.1%}" if name in before else "  new"))
+        print(
+            f"{name:20} {count:12,}" + (f"  {count / before[name] - 1:+.1%}" if name in before else "  new")
+        )
     if options.record:
         record(counts)
     return 0

@@ -1,5 +1,5 @@
-"""`python -m tests.instruction_counts.under_qemu`: instructions of NEON against those of SSE2, both from the libraries of make package, built by
-the same clang. Needs Debian's qemu-user and libc6-arm64-cross."""
+"""`python -m tests.instruction_counts.under_qemu`: instructions of NEON against those of SSE2, both from the
+libraries of make package, built by the same clang. Needs Debian's qemu-user and libc6-arm64-cross."""
 
 from __future__ import annotations
 
@@ -25,12 +25,24 @@ def counts(level: str, case: Path, plugin: Path) -> dict[str, int]:
     target, emulator = RUNS[level]
     library = library_of(target)
     driver = library.with_name("counted")
-    compiler = [sys.executable, "-m", "ziglang", "c++", "-target", target, "-std=c++20", "-O1", "-DCOUNTED_BY_QEMU", f"-I{ROOT / 'native/include'}"]
+    compiler = [
+        sys.executable,
+        "-m",
+        "ziglang",
+        "c++",
+        "-target",
+        target,
+        "-std=c++20",
+        "-O1",
+        "-DCOUNTED_BY_QEMU",
+        f"-I{ROOT / 'native/include'}",
+    ]
     subprocess.run([*compiler, HERE / "driver.cc", library, "-Wl,-rpath,$ORIGIN", "-o", driver], check=True)
     command = [*emulator, "-plugin", plugin, driver, case, str(library.levels()[level])]
     done = subprocess.run(command, check=True, capture_output=True, text=True)
     marks = [int(line) for line in done.stderr.splitlines() if line.isdigit()]
-    return dict(zip(done.stdout.split(), marks[1::2], strict=True))  # a mark before each call and one after it
+    # a mark before each call and one after it
+    return dict(zip(done.stdout.split(), marks[1::2], strict=True))
 
 
 def main() -> int:

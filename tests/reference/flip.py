@@ -1,4 +1,5 @@
-"""LDR-FLIP (Andersson et al. 2020, doi 10.1145/3406183) in float64, of whole images and with whole filters. Sections and equations are those of the paper."""
+"""LDR-FLIP (Andersson et al. 2020, doi 10.1145/3406183) in float64, of whole images and with whole filters.
+Sections and equations are those of the paper."""
 
 from __future__ import annotations
 
@@ -13,7 +14,8 @@ FEATURE_WIDTH, FEATURE_EXPONENT = 0.082, 0.5  # w (degrees), q_f
 
 
 def _xyz_from_rgb() -> np.ndarray:
-    """Matrix (3, 3) from linear sRGB to XYZ divided by the XYZ of white, from the primaries and the white point D65 of IEC 61966-2-1."""
+    """Matrix (3, 3) from linear sRGB to XYZ divided by the XYZ of white, from the primaries and the white
+    point D65 of IEC 61966-2-1."""
     x, y = np.array([[0.64, 0.30, 0.15], [0.33, 0.60, 0.06]])
     primaries = np.array([x / y, np.ones(3), (1 - x - y) / y])
     white = np.array([0.3127 / 0.3290, 1.0, (1 - 0.3127 - 0.3290) / 0.3290])
@@ -26,7 +28,8 @@ RGB_FROM_XYZ = np.linalg.inv(XYZ_FROM_RGB)
 
 
 def flip_map(a: np.ndarray, b: np.ndarray, ppd: float) -> np.ndarray:
-    """FLIP of each pixel (H, W) in [0, 1] (equation 13). a, b: (H, W, 3) display sRGB in [0, 1]. ppd: pixels per degree."""
+    """FLIP of each pixel (H, W) in [0, 1] (equation 13). a, b: (H, W, 3) display sRGB in [0, 1]. ppd: pixels
+    per degree."""
     a, b = _opponents(a), _opponents(b)
     colour = _colour_difference(_hunt_lab(_contrast_filtered(a, ppd)), _hunt_lab(_contrast_filtered(b, ppd)))
     return colour ** (1 - _feature_difference(a[0], b[0], ppd))
@@ -48,8 +51,12 @@ def _hunt_lab(xyz: np.ndarray) -> np.ndarray:
 
 
 def _contrast_filtered(opponents: np.ndarray, ppd: float) -> np.ndarray:
-    """Each channel filtered with its contrast sensitivity (equation 5), clamped to the sRGB gamut; XYZ relative to white."""
-    y, cx, cz = (_filtered(plane, _sensitivity(terms, ppd)) for plane, terms in zip(opponents, SENSITIVITY, strict=True))
+    """Each channel filtered with its contrast sensitivity (equation 5), clamped to the sRGB gamut; XYZ
+    relative to white."""
+    y, cx, cz = (
+        _filtered(plane, _sensitivity(terms, ppd))
+        for plane, terms in zip(opponents, SENSITIVITY, strict=True)
+    )
     rgb = np.einsum("ij,jhw->ihw", RGB_FROM_XYZ, np.stack([cx + y, y, y - cz]))
     return np.einsum("ij,jhw->ihw", XYZ_FROM_RGB, np.clip(rgb, 0, 1))
 
@@ -80,7 +87,8 @@ def _hyab(p: np.ndarray, q: np.ndarray) -> np.ndarray:
 
 
 def _colour_difference(lab_a: np.ndarray, lab_b: np.ndarray) -> np.ndarray:
-    """HyAB distance to the power q_c, mapped piecewise linearly: p_c of the largest one becomes p_t (sections 4.1.2, 4.1.3)."""
+    """HyAB distance to the power q_c, mapped piecewise linearly: p_c of the largest one becomes p_t (sections
+    4.1.2, 4.1.3)."""
     green, blue = (_hunt_lab(XYZ_FROM_RGB[:, [c]]) for c in (1, 2))
     largest = _hyab(green, blue)[0] ** COLOUR_EXPONENT
     error, split = _hyab(lab_a, lab_b) ** COLOUR_EXPONENT, COLOUR_SPLIT * largest

@@ -1,6 +1,8 @@
-"""The paper's formulas on one ray, literally, and central differences. Lists or arrays in, lists of floats out.
+"""The paper's formulas on one ray, literally, and central differences. Lists or arrays in, lists of floats
+out.
 
-alpha and M hold the N hits of a ray, nearest first; eps is scenario A's ε. The paper's forms are O(N²) on purpose.
+alpha and M hold the N hits of a ray, nearest first; eps is scenario A's ε. The paper's forms are O(N²) on
+purpose.
 """
 
 from __future__ import annotations
@@ -49,7 +51,8 @@ def colour(alpha, M, c, B):
 
 
 def colours_behind(alpha, M, c, B) -> list:
-    """b_i, the colour per unit transmittance behind splat i: b_{i−1} = M_i α_i c_i + (1 − M_i α_i) b_i, b_{N−1} = B."""
+    """b_i, the colour per unit transmittance behind splat i: b_{i−1} = M_i α_i c_i + (1 − M_i α_i) b_i,
+    b_{N−1} = B."""
     behind = [B]
     for a, m, ci in list(zip(alpha, M, c, strict=True))[:0:-1]:
         behind.append(m * a * ci + (1 - m * a) * behind[-1])
@@ -74,14 +77,21 @@ def dC_dalpha(alpha, M, c, B) -> list:
 def paper_F(alpha, M):
     """Eq. redundancy-map; 0 on an empty ray."""
     T = transmittances(alpha, M)
-    return sum(m * (1 - a * t) for m, a, t in zip(M, alpha, T[:-1], strict=True)) / log_count(alpha) if len(M) else 0.0
+    return (
+        sum(m * (1 - a * t) for m, a, t in zip(M, alpha, T[:-1], strict=True)) / log_count(alpha)
+        if len(M)
+        else 0.0
+    )
 
 
 def paper_dF_dM(alpha, M) -> list:
     """Eq. dF_dMi: self term + occlusion term."""
     T, n = transmittances(alpha, M), len(alpha)
     tails = [sum(M[j] * alpha[j] * T[j] for j in range(i + 1, n)) for i in range(n)]
-    return [((1 - alpha[i] * T[i]) + alpha[i] / (1 - alpha[i] * M[i]) * tails[i]) / log_count(alpha) for i in range(n)]
+    return [
+        ((1 - alpha[i] * T[i]) + alpha[i] / (1 - alpha[i] * M[i]) * tails[i]) / log_count(alpha)
+        for i in range(n)
+    ]
 
 
 def self_dF_dM(alpha, M) -> list:

@@ -21,7 +21,9 @@ def window() -> Tensor:
 def local_mean(image: Tensor) -> Tensor:
     """Window average at every pixel, per channel; zeros outside the image (H, W, C) → (H, W, C)."""
     planes = image.permute(2, 0, 1)[:, None]
-    return torch.nn.functional.conv2d(planes, window()[None, None], padding=WINDOW // 2)[:, 0].permute(1, 2, 0)
+    return torch.nn.functional.conv2d(planes, window()[None, None], padding=WINDOW // 2)[:, 0].permute(
+        1, 2, 0
+    )
 
 
 def ssim_map(x: Tensor, y: Tensor) -> Tensor:

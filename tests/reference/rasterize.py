@@ -1,8 +1,8 @@
 """Masked splatting and the spatial mask: every pixel meets every Gaussian, autograd supplies every gradient.
 
 Owns the meaning of an image. Uses no tiles, no radii, no closed form of F and no skipping, so that the fast
-path has something independent to agree with. All tensors float64; P = H·W pixels, N Gaussians of which V lie in
-front of the camera. Pose and rays: COLMAP frame (x right, y down, z forward), pixel centres at k + 0.5.
+path has something independent to agree with. All tensors float64; P = H·W pixels, N Gaussians of which V lie
+in front of the camera. Pose and rays: COLMAP frame (x right, y down, z forward), pixel centres at k + 0.5.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ BLUR = 0.3  # px², added to both variances of a splat
 ALPHA_MIN = 1 / 255  # a splat fainter than this at a pixel does not hit it
 ALPHA_MAX = 0.99
 T_MIN = 1e-4  # colour stops where the transmittance would fall below this
-FRUSTUM_MARGIN = 0.3  # x/z is clamped this share of half the image beyond its borders (as gsplat does), for the Jacobian only
+# x/z is clamped this share of half the image beyond its borders (as gsplat does), for the Jacobian only
+FRUSTUM_MARGIN = 0.3
 DET_RATIO_MIN = 0.000025  # floor under the square root of the antialiasing factor
 
 C0 = 0.28209479177387814
@@ -49,7 +50,8 @@ class Splats:
 
 @dataclass(frozen=True)
 class Render:
-    """One view. T_full is the transmittance that F uses: of all hits in full mode, T_final in visible mode."""
+    """One view. T_full is the transmittance that F uses: of all hits in full mode, T_final in visible
+    mode."""
 
     rgb: Tensor  # (H, W, 3)
     depth: Tensor  # (H, W) Σ M α T z, not normalised
@@ -73,7 +75,8 @@ def rotations(quats: Tensor) -> Tensor:
 
 
 def sh_basis(directions: Tensor, degree: int) -> Tensor:
-    """Real spherical harmonics (N, (degree + 1)²) of unit directions (N, 3), signs and order as 3DGS stores them."""
+    """Real spherical harmonics (N, (degree + 1)²) of unit directions (N, 3), signs and order as 3DGS stores
+    them."""
     x, y, z = directions.unbind(1)
     xx, yy, zz = x * x, y * y, z * z
     basis = [torch.full_like(x, C0)]
@@ -96,8 +99,11 @@ def sh_basis(directions: Tensor, degree: int) -> Tensor:
     return torch.stack(basis, 1)
 
 
-def view_colours(means: Tensor, sh: Tensor, viewmat: Tensor, degree: int, orthographic: bool = False) -> Tensor:
-    """Colour (N, 3) seen from the camera centre, before the clamp at 0; depends on the means through the direction.
+def view_colours(
+    means: Tensor, sh: Tensor, viewmat: Tensor, degree: int, orthographic: bool = False
+) -> Tensor:
+    """Colour (N, 3) seen from the camera centre, before the clamp at 0; depends on the means through the
+    direction.
 
     Orthographic: every Gaussian is seen along the camera's axis.
     """
@@ -108,15 +114,19 @@ def view_colours(means: Tensor, sh: Tensor, viewmat: Tensor, degree: int, orthog
 
 
 def frustum_limits(K: Tensor, width: int, height: int) -> tuple[Tensor, Tensor]:
-    """Lower and upper limits (2,) of x/z and y/z within the Jacobian: the view enlarged by 0.3 half widths a side."""
+    """Lower and upper limits (2,) of x/z and y/z within the Jacobian: the view enlarged by 0.3 half widths a
+    side."""
     focal, principal = K.diagonal()[:2], K[:2, 2]
     size = torch.tensor([width, height], dtype=K.dtype)
     margin = FRUSTUM_MARGIN * size / (2 * focal)
     return -(principal / focal + margin), (size - principal) / focal + margin
 
 
-def projection_jacobian(means_c: Tensor, K: Tensor, width: int, height: int, orthographic: bool = False) -> Tensor:
-    """d(pixel)/d(camera point) (V, 2, 3) at the centres (V, 3), directions outside the enlarged view clamped to it."""
+def projection_jacobian(
+    means_c: Tensor, K: Tensor, width: int, height: int, orthographic: bool = False
+) -> Tensor:
+    """d(pixel)/d(camera point) (V, 2, 3) at the centres (V, 3), directions outside the enlarged view clamped
+    to it."""
     if orthographic:
         return (K.diagonal()[:2, None] * torch.eye(2, 3, dtype=K.dtype)).expand(len(means_c), 2, 3)
     z = means_c[:, 2:]
@@ -125,7 +135,20 @@ def projection_jacobian(means_c: Tensor, K: Tensor, width: int, height: int, ort
     return torch.cat([torch.diag_embed(focal / z), (-focal * slopes / z)[:, :, None]], 2)
 
 
-def project(means, log_scales, quats, opacity_logits, sh, viewmat, K, width, height, degree, antialiased, orthographic=False) -> Splats:
+def project(
+    means,
+    log_scales,
+    quats,
+    opacity_logits,
+    sh,
+    viewmat,
+    K,
+    width,
+    height,
+    degree,
+    antialiased,
+    orthographic=False,
+) -> Splats:
     """Centres in front of the near plane, sorted by (float32 z, index), as splats in the image."""
     means_c = means @ viewmat[:3, :3].T + viewmat[:3, 3]
     index = torch.nonzero(means_c[:, 2].detach() > NEAR).flatten()
@@ -135,10 +158,12 @@ def project(means, log_scales, quats, opacity_logits, sh, viewmat, K, width, hei
     plane = means_c[:, :2] if orthographic else means_c[:, :2] / means_c[:, 2:]
     mean = plane * K.diagonal()[:2] + K[:2, 2]
     to_px = projection_jacobian(means_c, K, width, height, orthographic) @ viewmat[:3, :3]
-    axes = to_px @ rotations(quats[index]) * torch.exp(log_scales[index])[:, None, :]  # (V, 2, 3) half axes, px
+    # (V, 2, 3) half axes, px
+    axes = to_px @ rotations(quats[index]) * torch.exp(log_scales[index])[:, None, :]
     u, v = axes.unbind(1)
     xx, xy, yy = (u * u).sum(1), (u * v).sum(1), (v * v).sum(1)  # Σ₂ = axes axesᵀ
-    det_sharp = torch.linalg.cross(u, v).square().sum(1)  # det(axes axesᵀ) without the cancellation of xx yy − xy²
+    # det(axes axesᵀ) without the cancellation of xx yy − xy²
+    det_sharp = torch.linalg.cross(u, v).square().sum(1)
     det = det_sharp + BLUR * (xx + yy) + BLUR * BLUR
     conic = torch.stack([yy + BLUR, -xy, xx + BLUR], 1) / det[:, None]
 
@@ -181,7 +206,8 @@ def transmittance(alpha: Tensor, M: Tensor) -> Tensor:
 
 
 def spatial_mask(alpha: Tensor, M: Tensor, T: Tensor, counted: Tensor, kind: str, eps_a: float) -> Tensor:
-    """F (P,) over the counted hits (P, V), 0 if none: 'svr' eq. redundancy-map; 'a', 'b' the ablation's scenarios."""
+    """F (P,) over the counted hits (P, V), 0 if none: 'svr' eq. redundancy-map; 'a', 'b' the ablation's
+    scenarios."""
     N = counted.sum(1).clamp(min=1)
     if kind == "svr":
         return (counted * M * (1 - alpha * T)).sum(1) / torch.log1p(N.double())
@@ -193,13 +219,17 @@ def spatial_mask(alpha: Tensor, M: Tensor, T: Tensor, counted: Tensor, kind: str
     raise ValueError(f"mask_kind is {kind!r}; expected 'svr', 'a' or 'b'")
 
 
-def blend(alpha, hit, M, colour, z, background, mode="full", mask_kind="svr", eps_a=1e-3, mask_gradient="exact"):
+def blend(
+    alpha, hit, M, colour, z, background, mode="full", mask_kind="svr", eps_a=1e-3, mask_gradient="exact"
+):
     """Composite splats sorted nearest first: alpha, hit (P, V); M, z (V,); colour (V, 3); background (3,).
 
-    Returns (rgb (P, 3), depth, alpha, F, N, K, T_final, T_full), each (P,). Eq. color-compositing plus T·background.
+    Returns (rgb (P, 3), depth, alpha, F, N, K, T_final, T_full), each (P,). Eq. color-compositing plus
+    T·background.
     """
     T = transmittance(alpha, M)
-    blended = torch.cumprod((T[:, 1:] >= T_MIN).long(), 1).bool()  # false from the splat that triggers the stop on
+    # false from the splat that triggers the stop on
+    blended = torch.cumprod((T[:, 1:] >= T_MIN).long(), 1).bool()
     weight = torch.where(blended, M * alpha * T[:, :-1], 0.0)
     T_final = T.gather(1, blended.sum(1, keepdim=True))[:, 0]
     rgb = weight @ colour + T_final[:, None] * background
@@ -237,7 +267,20 @@ def rasterize(
 ) -> Render:
     """Render one view. The order of the splats, the hits, the stop and N are constants of the gradient."""
     degree = round(sh.shape[1] ** 0.5) - 1 if sh_degree is None else sh_degree
-    splats = project(means, log_scales, quats, opacity_logits, sh, viewmat, K, width, height, degree, antialiased, orthographic)
+    splats = project(
+        means,
+        log_scales,
+        quats,
+        opacity_logits,
+        sh,
+        viewmat,
+        K,
+        width,
+        height,
+        degree,
+        antialiased,
+        orthographic,
+    )
     alpha, hit = alphas(splats, pixel_centres(width, height))
     if depth_limit is not None:
         hit = hit & (splats.z < depth_limit.reshape(-1, 1))

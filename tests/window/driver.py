@@ -1,7 +1,8 @@
-"""Runs inside Blender's window: a script as a generator of pauses, with the mouse, the keyboard and screenshots.
+"""Runs inside Blender's window: a script as a generator of pauses, with the mouse, the keyboard and
+screenshots.
 
-Blender is started with --enable-event-simulate, so that events come from here alone. Coordinates: pixels from the top left of a
-window of SIZE. Whatever goes wrong ends Blender with status 1, and a last picture.
+Blender is started with --enable-event-simulate, so that events come from here alone. Coordinates: pixels from
+the top left of a window of SIZE. Whatever goes wrong ends Blender with status 1, and a last picture.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ import bpy
 
 SIZE = (1280, 1120)
 first_is_open = True  # of the panels of the tab
-HEADER, HEADER_HEIGHT = (825, 97), 28  # the first header of the sidebar's tab; from one header to the next where all panels are closed
+# the first header of the sidebar's tab; from one header to the next where all panels are closed
+HEADER, HEADER_HEIGHT = (825, 97), 28
 DATA, OUT = (Path(word) for word in sys.argv[sys.argv.index("--") + 1 :])
 
 
@@ -51,7 +53,12 @@ def drag(x: int, y: int, to_x: int, to_y: int) -> Iterator[float]:
     window().event_simulate(type="LEFTMOUSE", value="PRESS", x=x, y=SIZE[1] - y)
     for step in range(1, 11):
         yield 0.1
-        window().event_simulate(type="MOUSEMOVE", value="NOTHING", x=x + (to_x - x) * step // 10, y=SIZE[1] - (y + (to_y - y) * step // 10))
+        window().event_simulate(
+            type="MOUSEMOVE",
+            value="NOTHING",
+            x=x + (to_x - x) * step // 10,
+            y=SIZE[1] - (y + (to_y - y) * step // 10),
+        )
     yield 0.2
     window().event_simulate(type="LEFTMOUSE", value="RELEASE", x=to_x, y=SIZE[1] - to_y)
     yield 0.3
@@ -104,9 +111,12 @@ def open_panel(title: str) -> Iterator[float]:
 
 
 def close_all() -> Iterator[float]:
-    """Draws a line down from the first header, whose panel is open: it closes, and so do all that the line then meets."""
+    """Draws a line down from the first header, whose panel is open: it closes, and so do all that the line
+    then meets."""
     x, y = HEADER
-    send = lambda kind, value, below: window().event_simulate(type=kind, value=value, x=x, y=SIZE[1] - y - below)  # noqa: E731
+    send = lambda kind, value, below: window().event_simulate(
+        type=kind, value=value, x=x, y=SIZE[1] - y - below
+    )
     send("MOUSEMOVE", "NOTHING", -2)
     yield 0.2
     send("LEFTMOUSE", "PRESS", 0)
@@ -120,9 +130,20 @@ def close_all() -> Iterator[float]:
 
 def titles() -> list[str]:
     """Of the panels of the tab, from top to bottom."""
-    panels = [panel for panel in bpy.types.Panel.__subclasses__() if getattr(panel, "bl_category", "") == "SVR-GS" and not hasattr(panel, "bl_parent_id")]
-    shown = [panel for panel in panels if panel.bl_space_type == "VIEW_3D" and (not hasattr(panel, "poll") or panel.poll(bpy.context))]
-    return [panel.bl_label.lstrip("0123456789 ") for panel in sorted(shown, key=lambda panel: getattr(panel, "bl_order", 0))]
+    panels = [
+        panel
+        for panel in bpy.types.Panel.__subclasses__()
+        if getattr(panel, "bl_category", "") == "SVR-GS" and not hasattr(panel, "bl_parent_id")
+    ]
+    shown = [
+        panel
+        for panel in panels
+        if panel.bl_space_type == "VIEW_3D" and (not hasattr(panel, "poll") or panel.poll(bpy.context))
+    ]
+    return [
+        panel.bl_label.lstrip("0123456789 ")
+        for panel in sorted(shown, key=lambda panel: getattr(panel, "bl_order", 0))
+    ]
 
 
 def header_height(title: str) -> int:
@@ -131,7 +152,8 @@ def header_height(title: str) -> int:
 
 
 def shot(name: str):
-    """A picture of the screen, where ImageMagick can take one: Blender's own screenshots are black without a real screen."""
+    """A picture of the screen, where ImageMagick can take one: Blender's own screenshots are black without a
+    real screen."""
     if shutil.which("import"):
         subprocess.run(["import", "-silent", "-window", "root", str(OUT / f"{name}.png")], check=True)
 

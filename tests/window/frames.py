@@ -1,4 +1,5 @@
-"""Frame times of a Solid viewport while the view moves, with two sizes of splats. Writes them to OUT/seen.json."""
+"""Frame times of a Solid viewport while the view moves, with two sizes of splats. Writes them to
+OUT/seen.json."""
 
 from __future__ import annotations
 
@@ -30,7 +31,9 @@ def add(count: int) -> bpy.types.Object:
     """A room of Gaussians, seen from inside."""
     for obj in list(bpy.data.objects):
         bpy.data.objects.remove(obj)
-    obj = part("operators.bridge").object_from_scene("room", part("svrgs_bench.scenes").room(count), bpy.context.scene.collection)
+    obj = part("operators.bridge").object_from_scene(
+        "room", part("svrgs_bench.scenes").room(count), bpy.context.scene.collection
+    )
     view = area("VIEW_3D").spaces.active.region_3d
     view.view_perspective, view.view_distance, view.view_location = "PERSP", 6, (0, 0, 0)
     return obj
@@ -69,7 +72,10 @@ def steps():
         without = yield from measured()
         room.hide_set(False)
         yield 0.5
-        seen[str(count)] = (yield from measured()) | {"without": without["median"], "levels": [view.level for view in overlay.views.values()]}
+        seen[str(count)] = (yield from measured()) | {
+            "without": without["median"],
+            "levels": [view.level for view in overlay.views.values()],
+        }
         shot(f"moving-{count}")
     (OUT / "seen.json").write_text(json.dumps(seen))
 

@@ -1,4 +1,5 @@
-"""The panels in English, German and Chinese, and in German without the extension. Writes what was said to OUT/seen.json."""
+"""The panels in English, German and Chinese, and in German without the extension. Writes what was said to
+OUT/seen.json."""
 
 from __future__ import annotations
 
@@ -17,9 +18,15 @@ PACKAGE = "bl_ext.user_default.svrgs"
 
 
 def said() -> list[str]:
-    """The label of a panel and of an operator, a sentence with figures, and what the goal of the panel Prune means."""
+    """The label of a panel and of an operator, a sentence with figures, and what the goal of the panel Prune
+    means."""
     scene, state = bpy.context.scene.svrgs_looking, bpy.context.window_manager.svrgs_prune_state
-    return [pgettext_iface("Spatial Mask"), pgettext_iface("Estimate", "Operator"), scene.about, state.goal_help]
+    return [
+        pgettext_iface("Spatial Mask"),
+        pgettext_iface("Estimate", "Operator"),
+        scene.about,
+        state.goal_help,
+    ]
 
 
 def steps():

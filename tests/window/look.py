@@ -1,4 +1,5 @@
-"""Look at a splat in every way there is: overlay (along parallel rays, too), Rendered viewport, spatial mask, comparison, F12.
+"""Look at a splat in every way there is: overlay (along parallel rays, too), Rendered viewport, spatial mask,
+comparison, F12.
 
 Writes what it saw to OUT/seen.json.
 """
@@ -23,7 +24,8 @@ from mathutils import Vector
 
 PACKAGE = "bl_ext.user_default.svrgs"
 VIEW = (400, 600)  # somewhere in the 3D view
-LEFT, MASK_REFRESH, WIPE, COMPARE = 842, 31, 105, 126  # buttons: column, and distances below the header of their panel
+# buttons: column, and distances below the header of their panel
+LEFT, MASK_REFRESH, WIPE, COMPARE = 842, 31, 105, 126
 
 
 def part(name: str):
@@ -33,7 +35,10 @@ def part(name: str):
 def apart(space: bpy.types.SpaceView3D) -> float:
     """Pixels between where Blender and the extension show the corners of a small cube before the viewport."""
     region = next(region for region in area("VIEW_3D").regions if region.type == "WINDOW")
-    camera, centre = part("operators.bridge_graph").region_camera(region, space.region_3d), space.region_3d.view_matrix.inverted() @ Vector((0, 0, -3))
+    camera, centre = (
+        part("operators.bridge_graph").region_camera(region, space.region_3d),
+        space.region_3d.view_matrix.inverted() @ Vector((0, 0, -3)),
+    )
     corners = [centre + Vector(corner) for corner in itertools.product((-0.5, 0.5), repeat=3)]
     shown = [location_3d_to_region_2d(region, space.region_3d, corner) for corner in corners]
     pixels = camera.pixels(np.array(corners) @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3])
@@ -43,7 +48,11 @@ def apart(space: bpy.types.SpaceView3D) -> float:
 def rest(views, seconds: float = 60):
     """Until what viewports show is exact. views() -> [LiveView]"""
     yield 0.5
-    yield from until(lambda: views() and all(view.picture() is not None and not view.busy for view in views()), "an exact picture", seconds)
+    yield from until(
+        lambda: views() and all(view.picture() is not None and not view.busy for view in views()),
+        "an exact picture",
+        seconds,
+    )
     yield 0.8
 
 
@@ -71,7 +80,9 @@ def load() -> bpy.types.SpaceView3D:
 
 def see_overlay(space: bpy.types.SpaceView3D, seen: dict):
     yield from rest(overlay_views)
-    seen["region"] = next([region.height, region.width] for region in area("VIEW_3D").regions if region.type == "WINDOW")
+    seen["region"] = next(
+        [region.height, region.width] for region in area("VIEW_3D").regions if region.type == "WINDOW"
+    )
     seen["overlay"] = [list(live.picture().result[0].shape[:2]) for live in overlay_views()]
     seen["apart"] = {"CAMERA": apart(space)}
     shot("overlay")
@@ -80,7 +91,11 @@ def see_overlay(space: bpy.types.SpaceView3D, seen: dict):
 def see_without_overlays(space: bpy.types.SpaceView3D, seen: dict):
     """The splat stays where Blender's overlays are hidden."""
     space.overlay.show_overlays = False
-    yield from until(lambda: [live for live in overlay_views() if live.picture() and live.picture().key[-1] is False], "a picture without overlays", 60)
+    yield from until(
+        lambda: [live for live in overlay_views() if live.picture() and live.picture().key[-1] is False],
+        "a picture without overlays",
+        60,
+    )
     seen["without_overlays"] = [float(live.picture().result[0][..., 3].mean()) for live in overlay_views()]
     yield 0.5
     shot("without-overlays")
@@ -89,7 +104,8 @@ def see_without_overlays(space: bpy.types.SpaceView3D, seen: dict):
 
 def see_parallel_rays(space: bpy.types.SpaceView3D, seen: dict):
     space.region_3d.view_perspective = "ORTHO"
-    space.region_3d.view_distance, space.region_3d.view_location = 8, (0, 0, 0)  # else as far away as Blender happens to have been
+    # else as far away as Blender happens to have been
+    space.region_3d.view_distance, space.region_3d.view_location = 8, (0, 0, 0)
     yield from rest(overlay_views)
     seen["parallel"] = [float(live.picture().result[0][..., 3].mean()) for live in overlay_views()]
     seen["apart"]["ORTHO"] = apart(space)
@@ -101,7 +117,7 @@ def see_rendered_viewport(space: bpy.types.SpaceView3D, seen: dict):
     scene, viewport = bpy.context.scene, part("operators.viewport")
     scene.render.engine, scene.view_settings.view_transform = "SVRGS", "Standard"
     space.shading.type = "RENDERED"
-    views = lambda: [pane.live for view in viewport._open for pane in view.panes.values()]  # noqa: E731
+    views = lambda: [pane.live for view in viewport._open for pane in view.panes.values()]
     yield from rest(views)
     seen["rendered"] = [list(live.picture().result.shape[:2]) for live in views()]
     shot("rendered")
@@ -142,10 +158,14 @@ def see_comparison(seen: dict):
 
 def see_wipe(space: bpy.types.SpaceView3D, seen: dict):
     """Both sides, exact, in a Solid and in a Rendered viewport; the mouse moves the line."""
-    looking, wipe, viewport = bpy.context.scene.svrgs_looking, part("operators.viewport_wipe"), part("operators.viewport")
+    looking, wipe, viewport = (
+        bpy.context.scene.svrgs_looking,
+        part("operators.viewport_wipe"),
+        part("operators.viewport"),
+    )
     yield from click(LEFT, driver.header_height("Compare") + WIPE)
     yield from until(lambda: looking.wiping, "the wipe")
-    panes = lambda: [pane.live for view in viewport._open for pane in view.panes.values()]  # noqa: E731
+    panes = lambda: [pane.live for view in viewport._open for pane in view.panes.values()]
     yield from until(lambda: len(panes()) == 2, "two sides")
     yield from rest(panes)
     shot("wipe-rendered")
@@ -154,7 +174,10 @@ def see_wipe(space: bpy.types.SpaceView3D, seen: dict):
     yield from until(lambda: len(overlay_views()) == 2, "two sides")
     yield from rest(overlay_views)
     seen["wipe"] = [*(obj.name for obj in wipe.pair(bpy.context.scene)), *sides, len(overlay_views())]
-    area_3d, region = area("VIEW_3D"), next(region for region in area("VIEW_3D").regions if region.type == "WINDOW")
+    area_3d, region = (
+        area("VIEW_3D"),
+        next(region for region in area("VIEW_3D").regions if region.type == "WINDOW"),
+    )
     x = area_3d.x + round(looking.wipe * region.width)
     yield from drag(x, VIEW[1], x - 200, VIEW[1])
     seen["moved"] = [looking.wipe * region.width + area_3d.x, x - 200]
@@ -164,7 +187,11 @@ def see_wipe(space: bpy.types.SpaceView3D, seen: dict):
     yield from until(lambda: len(overlay_views()) == 1, "one side")
     bpy.ops.svrgs.open_image(name="SVR-GS Wipe")
     yield 0.5
-    seen["opened"] = [space.image.name for window in bpy.context.window_manager.windows[1:] for space in [window.screen.areas[0].spaces.active]]
+    seen["opened"] = [
+        space.image.name
+        for window in bpy.context.window_manager.windows[1:]
+        for space in [window.screen.areas[0].spaces.active]
+    ]
 
 
 def steps():

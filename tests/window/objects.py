@@ -1,4 +1,5 @@
-"""Splats as objects, with keys: Apply and Join seen with F12, cameras of another capture, File > New, saved and moved files.
+"""Splats as objects, with keys: Apply and Join seen with F12, cameras of another capture, File > New, saved
+and moved files.
 
 Writes what it saw to OUT/seen.json.
 """
@@ -36,7 +37,7 @@ def activate(*objects):
 def f12(name: str):
     """Renders with the key into OUT/NAME.png."""
     done = []
-    finished = lambda *_: done.append(True)  # noqa: E731
+    finished = lambda *_: done.append(True)
     bpy.app.handlers.render_complete.append(finished)
     yield from key("F12", *VIEW)
     yield from until(lambda: done, "F12", 60)
@@ -57,7 +58,9 @@ def load() -> tuple[bpy.types.Object, bpy.types.Object]:
     for _ in range(2):
         bpy.ops.svrgs.import_ply(filepath=str(DATA / "scene.ply"))
         splats.append(bpy.context.object)
-    splats[1].matrix_world = Matrix.LocRotScale((1.5, 0.3, 0.2), Euler((0.5, 0.7, 1.1)), (1.6, 1.6, 1.6)) @ splats[1].matrix_world
+    splats[1].matrix_world = (
+        Matrix.LocRotScale((1.5, 0.3, 0.2), Euler((0.5, 0.7, 1.1)), (1.6, 1.6, 1.6)) @ splats[1].matrix_world
+    )
     camera = scene.camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
     scene.collection.objects.link(camera)
     camera.location, camera.rotation_euler = (0.7, -6, 0), (1.5708, 0, 0)
@@ -77,12 +80,17 @@ def apply_and_join(a, b, seen: dict):
     yield from f12("applied")
     activate(a, b)
     yield from key("J", *VIEW, ctrl=True)
-    yield from until(lambda: len([obj for obj in bpy.context.scene.objects if obj.type == "POINTCLOUD"]) == 1, "Join")
+    yield from until(
+        lambda: len([obj for obj in bpy.context.scene.objects if obj.type == "POINTCLOUD"]) == 1, "Join"
+    )
     yield 0.5
     yield from f12("joined")
     seen["joined"] = part("operators.bridge").count(a)
     yield from key("Z", *VIEW, ctrl=True)
-    yield from until(lambda: len([obj for obj in bpy.context.scene.objects if obj.type == "POINTCLOUD"]) == 2, "the undoing of Join")
+    yield from until(
+        lambda: len([obj for obj in bpy.context.scene.objects if obj.type == "POINTCLOUD"]) == 2,
+        "the undoing of Join",
+    )
 
 
 def cameras_of_another_capture(seen: dict):
@@ -127,7 +135,11 @@ def save_move_and_reload(seen: dict):
     camera = bpy.context.scene.camera
     photo = camera.data.background_images[0].image
     mask = bpy.data.images["SVR-GS Spatial Mask"]
-    seen["reloaded"] = {"photo": list(photo.size), "mask": max(mask.pixels[:4000]), "dataset": bpy.context.window_manager.svrgs_prune_state.dataset}
+    seen["reloaded"] = {
+        "photo": list(photo.size),
+        "mask": max(mask.pixels[:4000]),
+        "dataset": bpy.context.window_manager.svrgs_prune_state.dataset,
+    }
     shot("reloaded")
 
 

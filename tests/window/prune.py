@@ -1,4 +1,5 @@
-"""Estimate, prune, stop, go on, look at fewer, apply and undo, with the mouse. Writes what it saw to OUT/seen.json."""
+"""Estimate, prune, stop, go on, look at fewer, apply and undo, with the mouse. Writes what it saw to
+OUT/seen.json."""
 
 from __future__ import annotations
 
@@ -32,7 +33,13 @@ def load() -> str:
     bpy.ops.svrgs.import_colmap(directory=str(DATA))
     bpy.context.view_layer.objects.active = bpy.data.objects[splat]
     settings = bpy.context.scene.svrgs_prune
-    settings.iterations, settings.recovery, settings.goal, settings.share, settings.folder = 6000, 3000, "SHARE", 40, str(OUT / "jobs")
+    settings.iterations, settings.recovery, settings.goal, settings.share, settings.folder = (
+        6000,
+        3000,
+        "SHARE",
+        40,
+        str(OUT / "jobs"),
+    )
     bpy.ops.ed.undo_push(message="Ready")
     return splat
 
@@ -48,7 +55,7 @@ def ask_for_estimate(splat: str, seen: dict):
 
 def start_and_stop(seen: dict):
     watch = part("operators.job_watch")
-    job = lambda: watch.current(bpy.context)[1]  # noqa: E731
+    job = lambda: watch.current(bpy.context)[1]
     yield from click(RIGHT, driver.header_height("Prune") + START)
     yield from until(job, "a job")
     yield from until(lambda: job().facts.get("iteration", 0) > 1500, "1500 iterations")
@@ -87,7 +94,10 @@ def apply_fewer_and_undo(pruned: str, seen: dict):
     shot("applied")
     yield from key("Z", *VIEW, ctrl=True)
     yield from until(lambda: results.undecided(bpy.data.objects[pruned]), "the undoing of Apply")
-    seen["undone"] = [len(bpy.data.objects[pruned].data.attributes["scale"].data), results.shown_count(bpy.data.objects[pruned])]
+    seen["undone"] = [
+        len(bpy.data.objects[pruned].data.attributes["scale"].data),
+        results.shown_count(bpy.data.objects[pruned]),
+    ]
 
 
 def delete_and_undo(splat: str, pruned: str, seen: dict):
@@ -101,7 +111,11 @@ def delete_and_undo(splat: str, pruned: str, seen: dict):
     yield from until(lambda: pruned in bpy.context.scene.objects, "the undoing of Delete")
     yield 0.5
     pair = bpy.data.objects[splat], bpy.data.objects[pruned]
-    seen["back"] = [results.pair_of(pair[0]) == results.pair_of(pair[1]) == pair, pair[0].hide_get(), results.shown_count(pair[1])]
+    seen["back"] = [
+        results.pair_of(pair[0]) == results.pair_of(pair[1]) == pair,
+        pair[0].hide_get(),
+        results.shown_count(pair[1]),
+    ]
 
 
 def steps():

@@ -1,7 +1,8 @@
 """An order of removals and merges: one order gives the scene with any number of Gaussians.
 
-What the views see of each Gaussian is summed over all views (Rasterizer.add_visibility). The native library then orders the operations
-(svrgs_decimate in svrgs.h). Photographs are not needed: the pictures are those of the scene itself.
+What the views see of each Gaussian is summed over all views (Rasterizer.add_visibility). The native library
+then orders the operations (svrgs_decimate in svrgs.h). Photographs are not needed: the pictures are those of
+the scene itself.
 """
 
 from __future__ import annotations
@@ -38,7 +39,8 @@ class Order:
 
     @cached_property
     def lives(self) -> np.ndarray:
-        """(N + M, 2) int32: the number of operations after which a row is there, and after which it is gone again."""
+        """(N + M, 2) int32: the number of operations after which a row is there, and after which it is gone
+        again."""
         steps, merged = len(self.merges.a), self.merges.b != REMOVED
         lives = np.zeros((self.scene.count + int(merged.sum()), 2), np.int32)
         lives[self.scene.count :, 0] = np.flatnonzero(merged) + 1
@@ -48,8 +50,8 @@ class Order:
         return lives
 
     def at(self, count: int) -> Scene:
-        """The scene with `count` Gaussians, least to N: those of the original in their order, then those that are merged from several.
-        Further attributes are left out if any were merged."""
+        """The scene with `count` Gaussians, least to N: those of the original in their order, then those that
+        are merged from several. Further attributes are left out if any were merged."""
         kept, made = self.rows_at(count)
         whole = self.scene.select(kept)
         if not len(made["means"]):
@@ -58,18 +60,26 @@ class Order:
         return replace(whole, **arrays, attributes={}, property_order=())
 
     def rows_at(self, count: int) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """What at() is made of: the rows of the original, (K,) ascending, and the arrays of the merged Gaussians."""
+        """What at() is made of: the rows of the original, (K,) ascending, and the arrays of the merged
+        Gaussians."""
         done = self.scene.count - count
         born, gone = self.lives.T
         there = np.flatnonzero((born <= done) & (gone > done))
         kept = there[there < self.scene.count]
-        return kept, {name: self.merges.results[name][there[len(kept) :] - self.scene.count] for name in PARAMETERS}
+        return kept, {
+            name: self.merges.results[name][there[len(kept) :] - self.scene.count] for name in PARAMETERS
+        }
 
 
 def looks(
-    scene: Scene, cameras: Sequence[Camera], rasterizer: Rasterizer, options: RenderOptions, pictures: bool = True
+    scene: Scene,
+    cameras: Sequence[Camera],
+    rasterizer: Rasterizer,
+    options: RenderOptions,
+    pictures: bool = True,
 ) -> tuple[np.ndarray, list[np.ndarray]]:
-    """What all views see of each Gaussian, (N, 9) float64 in the order of VISIBILITY, and the pictures (H, W, 3) of the views, if they are wanted."""
+    """What all views see of each Gaussian, (N, 9) float64 in the order of VISIBILITY, and the pictures (H, W,
+    3) of the views, if they are wanted."""
     sums, seen = np.zeros((scene.count, len(VISIBILITY))), []
     for camera in cameras:
         images = rasterizer.forward(scene, camera, options, outputs=("rgb",) if pictures else ())
@@ -79,23 +89,29 @@ def looks(
 
 
 def hidden(sums: np.ndarray) -> int:
-    """The number of Gaussians that no view sees, or whose mean transmittance is at most HIDDEN. sums: (N, 9), from looks()."""
+    """The number of Gaussians that no view sees, or whose mean transmittance is at most HIDDEN. sums: (N, 9),
+    from looks()."""
     columns = dict(zip(VISIBILITY, sums.T, strict=True))
     return int((columns["transmittance"] <= HIDDEN * columns["pixels"]).sum())
 
 
 def order_of(scene: Scene, sums: np.ndarray, least: int) -> Order:
-    """The order that leaves `least` of the Gaussians, 1 to N. sums: from looks(). Raises SceneError if no view sees any."""
+    """The order that leaves `least` of the Gaussians, 1 to N. sums: from looks(). Raises SceneError if no
+    view sees any."""
     columns = dict(zip(VISIBILITY, sums.T, strict=True))
     seen = columns["views"] > 0
     if not seen.any():
-        raise SceneError("no view sees any of the Gaussians: all are too faint to be drawn, or the cameras belong to another scene")
+        raise SceneError(
+            "no view sees any of the Gaussians: all are too faint to be drawn, or the cameras belong to"
+            " another scene"
+        )
     pixel = float(np.median(np.sqrt(columns["views"][seen] / columns["density"][seen])))
     middle = np.median(scene.means[seen].astype(np.float64), axis=0)
     return Order(scene, decimate(scene, sums, middle, pixel, least))
 
 
 def lost_columns(source: Scene, small: Scene, expected: Sequence[str] = NORMALS) -> list[str]:
-    """A sentence on columns of the source that are lost, because merged Gaussians have no values for them; none on `expected` ones."""
+    """A sentence on columns of the source that are lost, because merged Gaussians have no values for them;
+    none on `expected` ones."""
     lost = sorted(source.attributes.keys() - small.attributes.keys() - set(expected))
     return [f"these columns of the file were left out: {', '.join(lost)}"] if lost else []

@@ -1,7 +1,7 @@
 """The files of an order, from which the scene with any number of Gaussians is put together at once.
 
-merged.ply   the M Gaussians that merging makes
-order.npy    (n, 3) int32: row of a Gaussian, among the N of the source and those M; the number of operations after which it is there, and after
+merged.ply   the M Gaussians that merging makes order.npy    (n, 3) int32: row of a Gaussian, among the N of
+the source and those M; the number of operations after which it is there, and after
              which it is gone again. Gaussians that are close in space are close in the file.
 """
 
@@ -36,7 +36,8 @@ class SavedOrder:
     most: int
 
     def at(self, count: int) -> Scene:
-        """The scene with `count` Gaussians, or the nearest number from least to most; without further columns."""
+        """The scene with `count` Gaussians, or the nearest number from least to most; without further
+        columns."""
         done = self.most - self.clipped(count)
         return self.scene.select(np.flatnonzero((self.born <= done) & (self.gone > done)))
 
@@ -50,10 +51,14 @@ class SavedOrder:
 
 
 def write_order(folder: Path, order: Order, rows: np.ndarray, total: int, factor: float):
-    """Writes the files. rows: (n,) rows of the order's Gaussians in the source, which has `total`. factor: by which lengths are multiplied. Raises
-    SceneError."""
-    made = replace(Scene.of(*(order.merges.results[name] for name in PARAMETERS)), antialiased=order.scene.antialiased)
-    table = np.column_stack([np.concatenate([rows, total + np.arange(made.count)]), order.lives]).astype(np.int32)
+    """Writes the files. rows: (n,) rows of the order's Gaussians in the source, which has `total`. factor: by
+    which lengths are multiplied. Raises SceneError."""
+    made = replace(
+        Scene.of(*(order.merges.results[name] for name in PARAMETERS)), antialiased=order.scene.antialiased
+    )
+    table = np.column_stack([np.concatenate([rows, total + np.arange(made.count)]), order.lives]).astype(
+        np.int32
+    )
     near = morton_order(np.concatenate([order.scene.means, made.means]))
     write_scene(folder / MERGED, scaled(made, factor))
     with atomic_write(folder / ORDER, keep=False) as file:
@@ -65,11 +70,14 @@ def read_order(folder: Path, source: Scene) -> SavedOrder:
     made = replace(read_scene(folder / MERGED), antialiased=source.antialiased)
     rows, born, gone = _checked(folder / ORDER, source.count + made.count).T.copy()
     most = int((born == 0).sum())
-    return SavedOrder(merged([source, made]).select(rows), born, gone, least=most - int(gone.max()) + 1, most=most)
+    return SavedOrder(
+        merged([source, made]).select(rows), born, gone, least=most - int(gone.max()) + 1, most=most
+    )
 
 
 def _checked(file: Path, rows: int) -> np.ndarray:
-    """The array in order.npy, of up to `rows` Gaussians. Raises FormatError if it is another one, or if an operation does not take away one Gaussian."""
+    """The array in order.npy, of up to `rows` Gaussians. Raises FormatError if it is another one, or if an
+    operation does not take away one Gaussian."""
     try:
         table = np.array(np.load(file, mmap_mode="r", allow_pickle=False))
     except (OSError, ValueError, EOFError) as error:
@@ -77,7 +85,13 @@ def _checked(file: Path, rows: int) -> np.ndarray:
     if table.ndim != 2 or table.shape[1:] != (3,) or not 0 < len(table) <= rows or table.dtype != np.int32:
         raise FormatError(f"{file}: holds {table.dtype}{table.shape}; expected int32(up to {rows}, 3)")
     row, born, gone = table.T
-    if table.min() < 0 or row.max() >= rows or np.bincount(row).max() > 1 or (born >= gone).any() or gone.max() > rows:
+    if (
+        table.min() < 0
+        or row.max() >= rows
+        or np.bincount(row).max() > 1
+        or (born >= gone).any()
+        or gone.max() > rows
+    ):
         raise FormatError(f"{file}: is damaged; prune again")
     there = np.cumsum(np.bincount(born, minlength=gone.max() + 1) - np.bincount(gone))[:-1]
     if (there != there[0] - np.arange(len(there))).any():

@@ -1,4 +1,5 @@
-"""The registry of methods by name. Each file in this folder with a tuple METHODS adds its methods; base.py defines what a method may do."""
+"""The registry of methods by name. Each file in this folder with a tuple METHODS adds its methods; base.py
+defines what a method may do."""
 
 from __future__ import annotations
 
@@ -10,13 +11,17 @@ from ...system.errors import SceneError
 from .base import Method
 
 DEFAULT, PAPER_METHOD = "removal", "svr"
-FORMER_NAMES = {"svr": "removal", "svr-mask": "svr", "svr-worth": "saliency"}  # names in job folders and .blend files of schema 1
+# names in job folders and .blend files of schema 1
+FORMER_NAMES = {"svr": "removal", "svr-mask": "svr", "svr-worth": "saliency"}
 REPLACED = {"pressure": "removal"}  # methods that were removed: the method that replaces them
 
 
 def _discovered() -> dict[str, Method]:
-    """All methods by name. Order: the default, the method of the paper, methods that learn, methods that rank, methods that do not prune."""
-    modules = (importlib.import_module(f"{__name__}.{module.name}") for module in pkgutil.iter_modules(__path__))
+    """All methods by name. Order: the default, the method of the paper, methods that learn, methods that
+    rank, methods that do not prune."""
+    modules = (
+        importlib.import_module(f"{__name__}.{module.name}") for module in pkgutil.iter_modules(__path__)
+    )
     found = [method for module in modules for method in getattr(module, "METHODS", ())]
     first = {DEFAULT: 0, PAPER_METHOD: 1}
     found.sort(key=lambda method: (first.get(method.name, 2), not method.prunes, method.ranks, method.name))
@@ -29,9 +34,16 @@ METHODS = _discovered()
 def method_named(name: str) -> Method:
     """A copy of the method for one run. Raises SceneError for an unknown name."""
     if name in REPLACED:
-        raise SceneError(f"method '{name}' was removed: '{REPLACED[name]}' replaces it; start the job again with that method")
+        raise SceneError(
+            f"method '{name}' was removed: '{REPLACED[name]}' replaces it; start the job again with that"
+            " method"
+        )
     if name not in METHODS:
-        hint = f"'{name}' is called '{FORMER_NAMES[name]}' now" if name in FORMER_NAMES else f"choose one of {', '.join(METHODS)}"
+        hint = (
+            f"'{name}' is called '{FORMER_NAMES[name]}' now"
+            if name in FORMER_NAMES
+            else f"choose one of {', '.join(METHODS)}"
+        )
         raise SceneError(f"method '{name}' is unknown: {hint}")
     return copy(METHODS[name])
 

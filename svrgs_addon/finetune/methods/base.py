@@ -1,4 +1,5 @@
-"""The base class of all methods. Its hooks are where a method may differ from plain 3DGS; the run calls them and knows no method by name."""
+"""The base class of all methods. Its hooks are where a method may differ from plain 3DGS; the run calls them
+and knows no method by name."""
 
 from __future__ import annotations
 
@@ -16,20 +17,25 @@ from ..settings import Densify, Phase, Rates, Settings, rates_for, recovery_phas
 
 __all__ = ["Keep", "Method", "RunView"]
 
-SH_EVERY, SH_PARTS = 1_000, 7  # the SH degree rises after so many steps of training; at least after this part of them
-DECIDE, REMOVE = "Deciding which Gaussians to remove", "Removing Gaussians"  # labels of pruning phases: masks or events decide; opacities fade
+# the SH degree rises after so many steps of training; at least after this part of them
+SH_EVERY, SH_PARTS = 1_000, 7
+# labels of pruning phases: masks or events decide; opacities fade
+DECIDE, REMOVE = "Deciding which Gaussians to remove", "Removing Gaussians"
 
 
 @dataclass
 class Method:
     """Plain 3DGS: every step minimises the image loss alone, and only the pruning of 3DGS itself takes place.
 
-    Each run has its own object. state() returns what a checkpoint must hold of it. CONTRIBUTING.md says how to add a method.
+    Each run has its own object. state() returns what a checkpoint must hold of it. CONTRIBUTING.md says how
+    to add a method.
     """
 
     name: str  # value of --method
-    help: str = field(repr=False)  # what the method does, in one sentence without a full stop: shown in --help and in Blender's menu
-    number: int = field(repr=False)  # number in Blender's menu, stored in .blend files: never change it, never use it again
+    # what the method does, in one sentence without a full stop: shown in --help and in Blender's menu
+    help: str = field(repr=False)
+    # number in Blender's menu, stored in .blend files: never change it, never use it again
+    number: int = field(repr=False)
     label: str = field(repr=False)  # how menus and --help call it
     lambda_f_help: str = field(default="", repr=False)  # the meaning of lambda_F for this method
     lambda_f: float = 0.0  # default of lambda_F; 0: the method does not use it
@@ -39,7 +45,8 @@ class Method:
     share: float = 0.0  # share of the Gaussians to keep without a target
     prunes: bool = True
     learns_masks: bool = False
-    largest_strength: float = 1e4  # bound on the factor that strength_controller.py puts on lambda_F and lambda_m
+    # bound on the factor that strength_controller.py puts on lambda_F and lambda_m
+    largest_strength: float = 1e4
     ranks: bool = False  # decides by score() alone
     merges: bool = False  # its cut merges Gaussians, too
     supports_max_drop: bool = False  # --max-drop is allowed
@@ -48,8 +55,11 @@ class Method:
 
     # --- the schedule
 
-    def train_phases(self, iterations: int, recovery: int, densify: Densify, coarse_until: int) -> list[Phase]:
-        """The phases of `svrgs train`: 3DGS from sparse points, with the method active in every step; then recovery."""
+    def train_phases(
+        self, iterations: int, recovery: int, densify: Densify, coarse_until: int
+    ) -> list[Phase]:
+        """The phases of `svrgs train`: 3DGS from sparse points, with the method active in every step; then
+        recovery."""
         rates = Rates(position_steps=max(1, min(iterations, Rates.position_steps)))
         train = Phase(
             "train", iterations, rates, densify, active=self.prunes, sh_every=sh_every(iterations), coarse_until=coarse_until,
@@ -62,9 +72,12 @@ class Method:
         return _recovery(recovery)
 
     def paced(self, phases: list[Phase]) -> list[Phase]:
-        """The phases, with the learning rates that their numbers of steps call for. It depends on nothing else, so it may be called again.
-        Here those of training from points."""
-        return [replace(phase, rates=rates_for(phase.steps, phase.rates)) if phase.densify else phase for phase in phases]
+        """The phases, with the learning rates that their numbers of steps call for. It depends on nothing
+        else, so it may be called again. Here those of training from points."""
+        return [
+            replace(phase, rates=rates_for(phase.steps, phase.rates)) if phase.densify else phase
+            for phase in phases
+        ]
 
     def weights(self, trained: bool) -> tuple[float, float]:
         """Defaults of lambda_F and lambda_m. trained: whether the run starts from a trained scene."""
@@ -75,9 +88,10 @@ class Method:
         return self.lambda_f > 0
 
     def looks(self, settings: Settings, steps: int, share: float) -> list[tuple[float, float]]:
-        """The looks of an active phase that keeps the share `share` of the Gaussians: those times at which score() ranks all of them over all
-        training views. (share of the steps before it, roughly the share of the Gaussians after it) each. For methods that rank, those of
-        their cut. Empty: Gaussians go gradually. prune/duration.py foresees the time of a run with it."""
+        """The looks of an active phase that keeps the share `share` of the Gaussians: those times at which
+        score() ranks all of them over all training views. (share of the steps before it, roughly the share of
+        the Gaussians after it) each. For methods that rank, those of their cut. Empty: Gaussians go
+        gradually. prune/duration.py foresees the time of a run with it."""
         return []
 
     def rates(self, run: RunView, phase: Phase, number: int) -> dict[str, float]:
@@ -87,11 +101,13 @@ class Method:
     # --- a step of an active phase
 
     def budget(self, run: RunView) -> int:
-        """The number of Gaussians to keep if the run has no target. Called before the steps of an active phase. 0: the method needs none."""
+        """The number of Gaussians to keep if the run has no target. Called before the steps of an active
+        phase. 0: the method needs none."""
         return 0
 
     def prepare(self, run: RunView, phase: Phase, number: int):
-        """Called before step `number` (from 1) of the phase. It may change the model and the method's own state."""
+        """Called before step `number` (from 1) of the phase. It may change the model and the method's own
+        state."""
 
     def terms(self, run: RunView, phase: Phase, number: int) -> dict:
         """The fields of engine.Step, by name, that differ from a step of plain 3DGS. It changes nothing."""
@@ -104,7 +120,8 @@ class Method:
         return None
 
     def after_densification(self, run: RunView, phase: Phase, number: int) -> Keep:
-        """The Gaussians that stay after step `number`, once its densification is done and survivors() has decided."""
+        """The Gaussians that stay after step `number`, once its densification is done and survivors() has
+        decided."""
         return None
 
     def after_step(self, run: RunView, phase: Phase, number: int) -> Keep:
@@ -121,19 +138,33 @@ class Method:
         return None
 
     def expected_count(self, logits: np.ndarray) -> float:
-        """The expected number of Gaussians with these existence logits. Only methods that learn masks have it."""
+        """The expected number of Gaussians with these existence logits. Only methods that learn masks have
+        it."""
         raise NotImplementedError
 
-    def score(self, scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions) -> np.ndarray:
-        """The score of each Gaussian, (N,); the highest stay. Only methods that rank, or cut in events, have it."""
+    def score(
+        self, scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions
+    ) -> np.ndarray:
+        """The score of each Gaussian, (N,); the highest stay. Only methods that rank, or cut in events, have
+        it."""
         raise NotImplementedError
 
-    def cut(self, scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions, count: int) -> np.ndarray:
+    def cut(
+        self,
+        scene: Scene | Model,
+        cameras: list[Camera],
+        rasterizer: Rasterizer,
+        options: RenderOptions,
+        count: int,
+    ) -> np.ndarray:
         """(N,) bool: the `count` Gaussians that stay. Only methods that rank have it."""
         raise NotImplementedError
 
-    def reduced(self, scene: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions, count: int) -> Scene:
-        """The scene with `count` Gaussians. Only methods that rank have it. Raises SceneError if almost nothing would stay."""
+    def reduced(
+        self, scene: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions, count: int
+    ) -> Scene:
+        """The scene with `count` Gaussians. Only methods that rank have it. Raises SceneError if almost
+        nothing would stay."""
         keep = self.cut(scene, cameras, rasterizer, options, count)
         refuse_emptying(keep, scene.count, count)
         return scene.select(keep)

@@ -1,11 +1,13 @@
-"""The mask of Compact3DGS (arXiv 2311.13681 section 3.1): a deterministic gate on opacity and scale, and the term lambda_m mean sigmoid(m).
+"""The mask of Compact3DGS (arXiv 2311.13681 section 3.1): a deterministic gate on opacity and scale, and the
+term lambda_m mean sigmoid(m).
 
-The value of the gate is g = 1[sigmoid(m) > 0.01], its gradient that of sigmoid(m). It multiplies the opacity o and the scales s:
+The value of the gate is g = 1[sigmoid(m) > 0.01], its gradient that of sigmoid(m). It multiplies the opacity
+o and the scales s:
 
     dL/dg = (dL/do) o + sum_k (dL/ds_k) s_k = dL/dM + sum_k dL/dlog_scale_k       if g = 1
 
-The first term is the dL/dM of the rasterizer, because alpha is proportional to o. If g = 0, dL/dg = 0: the Gaussian is not drawn and
-gets no gradient from the image any more.
+The first term is the dL/dM of the rasterizer, because alpha is proportional to o. If g = 0, dL/dg = 0: the
+Gaussian is not drawn and gets no gradient from the image any more.
 """
 
 from __future__ import annotations
@@ -28,7 +30,8 @@ NEARNESS = 0.2  # width, in logits, of the sigmoid that counts gates near the th
 
 @dataclass
 class Compact3DGS(Masked):
-    """The method. Nothing is sampled. Pruning events and the end of the phase remove the Gaussians with a closed gate."""
+    """The method. Nothing is sampled. Pruning events and the end of the phase remove the Gaussians with a
+    closed gate."""
 
     lambda_m: float = 5e-4
     mask_init: float = 1.0
@@ -39,7 +42,13 @@ class Compact3DGS(Masked):
         rates = phase.rates.at(number, run.extent)
         rates[MASK] *= MASK_RATE / Rates().mask
         slope = (p * (1 - p) * open_).astype(logits.dtype)
-        return {"masks": open_.astype(np.uint8), "slope": slope, "gates": True, "penalty": MeanExistence(run.settings.lambda_m * run.strength), "rates": rates}
+        return {
+            "masks": open_.astype(np.uint8),
+            "slope": slope,
+            "gates": True,
+            "penalty": MeanExistence(run.settings.lambda_m * run.strength),
+            "rates": rates,
+        }
 
     def survivors(self, run: RunView) -> Keep:
         keep = self.current_mask(run.model)
@@ -49,8 +58,16 @@ class Compact3DGS(Masked):
         return model.values[MASK] > THRESHOLD
 
     def expected_count(self, logits: np.ndarray) -> float:
-        """The number of open gates. Gates near the threshold count in part, so that the strength controller can react before they close."""
+        """The number of open gates. Gates near the threshold count in part, so that the strength controller
+        can react before they close."""
         return float(sigmoid((logits - THRESHOLD) / NEARNESS, np).sum(dtype=np.float64))
 
 
-METHODS = (Compact3DGS("compact3dgs", "learns a gate on opacity and scale and removes the Gaussians whose gate closes", 11, "Compact3DGS"),)
+METHODS = (
+    Compact3DGS(
+        "compact3dgs",
+        "learns a gate on opacity and scale and removes the Gaussians whose gate closes",
+        11,
+        "Compact3DGS",
+    ),
+)

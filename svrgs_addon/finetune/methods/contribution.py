@@ -9,4 +9,11 @@ class Contribution(Ranked):
         return scores.contribution(scene, cameras, rasterizer, options)[0]
 
 
-METHODS = (Contribution("contribution", "removes, in one cut, the Gaussians that add least to the photographs (sum of αT)", 15, "Contribution"),)
+METHODS = (
+    Contribution(
+        "contribution",
+        "removes, in one cut, the Gaussians that add least to the photographs (sum of αT)",
+        15,
+        "Contribution",
+    ),
+)

@@ -1,5 +1,6 @@
-"""EfficientGS (arXiv 2404.12777): its pruning keeps the Gaussians that dominate a pixel of a training view, that is, have the largest alpha T
-in it. Published at steps 15 000, when densification ends, 18 000 and 21 000 of 30 000."""
+"""EfficientGS (arXiv 2404.12777): its pruning keeps the Gaussians that dominate a pixel of a training view,
+that is, have the largest alpha T in it. Published at steps 15 000, when densification ends, 18 000 and 21 000
+of 30 000."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -14,15 +15,21 @@ class EfficientGS(Stepwise):
     EVENTS: ClassVar = (0.0, 0.2, 0.4)
 
     def score(self, scene, cameras, rasterizer, options):
-        """The number of dominated pixels. The fraction ranks Gaussians with equal numbers, by the sum of alpha T."""
+        """The number of dominated pixels. The fraction ranks Gaussians with equal numbers, by the sum of
+        alpha T."""
         sums = contribution(scene, cameras, rasterizer, options)[0]
         return dominance(scene, cameras, rasterizer, options) + sums / (1 + sums.max(initial=0))
 
     def event(self, run: RunView, done: int) -> Keep:
-        """With a target the Gaussians of highest score stay: never fewer, and at the last event not more either."""
+        """With a target the Gaussians of highest score stay: never fewer, and at the last event not more
+        either."""
         score = self.score(run.model, run.training_cameras, run.rasterizer, run.score_options)
         wanted = top(score, run.target)
         return wanted if run.target and done == len(self.EVENTS) else (score >= 1) | wanted
 
 
-METHODS = (EfficientGS("efficientgs", "removes the Gaussians that are not the strongest one in any pixel", 25, "EfficientGS"),)
+METHODS = (
+    EfficientGS(
+        "efficientgs", "removes the Gaussians that are not the strongest one in any pixel", 25, "EfficientGS"
+    ),
+)

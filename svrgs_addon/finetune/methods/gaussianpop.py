@@ -1,7 +1,9 @@
-"""GaussianPOP (arXiv 2602.06830): ranks by Delta SE, the squared error that the removal of a Gaussian causes (../saliency.py), in 8 looks.
+"""GaussianPOP (arXiv 2602.06830): ranks by Delta SE, the squared error that the removal of a Gaussian causes
+(../saliency.py), in 8 looks.
 
-After each look the Gaussians of lowest error are removed and the errors of the others are measured again, without training in between:
-only one of two Gaussians that can replace each other has a small error once the other one is gone.
+After each look the Gaussians of lowest error are removed and the errors of the others are measured again,
+without training in between: only one of two Gaussians that can replace each other has a small error once the
+other one is gone.
 """
 
 from __future__ import annotations
@@ -17,7 +19,8 @@ LOOKS = 8  # published as C, the number of times that errors are quantified
 
 class GaussianPOP(Ranked):
     def looks(self, settings, steps, share):
-        return [(0.0, 1.0)] * (LOOKS - 1) + [(0.0, share)]  # Gaussians that are left out of a rendering take nearly as long
+        # Gaussians that are left out of a rendering take nearly as long
+        return [(0.0, 1.0)] * (LOOKS - 1) + [(0.0, share)]
 
     def score(self, scene, cameras, rasterizer, options):
         return removal_errors(scene, cameras, rasterizer, options)
@@ -27,8 +30,17 @@ class GaussianPOP(Ranked):
         kept, start = np.ones(scene.count, bool), scene.count
         for look in range(1, LOOKS + 1):
             errors = removal_errors(scene, cameras, rasterizer, options, kept)
-            kept = top(np.where(kept, errors, -1.0), round(start * (min(count, start) / start) ** (look / LOOKS)))
+            kept = top(
+                np.where(kept, errors, -1.0), round(start * (min(count, start) / start) ** (look / LOOKS))
+            )
         return kept
 
 
-METHODS = (GaussianPOP("gaussianpop", "removes, in 8 looks, the Gaussians whose removal changes the photographs least", 19, "GaussianPOP"),)
+METHODS = (
+    GaussianPOP(
+        "gaussianpop",
+        "removes, in 8 looks, the Gaussians whose removal changes the photographs least",
+        19,
+        "GaussianPOP",
+    ),
+)

@@ -1,11 +1,14 @@
-"""GNS (arXiv 2511.16980): its natural selection, a pressure on all opacity logits until the budget is met. Densification is that of 3DGS.
+"""GNS (arXiv 2511.16980): its natural selection, a pressure on all opacity logits until the budget is met.
+Densification is that of 3DGS.
 
     penalty = r (mean((l + 20) / max(0.05, 1 - o)))^2     in the first eighth of the phase
     penalty = 3 r (mean(l) + 20)^2                        after it
 
-l are the opacity logits, o the opacities. r is adapted so that the opacity at the rank of the budget falls linearly to 0. Published: 8000
-steps, the penalty in every 50th step, r adapted every 100 steps, Gaussians with o < 0.001 pruned after step 1000, the goal 0 after step
-7000. All these numbers scale with the length of the phase, except that two penalties are at least LEAST_BETWEEN steps apart: in
+l are the opacity logits, o the opacities. r is adapted so that the opacity at the rank of the budget falls
+linearly to 0. Published: 8000 steps, the penalty in every 50th step, r adapted every 100 steps, Gaussians
+with o < 0.001 pruned after step 1000, the goal 0 after step
+7000. All these numbers scale with the length of the phase, except that two penalties are at least
+      LEAST_BETWEEN steps apart: in
 between, the photographs must have time to raise the opacity of the Gaussians that they need.
 """
 
@@ -24,14 +27,16 @@ from ..scores import drawn, top
 from ..settings import Densify, Phase, Rates
 from .base import REMOVE, Method
 
-STEPS, PRESS_EVERY, EASE = 8_000, 50, 1_000  # published; EASE: steps with the first form of the penalty, and with OPACITY_RATE after the trim
+# published; EASE: steps with the first form of the penalty, and with OPACITY_RATE after the trim
+STEPS, PRESS_EVERY, EASE = 8_000, 50, 1_000
 GOAL_ZERO = 7_000 / STEPS  # share of the phase after which the goal is 0
 LEAST_BETWEEN = 8  # least number of steps between two pressed steps
 SHARE_OF_TRAINING = 8 / 23  # published: pressure from step 15 000 to 23 000 of 23 000
 OPACITY_RATE = 4 * 0.025  # learning rate of opacity logits until EASE steps after the trim
 FINAL_OPACITY_RATE = 0.025  # the same, after that
 FIRST_GOAL = 0.8  # the first goal, as a share of the opacity at the rank of the budget
-TOLERANCE, LOWER, RAISE = 0.1, 0.8, 1.2  # r is multiplied by LOWER or RAISE if this opacity differs by more than TOLERANCE from the goal
+# r is multiplied by LOWER or RAISE if this opacity differs by more than TOLERANCE from the goal
+TOLERANCE, LOWER, RAISE = 0.1, 0.8, 1.2
 MIN_OPACITY = 0.001  # Gaussians with less are removed
 NEAR = 1.05  # times the budget: when fewer Gaussians are left, they are trimmed to the budget at once
 
@@ -41,28 +46,42 @@ class GNS(Method):
     """The method. A step with the penalty is called a pressed step."""
 
     lambda_m: float = 2e-4  # r at the start
-    supports_max_drop: bool = True  # the budget is found by saliency; recovery_pruning.py removes more in the recovery
+    # the budget is found by saliency; recovery_pruning.py removes more in the recovery
+    supports_max_drop: bool = True
     factor: float = 1.0  # state: factor on r
     first_goal: float = 0.0  # state: the goal at the first pressed step
     trimmed: int = 0  # state: step at which the Gaussians were trimmed to the budget; 0: not yet
 
-    def train_phases(self, iterations: int, recovery: int, densify: Densify, coarse_until: int) -> list[Phase]:
+    def train_phases(
+        self, iterations: int, recovery: int, densify: Densify, coarse_until: int
+    ) -> list[Phase]:
         """Plain 3DGS, then pressure in the last 8/23 of the iterations, then recovery."""
         press = round(iterations * SHARE_OF_TRAINING)
         train, *recover = super().train_phases(iterations, recovery, densify, coarse_until)
         train = replace(train, steps=iterations - press, active=False)
-        return [train, *pressure_phase(press, *(train.rates.at(step, 1.0)["means"] for step in (train.steps, iterations))), *recover]
+        return [
+            train,
+            *pressure_phase(
+                press, *(train.rates.at(step, 1.0)["means"] for step in (train.steps, iterations))
+            ),
+            *recover,
+        ]
 
     def prune_phases(self, iterations: int, recovery: int, prune_every: int) -> list[Phase]:
-        return [*pressure_phase(iterations, 5e-6, Rates().position_last), *super().prune_phases(iterations, recovery, prune_every)]
+        return [
+            *pressure_phase(iterations, 5e-6, Rates().position_last),
+            *super().prune_phases(iterations, recovery, prune_every),
+        ]
 
     def budget(self, run: RunView) -> int:
-        """With an allowed drop: the number of Gaussians, those of highest saliency, that are needed to hold it before any learning."""
+        """With an allowed drop: the number of Gaussians, those of highest saliency, that are needed to hold
+        it before any learning."""
         value = saliency(run.model, run.training_cameras, run.rasterizer, run.score_options)
         return int(fewest_within(run, value, run.psnr_before - run.settings.max_drop).sum())
 
     def prepare(self, run: RunView, phase: Phase, number: int):
-        """Adapts r at every other pressed step. r falls if the opacity at the rank of the budget is below the goal, and rises if it is above."""
+        """Adapts r at every other pressed step. r falls if the opacity at the rank of the budget is below the
+        goal, and rises if it is above."""
         if not self._presses(phase, number):
             return
         reached = opacity_at(run.model.opacity_logits, run.target)
@@ -70,12 +89,22 @@ class GNS(Method):
             self.first_goal = FIRST_GOAL * reached
         elif (number - 1) % (2 * self.press_every(phase)) == 0:
             goal = max(0.0, 1 - (number - 1) / (phase.steps * GOAL_ZERO)) * self.first_goal
-            self.factor *= LOWER if reached < (1 - TOLERANCE) * goal else RAISE if reached > (1 + TOLERANCE) * goal else 1
+            self.factor *= (
+                LOWER
+                if reached < (1 - TOLERANCE) * goal
+                else RAISE
+                if reached > (1 + TOLERANCE) * goal
+                else 1
+            )
 
     def terms(self, run: RunView, phase: Phase, number: int) -> dict:
         if self.trimmed:
             late = number > self.trimmed + phase.steps * EASE / STEPS
-            return {"rates": phase.rates.at(number, run.extent) | {"opacity_logits": FINAL_OPACITY_RATE}} if late else {}
+            return (
+                {"rates": phase.rates.at(number, run.extent) | {"opacity_logits": FINAL_OPACITY_RATE}}
+                if late
+                else {}
+            )
         if not self._presses(phase, number):
             return {}
         early = number <= phase.steps * EASE / STEPS
@@ -127,4 +156,12 @@ def logit(p: float) -> float:
     return float(np.log(p / (1 - p)))
 
 
-METHODS = (GNS("gns", "lowers all opacities with the same pressure and removes the Gaussians that fade", 12, "GNS", share=0.25),)
+METHODS = (
+    GNS(
+        "gns",
+        "lowers all opacities with the same pressure and removes the Gaussians that fade",
+        12,
+        "GNS",
+        share=0.25,
+    ),
+)

@@ -1,4 +1,5 @@
-"""Base class of methods that learn masks: one existence logit per Gaussian, sampled in each step (MaskGaussian section 3, SVR-GS section II-A)."""
+"""Base class of methods that learn masks: one existence logit per Gaussian, sampled in each step
+(MaskGaussian section 3, SVR-GS section II-A)."""
 
 from __future__ import annotations
 
@@ -17,8 +18,9 @@ from .base import Method, learning_phase
 
 @dataclass
 class Masked(Method):
-    """Masks are sampled from the logits and have straight-through gradients. A pruning event samples 10 times and removes the Gaussians
-    that appear in no sample. At the end of the phase Gaussians with p > 0.5 stay, or as many as the target."""
+    """Masks are sampled from the logits and have straight-through gradients. A pruning event samples 10 times
+    and removes the Gaussians that appear in no sample. At the end of the phase Gaussians with p > 0.5 stay,
+    or as many as the target."""
 
     learns_masks: bool = True
     supports_max_drop: bool = True
@@ -26,7 +28,10 @@ class Masked(Method):
 
     def prune_phases(self, iterations: int, recovery: int, prune_every: int) -> list[Phase]:
         rates = Rates(position_first=5e-6, position_steps=iterations)
-        return [*learning_phase(iterations, rates, prune_every), *super().prune_phases(iterations, recovery, prune_every)]
+        return [
+            *learning_phase(iterations, rates, prune_every),
+            *super().prune_phases(iterations, recovery, prune_every),
+        ]
 
     def prepare(self, run: RunView, phase: Phase, number: int):
         if not run.model.learns_masks:
@@ -34,17 +39,26 @@ class Masked(Method):
 
     def terms(self, run: RunView, phase: Phase, number: int) -> dict:
         drawn, slope = masks.draw(run.model, run.settings.seed, run.iteration)
-        return {"masks": drawn, "slope": slope, "lambda_f": run.settings.lambda_f * run.strength, "lambda_m": run.settings.lambda_m * run.strength}
+        return {
+            "masks": drawn,
+            "slope": slope,
+            "lambda_f": run.settings.lambda_f * run.strength,
+            "lambda_m": run.settings.lambda_m * run.strength,
+        }
 
     def survivors(self, run: RunView) -> Keep:
         return masks.ever_drawn(run.model, run.settings.seed, run.iteration, run.settings.draws)
 
     def final_mask(self, run: RunView) -> Keep:
-        """Without a target, the Gaussians with p > 0.5 stay. With a target, exactly so many of the most probable ones; with an allowed
-        drop, the fewest most probable ones that hold it."""
+        """Without a target, the Gaussians with p > 0.5 stay. With a target, exactly so many of the most
+        probable ones; with an allowed drop, the fewest most probable ones that hold it."""
         if run.settings.max_drop:
             return fewest_within(run, run.model.values[MASK], run.psnr_before - run.settings.max_drop)
-        return masks.most_probable(run.model, run.target, run.own) if run.target else self.current_mask(run.model)
+        return (
+            masks.most_probable(run.model, run.target, run.own)
+            if run.target
+            else self.current_mask(run.model)
+        )
 
     def current_mask(self, model: Model) -> Keep:
         return masks.most_probable(model)

@@ -1,4 +1,5 @@
-"""MaskGaussian (arXiv 2412.20522): the term lambda_m (mean M)^2 over all Gaussians, in its three schedules and its post-training form."""
+"""MaskGaussian (arXiv 2412.20522): the term lambda_m (mean M)^2 over all Gaussians, in its three schedules
+and its post-training form."""
 
 from __future__ import annotations
 
@@ -9,15 +10,18 @@ from ..settings import Phase, Rates
 from .base import Method, learning_phase
 from .masked import Masked
 
-POST_WEIGHT = 0.2 * 0.1  # post-training: published as 0.1 inside the bracket that is multiplied by 0.2, the weight of SSIM
-POST_STEPS, FADE_EVERY = 5_000, 400  # published number of steps of post-training; steps between two reductions of its rates
-POST_POSITION = 3.09e-6  # first position rate: that of the published schedule over 35 000 steps at step 30 000
+# post-training: published as 0.1 inside the bracket that is multiplied by 0.2, the weight of SSIM
+POST_WEIGHT = 0.2 * 0.1
+# published number of steps of post-training; steps between two reductions of its rates
+POST_STEPS, FADE_EVERY = 5_000, 400
+# first position rate: that of the published schedule over 35 000 steps at step 30 000
+POST_POSITION = 3.09e-6
 
 
 @dataclass
 class MaskGS(Masked):
-    """The method. window: the part of the training, as shares, in which the term is added. Outside of it masks are sampled as well and get
-    the gradient of the image loss."""
+    """The method. window: the part of the training, as shares, in which the term is added. Outside of it
+    masks are sampled as well and get the gradient of the image loss."""
 
     lambda_m: float = 5e-4
     window: tuple[float, float] = (0.0, 1.0)
@@ -26,7 +30,10 @@ class MaskGS(Masked):
         """Post-training as published: no pruning events, one decision at the end, falling learning rates."""
         fade = max(1, round(FADE_EVERY * iterations / POST_STEPS))
         rates = Rates(position_first=POST_POSITION, position_steps=iterations, decay=0.95, decay_every=fade)
-        return [*learning_phase(iterations, rates, 0), *Method.prune_phases(self, iterations, recovery, prune_every)]
+        return [
+            *learning_phase(iterations, rates, 0),
+            *Method.prune_phases(self, iterations, recovery, prune_every),
+        ]
 
     def weights(self, trained: bool) -> tuple[float, float]:
         return (0.0, POST_WEIGHT) if trained else super().weights(trained)

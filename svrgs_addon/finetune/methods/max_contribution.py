@@ -9,4 +9,11 @@ class MaxContribution(Ranked):
         return scores.contribution(scene, cameras, rasterizer, options)[1]
 
 
-METHODS = (MaxContribution("max-contribution", "removes, in one cut, the Gaussians that never add much to any pixel (largest αT)", 16, "RadSplat"),)
+METHODS = (
+    MaxContribution(
+        "max-contribution",
+        "removes, in one cut, the Gaussians that never add much to any pixel (largest αT)",
+        16,
+        "RadSplat",
+    ),
+)

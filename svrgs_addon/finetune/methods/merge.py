@@ -1,6 +1,8 @@
-"""Removals and merges in the order of what they change in the pictures (finetune/decimate/order.py), in one cut; a recovery with larger rates follows.
+"""Removals and merges in the order of what they change in the pictures (finetune/decimate/order.py), in one
+cut; a recovery with larger rates follows.
 
-Merged Gaussians start where one pair is best replaced, so all values are trained on: the rates are those of refit.py, and fall more slowly.
+Merged Gaussians start where one pair is best replaced, so all values are trained on: the rates are those of
+refit.py, and fall more slowly.
 """
 
 from __future__ import annotations
@@ -33,23 +35,37 @@ class Merge(Method):
 
     def prune_phases(self, iterations: int, recovery: int, prune_every: int) -> list[Phase]:
         rates = Rates(decay=LAST ** (1 / PARTS), decay_every=max(1, recovery // PARTS))
-        return [replace(phase, rates=rates) for phase in super().prune_phases(iterations, recovery, prune_every)]
+        return [
+            replace(phase, rates=rates) for phase in super().prune_phases(iterations, recovery, prune_every)
+        ]
 
     def train_phases(self, iterations, recovery, densify, coarse_until) -> list[Phase]:
         train, *_ = super().train_phases(iterations, 0, densify, coarse_until)
         return [train, *self.prune_phases(0, recovery, 0)]
 
     def rates(self, run: RunView, phase: Phase, number: int) -> dict[str, float]:
-        """After the cut, positions change by fractions of the middle scale of the Gaussians, whatever the extent of the scene."""
+        """After the cut, positions change by fractions of the middle scale of the Gaussians, whatever the
+        extent of the scene."""
         rates = super().rates(run, phase, number)
         if phase.active:
             return rates
         self.middle = self.middle or middle_scale(run.model.log_scales)
         pace = pace_at(self.kept)
         larger = {name: pace * factor * rates[name] for name, factor in FASTER.items()}
-        return rates | larger | {"means": pace * POSITION * self.middle * phase.rates.decay ** (number // phase.rates.decay_every)}
+        return (
+            rates
+            | larger
+            | {
+                "means": pace
+                * POSITION
+                * self.middle
+                * phase.rates.decay ** (number // phase.rates.decay_every)
+            }
+        )
 
-    def reduced(self, scene: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions, count: int) -> Scene:
+    def reduced(
+        self, scene: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions, count: int
+    ) -> Scene:
         count = min(count, scene.count)
         self.kept = count / scene.count
         return _order(scene, cameras, rasterizer, options, count).at(count)
@@ -58,7 +74,9 @@ class Merge(Method):
         """The Gaussians that stay at the end of training; merged ones are added to the model."""
         model, count = run.model, min(run.target, run.model.count)
         self.kept = count / model.count
-        rows, made = _order(model, run.training_cameras, run.rasterizer, run.score_options, count).rows_at(count)
+        rows, made = _order(model, run.training_cameras, run.rasterizer, run.score_options, count).rows_at(
+            count
+        )
         keep = np.zeros(model.count, bool)
         keep[rows] = True
         model.append(made)
@@ -71,11 +89,24 @@ class Merge(Method):
         self.middle, self.kept = state["middle"], state["kept"]
 
 
-def _order(scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions, least: int) -> Order:
+def _order(
+    scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions, least: int
+) -> Order:
     """The order by some of the views, evenly spread in the list."""
-    whole = replace(Scene.of(*(getattr(scene, name) for name in PARAMETERS)), antialiased=options.antialiased) if isinstance(scene, Model) else scene
+    whole = (
+        replace(Scene.of(*(getattr(scene, name) for name in PARAMETERS)), antialiased=options.antialiased)
+        if isinstance(scene, Model)
+        else scene
+    )
     sums, _ = looks(whole, evenly(cameras, VIEWS), rasterizer, options, pictures=False)
     return order_of(whole, sums, least)
 
 
-METHODS = (Merge("merge", "removes and merges Gaussians, in one cut, by what each operation changes in the pictures", 27, "Merging"),)
+METHODS = (
+    Merge(
+        "merge",
+        "removes and merges Gaussians, in one cut, by what each operation changes in the pictures",
+        27,
+        "Merging",
+    ),
+)

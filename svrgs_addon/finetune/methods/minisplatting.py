@@ -1,5 +1,6 @@
-"""Mini-Splatting (arXiv 2403.14166): its two simplifications. The first draws Gaussians in proportion to their importance (../scores.py), the
-second keeps the most important ones that together have 99 % of it. Published at steps 15 000, when densification ends, and 20 000 of 30 000.
+"""Mini-Splatting (arXiv 2403.14166): its two simplifications. The first draws Gaussians in proportion to
+their importance (../scores.py), the second keeps the most important ones that together have 99 % of it.
+Published at steps 15 000, when densification ends, and 20 000 of 30 000.
 """
 
 from dataclasses import dataclass
@@ -33,7 +34,9 @@ class MiniSplatting(Stepwise):
             return None
         scores = self.score(run.model, run.training_cameras, run.rasterizer, run.score_options)
         if first:
-            return drawn(scores, run.target or int(SAMPLED * (scores > 0).sum()), [run.settings.seed, 5, run.iteration])
+            return drawn(
+                scores, run.target or int(SAMPLED * (scores > 0).sum()), [run.settings.seed, 5, run.iteration]
+            )
         order = np.argsort(scores, kind="stable")
         keep = np.empty(len(scores), bool)
         keep[order] = np.cumsum(scores[order]) > (1 - KEPT) * scores.sum()
@@ -41,6 +44,17 @@ class MiniSplatting(Stepwise):
 
 
 METHODS = (
-    MiniSplatting("minisplatting", "draws Gaussians in proportion to what they add to the photographs (sum of αT)", 22, "Mini-Splatting"),
-    MiniSplatting("minisplatting-outdoor", "Mini-Splatting by the mean of αT, for outdoor scenes", 23, "Mini-Splatting, Outdoor", by_area=True),
+    MiniSplatting(
+        "minisplatting",
+        "draws Gaussians in proportion to what they add to the photographs (sum of αT)",
+        22,
+        "Mini-Splatting",
+    ),
+    MiniSplatting(
+        "minisplatting-outdoor",
+        "Mini-Splatting by the mean of αT, for outdoor scenes",
+        23,
+        "Mini-Splatting, Outdoor",
+        by_area=True,
+    ),
 )

@@ -1,5 +1,6 @@
-"""POPSpa (KISS-GS, arXiv 2608.26948): a cut by Delta SE (../saliency.py), ADMM on the opacities (../admm.py) together with a term for round
-shapes, a second cut, recovery. ADMM pulls the opacities of all but the Gaussians of highest Delta SE, as many as the target, to 0."""
+"""POPSpa (KISS-GS, arXiv 2608.26948): a cut by Delta SE (../saliency.py), ADMM on the opacities (../admm.py)
+together with a term for round shapes, a second cut, recovery. ADMM pulls the opacities of all but the
+Gaussians of highest Delta SE, as many as the target, to 0."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -11,7 +12,8 @@ from ..saliency import removal_errors
 from ..settings import Phase, Settings
 from .stepwise import Stepwise
 
-RHO, EVERY, LEAST = 5e-4, 50 / 5_000, 10  # EVERY: of the steps, one in which ADMM pulls, then projects; LEAST: steps from one to the next
+# EVERY: of the steps, one in which ADMM pulls, then projects; LEAST: steps from one to the next
+RHO, EVERY, LEAST = 5e-4, 50 / 5_000, 10
 
 
 @dataclass
@@ -44,4 +46,11 @@ def pull_every(steps: int) -> int:
     return max(LEAST, round(EVERY * steps))
 
 
-METHODS = (POPSpa("popspa", "cuts twice by the change of the photographs and fades, in between, the Gaussians that are to go", 21, "POPSpa"),)
+METHODS = (
+    POPSpa(
+        "popspa",
+        "cuts twice by the change of the photographs and fades, in between, the Gaussians that are to go",
+        21,
+        "POPSpa",
+    ),
+)

@@ -1,4 +1,5 @@
-"""PUP 3D-GS (arXiv 2406.10219): ranks by sensitivity to position and size (../sensitivity.py). One cut; published with two cuts."""
+"""PUP 3D-GS (arXiv 2406.10219): ranks by sensitivity to position and size (../sensitivity.py). One cut;
+published with two cuts."""
 
 from ..sensitivity import log_determinants
 from .ranked import Ranked
@@ -9,4 +10,11 @@ class PUP(Ranked):
         return log_determinants(scene, cameras, rasterizer, options)
 
 
-METHODS = (PUP("pup", "removes, in one cut, the Gaussians whose position and size change the photographs least", 17, "PUP 3D-GS"),)
+METHODS = (
+    PUP(
+        "pup",
+        "removes, in one cut, the Gaussians whose position and size change the photographs least",
+        17,
+        "PUP 3D-GS",
+    ),
+)

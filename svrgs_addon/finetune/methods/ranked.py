@@ -1,4 +1,5 @@
-"""Base class of methods that rank: one cut keeps the Gaussians of highest score, as many as the target, and recovery follows."""
+"""Base class of methods that rank: one cut keeps the Gaussians of highest score, as many as the target, and
+recovery follows."""
 
 from __future__ import annotations
 
@@ -25,7 +26,14 @@ class Ranked(Method):
     def looks(self, settings: Settings, steps: int, share: float) -> list[tuple[float, float]]:
         return [(0.0, share)]
 
-    def cut(self, scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions, count: int) -> np.ndarray:
+    def cut(
+        self,
+        scene: Scene | Model,
+        cameras: list[Camera],
+        rasterizer: Rasterizer,
+        options: RenderOptions,
+        count: int,
+    ) -> np.ndarray:
         return top(self.score(scene, cameras, rasterizer, options), count)
 
     def final_mask(self, run: RunView) -> Keep:

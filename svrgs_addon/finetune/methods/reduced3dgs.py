@@ -1,5 +1,6 @@
-"""Reduced-3DGS (arXiv 2406.17074): its pruning removes faint Gaussians where many cover the same place (../redundancy.py), every 1000 steps until
-3000 before the end, and invisible ones after densification. A penalty lowers the opacity of the Gaussians that the view sees."""
+"""Reduced-3DGS (arXiv 2406.17074): its pruning removes faint Gaussians where many cover the same place
+(../redundancy.py), every 1000 steps until 3000 before the end, and invisible ones after densification. A
+penalty lowers the opacity of the Gaussians that the view sees."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -13,7 +14,8 @@ from ..scores import top
 from ..settings import Phase, Settings
 from .stepwise import Stepwise
 
-INVISIBLE, EVERY = 1 / 255, 100  # opacity below which Gaussians are removed, every so many steps; ten times as many lie between two events
+# opacity below which Gaussians are removed, every so many steps; ten times as many lie between two events
+INVISIBLE, EVERY = 1 / 255, 100
 
 
 @dataclass
@@ -32,12 +34,23 @@ class Reduced3DGS(Stepwise):
         return survivors(run.model, run.training_cameras) if due else None
 
     def event(self, run: RunView, done: int) -> Keep:
-        keep = survivors(run.model, run.training_cameras)  # with a target what the rule keeps comes first, then what has a higher opacity
-        return top(keep + sigmoid(run.model.opacity_logits, np), self.falling(run, done)) if run.target else keep
+        # with a target what the rule keeps comes first, then what has a higher opacity
+        keep = survivors(run.model, run.training_cameras)
+        return (
+            top(keep + sigmoid(run.model.opacity_logits, np), self.falling(run, done)) if run.target else keep
+        )
 
     def after_step(self, run: RunView, phase: Phase, number: int) -> Keep:
         keep, logits = super().after_step(run, phase, number), run.model.opacity_logits
-        return keep if keep is not None or number % EVERY else (sigmoid(logits, np) >= INVISIBLE) | top(logits, run.target)
+        return (
+            keep
+            if keep is not None or number % EVERY
+            else (sigmoid(logits, np) >= INVISIBLE) | top(logits, run.target)
+        )
 
 
-METHODS = (Reduced3DGS("reduced3dgs", "removes faint Gaussians from places that many Gaussians cover", 24, "Reduced-3DGS"),)
+METHODS = (
+    Reduced3DGS(
+        "reduced3dgs", "removes faint Gaussians from places that many Gaussians cover", 24, "Reduced-3DGS"
+    ),
+)

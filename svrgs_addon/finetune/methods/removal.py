@@ -1,20 +1,24 @@
-"""Iterative removal: the default method `removal`, and `saliency` (docs/methods.md, "`removal`, the default").
+"""Iterative removal: the default method `removal`, and `saliency` (docs/methods.md, "`removal`, the
+default").
 
-Budget: the target, or the number of Gaussians with a saliency above lambda_F. In LOOKS looks, spread evenly over the phase, the Gaussians
-that rank lowest are removed. The first looks remove most, because these Gaussians are needed least; the last ones remove few. The looks
-measure the ranking again, because only one of two Gaussians that can replace each other may go. Between the looks and in the recovery the
-others are trained, with the position rate that 3DGS begins with: the few that stay must move to where the others were, and grow. A short run
-takes larger steps, else they would not get there, and so does one that keeps few Gaussians, which must reach farther; otherwise large steps
-stretch Gaussians that few views see.
+Budget: the target, or the number of Gaussians with a saliency above lambda_F. In LOOKS looks, spread evenly
+over the phase, the Gaussians that rank lowest are removed. The first looks remove most, because these
+Gaussians are needed least; the last ones remove few. The looks measure the ranking again, because only one of
+two Gaussians that can replace each other may go. Between the looks and in the recovery the others are
+trained, with the position rate that 3DGS begins with: the few that stay must move to where the others were,
+and grow. A short run takes larger steps, else they would not get there, and so does one that keeps few
+Gaussians, which must reach farther; otherwise large steps stretch Gaussians that few views see.
 
-Before the first look all opacities are lowered once; after that nothing but the image loss acts on a Gaussian. What the photographs need, the
-steps raise again, with larger steps at first; what only fitted a few photographs too closely stays faint, and is removed. A scene whose opacities
-were kept low in training, as MCMC does, is left as it is.
+Before the first look all opacities are lowered once; after that nothing but the image loss acts on a
+Gaussian. What the photographs need, the steps raise again, with larger steps at first; what only fitted a few
+photographs too closely stays faint, and is removed. A scene whose opacities were kept low in training, as
+MCMC does, is left as it is.
 
-The result is the mean of the values over the last steps, which keep moving about the best ones because the steps are large.
+The result is the mean of the values over the last steps, which keep moving about the best ones because the
+steps are large.
 
-With an allowed drop, the budget is the fewest Gaussians that are foreseen to hold it at the end of the run (quality.py); the recovery removes more
-if it has dB to spare (recovery_pruning.py).
+With an allowed drop, the budget is the fewest Gaussians that are foreseen to hold it at the end of the run
+(quality.py); the recovery removes more if it has dB to spare (recovery_pruning.py).
 """
 
 from __future__ import annotations
@@ -36,15 +40,26 @@ from ..settings import LARGEST, LARGEST_OF_POSITION, Densify, Phase, Rates, Sett
 from .base import REMOVE, Method
 
 LOOKS, FEWEST = 16, 4  # looks in a long phase, and in a short one
-STEPS_PER_LOOK = 36  # a look takes as long as 20 to 40 steps: with more looks in a short phase, the same time would leave few steps
-SHARE_OF_TRAINING = 8 / 23  # share of the iterations of `svrgs train` in which Gaussians are removed: the last ones, as in GNS
-MANY = 0.25  # share of the Gaussians; if fewer are left, the other rates are larger by the root of the ratio, up to settings.LARGEST
-FAINTEST, LEAST_ODDS = 0.1, 0.1  # least factors by which opacities, and then their odds, are lowered before the phase
-OPAQUE, OPAQUE_SHARE = 0.9, 0.05  # if fewer Gaussians than this share are so opaque, opacities were kept low in training: nothing is lowered
-RISING = 60  # steps of the phase that see a Gaussian; with more, opacities are lowered too; with fewer, their odds less
+# a look takes as long as 20 to 40 steps: with more looks in a short phase, the same time would leave few
+# steps
+STEPS_PER_LOOK = 36
+# share of the iterations of `svrgs train` in which Gaussians are removed: the last ones, as in GNS
+SHARE_OF_TRAINING = 8 / 23
+# share of the Gaussians; if fewer are left, the other rates are larger by the root of the ratio, up to
+# settings.LARGEST
+MANY = 0.25
+# least factors by which opacities, and then their odds, are lowered before the phase
+FAINTEST, LEAST_ODDS = 0.1, 0.1
+# if fewer Gaussians than this share are so opaque, opacities were kept low in training: nothing is lowered
+OPAQUE, OPAQUE_SHARE = 0.9, 0.05
+# steps of the phase that see a Gaussian; with more, opacities are lowered too; with fewer, their odds less
+RISING = 60
 OPACITY_RATE = 0.025  # learning rate of opacity logits in the phase: half of that of 3DGS
-FIRST_RATE, FIRST_STEPS = 8, 150  # factor on this rate at first, so that opacities rise again soon; steps in which it falls to 1, at most half the phase
-SPENT, FORESEEN_STEPS = 0.75, 800  # budget of an allowed drop: share of the drop that is spent; more steps hardly win back more
+# factor on this rate at first, so that opacities rise again soon; steps in which it falls to 1, at most half
+# the phase
+FIRST_RATE, FIRST_STEPS = 8, 150
+# budget of an allowed drop: share of the drop that is spent; more steps hardly win back more
+SPENT, FORESEEN_STEPS = 0.75, 800
 POSITION_LAST = 5e-5  # learning rate of positions at the end of the recovery
 AVERAGED = 0.25  # share of the recovery, its last steps, over which the values are averaged
 
@@ -53,38 +68,66 @@ AVERAGED = 0.25  # share of the recovery, its last steps, over which the values 
 class Removal(Method):
     """The method. ranking: what the looks measure."""
 
-    ranking: Callable = field(default=removal_errors, repr=False)  # (scene, cameras, rasterizer, options) -> (N,); the lowest are removed
+    # (scene, cameras, rasterizer, options) -> (N,); the lowest are removed
+    ranking: Callable = field(default=removal_errors, repr=False)
     lambda_f: float = 1e-4
     lambda_f_help: str = field(default="the saliency above which a Gaussian stays", repr=False)
     supports_max_drop: bool = True
     count: int = 0  # state: number of Gaussians before the first look
     lowered: bool = False  # state: whether opacities were lowered
 
-    def train_phases(self, iterations: int, recovery: int, densify: Densify, coarse_until: int) -> list[Phase]:
+    def train_phases(
+        self, iterations: int, recovery: int, densify: Densify, coarse_until: int
+    ) -> list[Phase]:
         """Plain 3DGS, then in the last 8/23 of the iterations removal, then recovery, as in `svrgs prune`."""
         removal = round(iterations * SHARE_OF_TRAINING)
         train, *_ = super().train_phases(iterations, 0, densify, coarse_until)
-        return [replace(train, steps=iterations - removal, active=False), *self.prune_phases(removal, recovery, 0)]
+        return [
+            replace(train, steps=iterations - removal, active=False),
+            *self.prune_phases(removal, recovery, 0),
+        ]
 
     def prune_phases(self, iterations: int, recovery: int, prune_every: int) -> list[Phase]:
-        looks = [Phase("prune", iterations, Rates(opacity=OPACITY_RATE), active=True, prune_every=0, label=REMOVE)] if iterations else []
-        return [*looks, *(replace(phase, averaged=AVERAGED) for phase in super().prune_phases(iterations, recovery, prune_every))]
+        looks = (
+            [
+                Phase(
+                    "prune", iterations, Rates(opacity=OPACITY_RATE), active=True, prune_every=0, label=REMOVE
+                )
+            ]
+            if iterations
+            else []
+        )
+        return [
+            *looks,
+            *(
+                replace(phase, averaged=AVERAGED)
+                for phase in super().prune_phases(iterations, recovery, prune_every)
+            ),
+        ]
 
     def paced(self, phases: list[Phase]) -> list[Phase]:
         """Also of the phase and the recovery: they begin with the rates of a training with as many steps."""
         own = [phase for phase in phases if phase.densify is None]
         steps = sum(phase.steps for phase in own)
-        return [replace(phase, rates=_rates(phase, steps)) if phase in own else phase for phase in super().paced(phases)]
+        return [
+            replace(phase, rates=_rates(phase, steps)) if phase in own else phase
+            for phase in super().paced(phases)
+        ]
 
     def rates(self, run: RunView, phase: Phase, number: int) -> dict[str, float]:
-        """Larger where few Gaussians are left: the distance between those on a surface grows with the root of what went."""
+        """Larger where few Gaussians are left: the distance between those on a surface grows with the root of
+        what went."""
         rates = super().rates(run, phase, number)
         if phase.densify:
             return rates
         if phase.active and self.lowered:
-            rates = rates | {"opacity_logits": rates["opacity_logits"] * _opacity_rate_factor(phase.steps, number)}
+            rates = rates | {
+                "opacity_logits": rates["opacity_logits"] * _opacity_rate_factor(phase.steps, number)
+            }
         more, already = sqrt(max(1.0, MANY * self.count / run.model.count)), phase.rates.scale / Rates().scale
-        larger = {name: min(more, max(1.0, LARGEST / already)) for name in ("log_scales", "quats", "sh", "sh_rest")}
+        larger = {
+            name: min(more, max(1.0, LARGEST / already)) for name in ("log_scales", "quats", "sh", "sh_rest")
+        }
         larger["means"] = min(more, max(1.0, LARGEST_OF_POSITION / already))
         return rates | {name: factor * rates[name] for name, factor in larger.items()}
 
@@ -92,11 +135,14 @@ class Removal(Method):
         return not (settings.target or settings.share or settings.max_drop)
 
     def budget(self, run: RunView) -> int:
-        """The number of Gaussians with a saliency above lambda_F. Raises SceneError if almost none has. With an allowed drop: the fewest that are
-        foreseen to hold it at the end of the run."""
+        """The number of Gaussians with a saliency above lambda_F. Raises SceneError if almost none has. With
+        an allowed drop: the fewest that are foreseen to hold it at the end of the run."""
         if run.settings.max_drop:
             return self.budget_of_drop(run)
-        stays = saliency(run.model, run.training_cameras, run.rasterizer, run.score_options) > run.settings.lambda_f
+        stays = (
+            saliency(run.model, run.training_cameras, run.rasterizer, run.score_options)
+            > run.settings.lambda_f
+        )
         stays = stays if run.protected is None else stays | run.protected
         masks.refuse_emptying(stays, run.initial_count)
         return int(stays.sum())
@@ -107,7 +153,8 @@ class Removal(Method):
         return int(fewest_within(run, rank, floor_of_drop(run.psnr_before, run.settings)).sum())
 
     def prepare(self, run: RunView, phase: Phase, number: int):
-        """Before the first step, lowers the opacities of the Gaussians that a view sees and that are not protected."""
+        """Before the first step, lowers the opacities of the Gaussians that a view sees and that are not
+        protected."""
         if number == 1:
             self.lowered = _has_opaque(run.model)
             if self.lowered:
@@ -126,7 +173,8 @@ class Removal(Method):
         return self.stays(run, (these + 1) / looks)
 
     def stays(self, run: RunView, done: float) -> np.ndarray:
-        """The Gaussians that stay at a look, (N,) bool. done: share of the looks that have been, this one included."""
+        """The Gaussians that stay at a look, (N,) bool. done: share of the looks that have been, this one
+        included."""
         rank = self.score(run.model, run.training_cameras, run.rasterizer, run.score_options)
         rank = rank if run.protected is None else np.where(run.protected, np.inf, rank)
         return top(rank, round(self.count * (min(run.target, self.count) / self.count) ** sqrt(done)))
@@ -135,7 +183,8 @@ class Removal(Method):
         return self.ranking(scene, cameras, rasterizer, options)
 
     def looks(self, settings: Settings, steps: int, share: float) -> list[tuple[float, float]]:
-        """Also the lowering takes a look at all views, and so does the budget of an allowed drop; that of lambda_F costs twice as much."""
+        """Also the lowering takes a look at all views, and so does the budget of an allowed drop; that of
+        lambda_F costs twice as much."""
         looks, before = number_of_looks(steps), 1 + bool(settings.max_drop) + 2 * self.uses_lambda_f(settings)
         return [(0.0, 1.0)] * before + [(k / looks, share ** sqrt((k + 1) / looks)) for k in range(looks)]
 
@@ -147,14 +196,17 @@ class Removal(Method):
 
 
 def number_of_looks(steps: int) -> int:
-    """The number of looks in a phase of so many steps: LOOKS, in a short phase one in STEPS_PER_LOOK steps, but FEWEST if there are as many steps."""
+    """The number of looks in a phase of so many steps: LOOKS, in a short phase one in STEPS_PER_LOOK steps,
+    but FEWEST if there are as many steps."""
     return min(LOOKS, max(FEWEST, steps // STEPS_PER_LOOK), steps)
 
 
 def floor_of_drop(before: float, settings: Settings) -> float:
-    """The PSNR in dB that a removal may leave without any learning, so that the run is foreseen to spend SPENT of the allowed drop. before: PSNR
-    of now."""
-    return psnr_removed(before, before - SPENT * settings.max_drop, min(settings.total, FORESEEN_STEPS), HALVED["removal"])
+    """The PSNR in dB that a removal may leave without any learning, so that the run is foreseen to spend
+    SPENT of the allowed drop. before: PSNR of now."""
+    return psnr_removed(
+        before, before - SPENT * settings.max_drop, min(settings.total, FORESEEN_STEPS), HALVED["removal"]
+    )
 
 
 def _has_opaque(model: Model) -> bool:
@@ -163,8 +215,9 @@ def _has_opaque(model: Model) -> bool:
 
 
 def lowering(steps: float) -> tuple[float, float]:
-    """The factors on opacities and on their odds before the phase. steps: the number of steps of the phase that see a Gaussian, in the mean. More
-    steps can raise opacities further again, so with more steps the factors are smaller."""
+    """The factors on opacities and on their odds before the phase. steps: the number of steps of the phase
+    that see a Gaussian, in the mean. More steps can raise opacities further again, so with more steps the
+    factors are smaller."""
     share = max(steps, 1e-9) / RISING
     return max(FAINTEST, sqrt(min(1.0, 1 / share))), LEAST_ODDS ** min(1.0, share)
 
@@ -175,13 +228,21 @@ def _opacity_rate_factor(steps: int, number: int) -> float:
 
 
 def _rates(phase: Phase, steps: int) -> Rates:
-    """The rates of the phase or of the recovery, which have so many steps together. The rate of position does not fall in the phase, and less than in
-    3DGS in the recovery, because its values are averaged."""
+    """The rates of the phase or of the recovery, which have so many steps together. The rate of position does
+    not fall in the phase, and less than in 3DGS in the recovery, because its values are averaged."""
     rates = rates_for(steps, phase.rates)
     return replace(rates, position_last=rates.position_first if phase.active else POSITION_LAST)
 
 
 METHODS = (
-    Removal("removal", "removes the Gaussians that the photographs need least, step by step", 0, "Recommended"),
-    Removal("saliency", "as Recommended, ranked by removal error over mask penalty, the objective of SVR-GS", 6, "Saliency", ranking=saliency),
+    Removal(
+        "removal", "removes the Gaussians that the photographs need least, step by step", 0, "Recommended"
+    ),
+    Removal(
+        "saliency",
+        "as Recommended, ranked by removal error over mask penalty, the objective of SVR-GS",
+        6,
+        "Saliency",
+        ranking=saliency,
+    ),
 )

@@ -1,7 +1,9 @@
-"""Speedy-Splat (arXiv 2412.00578): ranks by the squared slope of the pictures in the value G of a Gaussian (../scores.py), in several cuts.
+"""Speedy-Splat (arXiv 2412.00578): ranks by the squared slope of the pictures in the value G of a Gaussian
+(../scores.py), in several cuts.
 
-Soft pruning: three cuts while training densifies, each of 80 %. Hard pruning: five cuts after it, each of 30 %; then refinement. For
-30 000 steps and densification until step 15 000 the cuts are at the published steps 6 000, 9 000, ... 27 000.
+Soft pruning: three cuts while training densifies, each of 80 %. Hard pruning: five cuts after it, each of 30
+%; then refinement. For 30 000 steps and densification until step 15 000 the cuts are at the published steps 6
+000, 9 000, ... 27 000.
 """
 
 from __future__ import annotations
@@ -14,7 +16,8 @@ from ..scores import slopes
 from ..settings import Phase
 from .stepwise import Stepwise
 
-SOFT_CUTS, SOFT_KEPT = (0.4, 0.6, 0.8), 0.2  # shares of the steps with densification; share of the Gaussians that stays
+# shares of the steps with densification; share of the Gaussians that stays
+SOFT_CUTS, SOFT_KEPT = (0.4, 0.6, 0.8), 0.2
 HARD_KEPT = 0.7
 
 
@@ -32,4 +35,11 @@ class Speedy(Stepwise):
         return slopes(scene, cameras, rasterizer, options)
 
 
-METHODS = (Speedy("speedy", "removes, in 5 cuts, the Gaussians whose strength changes the photographs least", 20, "Speedy-Splat"),)
+METHODS = (
+    Speedy(
+        "speedy",
+        "removes, in 5 cuts, the Gaussians whose strength changes the photographs least",
+        20,
+        "Speedy-Splat",
+    ),
+)

@@ -15,15 +15,18 @@ from .base import Method, learning_phase
 
 @dataclass
 class Stepwise(Method):
-    """A subclass defines EVENTS, the shares of the phase after which it cuts, and score() or event(). In training the shares are those of
-    the steps that are left when densification ends."""
+    """A subclass defines EVENTS, the shares of the phase after which it cuts, and score() or event(). In
+    training the shares are those of the steps that are left when densification ends."""
 
     EVENTS: ClassVar[tuple[float, ...]]
     count: int = 0  # state: number of Gaussians before the first event
 
     def prune_phases(self, iterations: int, recovery: int, prune_every: int) -> list[Phase]:
         rates = Rates(position_first=5e-6, position_steps=iterations)
-        return [*learning_phase(iterations, rates, 0), *super().prune_phases(iterations, recovery, prune_every)]
+        return [
+            *learning_phase(iterations, rates, 0),
+            *super().prune_phases(iterations, recovery, prune_every),
+        ]
 
     def looks(self, settings: Settings, steps: int, share: float) -> list[tuple[float, float]]:
         return [(event, share ** ((k + 1) / len(self.EVENTS))) for k, event in enumerate(self.EVENTS)]
@@ -42,7 +45,8 @@ class Stepwise(Method):
         return min(phase.densify.until, phase.steps) if phase.densify else 0
 
     def event(self, run: RunView, done: int) -> Keep:
-        """The Gaussians that stay at an event: those of highest score. Their number falls by the same ratio at each event, to the target.
+        """The Gaussians that stay at an event: those of highest score. Their number falls by the same ratio
+        at each event, to the target.
 
         done: number of events up to and including this one.
         """

@@ -1,4 +1,5 @@
-"""SVR-GS (arXiv 2509.11116): sampled masks and the term lambda_F mean F^2; its scenarios A and B; two other gradients of F.
+"""SVR-GS (arXiv 2509.11116): sampled masks and the term lambda_F mean F^2; its scenarios A and B; two other
+gradients of F.
 
 L = L_image + lambda_F mean F^2,   F = sum_i M_i (1 - alpha_i T_i) / log(1 + N)        (SVR-GS Eq. 5 and 10)
 """
@@ -22,17 +23,48 @@ class SVR(Masked):
     lambda_f_help: str = field(default=WEIGHT, repr=False)
 
 
-SVR_GS = SVR("svr", "learns the probability that each Gaussian exists and penalises the spatial mask F, as in the paper", 1, "SVR-GS (paper)")
+SVR_GS = SVR(
+    "svr",
+    "learns the probability that each Gaussian exists and penalises the spatial mask F, as in the paper",
+    1,
+    "SVR-GS (paper)",
+)
 
-# The printed settings of the paper to the letter: L1 + (1 - SSIM) with weights 1 and 1, exact gradient, F along the whole ray,
-# lambda_F = 1e-4 in every step, no first cut. Pruning events of 10 samples, at each densification and every 1000 steps after it, are the
-# defaults of Settings and Phase. `--method svr --paper` chooses them; --method has no name for them.
+# The printed settings of the paper to the letter: L1 + (1 - SSIM) with weights 1 and 1, exact gradient, F
+# along the whole ray, lambda_F = 1e-4 in every step, no first cut. Pruning events of 10 samples, at each
+# densification and every 1000 steps after it, are the defaults of Settings and Phase. `--method svr --paper`
+# chooses them; --method has no name for them.
 PAPER = replace(SVR_GS, name="svr-paper", first_cut=False, image_weights=(1.0, 1.0))
 
 METHODS = (  # svr-a has a larger lambda_F because its F is at most 1
     SVR_GS,
-    SVR("svr-self", "SVR-GS with another gradient of F: only the self term, as the prose of the paper says", 2, "SVR-GS, Self Term", mask_kind="self"),
-    SVR("svr-even", "SVR-GS with another gradient of F: the same for large and for small Gaussians", 3, "SVR-GS, Even Footprint", mask_kind="even"),
-    SVR("svr-a", "SVR-GS with another F: scenario A of the paper, weights by inverse importance", 4, "SVR-GS, Scenario A", mask_kind="a", lambda_f=1e-2),
-    SVR("svr-b", "SVR-GS with another F: scenario B of the paper, weights by accumulated opacity", 5, "SVR-GS, Scenario B", mask_kind="b"),
+    SVR(
+        "svr-self",
+        "SVR-GS with another gradient of F: only the self term, as the prose of the paper says",
+        2,
+        "SVR-GS, Self Term",
+        mask_kind="self",
+    ),
+    SVR(
+        "svr-even",
+        "SVR-GS with another gradient of F: the same for large and for small Gaussians",
+        3,
+        "SVR-GS, Even Footprint",
+        mask_kind="even",
+    ),
+    SVR(
+        "svr-a",
+        "SVR-GS with another F: scenario A of the paper, weights by inverse importance",
+        4,
+        "SVR-GS, Scenario A",
+        mask_kind="a",
+        lambda_f=1e-2,
+    ),
+    SVR(
+        "svr-b",
+        "SVR-GS with another F: scenario B of the paper, weights by accumulated opacity",
+        5,
+        "SVR-GS, Scenario B",
+        mask_kind="b",
+    ),
 )

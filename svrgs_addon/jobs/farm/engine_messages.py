@@ -1,4 +1,5 @@
-"""Progress in the words of an engine. Open Job Description reads lines of stdout: openjd_progress with percent, openjd_status, openjd_fail."""
+"""Progress in the words of an engine. Open Job Description reads lines of stdout: openjd_progress with
+percent, openjd_status, openjd_fail."""
 
 from __future__ import annotations
 

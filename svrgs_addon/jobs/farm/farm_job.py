@@ -1,15 +1,20 @@
-"""A job for a farm: a folder with tasks, which any number of machines do in any order. Everything that a task needs to know is in job.json.
+"""A job for a farm: a folder with tasks, which any number of machines do in any order. Everything that a task
+needs to know is in job.json.
 
-    job.json             schema, version, root, to, and the tasks: name, scene, and the options of `svrgs prune`
-    results/NAME.ply     what a task wrote, in the format of `to`; results/NAME.json, its result, is written last
+    job.json             schema, version, root, to, and the tasks: name, scene, and the options of `svrgs
+                         prune`
+    results/NAME.ply     what a task wrote, in the format of `to`; results/NAME.json, its result, is written
+                         last
     prune/report/              table and chart over all tasks (summary.py)
     captures/            the splats of a job that Blender made
-    template.json, parameter_values.json, asset_references.json      the job in Open Job Description (openjd.py)
+    template.json, parameter_values.json, asset_references.json      the job in Open Job Description
+                                                                     (openjd.py)
     flamenco.json        the job for the manager of Flamenco (flamenco.py)
 
-Paths in job.json are relative to `root`, the folder of the captures, or begin with OWN, the folder of the job itself; a worker that has the captures elsewhere
-gives its own root. job.json is read like a file
-of a stranger: options are checked by name, type and range, and names of tasks become names of files only if they are plain.
+Paths in job.json are relative to `root`, the folder of the captures, or begin with OWN, the folder of the job
+itself; a worker that has the captures elsewhere gives its own root. job.json is read like a file of a
+stranger: options are checked by name, type and range, and names of tasks become names of files only if they
+are plain.
 """
 
 from __future__ import annotations
@@ -36,13 +41,14 @@ LARGEST = 1 << 24  # bytes of job.json, and of a result
 NAME = re.compile(r"\w[\w.+ -]{0,200}")
 OWN = "{job}/"  # begins a path within the folder of the job
 INSIDE = ("colmap", "cameras")  # options with a path that may lie in the root
-LEFT_OUT = ("resume", "quiet", "time")  # options that are not of a farm: it resumes by itself, and one machine's seconds are not another's
+# options that are not of a farm: it resumes by itself, and one machine's seconds are not another's
+LEFT_OUT = ("resume", "quiet", "time")
 
 
 @dataclass(frozen=True)
 class Task:
-    """One scene that is pruned in one way. scene and the paths in options (of INSIDE) are relative to the root, begin with OWN, or are
-    absolute."""
+    """One scene that is pruned in one way. scene and the paths in options (of INSIDE) are relative to the
+    root, begin with OWN, or are absolute."""
 
     name: str
     scene: str
@@ -60,31 +66,57 @@ class FarmJob:
 
     @classmethod
     def read(cls, folder: str | Path, root: str | Path | None = None) -> FarmJob:
-        """root: where the captures lie on this machine; None: where they lay when the job was made. Raises FormatError, SceneError."""
+        """root: where the captures lie on this machine; None: where they lay when the job was made. Raises
+        FormatError, SceneError."""
         folder = extended(folder)
         path = folder / JOB
         try:
             contents = json_object(path, LARGEST)
         except OSError as error:
-            raise SceneError(f"{path}: cannot be read ({error.strerror}); make the job with svrgs farm export") from None
-        known = contents is not None and contents.get("schema") == SCHEMA and contents.get("to") in suffixes(written=True)
-        if contents is None or not known or not isinstance(contents.get("tasks"), list) or not isinstance(contents.get("root"), str):
+            raise SceneError(
+                f"{path}: cannot be read ({error.strerror}); make the job with svrgs farm export"
+            ) from None
+        known = (
+            contents is not None
+            and contents.get("schema") == SCHEMA
+            and contents.get("to") in suffixes(written=True)
+        )
+        if (
+            contents is None
+            or not known
+            or not isinstance(contents.get("tasks"), list)
+            or not isinstance(contents.get("root"), str)
+        ):
             raise FormatError(f"{path}: is no farm job of this version; make it again with svrgs farm export")
         try:
-            return cls(folder, extended(root or contents["root"]), tuple(_checked(one) for one in contents["tasks"]), contents["to"])
+            return cls(
+                folder,
+                extended(root or contents["root"]),
+                tuple(_checked(one) for one in contents["tasks"]),
+                contents["to"],
+            )
         except SceneError as error:
             raise FormatError(f"{path}: {error}") from None
 
     def write(self):
         """Writes job.json. Raises SceneError."""
         tasks = [{"name": task.name, "scene": task.scene, "options": task.options} for task in self.tasks]
-        write_json(self.folder / JOB, {"schema": SCHEMA, "version": __version__, "root": str(self.root), "to": self.to, "tasks": tasks})
+        write_json(
+            self.folder / JOB,
+            {"schema": SCHEMA, "version": __version__, "root": str(self.root), "to": self.to, "tasks": tasks},
+        )
 
     def options(self, task: Task) -> PruneOptions:
         """The options of the task on this machine; a run of it that was interrupted goes on."""
         values = check_mapping(PruneOptions, task.options, in_job=False)
         values |= {name: self._place(task.options[name]) for name in INSIDE if task.options.get(name)}
-        return PruneOptions(**values, scene=self._place(task.scene), out=self.out(task), resume=not values.get("quick", False), quiet=True)
+        return PruneOptions(
+            **values,
+            scene=self._place(task.scene),
+            out=self.out(task),
+            resume=not values.get("quick", False),
+            quiet=True,
+        )
 
     def out(self, task: Task) -> Path:
         return self.folder / RESULTS / f"{task.name}{self.to}"
@@ -98,7 +130,11 @@ class FarmJob:
             found = json_object(self.result_path(task), LARGEST)
         except OSError:
             return None
-        same = found is not None and found.get("task") == {"scene": task.scene, "options": task.options} and self.out(task).is_file()
+        same = (
+            found is not None
+            and found.get("task") == {"scene": task.scene, "options": task.options}
+            and self.out(task).is_file()
+        )
         return found if same else None
 
     def _place(self, path: str) -> Path:
@@ -111,22 +147,41 @@ def refuse_folder(folder: Path):
         raise SceneError(f"{folder}: is not empty, and no farm job; choose another folder")
 
 
-def tasks_of(root: Path, scenes: Sequence[tuple[str, Path, Path | None]], ways: Sequence[dict[str, Any]], options: PruneOptions) -> tuple[Task, ...]:
-    """A task for each scene (name, splat, dataset) and each way (method, target). Raises SceneError if two would have the same name."""
+def tasks_of(
+    root: Path,
+    scenes: Sequence[tuple[str, Path, Path | None]],
+    ways: Sequence[dict[str, Any]],
+    options: PruneOptions,
+) -> tuple[Task, ...]:
+    """A task for each scene (name, splat, dataset) and each way (method, target). Raises SceneError if two
+    would have the same name."""
     common = {name: getattr(options, name) for name in options_of(PruneOptions) if name not in LEFT_OUT}
-    common = {name: _plain(value) for name, value in common.items() if value != default_of(PruneOptions, name)}
+    common = {
+        name: _plain(value) for name, value in common.items() if value != default_of(PruneOptions, name)
+    }
     tasks = []
     for name, scene, dataset in scenes:
         for way in ways:
             placed = {"colmap": relative(root, dataset)} if dataset else {}
-            title = "-".join([name, *(f"{100 * value:g}" if isinstance(value, float) else str(value) for value in way.values())])
-            tasks.append(_checked({"name": title, "scene": relative(root, scene), "options": common | placed | way}))
+            title = "-".join(
+                [
+                    name,
+                    *(
+                        f"{100 * value:g}" if isinstance(value, float) else str(value)
+                        for value in way.values()
+                    ),
+                ]
+            )
+            tasks.append(
+                _checked({"name": title, "scene": relative(root, scene), "options": common | placed | way})
+            )
     refuse_same_names([task.name for task in tasks])
     return tuple(tasks)
 
 
 def refuse_same_names(names: Sequence[str]):
-    """Raises SceneError for two tasks whose files would be one. Some systems do not tell upper and lower case apart."""
+    """Raises SceneError for two tasks whose files would be one. Some systems do not tell upper and lower case
+    apart."""
     lower = [name.lower() for name in names]
     if same := next((name for name in names if lower.count(name.lower()) > 1), ""):
         raise SceneError(f"two tasks would have the name '{same}': make two jobs")
@@ -158,7 +213,11 @@ def _plain(value: Any) -> Any:
 
 def _checked(found: Any) -> Task:
     """A task of job.json. Raises SceneError (without the name of the file)."""
-    if not isinstance(found, dict) or not isinstance(found.get("name"), str) or not isinstance(found.get("scene"), str):
+    if (
+        not isinstance(found, dict)
+        or not isinstance(found.get("name"), str)
+        or not isinstance(found.get("scene"), str)
+    ):
         raise SceneError("has a task without a name or a scene")
     if not NAME.fullmatch(found["name"]):
         raise SceneError(f"the name of a task, '{found['name'][:60]}', is no plain name of a file")

@@ -21,7 +21,9 @@ def memory_of(options: PruneOptions) -> int:
     facts = describe(options.scene)
     count, coefficients = facts["count"], SH_COEFFICIENTS[facts["sh_degree"]]
     if options.colmap:
-        cameras = load_dataset(options.colmap, options.images or None, holdout=options.holdout, cameras_only=True).cameras
+        cameras = load_dataset(
+            options.colmap, options.images or None, holdout=options.holdout, cameras_only=True
+        ).cameras
     else:
         cameras = PLACED * [Camera(np.eye(4), np.diag([SIDE, SIDE, 1.0]), SIDE, SIDE)]
     tuned = memory.tuning(count, coefficients, cameras, int(options.image_memory * 1e9))

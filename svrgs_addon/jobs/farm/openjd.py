@@ -1,4 +1,5 @@
-"""A farm job as a bundle of Open Job Description: template.json, and values of its parameters and the folders it needs, as deadline-cloud submits them.
+"""A farm job as a bundle of Open Job Description: template.json, and values of its parameters and the folders
+it needs, as deadline-cloud submits them.
 
 openjd/captures.json is the template. Of a job, it gets what its tasks need of a worker.
 """
@@ -17,10 +18,19 @@ MIB, STEP = 1 << 20, 512  # memory is asked for in steps of so many MiB
 
 
 def write_bundle(job: FarmJob, name: str, memory: int):
-    """Writes the bundle into the folder of the job. name: of the job, as engines show it. memory: bytes that a task needs. Raises SceneError."""
+    """Writes the bundle into the folder of the job. name: of the job, as engines show it. memory: bytes that
+    a task needs. Raises SceneError."""
     write_json(job.folder / "template.json", template(memory))
-    values = {"JobName": name, "JobFolder": str(job.folder), "Captures": str(job.root), "LastTask": len(job.tasks) - 1}
-    write_json(job.folder / "parameter_values.json", {"parameterValues": [{"name": key, "value": value} for key, value in values.items()]})
+    values = {
+        "JobName": name,
+        "JobFolder": str(job.folder),
+        "Captures": str(job.root),
+        "LastTask": len(job.tasks) - 1,
+    }
+    write_json(
+        job.folder / "parameter_values.json",
+        {"parameterValues": [{"name": key, "value": value} for key, value in values.items()]},
+    )
     folders = {"inputs": {"directories": [str(job.root)]}, "outputs": {"directories": [str(job.folder)]}}
     write_json(job.folder / "asset_references.json", {"assetReferences": folders})
 

@@ -1,4 +1,5 @@
-"""Runs tasks of a farm job. Each may be run again at any time: what is done stays, and what was interrupted goes on from its last checkpoint."""
+"""Runs tasks of a farm job. Each may be run again at any time: what is done stays, and what was interrupted
+goes on from its last checkpoint."""
 
 from __future__ import annotations
 
@@ -20,9 +21,13 @@ from .farm_job import FarmJob, Task, write_json
 
 
 def run_tasks(job: FarmJob, numbers: Sequence[int], messages: Messages) -> list[dict[str, Any]]:
-    """Runs the tasks with these numbers, one after the other. Returns for each its name, output and SHA-256, and whether it was done before. Raises
-    SplatError, with the name of the task; Cancelled if stopped, after a checkpoint."""
-    return [_run(job, job.tasks[number], messages.within(place, len(numbers))) for place, number in enumerate(numbers)]
+    """Runs the tasks with these numbers, one after the other. Returns for each its name, output and SHA-256,
+    and whether it was done before. Raises SplatError, with the name of the task; Cancelled if stopped, after
+    a checkpoint."""
+    return [
+        _run(job, job.tasks[number], messages.within(place, len(numbers)))
+        for place, number in enumerate(numbers)
+    ]
 
 
 def numbers_of(words: str, count: int) -> list[int]:
@@ -30,8 +35,14 @@ def numbers_of(words: str, count: int) -> list[int]:
     numbers: list[int] = []
     for part in words.split(","):
         first, _, last = part.strip().partition("-")
-        if not first.isdecimal() or not (last or first).isdecimal() or not int(first) <= int(last or first) < count:
-            raise SceneError(f"--tasks {words}: is no list of tasks such as 0-3,8; the job has the tasks 0 to {count - 1}")
+        if (
+            not first.isdecimal()
+            or not (last or first).isdecimal()
+            or not int(first) <= int(last or first) < count
+        ):
+            raise SceneError(
+                f"--tasks {words}: is no list of tasks such as 0-3,8; the job has the tasks 0 to {count - 1}"
+            )
         numbers += range(int(first), int(last or first) + 1)
     return numbers
 
@@ -39,8 +50,15 @@ def numbers_of(words: str, count: int) -> list[int]:
 def _run(job: FarmJob, task: Task, messages: Messages) -> dict[str, Any]:
     out, done, options = job.out(task), job.result(task), job.options(task)
     assert options.scene is not None
-    inputs = {"scene_sha256": scene_sha256(options.scene), "dataset_sha256": dataset_sha256(options.colmap, options.images)}
-    if done and done.get("sha256") == sha256(out) and all(done.get(name) == digest for name, digest in inputs.items()):
+    inputs = {
+        "scene_sha256": scene_sha256(options.scene),
+        "dataset_sha256": dataset_sha256(options.colmap, options.images),
+    }
+    if (
+        done
+        and done.get("sha256") == sha256(out)
+        and all(done.get(name) == digest for name, digest in inputs.items())
+    ):
         messages.tell(f"{task.name}: is done already", 1.0)
         return {"name": task.name, "out": str(out), "sha256": done["sha256"], "done_before": True}
     job.result_path(task).unlink(missing_ok=True)
@@ -60,24 +78,37 @@ def _run(job: FarmJob, task: Task, messages: Messages) -> dict[str, Any]:
     except SplatError as error:
         raise type(error)(f"task {task.name}: {error}") from None
     digest = sha256(out)
-    facts = {"task": {"scene": task.scene, "options": task.options}, **inputs, "sha256": digest, "result": result}
+    facts = {
+        "task": {"scene": task.scene, "options": task.options},
+        **inputs,
+        "sha256": digest,
+        "result": result,
+    }
     write_json(job.result_path(task), facts)
-    messages.tell(f"{task.name}: keeps {result['after']['count']:,} of {result['before']['count']:,} Gaussians", 1.0)
+    messages.tell(
+        f"{task.name}: keeps {result['after']['count']:,} of {result['before']['count']:,} Gaussians", 1.0
+    )
     return {"name": task.name, "out": str(out), "sha256": digest, "done_before": False}
 
 
 def dataset_sha256(folder: Path | None, images: str) -> str:
-    """Of a dataset, in hexadecimal digits: of the files of its cameras, and of the names and sizes of its photographs. Empty if there is none, or if it
-    cannot be read; the task then says so."""
+    """Of a dataset, in hexadecimal digits: of the files of its cameras, and of the names and sizes of its
+    photographs. Empty if there is none, or if it cannot be read; the task then says so."""
     if folder is None:
         return ""
     try:
         source = read_source(folder, images or None)
     except SplatError:
         return ""
-    files = [source.location] if source.location.is_file() else sorted(one for one in source.location.iterdir() if one.stem in MODEL_FILES)
+    files = (
+        [source.location]
+        if source.location.is_file()
+        else sorted(one for one in source.location.iterdir() if one.stem in MODEL_FILES)
+    )
     facts = [sha256(one) for one in files]
     if source.image_folder is not None:
         photographs = sorted(one for one in source.image_folder.rglob("*") if one.is_file())
-        facts += [f"{one.relative_to(source.image_folder).as_posix()} {one.stat().st_size}" for one in photographs]
+        facts += [
+            f"{one.relative_to(source.image_folder).as_posix()} {one.stat().st_size}" for one in photographs
+        ]
     return hashlib.sha256("\n".join(facts).encode(errors="surrogateescape")).hexdigest()

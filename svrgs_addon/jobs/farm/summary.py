@@ -34,13 +34,15 @@ COLUMNS: dict[str, Callable[[dict[str, Any]], str]] = {  # title -> text of a ro
 
 
 def summarise(job: FarmJob) -> dict[str, Any]:
-    """Writes report/index.html, table.md and table.json into the folder of the job. Returns the rows, those over all scenes, names of tasks that are not
-    done, and the page. Raises SceneError if no task is done."""
+    """Writes report/index.html, table.md and table.json into the folder of the job. Returns the rows, those
+    over all scenes, names of tasks that are not done, and the page. Raises SceneError if no task is done."""
     results = [(task, job.result(task)) for task in job.tasks]
     rows = [_row(task, found["result"]) for task, found in results if found]
     missing = [task.name for task, found in results if not found]
     if not rows:
-        raise SceneError(f"{job.folder}: none of its {len(missing)} tasks is done; do them first with svrgs farm run")
+        raise SceneError(
+            f"{job.folder}: none of its {len(missing)} tasks is done; do them first with svrgs farm run"
+        )
     means, folder = _means(rows), job.folder / "report"
     facts = {"tasks": rows, "over_all_scenes": means, "missing": missing}
     write_json(folder / "table.json", facts)
@@ -52,12 +54,22 @@ def summarise(job: FarmJob) -> dict[str, Any]:
 def _row(task: Task, result: dict[str, Any]) -> dict[str, Any]:
     before, after = result["before"], result["after"]
     facts = {name: after.get(name) for name in ("count", "bytes", "psnr", "ssim", "flip")}
-    facts |= {"name": task.name, "scene": task.scene, "method": result["method"], "seconds": result["seconds"]}
-    return facts | {"kept": after["count"] / before["count"], "loss": _loss(before, after), "target": task.options.get("target")}
+    facts |= {
+        "name": task.name,
+        "scene": task.scene,
+        "method": result["method"],
+        "seconds": result["seconds"],
+    }
+    return facts | {
+        "kept": after["count"] / before["count"],
+        "loss": _loss(before, after),
+        "target": task.options.get("target"),
+    }
 
 
 def _loss(before: dict[str, Any], after: dict[str, Any]) -> float:
-    """The loss of PSNR in dB against the photographs. Without photographs: what a scene would lose whose own error is PHOTOGRAPHED."""
+    """The loss of PSNR in dB against the photographs. Without photographs: what a scene would lose whose own
+    error is PHOTOGRAPHED."""
     if before.get("psnr") is not None and after.get("psnr") is not None:
         return before["psnr"] - after["psnr"]
     return 0.0 if after.get("psnr") is None else ASSUMED - with_error(after["psnr"], PHOTOGRAPHED)
@@ -71,7 +83,12 @@ def _means(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     scenes = len({row["scene"] for row in rows})
     names = ("kept", "loss", "seconds")
     return [
-        {"method": method, "target": target, "scenes": len(some), **{name: fmean(row[name] for row in some) for name in names}}
+        {
+            "method": method,
+            "target": target,
+            "scenes": len(some),
+            **{name: fmean(row[name] for row in some) for name in names},
+        }
         for (method, target), some in ways.items()
         if len({row["scene"] for row in some}) == scenes
     ]
@@ -82,24 +99,42 @@ def _chart(rows: list[dict[str, Any]], means: list[dict[str, Any]]) -> str:
     named = [Point(100 * row["kept"], row["loss"], row["method"]) for row in means]
     single = [Point(100 * row["kept"], row["loss"], "") for row in rows]
     x, y = Axis("Gaussians kept, %", from_zero=True), Axis("loss of PSNR, dB")
-    return chart("Loss over what is kept: means over all scenes; rings: single tasks", named or single, x, y, front(named), single if named else ())
+    return chart(
+        "Loss over what is kept: means over all scenes; rings: single tasks",
+        named or single,
+        x,
+        y,
+        front(named),
+        single if named else (),
+    )
 
 
 def _markdown(rows: list[dict[str, Any]]) -> list[str]:
     head = [f"| {' | '.join(COLUMNS)} |", f"|---|---|{'---:|' * (len(COLUMNS) - 2)}"]
-    return head + [f"| {' | '.join(text(row).replace('|', chr(92) + '|') for text in COLUMNS.values())} |" for row in rows]
+    return head + [
+        f"| {' | '.join(text(row).replace('|', chr(92) + '|') for text in COLUMNS.values())} |"
+        for row in rows
+    ]
 
 
 def _page(rows: list[dict[str, Any]], means: list[dict[str, Any]], missing: list[str]) -> str:
     cells = ["".join(f"<td>{escape(text(row))}</td>" for text in COLUMNS.values()) for row in rows]
     head = "".join(f"<th>{escape(title)}</th>" for title in COLUMNS)
     lost = f'<p class="note">Not done: {escape(", ".join(missing))}</p>' if missing else ""
-    table = f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{"".join(f"<tr>{cell}</tr>" for cell in cells)}</tbody></table></div>'
-    body = f'<h1>{len(rows)} tasks</h1>{lost}<div class="card">{_chart(rows, means)}</div><h2>All tasks</h2><div class="card">{table}</div>'
+    table = (
+        "<div"
+        f' class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{"".join(f"<tr>{cell}</tr>" for cell in cells)}</tbody></table></div>'
+    )
+    body = (
+        f'<h1>{len(rows)} tasks</h1>{lost}<div class="card">{_chart(rows, means)}</div><h2>All tasks</h2><div'
+        f' class="card">{table}</div>'
+    )
     policy = "default-src 'none'; style-src 'unsafe-inline'"
     return (
-        f'<!doctype html><html lang="en"><head><meta charset="utf-8"><meta http-equiv="Content-Security-Policy" content="{policy}">'
-        f"<title>SVR-GS farm job</title><style>{CSS}</style></head><body>{body}<footer>SVR-GS {__version__}</footer></body></html>"
+        '<!doctype html><html lang="en"><head><meta charset="utf-8"><meta'
+        f' http-equiv="Content-Security-Policy" content="{policy}"><title>SVR-GS farm'
+        f" job</title><style>{CSS}</style></head><body>{body}<footer>SVR-GS"
+        f" {__version__}</footer></body></html>"
     )
 
 

@@ -1,1 +1,2 @@
-"""Scenes larger than memory: divided into blocks on the disk (divided.py), scored view by view (scoring.py), merged block by block (merging.py)."""
+"""Scenes larger than memory: divided into blocks on the disk (divided.py), scored view by view (scoring.py),
+merged block by block (merging.py)."""

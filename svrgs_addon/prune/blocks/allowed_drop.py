@@ -30,11 +30,16 @@ from .tuning import CUT, cut, written
 STEP = 0.01  # share of the Gaussians to which the number is found
 
 
-def errors_of_format(divided: Divided, likeness: Likeness, allowed: float, out: Path, told: Told) -> list[float]:
-    """The mean squared error in each view of the whole scene as the format of the output holds it. Raises SplatError; SceneError if the format alone loses
-    the allowed drop in dB, or without views."""
+def errors_of_format(
+    divided: Divided, likeness: Likeness, allowed: float, out: Path, told: Told
+) -> list[float]:
+    """The mean squared error in each view of the whole scene as the format of the output holds it. Raises
+    SplatError; SceneError if the format alone loses the allowed drop in dB, or without views."""
     if not likeness.views:
-        raise SceneError("--max-drop is measured in views that are held out, and there are none: give more cameras, or --target")
+        raise SceneError(
+            "--max-drop is measured in views that are held out, and there are none: give more cameras, or"
+            " --target"
+        )
     if format_to_write(out).lossless:
         return [0.0] * len(likeness.views)
     with _held(divided, out, told) as stored:
@@ -43,15 +48,32 @@ def errors_of_format(divided: Divided, likeness: Likeness, allowed: float, out: 
     return errors
 
 
-def fewest_within(divided: Divided, scored: Sequence[Camera], likeness: Likeness, allowed: float, errors: Sequence[float], told: Told) -> int:
-    """The fewest Gaussians, at least LEAST of them, that hold the allowed drop in dB before fine-tuning, which wins a part of it back. As if PHOTOGRAPHED were
-    the error of the original. scored: the views that were scored. errors: from errors_of_format(). Raises SplatError."""
-    return _fewest(divided, lambda count: _psnr(likeness.psnrs(cut(divided, scored, count, told("try")), "try"), errors) >= ASSUMED - allowed)
+def fewest_within(
+    divided: Divided,
+    scored: Sequence[Camera],
+    likeness: Likeness,
+    allowed: float,
+    errors: Sequence[float],
+    told: Told,
+) -> int:
+    """The fewest Gaussians, at least LEAST of them, that hold the allowed drop in dB before fine-tuning,
+    which wins a part of it back. As if PHOTOGRAPHED were the error of the original. scored: the views that
+    were scored. errors: from errors_of_format(). Raises SplatError."""
+    return _fewest(
+        divided,
+        lambda count: (
+            _psnr(likeness.psnrs(cut(divided, scored, count, told("try")), "try"), errors)
+            >= ASSUMED - allowed
+        ),
+    )
 
 
-def floor_on_photographs(divided: Divided, likeness: PhotographLikeness, allowed: float, plan: Plan, out: Path, told: Told) -> float:
-    """The PSNR in dB against photographs that a removal may leave without any learning, for an allowed drop at the end of the plan. What the format of the
-    output loses of the whole scene counts. Raises SplatError; SceneError if the format alone loses the allowed drop."""
+def floor_on_photographs(
+    divided: Divided, likeness: PhotographLikeness, allowed: float, plan: Plan, out: Path, told: Told
+) -> float:
+    """The PSNR in dB against photographs that a removal may leave without any learning, for an allowed drop
+    at the end of the plan. What the format of the output loses of the whole scene counts. Raises SplatError;
+    SceneError if the format alone loses the allowed drop."""
     before, loss = likeness.psnr(divided), 0.0
     if not format_to_write(out).lossless:
         with _held(divided, out, told) as stored:
@@ -61,7 +83,8 @@ def floor_on_photographs(divided: Divided, likeness: PhotographLikeness, allowed
 
 
 def fewest_above(divided: Divided, likeness: Likeness, floor: float, told: Told) -> int:
-    """The fewest Gaussians of highest removal error, at least LEAST of all, with this PSNR in dB. Raises SplatError."""
+    """The fewest Gaussians of highest removal error, at least LEAST of all, with this PSNR in dB. Raises
+    SplatError."""
 
     def left(count: int) -> Divided:
         return written(divided, most_needed(divided, count, told("try")), CUT)
@@ -99,7 +122,9 @@ def read_number(folder: Path) -> int:
     try:
         return int((folder / NUMBER).read_text())
     except (OSError, ValueError):
-        raise FormatError(f"{folder / NUMBER}: is missing or damaged; delete {folder} to start again") from None
+        raise FormatError(
+            f"{folder / NUMBER}: is missing or damaged; delete {folder} to start again"
+        ) from None
 
 
 def drop(psnr: float) -> float:

@@ -1,4 +1,5 @@
-"""Scenes to render, whether memory holds them or not: as a whole, or divided on the disk for as long as they are needed."""
+"""Scenes to render, whether memory holds them or not: as a whole, or divided on the disk for as long as they
+are needed."""
 
 from __future__ import annotations
 
@@ -29,24 +30,29 @@ class BlockRasterizer:
     def __init__(self):
         self._rasterizer = Rasterizer()
 
-    def forward(self, divided: Divided, camera: Camera, options: RenderOptions = RenderOptions(), outputs=("rgb",)) -> dict[str, np.ndarray]:
-        """As Rasterizer.forward(), of the outputs rgb, depth, alpha and, with the mask_kind svr, mask. Raises SplatError, also if memory cannot hold what
-        the view blends."""
+    def forward(
+        self, divided: Divided, camera: Camera, options: RenderOptions = RenderOptions(), outputs=("rgb",)
+    ) -> dict[str, np.ndarray]:
+        """As Rasterizer.forward(), of the outputs rgb, depth, alpha and, with the mask_kind svr, mask. Raises
+        SplatError, also if memory cannot hold what the view blends."""
         mask = {"mask": spatial_mask(divided, camera, self._rasterizer)} if "mask" in outputs else {}
         colours = [name for name in outputs if name != "mask"]
         if not colours:
             return mask
         scene, _ = seen(divided, camera, self._rasterizer)
-        return self._rasterizer.forward(scene, camera, replace(options, mask_kind="none"), outputs=colours) | mask
+        return (
+            self._rasterizer.forward(scene, camera, replace(options, mask_kind="none"), outputs=colours)
+            | mask
+        )
 
 
 @contextlib.contextmanager
 def opened(path: Path, doing: str, needed: Callable[[int], int]) -> Iterator[tuple[Renderable, Renderer]]:
-    """A scene and what renders it. Where memory is too short for all of it, or the file holds too many Gaussians, it is divided in the folder for temporary
-    files, and the log says so.
+    """A scene and what renders it. Where memory is too short for all of it, or the file holds too many
+    Gaussians, it is divided in the folder for temporary files, and the log says so.
 
-    doing: a word for messages, such as 'rendering'. needed: gives the bytes of memory that this takes for N Gaussians which are in memory already. Raises
-    SplatError.
+    doing: a word for messages, such as 'rendering'. needed: gives the bytes of memory that this takes for N
+    Gaussians which are in memory already. Raises SplatError.
     """
     try:
         scene = _whole(path, doing, needed)
@@ -57,8 +63,13 @@ def opened(path: Path, doing: str, needed: Callable[[int], int]) -> Iterator[tup
     else:
         yield scene, Rasterizer()
         return
-    logging.warning("%s; it is done by blocks in %s (TMPDIR), which takes longer", reason, tempfile.gettempdir())
-    with interrupting(), tempfile.TemporaryDirectory(prefix="svrgs-blocks-", ignore_cleanup_errors=True) as folder:
+    logging.warning(
+        "%s; it is done by blocks in %s (TMPDIR), which takes longer", reason, tempfile.gettempdir()
+    )
+    with (
+        interrupting(),
+        tempfile.TemporaryDirectory(prefix="svrgs-blocks-", ignore_cleanup_errors=True) as folder,
+    ):
         yield divide(path, Path(folder)), BlockRasterizer()
 
 

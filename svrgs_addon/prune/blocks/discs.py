@@ -10,7 +10,9 @@ from ...native.library import thresholds
 from ...scene.camera import Camera
 from .divided import Block
 
-SIGMAS, PIXELS, SLACK = 3.34, 2.0, 1e-3  # how far a Gaussian is seen, in its largest scale and in pixels; share of its distance that rounding may change
+# how far a Gaussian is seen, in its largest scale and in pixels; share of its distance that rounding may
+# change
+SIGMAS, PIXELS, SLACK = 3.34, 2.0, 1e-3
 PART = 1 << 18  # Gaussians that are tested together
 
 
@@ -60,28 +62,43 @@ class Discs:
 
     @classmethod
     def of(cls, points: np.ndarray, radius: np.ndarray, camera: Camera) -> Discs:
-        """Of balls (n,) around points (n, 3). They leave room for what the rasterizer adds: it widens what a slanting ray meets, and adds a blur."""
+        """Of balls (n,) around points (n, 3). They leave room for what the rasterizer adds: it widens what a
+        slanting ray meets, and adds a blur."""
         x, y, z = camera.viewmat[:3, :3] @ points.T + camera.viewmat[:3, 3:]
         depth = np.ones_like(z) if camera.orthographic else np.maximum(z, thresholds().near)
         front = z + radius + SLACK * np.abs(z) > thresholds().near
         fx, fy, cx, cy = camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]
-        stretch = 1.0 if camera.orthographic else 1 + camera.width / fx + camera.height / fy  # more than 1 / cos of any ray, also of balls behind the camera
-        reach = radius * max(fx, fy) * stretch / depth + PIXELS + SLACK * (np.abs(x) * fx + np.abs(y) * fy) / depth
+        # more than 1 / cos of any ray, also of balls behind the camera
+        stretch = 1.0 if camera.orthographic else 1 + camera.width / fx + camera.height / fy
+        reach = (
+            radius * max(fx, fy) * stretch / depth
+            + PIXELS
+            + SLACK * (np.abs(x) * fx + np.abs(y) * fy) / depth
+        )
         u, v = x * fx / depth + cx, y * fy / depth + cy
         return cls(front, u - reach, u + reach, v - reach, v + reach)
 
     @classmethod
     def of_geometry(cls, geometry: np.ndarray, camera: Camera) -> Discs:
         """Of Gaussians, rows of the geometry (n, 11)."""
-        radius = SIGMAS * np.exp(np.maximum(np.maximum(geometry[:, 3], geometry[:, 4]), geometry[:, 5]).astype(np.float64))
+        radius = SIGMAS * np.exp(
+            np.maximum(np.maximum(geometry[:, 3], geometry[:, 4]), geometry[:, 5]).astype(np.float64)
+        )
         return cls.of(geometry[:, :3].astype(np.float64), radius, camera)
 
     def touch(self, window: Window) -> np.ndarray:
         """Which may be in the window, (n,) bool."""
-        return self.front & (self.right > window.left) & (self.left < window.right) & (self.bottom > window.top) & (self.top < window.bottom)
+        return (
+            self.front
+            & (self.right > window.left)
+            & (self.left < window.right)
+            & (self.bottom > window.top)
+            & (self.top < window.bottom)
+        )
 
     def around(self, camera: Camera, margin: int) -> Window | None:
-        """The part of the picture that holds all of them, and so many pixels more on each side. None if that is nothing."""
+        """The part of the picture that holds all of them, and so many pixels more on each side. None if that
+        is nothing."""
         some = self.touch(Window.of(camera))
         if not some.any():
             return None
@@ -91,9 +108,12 @@ class Discs:
 
 
 def may_show(block: Block, camera: Camera) -> bool:
-    """Whether a view may show a Gaussian of the block: not, if the ball around its box, with all its Gaussians, is outside."""
+    """Whether a view may show a Gaussian of the block: not, if the ball around its box, with all its
+    Gaussians, is outside."""
     middle, half = (block.low + block.high) / 2, np.linalg.norm(block.high - block.low) / 2
-    ball = Discs.of(middle[None].astype(np.float64), np.array([half + SIGMAS * np.exp(float(block.largest))]), camera)
+    ball = Discs.of(
+        middle[None].astype(np.float64), np.array([half + SIGMAS * np.exp(float(block.largest))]), camera
+    )
     return bool(ball.touch(Window.of(camera))[0])
 
 
@@ -105,4 +125,6 @@ def places_in(block: Block, camera: Camera) -> np.ndarray:
 def places_among(some: np.ndarray, block: Block, camera: Camera, window: Window) -> np.ndarray:
     """Those of these places in the block whose Gaussians a part of the view may show."""
     parts = [some[start : start + PART] for start in range(0, len(some), PART)]
-    return np.concatenate([some[:0], *(part[Discs.of_geometry(block.geometry[part], camera).touch(window)] for part in parts)])
+    return np.concatenate(
+        [some[:0], *(part[Discs.of_geometry(block.geometry[part], camera).touch(window)] for part in parts)]
+    )

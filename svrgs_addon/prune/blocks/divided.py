@@ -6,8 +6,9 @@ The folder holds for each block, in the order of the file that was divided:
     NUMBER.sh         float32, 3 K for each
     NUMBER.rows       uint32: the rows in the file, ascending
 
-and blocks.json, which is written last. Blocks are the leaves of a k-d tree: a part with more than `most` Gaussians is cut at the median of its longest
-side. The file is read twice; memory holds its means and one part of it.
+and blocks.json, which is written last. Blocks are the leaves of a k-d tree: a part with more than `most`
+Gaussians is cut at the median of its longest side. The file is read twice; memory holds its means and one
+part of it.
 """
 
 from __future__ import annotations
@@ -39,19 +40,24 @@ NUMBER = "number.json"  # of Gaussians that an allowed drop leaves
 OWN = (
     INDEX,
     NUMBER,
-    *(f"[0-9]*.{name}" for name in ("geometry", "sh", "rows", "visibility", "order.npz", "picture.npy", "blended.npy")),
+    *(
+        f"[0-9]*.{name}"
+        for name in ("geometry", "sh", "rows", "visibility", "order.npz", "picture.npy", "blended.npy")
+    ),
     "scores_*_of_*.npy",
     "reduced.json",
     "error.json",
 )  # files of prune/blocks/
 Tell = Callable[[str, float], None]  # what is done now, and the share of the work that is done
 Told = Callable[[str], Tell]  # of the name of a step
-Most = Callable[[int, int], int]  # of the number of Gaussians and the SH coefficients per channel of a scene: Gaussians of a block, at most
+# of the number of Gaussians and the SH coefficients per channel of a scene: Gaussians of a block, at most
+Most = Callable[[int, int], int]
 
 
 @dataclass(frozen=True)
 class Block:
-    """The Gaussians of one block. Each access maps the file of an array into memory; it is not kept, because Windows deletes no file that is mapped."""
+    """The Gaussians of one block. Each access maps the file of an array into memory; it is not kept, because
+    Windows deletes no file that is mapped."""
 
     folder: Path
     number: int
@@ -104,11 +110,22 @@ class Divided:
             raise SceneError(f"{path}: cannot be read ({error.strerror}); divide the scene first") from None
         try:
             assert found is not None and found["schema"] == SCHEMA
-            blocks = tuple(Block(folder, k, int(n), np.array(low), np.array(high), float(size)) for k, (n, low, high, size) in enumerate(found["blocks"]))
-            facts = {"source_bytes": int(found["source_bytes"]), "count": int(found["count"]), "coefficients": int(found["coefficients"])}
-            return cls(folder, Path(found["source"]), **facts, antialiased=bool(found["antialiased"]), blocks=blocks)
+            blocks = tuple(
+                Block(folder, k, int(n), np.array(low), np.array(high), float(size))
+                for k, (n, low, high, size) in enumerate(found["blocks"])
+            )
+            facts = {
+                "source_bytes": int(found["source_bytes"]),
+                "count": int(found["count"]),
+                "coefficients": int(found["coefficients"]),
+            }
+            return cls(
+                folder, Path(found["source"]), **facts, antialiased=bool(found["antialiased"]), blocks=blocks
+            )
         except (AssertionError, KeyError, TypeError, ValueError):
-            raise FormatError(f"{path}: is no divided scene of this version; divide the scene again") from None
+            raise FormatError(
+                f"{path}: is no divided scene of this version; divide the scene again"
+            ) from None
 
     def facts(self) -> dict[str, Any]:
         """The contents of blocks.json."""
@@ -131,30 +148,54 @@ class Divided:
 
     @property
     def digest(self) -> str:
-        """Differs for scenes that differ in what is stored here, in hexadecimal digits; not for other divisions of the same scene."""
-        return hashlib.sha256(f"{self.source_bytes} {self.count} {self.coefficients} {self.antialiased}".encode()).hexdigest()[:16]
+        """Differs for scenes that differ in what is stored here, in hexadecimal digits; not for other
+        divisions of the same scene."""
+        return hashlib.sha256(
+            f"{self.source_bytes} {self.count} {self.coefficients} {self.antialiased}".encode()
+        ).hexdigest()[:16]
 
 
 def arrays_of(geometry: np.ndarray) -> dict[str, Any]:
     """The arrays of a scene, without SH, of rows of the geometry (n, 11)."""
-    parts = {"means": geometry[:, :3], "log_scales": geometry[:, 3:6], "quats": geometry[:, 6:10], "opacity_logits": geometry[:, 10]}
+    parts = {
+        "means": geometry[:, :3],
+        "log_scales": geometry[:, 3:6],
+        "quats": geometry[:, 6:10],
+        "opacity_logits": geometry[:, 10],
+    }
     return {name: np.ascontiguousarray(array) for name, array in parts.items()}
 
 
 def scene_of(divided: Divided, block: Block) -> Scene:
     """The Gaussians of a block, in memory."""
-    return Scene(**arrays_of(np.array(block.geometry)), sh=np.array(block.sh(divided.coefficients)), antialiased=divided.antialiased)
+    return Scene(
+        **arrays_of(np.array(block.geometry)),
+        sh=np.array(block.sh(divided.coefficients)),
+        antialiased=divided.antialiased,
+    )
 
 
-def divide(source: Path, folder: Path, most: int | Most = MOST, tell: Tell = lambda *_: None, read: Callable[[Path], Iterator[Scene]] = load_parts) -> Divided:
-    """Divides the scene of a file. A divided scene that is in the folder is replaced. most: Gaussians of a block, at most. read: reads the file, in parts.
-    Raises SplatError."""
+def divide(
+    source: Path,
+    folder: Path,
+    most: int | Most = MOST,
+    tell: Tell = lambda *_: None,
+    read: Callable[[Path], Iterator[Scene]] = load_parts,
+) -> Divided:
+    """Divides the scene of a file. A divided scene that is in the folder is replaced. most: Gaussians of a
+    block, at most. read: reads the file, in parts. Raises SplatError."""
     folder.mkdir(parents=True, exist_ok=True)
     clear(folder)
     tell("reads the means", 0.0)
     means, coefficients, antialiased = _means(source, read)
     check_space(folder / INDEX, len(means) * 4 * (WIDTH + 3 * coefficients + 1))
-    parts = list(leaves(means, np.arange(len(means), dtype=np.uint32), most if isinstance(most, int) else most(len(means), coefficients)))
+    parts = list(
+        leaves(
+            means,
+            np.arange(len(means), dtype=np.uint32),
+            most if isinstance(most, int) else most(len(means), coefficients),
+        )
+    )
     block_of = np.empty(len(means), np.uint32)
     for number, rows in enumerate(parts):
         block_of[rows] = number
@@ -166,7 +207,9 @@ def divide(source: Path, folder: Path, most: int | Most = MOST, tell: Tell = lam
         _append(part, block_of[start : start + part.count], start, folder, largest)
         start += part.count
         tell("writes the blocks", start / len(block_of))
-    blocks = tuple(Block(folder, k, n, low, high, float(largest[k])) for k, (low, high, n) in enumerate(boxes))
+    blocks = tuple(
+        Block(folder, k, n, low, high, float(largest[k])) for k, (low, high, n) in enumerate(boxes)
+    )
     divided = Divided(folder, source, size_on_disk(source), len(block_of), coefficients, antialiased, blocks)
     with atomic_write(folder / INDEX) as file:
         file.write(json.dumps(divided.facts()).encode())
@@ -174,8 +217,13 @@ def divide(source: Path, folder: Path, most: int | Most = MOST, tell: Tell = lam
 
 
 def write_block(folder: Path, number: int, scene: Scene, start: int):
-    """Writes the Gaussians of a block; their rows begin with `start`. gathered() makes a divided scene of all blocks. Raises SceneError."""
-    arrays = {"geometry": _geometry(scene), "sh": scene.sh, "rows": np.arange(start, start + scene.count, dtype=np.uint32)}
+    """Writes the Gaussians of a block; their rows begin with `start`. gathered() makes a divided scene of all
+    blocks. Raises SceneError."""
+    arrays = {
+        "geometry": _geometry(scene),
+        "sh": scene.sh,
+        "rows": np.arange(start, start + scene.count, dtype=np.uint32),
+    }
     for name, array in arrays.items():
         check_space(folder / f"{number}.{name}", array.nbytes)
         with atomic_write(folder / f"{number}.{name}") as file:
@@ -183,16 +231,23 @@ def write_block(folder: Path, number: int, scene: Scene, start: int):
 
 
 def gathered(folder: Path, like: Divided) -> Divided:
-    """The divided scene of blocks in a folder that were written one by one, as many as `like` has. Raises SceneError if one is missing."""
+    """The divided scene of blocks in a folder that were written one by one, as many as `like` has. Raises
+    SceneError if one is missing."""
     blocks = []
     for number in range(len(like.blocks)):
         try:
             count = (folder / f"{number}.rows").stat().st_size // 4
         except OSError:
-            raise SceneError(f"{folder}: the block {number} is missing; do the step before it first") from None
+            raise SceneError(
+                f"{folder}: the block {number} is missing; do the step before it first"
+            ) from None
         one = Block(folder, number, count, np.zeros(3), np.zeros(3), 0.0)
         means = one.geometry[:, :3]
-        blocks.append(replace(one, low=means.min(axis=0), high=means.max(axis=0), largest=float(one.geometry[:, 3:6].max())))
+        blocks.append(
+            replace(
+                one, low=means.min(axis=0), high=means.max(axis=0), largest=float(one.geometry[:, 3:6].max())
+            )
+        )
     divided = replace(like, folder=folder, count=sum(one.count for one in blocks), blocks=tuple(blocks))
     with atomic_write(folder / INDEX) as file:
         file.write(json.dumps(divided.facts()).encode())
@@ -211,13 +266,16 @@ def _means(source: Path, read: Callable[[Path], Iterator[Scene]]) -> tuple[np.nd
     for part in read(source):
         parts.append(part.means.copy())
     assert part is not None
-    if columns := sorted(name for name in part.attributes if name not in NORMALS and not name.startswith(OWN_COLUMNS)):
+    if columns := sorted(
+        name for name in part.attributes if name not in NORMALS and not name.startswith(OWN_COLUMNS)
+    ):
         logging.warning("%s: these columns of the file are left out: %s", source, ", ".join(columns))
     return np.concatenate(parts), part.sh.shape[1], part.antialiased
 
 
 def leaves(means: np.ndarray, rows: np.ndarray, most: int) -> Iterator[np.ndarray]:
-    """The rows of each part of a k-d tree, ascending, at most so many. means: (N, 3). rows: (n,), ascending. Parts of a part are those of the whole."""
+    """The rows of each part of a k-d tree, ascending, at most so many. means: (N, 3). rows: (n,), ascending.
+    Parts of a part are those of the whole."""
     if len(rows) <= most:
         yield rows
         return
@@ -233,11 +291,14 @@ def leaves(means: np.ndarray, rows: np.ndarray, most: int) -> Iterator[np.ndarra
 
 def _geometry(scene: Scene) -> np.ndarray:
     """(n, 11) float32."""
-    return np.concatenate([getattr(scene, name).reshape(scene.count, -1) for name in GEOMETRY], axis=1, dtype=np.float32)
+    return np.concatenate(
+        [getattr(scene, name).reshape(scene.count, -1) for name in GEOMETRY], axis=1, dtype=np.float32
+    )
 
 
 def _append(part: Scene, numbers: np.ndarray, start: int, folder: Path, largest: np.ndarray):
-    """Appends the Gaussians of a part of the file to their blocks. largest: (blocks,) the largest log-scales so far, which are changed."""
+    """Appends the Gaussians of a part of the file to their blocks. largest: (blocks,) the largest log-scales
+    so far, which are changed."""
     geometry = _geometry(part)
     for number in np.unique(numbers):
         some = np.flatnonzero(numbers == number)
@@ -248,4 +309,7 @@ def _append(part: Scene, numbers: np.ndarray, start: int, folder: Path, largest:
                 with open(folder / f"{number}.{name}", "ab") as file:
                     file.write(np.ascontiguousarray(array).data)
             except OSError as error:
-                raise SceneError(f"{folder}: a block cannot be written ({error.strerror}); free some space, or choose another folder") from error
+                raise SceneError(
+                    f"{folder}: a block cannot be written ({error.strerror}); free some space, or choose"
+                    " another folder"
+                ) from error

@@ -20,7 +20,13 @@ from .request import Request
 from .tasks import FILE as TASKS
 from .tuning import CUT, MIXED, TUNED
 
-SCORED, MEASURED, RESULT, LEVEL, HELD = "scored_views.json", "measured_views.json", "result", "level_{}.ply", "held"
+SCORED, MEASURED, RESULT, LEVEL, HELD = (
+    "scored_views.json",
+    "measured_views.json",
+    "result",
+    "level_{}.ply",
+    "held",
+)
 
 
 def blocks_of(out: Path) -> Path:
@@ -29,8 +35,8 @@ def blocks_of(out: Path) -> Path:
 
 
 def prepare(work: Path, scored: Sequence[Camera], measured: Sequence[Camera], request: Request | None = None):
-    """Makes the folder, or takes that of a run that was killed, and writes the views into it, and what is asked of a method. Raises SceneError for a folder
-    with other things."""
+    """Makes the folder, or takes that of a run that was killed, and writes the views into it, and what is
+    asked of a method. Raises SceneError for a folder with other things."""
     refuse_foreign(work)
     work.mkdir(parents=True, exist_ok=True)
     write_cameras_json(work / SCORED, scored)
@@ -68,7 +74,11 @@ def remove_blocks(out: Path):
 def folders(work: Path) -> list[Path]:
     """The folders in which a job writes, whether they are there or not: of scenes, and of checkpoints."""
     scenes = _scenes(work)
-    return [*scenes, *(folder / HELD for folder in scenes), *(found for folder in scenes for found in folder.glob(f"{RUNS}/**/"))]
+    return [
+        *scenes,
+        *(folder / HELD for folder in scenes),
+        *(found for folder in scenes for found in folder.glob(f"{RUNS}/**/")),
+    ]
 
 
 def _scenes(work: Path) -> list[Path]:
@@ -76,7 +86,8 @@ def _scenes(work: Path) -> list[Path]:
 
 
 def remove(work: Path):
-    """Removes the files of a job, and the folder if nothing else is in it. Of a link, only the link itself is removed."""
+    """Removes the files of a job, and the folder if nothing else is in it. Of a link, only the link itself is
+    removed."""
     if remove_link(work):
         return
     (work / TASKS).unlink(missing_ok=True)  # first, because it says that the other files are there
@@ -86,7 +97,13 @@ def remove(work: Path):
         for name in (HELD, RUNS):
             if not remove_link(folder / name):
                 shutil.rmtree(folder / name, ignore_errors=True)
-        for path in (folder / MEASURED, folder / REQUEST, *folder.glob(LEVEL.format("[0-9]*")), folder / SCORED):  # SCORED last: by it, the folder is known
+        # SCORED last: by it, the folder is known
+        for path in (
+            folder / MEASURED,
+            folder / REQUEST,
+            *folder.glob(LEVEL.format("[0-9]*")),
+            folder / SCORED,
+        ):
             path.unlink(missing_ok=True)
         with contextlib.suppress(OSError):
             folder.rmdir()

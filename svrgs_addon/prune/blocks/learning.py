@@ -1,17 +1,24 @@
-"""Decides on photographs, block by block, which Gaussians of a divided scene stay, with a method that has lambda_F; and recovers the quality.
+"""Decides on photographs, block by block, which Gaussians of a divided scene stay, with a method that has
+lambda_F; and recovers the quality.
 
-A block is a run of its own (finetune/run.py): of its Gaussians and of those that are blended around it, in the views that show the block, on the part of each
-photograph where it is seen. Of the result, only the block's own are kept. A run has the steps that the whole scene would have on these views. So a Gaussian is
-seen as often, and lambda_F is the same price for all blocks. A number of Gaussians to keep is divided among the blocks by the costs of merging.py.
+A block is a run of its own (finetune/run.py): of its Gaussians and of those that are blended around it, in
+the views that show the block, on the part of each photograph where it is seen. Of the result, only the
+block's own are kept. A run has the steps that the whole scene would have on these views. So a Gaussian is
+seen as often, and lambda_F is the same price for all blocks. A number of Gaussians to keep is divided among
+the blocks by the costs of merging.py.
 
-All blocks decide from the original. Meanwhile a merged level of detail takes the place of the blocks around it (around/). It stands in for what these become:
+All blocks decide from the original. Meanwhile a merged level of detail takes the place of the blocks around
+it (around/). It stands in for what these become:
 
-- Masks decide: they decide on the level of detail, too. Gaussians whose neighbours never drop out would seem less needed than they are.
-- Removal errors or saliencies decide: the level of detail is frozen. If it were trained, it would make up for what the block loses.
+- Masks decide: they decide on the level of detail, too. Gaussians whose neighbours never drop out would seem
+  less needed than they are.
+- Removal errors or saliencies decide: the level of detail is frozen. If it were trained, it would make up for
+  what the block loses.
 
-Then each block recovers with what the others have kept. These are trained, too: if they were frozen, every block would correct the whole error of a pixel. No
-block uses what another has learned in the same step, so any order gives the same bits. A run saves checkpoints (runs/), from which the same task goes on when
-it is started again.
+Then each block recovers with what the others have kept. These are trained, too: if they were frozen, every
+block would correct the whole error of a pixel. No block uses what another has learned in the same step, so
+any order gives the same bits. A run saves checkpoints (runs/), from which the same task goes on when it is
+started again.
 """
 
 from __future__ import annotations
@@ -42,7 +49,8 @@ from .merging import counts
 from .surroundings import BLENDED, Around
 from .tuning import CUT, TUNED, emptied, level, write_own
 
-AROUND, AROUND_SHARE = "around", 0.25  # folder of the level of detail that takes the place of other blocks, and its share of the Gaussians
+# folder of the level of detail that takes the place of other blocks, and its share of the Gaussians
+AROUND, AROUND_SHARE = "around", 0.25
 RUNS = "runs"  # folder of the checkpoints
 
 
@@ -56,9 +64,17 @@ class BlockViews(Dataset):
     @classmethod
     def of(cls, dataset: Dataset, around: Around) -> BlockViews:
         """around: of the training views."""
-        windows = {view: window.slices for view, window in zip(dataset.train_indices, around.windows, strict=True) if window}
+        windows = {
+            view: window.slices
+            for view, window in zip(dataset.train_indices, around.windows, strict=True)
+            if window
+        }
         same = {field.name: getattr(dataset, field.name) for field in fields(dataset)}
-        return cls(**same | {"train_indices": list(windows), "test_indices": []}, windows=windows, extent_of_all=dataset.extent)
+        return cls(
+            **same | {"train_indices": list(windows), "test_indices": []},
+            windows=windows,
+            extent_of_all=dataset.extent,
+        )
 
     @property
     def extent(self) -> float:
@@ -68,8 +84,8 @@ class BlockViews(Dataset):
         return (self.windows or {})[index]
 
     def inputs(self) -> Iterator[bytes]:
-        """Texts of all cameras, windows and photographs; of a photograph its name, size and time, because each block would read all of them for a digest.
-        Raises SceneError if a photograph is missing."""
+        """Texts of all cameras, windows and photographs; of a photograph its name, size and time, because
+        each block would read all of them for a digest. Raises SceneError if a photograph is missing."""
         for index, window in (self.windows or {}).items():
             yield repr((self.cameras[index].key, window, _stamp(self.photos[index].path))).encode()
 
@@ -84,7 +100,8 @@ def _stamp(path: Path) -> tuple[str, int, int]:
 
 
 def prepare_around(divided: Divided, tell: Tell = lambda *_: None):
-    """Writes the level of detail that takes the place of other blocks, and empties the folders of decide() and recover(). Raises SplatError."""
+    """Writes the level of detail that takes the place of other blocks, and empties the folders of decide()
+    and recover(). Raises SplatError."""
     for name in (AROUND, CUT, TUNED):
         emptied(divided, name)
     if len(divided.blocks) > 1:
@@ -92,13 +109,16 @@ def prepare_around(divided: Divided, tell: Tell = lambda *_: None):
 
 
 def targets(divided: Divided, wanted: int) -> list[int]:
-    """The Gaussians that each block keeps, `wanted` together; zeros if that is 0, because the method decides. Raises SplatError."""
+    """The Gaussians that each block keeps, `wanted` together; zeros if that is 0, because the method decides.
+    Raises SplatError."""
     return [sum(cells) for cells in counts(divided, wanted)] if wanted else [0] * len(divided.blocks)
 
 
-def decide(divided: Divided, number: int, dataset: Dataset, plan: Plan, target: int, tell: Tell = lambda *_: None):
-    """Writes what is left of a block after the steps in which the method decides. target: Gaussians to keep of it; 0: the method decides. Raises
-    SplatError."""
+def decide(
+    divided: Divided, number: int, dataset: Dataset, plan: Plan, target: int, tell: Tell = lambda *_: None
+):
+    """Writes what is left of a block after the steps in which the method decides. target: Gaussians to keep
+    of it; 0: the method decides. Raises SplatError."""
     others = Divided.read(divided.folder / AROUND) if len(divided.blocks) > 1 else None
     around, views = _around(divided, number, dataset, tell, others)
     scene, (first, end) = around.scene, around.own
@@ -137,21 +157,29 @@ def recover(divided: Divided, number: int, dataset: Dataset, plan: Plan, tell: T
     checkpoint.delete_all(kept_at)
 
 
-def _around(divided: Divided, number: int, dataset: Dataset, tell: Tell, others: Divided | None = None) -> tuple[Around, BlockViews]:
-    """What is around a block in the training views, with all of the block; and the views that show it. others: as for Around.of()."""
-    around = Around.of(divided, number, [dataset.cameras[view] for view in dataset.train_indices], tell, others)
+def _around(
+    divided: Divided, number: int, dataset: Dataset, tell: Tell, others: Divided | None = None
+) -> tuple[Around, BlockViews]:
+    """What is around a block in the training views, with all of the block; and the views that show it.
+    others: as for Around.of()."""
+    around = Around.of(
+        divided, number, [dataset.cameras[view] for view in dataset.train_indices], tell, others
+    )
     around.there[number][:] = True
     return around, BlockViews.of(dataset, around)
 
 
 def _first_cut(scene: Scene, inside: np.ndarray, views: BlockViews, plan: Plan, target: int) -> np.ndarray:
-    """The Gaussians inside the block that stay after the first cut (docs/methods.md), as in a job in memory, (N,) bool. inside: (N,) bool."""
+    """The Gaussians inside the block that stay after the first cut (docs/methods.md), as in a job in memory,
+    (N,) bool. inside: (N,) bool."""
     faint = invisible(scene)
     if not plan.min_contribution:
         return inside & ~faint
     cameras = [views.cameras[view] for view in views.train_indices]
     _, peaks, _ = scores.contribution(scene, cameras, Rasterizer(), render_options(scene, plan.background))
-    return inside & ((peaks >= plan.min_contribution) & ~faint | scores.top(np.where(inside & ~faint, peaks, -1), target))
+    return inside & (
+        (peaks >= plan.min_contribution) & ~faint | scores.top(np.where(inside & ~faint, peaks, -1), target)
+    )
 
 
 def _share(views: BlockViews, dataset: Dataset) -> float:
@@ -159,22 +187,30 @@ def _share(views: BlockViews, dataset: Dataset) -> float:
 
 
 def _of_part(plan: Plan, active: bool, share: float, own: tuple[int, int], target: int) -> Plan:
-    """The phases of a plan in which its method decides, or the others, with the share of the steps whose view shows the block. own: the rows of the block."""
+    """The phases of a plan in which its method decides, or the others, with the share of the steps whose view
+    shows the block. own: the rows of the block."""
     phases = (_shortened(phase, share) for phase in plan.phases if phase.active is active)
     return replace(plan, phases=tuple(phases), own=own, target=target)
 
 
 def _shortened(phase: Phase, share: float) -> Phase:
-    """With this share of the steps, of which a Gaussian of the block sees as many as in the whole phase: so rates are the same."""
+    """With this share of the steps, of which a Gaussian of the block sees as many as in the whole phase: so
+    rates are the same."""
     shorter = scaled([phase], share or 1.0)[0]
     return replace(shorter, rates=replace(shorter.rates, mask=phase.rates.mask))
 
 
-def _run(divided: Divided, number: int, scene: Scene, views: BlockViews, plan: Plan, kept_at: Path, tell: Tell) -> tuple[Scene, np.ndarray]:
-    """The scene after all steps of the plan, and the rows of the block in it. The arrays of the given scene are changed. kept_at: folder of the checkpoints."""
+def _run(
+    divided: Divided, number: int, scene: Scene, views: BlockViews, plan: Plan, kept_at: Path, tell: Tell
+) -> tuple[Scene, np.ndarray]:
+    """The scene after all steps of the plan, and the rows of the block in it. The arrays of the given scene
+    are changed. kept_at: folder of the checkpoints."""
     cameras = [views.cameras[view] for view in views.train_indices]
     needed = memory.tuning(scene.count, divided.coefficients, cameras, views.memory_budget)
-    memory.refuse_excess(f"{divided.source}: fine-tuning the {scene.count:,} Gaussians in and around the block {number}", needed)
+    memory.refuse_excess(
+        f"{divided.source}: fine-tuning the {scene.count:,} Gaussians in and around the block {number}",
+        needed,
+    )
     run = Run(Model.of(scene, copy=False), views, plan, NativeEngine(), scene.antialiased)
     identity = checkpoint.identity_of(run.model, views, plan, "native")
     try:
@@ -190,7 +226,10 @@ def _run(divided: Divided, number: int, scene: Scene, views: BlockViews, plan: P
 
     def observe(progress: loop.Progress):
         try:
-            tell(f"block {number}, {progress.count:,} Gaussians: {progress.label}", 0.5 + 0.5 * progress.iteration / progress.total)
+            tell(
+                f"block {number}, {progress.count:,} Gaussians: {progress.label}",
+                0.5 + 0.5 * progress.iteration / progress.total,
+            )
         except Cancelled:
             save()
             raise

@@ -1,4 +1,5 @@
-"""How much a divided scene looks like the original: on views that were held out, against the original's own pictures or photographs."""
+"""How much a divided scene looks like the original: on views that were held out, against the original's own
+pictures or photographs."""
 
 from __future__ import annotations
 
@@ -23,9 +24,15 @@ LOOKS = 8  # views, at most
 
 
 class Likeness:
-    """How much divided scenes look like the original in LOOKS of the views. Its pictures are rendered when they are first needed."""
+    """How much divided scenes look like the original in LOOKS of the views. Its pictures are rendered when
+    they are first needed."""
 
-    def __init__(self, original: Divided, views: Sequence[Camera], told: Callable[[str], Tell] = lambda _: lambda *_: None):
+    def __init__(
+        self,
+        original: Divided,
+        views: Sequence[Camera],
+        told: Callable[[str], Tell] = lambda _: lambda *_: None,
+    ):
         """told: of the name of a step."""
         self.views, self.background = evenly(views, LOOKS), (0.0, 0.0, 0.0)
         self._original, self._told = original, told
@@ -41,8 +48,15 @@ class Likeness:
     def measured(self, scene: Divided) -> dict[str, float]:
         """Means over the views of psnr (dB), ssim and flip; NaN without views. Raises SplatError."""
         pairs = list(self._pairs(scene, "measure"))
-        metrics: dict[str, Callable[[np.ndarray, np.ndarray], float]] = {"psnr": lambda one, other: min(psnr(one, other), EQUAL), "ssim": ssim, "flip": flip}
-        return {name: fmean(metric(*pair) for pair in pairs) if pairs else math.nan for name, metric in metrics.items()}
+        metrics: dict[str, Callable[[np.ndarray, np.ndarray], float]] = {
+            "psnr": lambda one, other: min(psnr(one, other), EQUAL),
+            "ssim": ssim,
+            "flip": flip,
+        }
+        return {
+            name: fmean(metric(*pair) for pair in pairs) if pairs else math.nan
+            for name, metric in metrics.items()
+        }
 
     @cached_property
     def _originals(self) -> list[np.ndarray]:
@@ -67,7 +81,12 @@ class PhotographLikeness(Likeness):
         return [to_float(self._dataset.image(index)) for index in self._indices]
 
 
-def pictures_of(divided: Divided, cameras: Sequence[Camera], background: tuple[float, float, float], tell: Tell = lambda *_: None) -> Iterator[np.ndarray]:
+def pictures_of(
+    divided: Divided,
+    cameras: Sequence[Camera],
+    background: tuple[float, float, float],
+    tell: Tell = lambda *_: None,
+) -> Iterator[np.ndarray]:
     """What each view shows, (H, W, 3), rounded to 8 bits. Raises SplatError."""
     rasterizer = Rasterizer()
     for number, camera in enumerate(cameras):

@@ -1,11 +1,12 @@
-"""Merges and removes in a divided scene: each cell has an order of operations (finetune/decimate/order.py), and one cost for the whole
-scene says how far each goes.
+"""Merges and removes in a divided scene: each cell has an order of operations (finetune/decimate/order.py),
+and one cost for the whole scene says how far each goes.
 
-Cells are small parts of the k-d tree whose large parts are the blocks. So the same Gaussians are merged whatever the number of blocks, if these are not smaller
-than cells. Beside the blocks lie
+Cells are small parts of the k-d tree whose large parts are the blocks. So the same Gaussians are merged
+whatever the number of blocks, if these are not smaller than cells. Beside the blocks lie
 
     NUMBER.visibility   float64, 9 for each Gaussian: the sums over all views
-    NUMBER.order.npz    the operations on its cells and their costs, down to LEAST of each cell; steps: their number for each cell
+    NUMBER.order.npz    the operations on its cells and their costs, down to LEAST of each cell; steps: their
+                        number for each cell
     reduced.json        a point and a length of about a pixel, of the whole scene
 """
 
@@ -45,10 +46,16 @@ def reduce(divided: Divided, cameras: Sequence[Camera]):
     columns = dict(zip(VISIBILITY, sums.T, strict=False))
     seen = columns["views"] > 0
     if not seen.any():
-        raise SceneError(f"{divided.source}: no view sees any of its Gaussians: the cameras belong to another scene")
+        raise SceneError(
+            f"{divided.source}: no view sees any of its Gaussians: the cameras belong to another scene"
+        )
     check_space(divided.folder / REDUCED, 8 * sums.size)
     units = dict(zip(VISIBILITY, UNITS, strict=True))
-    pixel = float(np.median(np.sqrt(columns["views"][seen] * units["views"] / (columns["density"][seen] * units["density"]))))
+    pixel = float(
+        np.median(
+            np.sqrt(columns["views"][seen] * units["views"] / (columns["density"][seen] * units["density"]))
+        )
+    )
     for block in divided.blocks:
         with atomic_write(divided.folder / f"{block.number}.visibility") as file:
             file.write(visibility(sums[block.rows]).data)
@@ -59,22 +66,31 @@ def reduce(divided: Divided, cameras: Sequence[Camera]):
 
 
 def merge(divided: Divided, number: int):
-    """Orders the operations on the cells of the block with this number, and writes them. Raises SplatError."""
+    """Orders the operations on the cells of the block with this number, and writes them. Raises
+    SplatError."""
     if not 0 <= number < len(divided.blocks):
         raise SceneError(f"{divided.folder}: has no block {number}, only 0 to {len(divided.blocks) - 1}")
     block, (pixel, middle) = divided.blocks[number], _reduced(divided)
     scene, sums = scene_of(divided, block), _visibility(block)
-    found = [decimate(scene.select(rows), sums[rows], middle, pixel, max(1, round(LEAST * len(rows)))) for rows in _cells(block)]
+    found = [
+        decimate(scene.select(rows), sums[rows], middle, pixel, max(1, round(LEAST * len(rows))))
+        for rows in _cells(block)
+    ]
     arrays = {name: np.concatenate([getattr(one, name) for one in found]) for name in OPERATIONS}
     results = {name: np.concatenate([one.results[name] for one in found]) for name in PARAMETERS}
     write_arrays(_order_path(block), {"steps": np.array([len(one.a) for one in found]), **arrays, **results})
 
 
 def counts(divided: Divided, wanted: int) -> list[list[int]]:
-    """How many Gaussians each cell of each block keeps, so that together they are `wanted`, or as few as the orders allow: operations are done whose cost, or
-    that of one before them in the cell, is below one bound. Raises SplatError."""
+    """How many Gaussians each cell of each block keeps, so that together they are `wanted`, or as few as the
+    orders allow: operations are done whose cost, or that of one before them in the cell, is below one bound.
+    Raises SplatError."""
     cells = [[len(rows) for rows in _cells(block)] for block in divided.blocks]
-    costs = [np.maximum.accumulate(one) for block, some in zip(divided.blocks, cells, strict=True) for one in _costs(block, some)]
+    costs = [
+        np.maximum.accumulate(one)
+        for block, some in zip(divided.blocks, cells, strict=True)
+        for one in _costs(block, some)
+    ]
     most = sum(map(len, costs))
     steps = min(max(divided.count - wanted, 0), most)
     if not steps:
@@ -94,13 +110,22 @@ def merged(divided: Divided, kept: Sequence[Sequence[int]], tell: Tell = lambda 
     for block, wanted in zip(divided.blocks, kept, strict=True):
         tell("writes what stays", block.number / len(divided.blocks))
         scene = scene_of(divided, block)
-        yield joined([Order(scene.select(rows), one).at(count) for rows, one, count in zip(_cells(block), _merges(block), wanted, strict=True)])
+        yield joined(
+            [
+                Order(scene.select(rows), one).at(count)
+                for rows, one, count in zip(_cells(block), _merges(block), wanted, strict=True)
+            ]
+        )
 
 
 def most_needed(divided: Divided, wanted: int, tell: Tell = lambda *_: None) -> Iterator[Scene]:
-    """The `wanted` Gaussians of highest removal error (finetune/saliency.py), block after block; of each block one at least. Raises SplatError."""
-    errors = [_visibility(block)[:, SQUARES].copy() for block in divided.blocks]  # a view would keep all columns in memory
-    stays = np.split(top(np.concatenate(errors), wanted), np.cumsum([block.count for block in divided.blocks])[:-1])
+    """The `wanted` Gaussians of highest removal error (finetune/saliency.py), block after block; of each
+    block one at least. Raises SplatError."""
+    # a view would keep all columns in memory
+    errors = [_visibility(block)[:, SQUARES].copy() for block in divided.blocks]
+    stays = np.split(
+        top(np.concatenate(errors), wanted), np.cumsum([block.count for block in divided.blocks])[:-1]
+    )
     for block, error, some in zip(divided.blocks, errors, stays, strict=True):
         tell("writes what stays", block.number / len(divided.blocks))
         some[np.argmax(error)] = True
@@ -115,7 +140,11 @@ def _cells(block: Block) -> list[np.ndarray]:
 def _costs(block: Block, counts: Sequence[int]) -> list[np.ndarray]:
     """The costs of the operations on each cell. counts: of its Gaussians."""
     arrays = _order(block, ("steps", "costs"))
-    if len(arrays["steps"]) != len(counts) or (arrays["steps"] >= counts).any() or arrays["steps"].sum() != len(arrays["costs"]):
+    if (
+        len(arrays["steps"]) != len(counts)
+        or (arrays["steps"] >= counts).any()
+        or arrays["steps"].sum() != len(arrays["costs"])
+    ):
         raise FormatError(f"{_order_path(block)}: is not of this block; merge it again")
     return np.split(arrays["costs"], np.cumsum(arrays["steps"])[:-1])
 
@@ -158,7 +187,9 @@ def _order(block: Block, names: Sequence[str]) -> dict[str, np.ndarray]:
         with np.load(_order_path(block), allow_pickle=False) as stored:
             return {name: stored[name] for name in names}
     except FileNotFoundError:
-        raise SceneError(f"{_order_path(block)}: is not there; merge the block {block.number} first") from None
+        raise SceneError(
+            f"{_order_path(block)}: is not there; merge the block {block.number} first"
+        ) from None
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise FormatError(f"{_order_path(block)}: cannot be read ({error}); merge the block again") from None
 

@@ -25,40 +25,60 @@ from .tuning import CUT, best_share, mixed, tuned_blocks
 
 
 def finish(divided: Divided, likeness: Likeness, out: Path, told: Callable[[str], Tell]) -> dict[str, Any]:
-    """Writes what is left of a divided scene, and measures the output. The share of the fine-tuning that is used is the one with the highest PSNR.
+    """Writes what is left of a divided scene, and measures the output. The share of the fine-tuning that is
+    used is the one with the highest PSNR.
 
-    told: takes the name of a step, and returns the function that reports its progress. Returns the JSON result. Raises SplatError.
+    told: takes the name of a step, and returns the function that reports its progress. Returns the JSON
+    result. Raises SplatError.
     """
     facts = write_left(divided, likeness, out)
-    result = facts | _figures(divide(out, divided.folder / RESULT, tell=told("read")), likeness, out, size_on_disk(out))
+    result = facts | _figures(
+        divide(out, divided.folder / RESULT, tell=told("read")), likeness, out, size_on_disk(out)
+    )
     return result | {"notes": loss_notes(result["psnr_values"], result["psnr"])}
 
 
-def finish_learned(divided: Divided, request: Request, dataset: Dataset, out: Path, told: Callable[[str], Tell]) -> dict[str, Any]:
+def finish_learned(
+    divided: Divided, request: Request, dataset: Dataset, out: Path, told: Callable[[str], Tell]
+) -> dict[str, Any]:
     """finish() of what a method has decided on photographs, which are the measure. Raises SplatError."""
     likeness = PhotographLikeness(dataset, told)
     gathered(divided.folder / CUT, divided)
     result = finish(divided, likeness, out, told)
     before = {**likeness.measured(divided), "lpips": None, "ms_per_frame": None, **result["before"]}
-    notes = [*dataset.notes, *filter(None, [mismatch_of(divided, dataset, BlockRasterizer())]), *result["notes"]]
+    notes = [
+        *dataset.notes,
+        *filter(None, [mismatch_of(divided, dataset, BlockRasterizer())]),
+        *result["notes"],
+    ]
     return result | {"method": request.method, "seed": request.seed, "before": before, "notes": notes}
 
 
 def write_left(divided: Divided, likeness: Likeness, out: Path) -> dict[str, Any]:
-    """Writes what is left of a divided scene. Returns the part of finish()'s result that is known before the output is read. Raises SplatError."""
+    """Writes what is left of a divided scene. Returns the part of finish()'s result that is known before the
+    output is read. Raises SplatError."""
     left, facts = _settled(divided, likeness)
     write_joined(left, out)
     before = {"count": divided.count, "bytes": divided.source_bytes}
-    return {"scene": str(divided.source), "method": "merge", "views": len(likeness.views), "blocks": len(divided.blocks), **facts, "before": before}
+    return {
+        "scene": str(divided.source),
+        "method": "merge",
+        "views": len(likeness.views),
+        "blocks": len(divided.blocks),
+        **facts,
+        "before": before,
+    }
 
 
 def _figures(written: Divided, likeness: Likeness, out: Path, size: int) -> dict[str, Any]:
-    """The part of finish()'s result that comes from the output. written: the output, divided again. size: of the output, bytes."""
+    """The part of finish()'s result that comes from the output. written: the output, divided again. size: of
+    the output, bytes."""
     return {"out": str(out), **likeness.measured(written), "after": {"count": written.count, "bytes": size}}
 
 
 def _settled(divided: Divided, likeness: Likeness) -> tuple[Divided, dict[str, float | None]]:
-    """What is left, tuned as far as that does good; and its PSNR in dB: psnr_merged before it was tuned (None: it was not), psnr_values now."""
+    """What is left, tuned as far as that does good; and its PSNR in dB: psnr_merged before it was tuned
+    (None: it was not), psnr_values now."""
     left, tuned = Divided.read(divided.folder / CUT), tuned_blocks(divided)
     merged = likeness.psnr(left)
     if not tuned:
@@ -73,11 +93,15 @@ def write_joined(divided: Divided, out: Path):
         write_scene(out, scene)
 
 
-def join_levels(divided: Divided, likeness: Likeness, files: Sequence[Path], out: Path, told: Callable[[str], Tell]) -> list[dict[str, Any]]:
-    """Writes levels of detail as one streamed SOG, and measures each. files: their PLYs, the finest one first. Returns for each the
-    part of finish()'s result that comes from the output. Raises SplatError."""
+def join_levels(
+    divided: Divided, likeness: Likeness, files: Sequence[Path], out: Path, told: Callable[[str], Tell]
+) -> list[dict[str, Any]]:
+    """Writes levels of detail as one streamed SOG, and measures each. files: their PLYs, the finest one
+    first. Returns for each the part of finish()'s result that comes from the output. Raises SplatError."""
     with contextlib.ExitStack() as stack:
-        streamed_sog.write_levels(out, [stack.enter_context(spooled(load_parts(path), out)) for path in files])
+        streamed_sog.write_levels(
+            out, [stack.enter_context(spooled(load_parts(path), out)) for path in files]
+        )
     results = []
     for level in range(len(files)):
         read = partial(streamed_sog.read_level, level=level, max_count=MAX_IN_PARTS)

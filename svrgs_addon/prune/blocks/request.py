@@ -24,14 +24,15 @@ def methods() -> list[str]:
 
 
 def methods_of_drop() -> list[str]:
-    """Of these, the names of those that can hold an allowed drop: what their steps win back of a removal is foreseen before they decide."""
+    """Of these, the names of those that can hold an allowed drop: what their steps win back of a removal is
+    foreseen before they decide."""
     return [name for name in methods() if isinstance(METHODS[name], Removal)]
 
 
 @dataclass(frozen=True)
 class Request:
-    """A dataset, a method and its settings, as the options of `svrgs prune` with these names. F counts up to where the colours of a ray stop, because a block
-    does not know what is hidden behind others."""
+    """A dataset, a method and its settings, as the options of `svrgs prune` with these names. F counts up to
+    where the colours of a ray stop, because a block does not know what is hidden behind others."""
 
     colmap: str
     method: str
@@ -49,16 +50,25 @@ class Request:
     def plan(self) -> Plan:
         """Raises SceneError for a method that cannot decide block by block, and for no steps."""
         if self.method not in methods():
-            raise SceneError(f"method '{self.method}' needs the scene in memory; by blocks, choose one of {', '.join(methods())}")
+            raise SceneError(
+                f"method '{self.method}' needs the scene in memory; by blocks, choose one of"
+                f" {', '.join(methods())}"
+            )
         if not self.iterations:
             raise SceneError("by blocks, a method decides in steps: give --iterations a number above 0")
-        settings: dict[str, Any] = {name: getattr(self, name) for name in ("lambda_f", "seed", "background", "min_contribution", "schedule")}
+        settings: dict[str, Any] = {
+            name: getattr(self, name)
+            for name in ("lambda_f", "seed", "background", "min_contribution", "schedule")
+        }
         return prune_plan(method_named(self.method), self.iterations, self.recovery, full=False, **settings)
 
     def refuse_drop(self):
         """Raises SceneError for a method that cannot hold an allowed drop."""
         if self.method not in methods_of_drop():
-            raise SceneError(f"--max-drop by blocks is for {' and '.join(methods_of_drop())}, not for '{self.method}': choose one of these, or give --target")
+            raise SceneError(
+                f"--max-drop by blocks is for {' and '.join(methods_of_drop())}, not for '{self.method}':"
+                " choose one of these, or give --target"
+            )
 
     def dataset(self) -> Dataset:
         """Raises SceneError, FormatError."""

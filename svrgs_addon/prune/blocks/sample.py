@@ -1,4 +1,5 @@
-"""Some Gaussians of a file that is larger than memory, in the place of all: to place cameras, and to see whether given ones belong to the scene."""
+"""Some Gaussians of a file that is larger than memory, in the place of all: to place cameras, and to see
+whether given ones belong to the scene."""
 
 from __future__ import annotations
 
@@ -21,8 +22,8 @@ MOST = 500_000  # Gaussians
 
 
 def sample_of(source: Path) -> tuple[Scene, float]:
-    """Evenly spread rows of the file, MOST at most, in one colour each (SH degree 0), enlarged so that they cover about what all do; and by how much. Raises
-    SplatError."""
+    """Evenly spread rows of the file, MOST at most, in one colour each (SH degree 0), enlarged so that they
+    cover about what all do; and by how much. Raises SplatError."""
     parts, step, start = list[Scene](), 1, 0
     for part in load_parts(source):
         parts.append(_lighter(part, np.arange(-start % step, part.count, step)))
@@ -35,18 +36,30 @@ def sample_of(source: Path) -> tuple[Scene, float]:
 
 
 def refuse_hidden(scene: Scene, cameras: Sequence[Camera], source: Path):
-    """Raises SceneError if cameras that were placed leave many Gaussians hidden: these would be removed first. scene: from sample_of()."""
+    """Raises SceneError if cameras that were placed leave many Gaussians hidden: these would be removed
+    first. scene: from sample_of()."""
     sums, _ = looks(scene, cameras, Rasterizer(), render_options(scene), pictures=False)
     share = hidden(sums) / scene.count
     if share > MOST_HIDDEN:
-        raise SceneError(f"{source}: about {share:.0%} of its Gaussians are hidden in all views that were placed, and would be removed; give the cameras")
+        raise SceneError(
+            f"{source}: about {share:.0%} of its Gaussians are hidden in all views that were placed, and"
+            " would be removed; give the cameras"
+        )
 
 
 def finer(cameras: Sequence[Camera]) -> list[Camera]:
-    """The views at twice their size: scores and fine-tuning halve all views, and pictures of placed cameras are just large enough."""
+    """The views at twice their size: scores and fine-tuning halve all views, and pictures of placed cameras
+    are just large enough."""
     return [camera.resized(2 * camera.width, 2 * camera.height) for camera in cameras]
 
 
 def _lighter(part: Scene, rows: np.ndarray) -> Scene:
     some = part.select(rows)
-    return Scene(some.means, some.log_scales, some.quats, some.opacity_logits, np.ascontiguousarray(some.sh[:, :1]), antialiased=some.antialiased)
+    return Scene(
+        some.means,
+        some.log_scales,
+        some.quats,
+        some.opacity_logits,
+        np.ascontiguousarray(some.sh[:, :1]),
+        antialiased=some.antialiased,
+    )

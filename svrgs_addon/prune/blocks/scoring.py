@@ -1,8 +1,10 @@
-"""What all views see of each Gaussian of a divided scene (VISIBILITY, finetune/decimate/order.py): sums over views, which any number of tasks make.
+"""What all views see of each Gaussian of a divided scene (VISIBILITY, finetune/decimate/order.py): sums over
+views, which any number of tasks make.
 
-What a view sees is a whole number of units. Sums of whole numbers do not depend on their order, so neither the number of tasks nor that of the blocks changes
-a bit. A view is rendered with all Gaussians that it may show, in the order of the file, from wherever they are stored, in colours as it sees them. So the sums
-equal those of the scene in memory but for the rounding of colours and of units.
+What a view sees is a whole number of units. Sums of whole numbers do not depend on their order, so neither
+the number of tasks nor that of the blocks changes a bit. A view is rendered with all Gaussians that it may
+show, in the order of the file, from wherever they are stored, in colours as it sees them. So the sums equal
+those of the scene in memory but for the rounding of colours and of units.
 """
 
 from __future__ import annotations
@@ -25,20 +27,30 @@ from .visible import seen
 
 UNITS = np.array([{"density": 2.0**-16, "squares": 2.0**-20}.get(name, 2.0**-28) for name in VISIBILITY])
 MOST_PIXELS = 1 << 33  # of all views: sums over so many fit into 63 bits, with colours up to 4
-SQUARES, REST = VISIBILITY.index("squares"), 2.0**-60  # what is left of squares has a column of its own: tiny ones count in costs
+# what is left of squares has a column of its own: tiny ones count in costs
+SQUARES, REST = VISIBILITY.index("squares"), 2.0**-60
 PIXELS_SEEN, COLUMNS = VISIBILITY.index("pixels"), len(VISIBILITY) + 1
 SCORES = re.compile(r"scores_(\d+)_of_(\d+)_([0-9a-f]{16})\.npy")
 
 
-def score(divided: Divided, cameras: Sequence[Camera], part: int, parts: int, tell: Tell = lambda *_: None) -> Path:
-    """Looks at the views part, part + parts, part + 2 parts … of the cameras. Writes the sums (N, 10) int64, in the order of the file, and the pictures
-    of the views into the folder, and returns the path of the sums. Raises SplatError."""
+def score(
+    divided: Divided, cameras: Sequence[Camera], part: int, parts: int, tell: Tell = lambda *_: None
+) -> Path:
+    """Looks at the views part, part + parts, part + 2 parts … of the cameras. Writes the sums (N, 10) int64,
+    in the order of the file, and the pictures of the views into the folder, and returns the path of the sums.
+    Raises SplatError."""
     path = divided.folder / f"scores_{part}_of_{parts}_{_key(divided, cameras)}.npy"
     if not 0 <= part < parts:
         raise SceneError(f"part {part + 1} of {parts}: there is no such part of the views")
     if sum(camera.width * camera.height for camera in reduced(cameras)) > MOST_PIXELS:
-        raise SceneError(f"{len(cameras):,} views of this size have too many pixels together: give fewer, or smaller ones")
-    sums, views, rasterizer = np.zeros((divided.count, COLUMNS), np.int64), reduced(cameras[part::parts]), Rasterizer()
+        raise SceneError(
+            f"{len(cameras):,} views of this size have too many pixels together: give fewer, or smaller ones"
+        )
+    sums, views, rasterizer = (
+        np.zeros((divided.count, COLUMNS), np.int64),
+        reduced(cameras[part::parts]),
+        Rasterizer(),
+    )
     for number, camera in enumerate(views):
         tell(f"view {camera.name or number}", number / len(views))
         scene, rows = seen(divided, camera, rasterizer)
@@ -76,8 +88,8 @@ def visibility(numbers: np.ndarray) -> np.ndarray:
 
 
 def total(divided: Divided, cameras: Sequence[Camera]) -> np.ndarray:
-    """The sums over all views, (N, 10) int64, of the parts that are in the folder. Raises SceneError if one is missing, FormatError for a damaged
-    one."""
+    """The sums over all views, (N, 10) int64, of the parts that are in the folder. Raises SceneError if one
+    is missing, FormatError for a damaged one."""
     key, found = _key(divided, cameras), dict[int, dict[int, Path]]()
     for path in divided.folder.glob("scores_*.npy"):
         name = SCORES.fullmatch(path.name)
@@ -86,7 +98,10 @@ def total(divided: Divided, cameras: Sequence[Camera]) -> np.ndarray:
     complete = [paths for parts, paths in sorted(found.items()) if set(paths) == set(range(parts))]
     if not complete:
         lacking = [f"{parts - len(paths)} of {parts}" for parts, paths in sorted(found.items())]
-        raise SceneError(f"{divided.folder}: parts of the scores are missing ({', '.join(lacking) or 'all'}); score them first")
+        raise SceneError(
+            f"{divided.folder}: parts of the scores are missing ({', '.join(lacking) or 'all'}); score them"
+            " first"
+        )
     sums = np.zeros((divided.count, COLUMNS), np.int64)
     for path in complete[0].values():
         sums += _scores(path, divided.count)
@@ -105,4 +120,6 @@ def _scores(path: Path, count: int) -> np.ndarray:
 
 def _key(divided: Divided, cameras: Sequence[Camera]) -> str:
     """Of the scene and the cameras, in hexadecimal digits: sums of others are not added."""
-    return hashlib.sha256(divided.digest.encode() + b"".join(camera.key for camera in cameras)).hexdigest()[:16]
+    return hashlib.sha256(divided.digest.encode() + b"".join(camera.key for camera in cameras)).hexdigest()[
+        :16
+    ]

@@ -1,6 +1,8 @@
-"""What is around a block: the windows of the views in which it is seen, and all Gaussians that are blended into them.
+"""What is around a block: the windows of the views in which it is seen, and all Gaussians that are blended
+into them.
 
-Beside the blocks lie NUMBER.blended.npy, uint32: the places of the Gaussians that a view blends, counted through all blocks.
+Beside the blocks lie NUMBER.blended.npy, uint32: the places of the Gaussians that a view blends, counted
+through all blocks.
 """
 
 from __future__ import annotations
@@ -19,13 +21,16 @@ from .discs import Discs, Window
 from .divided import Block, Divided, Tell, arrays_of
 from .visible import shown
 
-MARGIN = 32  # pixels by which a window is larger than the block on each side: SSIM and the Gaussians at the block's border need them
+# pixels by which a window is larger than the block on each side: SSIM and the Gaussians at the block's border
+# need them
+MARGIN = 32
 BLENDED = "{}.blended.npy"  # file of a view
 
 
 @dataclass(frozen=True)
 class Around:
-    """The parts of the views that show a block, and the Gaussians of all blocks that are blended into these parts."""
+    """The parts of the views that show a block, and the Gaussians of all blocks that are blended into these
+    parts."""
 
     divided: Divided
     number: int  # of the block
@@ -34,8 +39,16 @@ class Around:
     there: list[np.ndarray]  # of each block, (n,) bool: the Gaussians that are blended into a window
 
     @classmethod
-    def of(cls, divided: Divided, number: int, views: Sequence[Camera], tell: Tell = lambda *_: None, others: Divided | None = None) -> Around:
-        """others: a scene with as many blocks, whose blocks take the place of the others; None: the others are those of `divided`. Raises SplatError."""
+    def of(
+        cls,
+        divided: Divided,
+        number: int,
+        views: Sequence[Camera],
+        tell: Tell = lambda *_: None,
+        others: Divided | None = None,
+    ) -> Around:
+        """others: a scene with as many blocks, whose blocks take the place of the others; None: the others
+        are those of `divided`. Raises SplatError."""
         rasterizer, windows = Rasterizer(), list[Window | None]()
         blocks = list((others or divided).blocks)
         blocks[number] = divided.blocks[number]
@@ -44,7 +57,11 @@ class Around:
             tell(f"block {number}, view {camera.name or view}", 0.5 * view / len(views))
             places = _blended(divided, view, camera, rasterizer)
             if others is not None:
-                places = [*(around := _blended(others, view, camera, rasterizer))[:number], places[number], *around[number + 1 :]]
+                places = [
+                    *(around := _blended(others, view, camera, rasterizer))[:number],
+                    places[number],
+                    *around[number + 1 :],
+                ]
             windows.append(_window(blocks, number, camera, places, there))
         return cls(divided, number, blocks, windows, there)
 
@@ -63,9 +80,15 @@ class Around:
         return first, first + int(self.there[self.number].sum())
 
 
-def _window(blocks: Sequence[Block], number: int, camera: Camera, places: Sequence[np.ndarray], there: Sequence[np.ndarray]) -> Window | None:
-    """The window of a view in which it shows the block. places: of each block, those that the view blends. there: those that are blended into the
-    window are added."""
+def _window(
+    blocks: Sequence[Block],
+    number: int,
+    camera: Camera,
+    places: Sequence[np.ndarray],
+    there: Sequence[np.ndarray],
+) -> Window | None:
+    """The window of a view in which it shows the block. places: of each block, those that the view blends.
+    there: those that are blended into the window are added."""
     window = Discs.of_geometry(blocks[number].geometry[places[number]], camera).around(camera, MARGIN)
     if window is not None:
         for block, some, marked in zip(blocks, places, there, strict=True):
@@ -74,9 +97,12 @@ def _window(blocks: Sequence[Block], number: int, camera: Camera, places: Sequen
 
 
 def _blended(divided: Divided, view: int, camera: Camera, rasterizer: Rasterizer) -> list[np.ndarray]:
-    """Of each block, the places of the Gaussians that a view blends, ascending, int64. Whoever needs them first writes them into the folder. Raises
-    SplatError."""
-    path, firsts = divided.folder / BLENDED.format(view), np.cumsum([0, *(block.count for block in divided.blocks)])
+    """Of each block, the places of the Gaussians that a view blends, ascending, int64. Whoever needs them
+    first writes them into the folder. Raises SplatError."""
+    path, firsts = (
+        divided.folder / BLENDED.format(view),
+        np.cumsum([0, *(block.count for block in divided.blocks)]),
+    )
     if not path.exists():
         found = shown(divided, camera, rasterizer)
         places = [firsts[block.number] + some for block, some in zip(found.blocks, found.places, strict=True)]
@@ -86,4 +112,9 @@ def _blended(divided: Divided, view: int, camera: Camera, rasterizer: Rasterizer
         blended = np.load(path, allow_pickle=False).astype(np.int64)
     except (OSError, ValueError, EOFError) as error:
         raise FormatError(f"{path}: cannot be read ({error}); remove it, and start the step again") from None
-    return [some - first for some, first in zip(np.split(blended, np.searchsorted(blended, firsts[1:-1])), firsts, strict=False)]
+    return [
+        some - first
+        for some, first in zip(
+            np.split(blended, np.searchsorted(blended, firsts[1:-1])), firsts, strict=False
+        )
+    ]

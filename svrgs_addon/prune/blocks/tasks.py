@@ -1,6 +1,7 @@
 """Which tasks of a job by blocks are finished, and the share of the job that is done.
 
-tasks.json, beside the blocks, lists the finished tasks. A job that was stopped or killed does only the others when it is continued.
+tasks.json, beside the blocks, lists the finished tasks. A job that was stopped or killed does only the others
+when it is continued.
 """
 
 from __future__ import annotations
@@ -18,30 +19,53 @@ if TYPE_CHECKING:  # jobs of Blender need no more of it
     from .divided import Tell, Told
 
 FILE, LARGEST = "tasks.json", 1 << 22
-# Where steps begin and end, as shares from 0 to 1, roughly as with the town of 5 million in docs/farm.md. ONCE: steps at the start of a job that removes and
-# merges, of the job. EACH: its other steps, of the time for the result or for one level of detail. OF_TASK: steps of a method on photographs, of their task.
+# Where steps begin and end, as shares from 0 to 1, roughly as with the town of 5 million in docs/farm.md.
+# ONCE: steps at the start of a job that removes and merges, of the job. EACH: its other steps, of the time
+# for the result or for one level of detail. OF_TASK: steps of a method on photographs, of their task.
 ONCE = {"divide": (0.0, 0.03), "score": (0.03, 0.35), "merge": (0.35, 0.45)}
-OF_TASK = {"score": (0.0, 0.8), "merge": (0.8, 1.0), "compare": (0.0, 0.4), "read": (0.4, 0.5), "measure": (0.5, 1.0)}
-EACH = {"cut": (0.0, 0.1), "tune": (0.1, 0.7), "compare": (0.7, 0.8), "read": (0.8, 0.85), "measure": (0.85, 1.0)}
+OF_TASK = {
+    "score": (0.0, 0.8),
+    "merge": (0.8, 1.0),
+    "compare": (0.0, 0.4),
+    "read": (0.4, 0.5),
+    "measure": (0.5, 1.0),
+}
+EACH = {
+    "cut": (0.0, 0.1),
+    "tune": (0.1, 0.7),
+    "compare": (0.7, 0.8),
+    "read": (0.8, 0.85),
+    "measure": (0.85, 1.0),
+}
 
 
 class Tasks:
-    """done: names of the tasks that are done; none of a job that begins. total: how many tasks the job has, 0 as long as that is not known."""
+    """done: names of the tasks that are done; none of a job that begins. total: how many tasks the job has, 0
+    as long as that is not known."""
 
     def __init__(self, folder: Path, identity: str, resume: bool):
         """identity: of settings and inputs. Raises FormatError if the job in the folder is another one."""
-        self._path, self._identity, self.total, self.done, self._most = folder / FILE, identity, 0, list[str](), 0.0
+        self._path, self._identity, self.total, self.done, self._most = (
+            folder / FILE,
+            identity,
+            0,
+            list[str](),
+            0.0,
+        )
         found = _read(self._path) if resume else None
         if found is None:
             self._path.unlink(missing_ok=True)
         elif found["identity"] != identity:
-            raise FormatError(f"{self._path}: this job is one with other settings or inputs; delete {folder} to start again")
+            raise FormatError(
+                f"{self._path}: this job is one with other settings or inputs; delete {folder} to start again"
+            )
         else:
             self.done = found["done"]
 
     def told(self, step: str, tell: Tell) -> Tell:
-        """`tell` with the share of the whole job, 0 to 1, instead of that of one task. Measuring the result counts as one more task. 0 while `total` is 0. The
-        share never falls, because a task has several steps."""
+        """`tell` with the share of the whole job, 0 to 1, instead of that of one task. Measuring the result
+        counts as one more task. 0 while `total` is 0. The share never falls, because a task has several
+        steps."""
         start, end = OF_TASK.get(step, (0.0, 1.0))
 
         def tell_all(text: str, share: float):
@@ -58,14 +82,18 @@ class Tasks:
         work()
         self.done.append(name)
         with atomic_write(self._path) as file:
-            file.write(json.dumps({"identity": self._identity, "total": self.total, "done": self.done}).encode())
+            file.write(
+                json.dumps({"identity": self._identity, "total": self.total, "done": self.done}).encode()
+            )
 
 
 class Overall:
-    """Reports the progress of a job that removes and merges: the share of the whole job instead of that of a step. It never falls."""
+    """Reports the progress of a job that removes and merges: the share of the whole job instead of that of a
+    step. It never falls."""
 
     def __init__(self, told: Told, rounds: int):
-        """told: of the name of a step. rounds: how often a scene is cut, tuned and measured: for the result and for each level of detail."""
+        """told: of the name of a step. rounds: how often a scene is cut, tuned and measured: for the result
+        and for each level of detail."""
         self._told, self._rounds, self._round, self._most = told, rounds, -1, 0.0
 
     def __call__(self, step: str) -> Tell:
@@ -78,12 +106,15 @@ class Overall:
         return tell_all
 
     def _span(self, step: str) -> tuple[float, float]:
-        """The shares of the job at which a step begins and ends; zeros for one that comes at different times."""
+        """The shares of the job at which a step begins and ends; zeros for one that comes at different
+        times."""
         self._round += step == "cut"
         if step in ONCE or step not in EACH:
             return ONCE.get(step, (0.0, 0.0))
         first = max(ends for _, ends in ONCE.values())
-        start, end = (first + (1 - first) * (max(0, self._round) + share) / self._rounds for share in EACH[step])
+        start, end = (
+            first + (1 - first) * (max(0, self._round) + share) / self._rounds for share in EACH[step]
+        )
         return start, end
 
 

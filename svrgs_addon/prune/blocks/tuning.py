@@ -1,7 +1,8 @@
 """Fine-tunes a pruned scene block by block, on the pictures of the original.
 
-A block is tuned in the views that show it, in the window of each view where it is seen. All Gaussians that are blended there are tuned with it, but only its
-own are kept. Steps and rates are those that the whole scene would have. No block uses the tuned values of another, so any order gives the same bits.
+A block is tuned in the views that show it, in the window of each view where it is seen. All Gaussians that
+are blended there are tuned with it, but only its own are kept. Steps and rates are those that the whole scene
+would have. No block uses the tuned values of another, so any order gives the same bits.
 
 Beside the blocks of the original lie
 
@@ -43,8 +44,8 @@ EPOCHS = 2  # times that each view is shown, if nothing else is asked for
 
 
 def cut(divided: Divided, cameras: Sequence[Camera], wanted: int, tell: Tell = lambda *_: None) -> Divided:
-    """Removes and merges until `wanted` Gaussians are left. Writes what is left of each block, and how large the error is in some views. Raises
-    SplatError."""
+    """Removes and merges until `wanted` Gaussians are left. Writes what is left of each block, and how large
+    the error is in some views. Raises SplatError."""
     emptied(divided, TUNED)
     left = level(divided, wanted, CUT, tell)
     with atomic_write(left.folder / ERROR) as file:
@@ -53,12 +54,14 @@ def cut(divided: Divided, cameras: Sequence[Camera], wanted: int, tell: Tell = l
 
 
 def level(divided: Divided, wanted: int, name: str, tell: Tell = lambda *_: None) -> Divided:
-    """Removes and merges until `wanted` Gaussians are left, and writes what is left of each block into the folder `name`. Raises SplatError."""
+    """Removes and merges until `wanted` Gaussians are left, and writes what is left of each block into the
+    folder `name`. Raises SplatError."""
     return written(divided, merged(divided, counts(divided, wanted), tell), name)
 
 
 def written(divided: Divided, scenes: Iterable[Scene], name: str) -> Divided:
-    """Writes a divided scene into the folder `name`. scenes: the Gaussians of each of its blocks, in the order of the blocks. Raises SplatError."""
+    """Writes a divided scene into the folder `name`. scenes: the Gaussians of each of its blocks, in the
+    order of the blocks. Raises SplatError."""
     folder, start = emptied(divided, name), 0
     for number, scene in enumerate(scenes):
         write_block(folder, number, scene, start)
@@ -76,25 +79,42 @@ def emptied(divided: Divided, name: str) -> Path:
 
 def _error(divided: Divided, left: Divided, views: Sequence[Camera]) -> float:
     """The root mean square error of some views."""
-    some, rasterizer, squares = np.unique(np.linspace(0, len(views) - 1, min(len(views), LOOKS)).round().astype(int)), Rasterizer(), []
+    some, rasterizer, squares = (
+        np.unique(np.linspace(0, len(views) - 1, min(len(views), LOOKS)).round().astype(int)),
+        Rasterizer(),
+        [],
+    )
     for view in some.tolist():
         scene, _ = seen(left, views[view], rasterizer)
         picture = rasterizer.forward(scene, views[view], picture_options(scene))["rgb"]
-        squares.append(float(np.square(picture - _picture(divided, view, views[view])).mean(dtype=np.float64)))
+        squares.append(
+            float(np.square(picture - _picture(divided, view, views[view])).mean(dtype=np.float64))
+        )
     return fmean(squares) ** 0.5
 
 
 def tune(divided: Divided, number: int, cameras: Sequence[Camera], steps: int, tell: Tell = lambda *_: None):
-    """Tunes a block of what was cut, in so many steps of the whole scene, of which it takes those whose view shows it. Raises SplatError."""
+    """Tunes a block of what was cut, in so many steps of the whole scene, of which it takes those whose view
+    shows it. Raises SplatError."""
     left, views = Divided.read(divided.folder / CUT), reduced(cameras)
     around = Around.of(left, number, views, tell)
-    looks = [_look(divided, view, camera, window) for view, (camera, window) in enumerate(zip(views, around.windows, strict=True))]
+    looks = [
+        _look(divided, view, camera, window)
+        for view, (camera, window) in enumerate(zip(views, around.windows, strict=True))
+    ]
     scene, (first, end) = around.scene, around.own
-    needed = memory.tuning(scene.count, left.coefficients, views, sum(look.picture.nbytes for look in looks if look))
-    memory.refuse_excess(f"{divided.source}: fine-tuning the {scene.count:,} Gaussians in and around the block {number}", needed)
+    needed = memory.tuning(
+        scene.count, left.coefficients, views, sum(look.picture.nbytes for look in looks if look)
+    )
+    memory.refuse_excess(
+        f"{divided.source}: fine-tuning the {scene.count:,} Gaussians in and around the block {number}",
+        needed,
+    )
     middle = middle_scale(np.concatenate([block.geometry[:, 3:6] for block in left.blocks]))
     tell(f"block {number}, {scene.count:,} Gaussians", 0.5)
-    tuned = refit(scene, looks, steps, pace_for(_error_of(left)), middle, render_options(scene), 0, lambda: False)
+    tuned = refit(
+        scene, looks, steps, pace_for(_error_of(left)), middle, render_options(scene), 0, lambda: False
+    )
     write_own(left, number, around.there[number], tuned.select(np.arange(first, end)))
 
 
@@ -109,7 +129,8 @@ def _error_of(left: Divided) -> float:
 
 
 def best_share(divided: Divided, tuned: Divided, quality: Callable[[Divided], float]) -> tuple[float, float]:
-    """The share of the tuned scene in the result, the rest is what was cut: less than 1 where fine-tuning does harm; and its quality. Raises SplatError."""
+    """The share of the tuned scene in the result, the rest is what was cut: less than 1 where fine-tuning
+    does harm; and its quality. Raises SplatError."""
     best, highest = 1.0, quality(tuned)
     for share in SHARES:
         if (found := quality(mixed(divided, tuned, share))) <= highest:
@@ -119,13 +140,19 @@ def best_share(divided: Divided, tuned: Divided, quality: Callable[[Divided], fl
 
 
 def mixed(divided: Divided, tuned: Divided, share: float) -> Divided:
-    """What was cut, with this share of the tuned scene. It replaces the last one of another share. Raises SplatError."""
+    """What was cut, with this share of the tuned scene. It replaces the last one of another share. Raises
+    SplatError."""
     left, folder = Divided.read(divided.folder / CUT), divided.folder / MIXED
     if share in (0, 1):
         return tuned if share else left
     folder.mkdir(exist_ok=True)
     for one, other in zip(left.blocks, tuned.blocks, strict=True):
-        write_block(folder, one.number, interpolated(scene_of(left, one), scene_of(tuned, other), share), int(one.rows[0]))
+        write_block(
+            folder,
+            one.number,
+            interpolated(scene_of(left, one), scene_of(tuned, other), share),
+            int(one.rows[0]),
+        )
     return gathered(folder, left)
 
 
@@ -136,7 +163,11 @@ def tuned_blocks(divided: Divided) -> Divided | None:
 
 
 def _look(divided: Divided, view: int, camera: Camera, window: Window | None) -> Look | None:
-    return Look(camera, _picture(divided, view, camera)[window.slices].astype(np.float32), window.slices) if window else None
+    return (
+        Look(camera, _picture(divided, view, camera)[window.slices].astype(np.float32), window.slices)
+        if window
+        else None
+    )
 
 
 def _picture(divided: Divided, view: int, camera: Camera) -> np.ndarray:

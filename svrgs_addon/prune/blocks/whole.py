@@ -19,7 +19,15 @@ from ...render.metrics.format_loss import loss_notes
 from ...render.metrics.missed_drop import missed_drop
 from ...scene.camera import Camera
 from ...views.dataset import Dataset
-from .allowed_drop import drop, errors_of_format, fewest_above, fewest_within, floor_on_photographs, read_number, write_number
+from .allowed_drop import (
+    drop,
+    errors_of_format,
+    fewest_above,
+    fewest_within,
+    floor_on_photographs,
+    read_number,
+    write_number,
+)
 from .block_size import as_memory_allows
 from .divided import Divided, Tell, Told, divide
 from .folder import LEVEL, SCORED, blocks_of, measured_views, prepare, refuse_foreign, remove, scored_views
@@ -32,14 +40,17 @@ from .scoring import score
 from .tasks import Overall, Tasks
 from .tuning import EPOCHS, cut, tune
 
-PICTURES = 1 << 62  # bytes: no limit, because fine-tuning on pictures of the scene keeps all of them in memory
-SUMS, COPIES = 1.2, 4  # space that the steps need at least: for sums and orders, in sizes of all blocks; copies of what stays
+# bytes: no limit, because fine-tuning on pictures of the scene keeps all of them in memory
+PICTURES = 1 << 62
+# space that the steps need at least: for sums and orders, in sizes of all blocks; copies of what stays
+SUMS, COPIES = 1.2, 4
 ORDER, ALLOWED = "order", "number"  # tasks: the first one that takes long; the number of an allowed drop
 
 
 @dataclass(frozen=True)
 class Goal:
-    """How many Gaussians stay: a number, a share, or as few as an allowed drop in dB leaves; and of levels of detail, shares of that."""
+    """How many Gaussians stay: a number, a share, or as few as an allowed drop in dB leaves; and of levels of
+    detail, shares of that."""
 
     count: int = 0
     share: float = 0.0
@@ -64,11 +75,13 @@ def prune_by_blocks(
 ) -> dict[str, Any]:  # fmt: skip
     """Removes and merges Gaussians, fine-tunes what is left, writes and measures it.
 
-    views: gives the views that are scored and tuned on, and those on which the result is measured; it is called after the outputs are checked.
-    steps: of fine-tuning; None: EPOCHS for each view. work: folder for the blocks, which are removed at the end; None: beside the output. block: Gaussians of
-    a block, at most; None: as memory allows. request: a method that decides on photographs instead, in its own steps; the goal is then a number, an allowed
-    drop, or nothing. If it is stopped or fails later than in its first minutes, the blocks stay, and `resume` goes on from there. told: gets the share of the
-    whole job. Returns the JSON result. Raises SplatError, and what `told` raises.
+    views: gives the views that are scored and tuned on, and those on which the result is measured; it is
+    called after the outputs are checked. steps: of fine-tuning; None: EPOCHS for each view. work: folder for
+    the blocks, which are removed at the end; None: beside the output. block: Gaussians of a block, at most;
+    None: as memory allows. request: a method that decides on photographs instead, in its own steps; the goal
+    is then a number, an allowed drop, or nothing. If it is stopped or fails later than in its first minutes,
+    the blocks stay, and `resume` goes on from there. told: gets the share of the whole job. Returns the JSON
+    result. Raises SplatError, and what `told` raises.
     """
     work = work or blocks_of(out)
     outs = [out, *level_files(out, goal.levels).values()]
@@ -86,12 +99,18 @@ def prune_by_blocks(
         try:
             prepare(work, *views())
             scored = scored_views(work)
-            divided = divide(source.absolute(), work, block or as_memory_allows(scored, PICTURES), told("divide"))
+            divided = divide(
+                source.absolute(), work, block or as_memory_allows(scored, PICTURES), told("divide")
+            )
             _check_room(work, divided, goal)
             likeness = Likeness(divided, measured_views(work), told)
             errors = errors_of_format(divided, likeness, goal.max_drop, out, told) if goal.max_drop else []
             _order(divided, scored, told)
-            count = fewest_within(divided, scored, likeness, goal.max_drop, errors, told) if goal.max_drop else goal.number(divided.count)
+            count = (
+                fewest_within(divided, scored, likeness, goal.max_drop, errors, told)
+                if goal.max_drop
+                else goal.number(divided.count)
+            )
             return _results(divided, scored, likeness, count, goal, steps, outs, told)
         finally:
             remove(work)
@@ -112,7 +131,8 @@ def _part(tell: Tell, number: int, parts: int) -> Tell:
 
 
 def _check_room(work: Path, divided: Divided, goal: Goal, more: float = 0.0):
-    """more: space that is needed beside that for removals and merges, in sizes of all blocks. Raises SceneError if there is less."""
+    """more: space that is needed beside that for removals and merges, in sizes of all blocks. Raises
+    SceneError if there is less."""
     share = min(1.0, goal.number(divided.count) / divided.count) if not goal.max_drop else LEAST
     check_space(work / SCORED, int((SUMS + COPIES * share + more) * divided.bytes))
 
@@ -125,7 +145,9 @@ def _learned(
 
     def divide_anew():
         prepare(work, *views, request)
-        divide(source, work, block or as_memory_allows(dataset.cameras, dataset.memory_budget), told("divide"))
+        divide(
+            source, work, block or as_memory_allows(dataset.cameras, dataset.memory_budget), told("divide")
+        )
 
     dataset, finished = request.dataset(), False
     tasks = Tasks(work, _identity(source, views, goal, block, request, dataset), resume)
@@ -138,25 +160,49 @@ def _learned(
         _decide_and_recover(divided, request, dataset, goal, out, told, tasks)
         result = finish_learned(divided, request, dataset, out, told)
         finished = True
-        return result | (_of_drop(result, result["before"]["psnr"] - result["psnr"], goal) if goal.max_drop else {})
+        return result | (
+            _of_drop(result, result["before"]["psnr"] - result["psnr"], goal) if goal.max_drop else {}
+        )
     finally:
         if finished or ORDER not in tasks.done:
             remove(work)
 
 
-def _decide_and_recover(divided: Divided, request: Request, dataset: Dataset, goal: Goal, out: Path, told: Told, tasks: Tasks):
+def _decide_and_recover(
+    divided: Divided, request: Request, dataset: Dataset, goal: Goal, out: Path, told: Told, tasks: Tasks
+):
     """All tasks on the blocks that are not done yet."""
-    plan, wanted, blocks = request.plan(), goal.number(divided.count) if goal.count or goal.share else 0, len(divided.blocks)
+    plan, wanted, blocks = (
+        request.plan(),
+        goal.number(divided.count) if goal.count or goal.share else 0,
+        len(divided.blocks),
+    )
     tasks.total = 3 + bool(goal.max_drop) + blocks * (2 if request.recovery else 1)
     likeness = PhotographLikeness(dataset, told)
-    floor = floor_on_photographs(divided, likeness, goal.max_drop, plan, out, told) if goal.max_drop and ALLOWED not in tasks.done else 0.0  # may refuse
-    tasks.once(ORDER, lambda: _order(divided, scored_views(divided.folder), told) if wanted or goal.max_drop or blocks > 1 else None)
+    # may refuse
+    floor = (
+        floor_on_photographs(divided, likeness, goal.max_drop, plan, out, told)
+        if goal.max_drop and ALLOWED not in tasks.done
+        else 0.0
+    )
+    tasks.once(
+        ORDER,
+        lambda: (
+            _order(divided, scored_views(divided.folder), told)
+            if wanted or goal.max_drop or blocks > 1
+            else None
+        ),
+    )
     if goal.max_drop:
-        tasks.once(ALLOWED, lambda: write_number(divided.folder, fewest_above(divided, likeness, floor, told)))
+        tasks.once(
+            ALLOWED, lambda: write_number(divided.folder, fewest_above(divided, likeness, floor, told))
+        )
         wanted = read_number(divided.folder)
     tasks.once("around", lambda: prepare_around(divided, told("merge")))
     for number, target in enumerate(targets(divided, wanted)):
-        tasks.once(f"decide {number}", partial(decide, divided, number, dataset, plan, target, told("decide")))
+        tasks.once(
+            f"decide {number}", partial(decide, divided, number, dataset, plan, target, told("decide"))
+        )
     for number in range(blocks if request.recovery else 0):
         tasks.once(f"recover {number}", partial(recover, divided, number, dataset, plan, told("recover")))
 
@@ -166,19 +212,39 @@ def _of_drop(result: dict[str, Any], lost: float, goal: Goal) -> dict[str, Any]:
     return {"drop": lost, "notes": [*result["notes"], *missed_drop(lost, goal.max_drop)]}
 
 
-def _identity(source: Path, views: tuple[Sequence[Camera], Sequence[Camera]], goal: Goal, block: int | None, request: Request, dataset: Dataset) -> str:
-    """Digest of all that must be the same in a job that is continued; where its files lie may differ. Raises SceneError."""
+def _identity(
+    source: Path,
+    views: tuple[Sequence[Camera], Sequence[Camera]],
+    goal: Goal,
+    block: int | None,
+    request: Request,
+    dataset: Dataset,
+) -> str:
+    """Digest of all that must be the same in a job that is continued; where its files lie may differ. Raises
+    SceneError."""
     settings = replace(request, colmap="", images="", image_memory=0.0)
-    digest = hashlib.sha256(repr((scene_sha256(source), goal, block, settings, [[camera.key for camera in some] for some in views])).encode())
+    digest = hashlib.sha256(
+        repr(
+            (scene_sha256(source), goal, block, settings, [[camera.key for camera in some] for some in views])
+        ).encode()
+    )
     for part in dataset.inputs():
         digest.update(part)
     return digest.hexdigest()
 
 
 def _results(
-    divided: Divided, scored: Sequence[Camera], likeness: Likeness, count: int, goal: Goal, steps: int | None, outs: Sequence[Path], told: Told
+    divided: Divided,
+    scored: Sequence[Camera],
+    likeness: Likeness,
+    count: int,
+    goal: Goal,
+    steps: int | None,
+    outs: Sequence[Path],
+    told: Told,
 ) -> dict[str, Any]:
-    """The results with `count` Gaussians and of the levels of detail. steps, told: as for prune_by_blocks()."""
+    """The results with `count` Gaussians and of the levels of detail. steps, told: as for
+    prune_by_blocks()."""
     shares, streamed = (1.0, *goal.levels), bool(goal.levels) and holds_levels(outs[0])
     files = [divided.folder / LEVEL.format(level) for level in range(len(shares))] if streamed else outs
     results = []
@@ -187,14 +253,30 @@ def _results(
         wanted = EPOCHS * len(scored) if steps is None else steps
         for number in range(len(left.blocks) if wanted and left.count < divided.count else 0):
             tune(divided, number, scored, wanted, _part(told("tune"), number, len(left.blocks)))
-        results.append(write_left(divided, likeness, path) if streamed else finish(divided, likeness, path, told))
+        results.append(
+            write_left(divided, likeness, path) if streamed else finish(divided, likeness, path, told)
+        )
     if streamed:
-        results = [result | new for result, new in zip(results, join_levels(divided, likeness, files, outs[0], told), strict=True)]
-    levels = [{"share": share, **_figures(result)} for share, result in zip(goal.levels, results[1:], strict=True)]
-    result = {**results[0], "levels": levels, "drop": None, "notes": loss_notes(results[0]["psnr_values"], results[0]["psnr"])}
+        results = [
+            result | new
+            for result, new in zip(results, join_levels(divided, likeness, files, outs[0], told), strict=True)
+        ]
+    levels = [
+        {"share": share, **_figures(result)} for share, result in zip(goal.levels, results[1:], strict=True)
+    ]
+    result = {
+        **results[0],
+        "levels": levels,
+        "drop": None,
+        "notes": loss_notes(results[0]["psnr_values"], results[0]["psnr"]),
+    }
     return result | (_of_drop(result, drop(result["psnr"]), goal) if goal.max_drop else {})
 
 
 def _figures(result: dict[str, Any]) -> dict[str, Any]:
     """Of a level, as `svrgs prune` has them."""
-    return {name: result[name] for name in ("out", "psnr", "ssim", "flip")} | {"lpips": None, "ms_per_frame": None} | result["after"]
+    return (
+        {name: result[name] for name in ("out", "psnr", "ssim", "flip")}
+        | {"lpips": None, "ms_per_frame": None}
+        | result["after"]
+    )

@@ -1,1 +1,2 @@
-"""The HTML report: the page, its charts and pictures, and the commands that fill it (`svrgs prune --report`, `svrgs compare`)."""
+"""The HTML report: the page, its charts and pictures, and the commands that fill it (`svrgs prune --report`,
+`svrgs compare`)."""

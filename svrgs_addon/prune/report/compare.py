@@ -22,20 +22,37 @@ from .pictures import difference_image, mask_to_rgb, to_uint8
 from .prune_report import Opens, report_indices, report_pictures, report_views
 
 
-def compare(a: Path, b: Path, dataset: Dataset, out: Path, opened: Opens, lpips_weights: Path | None = None) -> dict:
-    """Writes index.html and, for each of a few test views, one PNG: A | B | difference | spatial mask of A | spatial mask of B.
+def compare(
+    a: Path, b: Path, dataset: Dataset, out: Path, opened: Opens, lpips_weights: Path | None = None
+) -> dict:
+    """Writes index.html and, for each of a few test views, one PNG: A | B | difference | spatial mask of A |
+    spatial mask of B.
 
-    dataset: if it has no photographs, pictures of A take their place, and 'a' has no figures of quality. opened: opens a scene to render it, as
-    large.opened.opened() does. Returns the JSON result: 'a' and 'b' with the figures of `svrgs eval`, 'report' (the page), 'pictures' (the files), 'notes'
-    of the dataset. Raises SplatError.
+    dataset: if it has no photographs, pictures of A take their place, and 'a' has no figures of quality.
+    opened: opens a scene to render it, as large.opened.opened() does. Returns the JSON result: 'a' and 'b'
+    with the figures of `svrgs eval`, 'report' (the page), 'pictures' (the files), 'notes' of the dataset.
+    Raises SplatError.
     """
     check_writable(out / "index.html")
     lpips, missing = load_lpips(lpips_weights)
-    views, shown = dataset.test_indices or dataset.train_indices, [dataset.cameras[i] for i in report_indices(dataset)]
-    rename = "give one of the photographs another name, in the COLMAP model too" if dataset.photos else "give one of the cameras another name"
+    views, shown = (
+        dataset.test_indices or dataset.train_indices,
+        [dataset.cameras[i] for i in report_indices(dataset)],
+    )
+    rename = (
+        "give one of the photographs another name, in the COLMAP model too"
+        if dataset.photos
+        else "give one of the cameras another name"
+    )
     refuse_same_stems(shown, rename)
     cameras = [dataset.cameras[i] for i in views]
-    needed = functools.partial(memory.comparing, cameras=cameras, shown=shown, kept_photographs=dataset.memory_budget, lpips=lpips is not None)
+    needed = functools.partial(
+        memory.comparing,
+        cameras=cameras,
+        shown=shown,
+        kept_photographs=dataset.memory_budget,
+        lpips=lpips is not None,
+    )
     figures, renders = list[dict](), []
     with opened(a, "comparing", needed) as first, opened(b, "comparing", needed) as second:
         opened_scenes = ((a, *first), (b, *second))
@@ -44,7 +61,11 @@ def compare(a: Path, b: Path, dataset: Dataset, out: Path, opened: Opens, lpips_
         dataset = dataset if dataset.photos else _of_pictures(dataset, *first)
         own = isinstance(dataset, RenderedDataset)
         for path, scene, rasterizer in opened_scenes:
-            quality = {"count": scene.count} if own and not figures else evaluate(scene, dataset, views, rasterizer, lpips)
+            quality = (
+                {"count": scene.count}
+                if own and not figures
+                else evaluate(scene, dataset, views, rasterizer, lpips)
+            )
             figures.append({**quality, "bytes": size_on_disk(path)})
             renders.append(report_pictures(scene, dataset, rasterizer))
         pictures = list(report_views(renders[0], renders[1], dataset))
@@ -54,13 +75,29 @@ def compare(a: Path, b: Path, dataset: Dataset, out: Path, opened: Opens, lpips_
         lpips_missing=missing, notes=dataset.notes, views=tuple(pictures), versions={"SVR-GS": __version__},
     )  # fmt: skip
     path = write_report(out, page)
-    return {"a": figures[0], "b": figures[1], "report": str(path), "pictures": [str(file) for file in files], "notes": list(dataset.notes)}
+    return {
+        "a": figures[0],
+        "b": figures[1],
+        "report": str(path),
+        "pictures": [str(file) for file in files],
+        "notes": list(dataset.notes),
+    }
 
 
 def _of_pictures(views: Dataset, scene: Renderable, rasterizer: Renderer) -> RenderedDataset:
     """The same views with pictures of the scene as photographs."""
-    train, test = ([views.cameras[k] for k in indices] for indices in (views.train_indices, views.test_indices))
-    return RenderedDataset.of(scene, train, test, background=views.background, memory_budget=views.memory_budget, notes=views.notes, rasterizer=rasterizer)
+    train, test = (
+        [views.cameras[k] for k in indices] for indices in (views.train_indices, views.test_indices)
+    )
+    return RenderedDataset.of(
+        scene,
+        train,
+        test,
+        background=views.background,
+        memory_budget=views.memory_budget,
+        notes=views.notes,
+        rasterizer=rasterizer,
+    )
 
 
 def _save(out: Path, view: View) -> Path:

@@ -1,4 +1,5 @@
-"""A line chart over iterations as inline SVG. Its colours come from the CSS of the page, so it follows light and dark mode."""
+"""A line chart over iterations as inline SVG. Its colours come from the CSS of the page, so it follows light
+and dark mode."""
 
 from __future__ import annotations
 
@@ -10,7 +11,8 @@ import numpy as np
 
 from .svg_axes import Frame, nice_ticks, short_number
 
-FRAME = Frame(width=420, height=250, left=48, right=16, top=26, bottom=38)  # the margins hold tick texts, names of phases and the axis title
+# the margins hold tick texts, names of phases and the axis title
+FRAME = Frame(width=420, height=250, left=48, right=16, top=26, bottom=38)
 MAX_POINTS = 400  # about one per pixel
 
 
@@ -26,7 +28,8 @@ class Series:
 
 
 def line_chart(series: Series, marks: tuple[tuple[int, str], ...] = ()) -> str:
-    """The chart as an <svg> element; '' if no value is finite. marks: (iteration, phase), each drawn as a dashed line with the name."""
+    """The chart as an <svg> element; '' if no value is finite. marks: (iteration, phase), each drawn as a
+    dashed line with the name."""
     x, y = _points(series)
     if len(x) == 0:
         return ""
@@ -36,10 +39,19 @@ def line_chart(series: Series, marks: tuple[tuple[int, str], ...] = ()) -> str:
     course = f"from {y[0]:.6g} to {y[-1]:.6g} {series.unit}".rstrip()
     summary = f"{series.title}: {course} over {x[-1] - x[0]:.0f} iterations"
     parts = [f'<svg viewBox="0 0 {FRAME.width} {FRAME.height}" role="img" aria-label="{escape(summary)}">']
-    parts += FRAME.y_axis(_ticks(y_range), y_range) + FRAME.x_axis(_ticks(x_range), x_range, "iteration") + _marks(marks, x_range)
-    parts.append(f'<polyline class="curve" points="{" ".join(f"{a:.1f},{b:.1f}" for a, b in zip(px, py, strict=True))}"/>')
+    parts += (
+        FRAME.y_axis(_ticks(y_range), y_range)
+        + FRAME.x_axis(_ticks(x_range), x_range, "iteration")
+        + _marks(marks, x_range)
+    )
+    parts.append(
+        '<polyline class="curve"'
+        f' points="{" ".join(f"{a:.1f},{b:.1f}" for a, b in zip(px, py, strict=True))}"/>'
+    )
     if len(px) <= 40:
-        parts += [f'<circle class="dot" cx="{a:.1f}" cy="{b:.1f}" r="2.5"/>' for a, b in zip(px, py, strict=True)]
+        parts += [
+            f'<circle class="dot" cx="{a:.1f}" cy="{b:.1f}" r="2.5"/>' for a, b in zip(px, py, strict=True)
+        ]
     return "".join(parts) + "</svg>"
 
 
@@ -67,7 +79,12 @@ def _marks(marks: tuple[tuple[int, str], ...], x_range: tuple[float, float]) -> 
     parts = []
     for iteration, name in marks:
         x = FRAME.x(iteration, x_range)
-        parts.append(f'<line class="mark" x1="{x:.1f}" x2="{x:.1f}" y1="{FRAME.top - 14}" y2="{FRAME.base}"/>')
+        parts.append(
+            f'<line class="mark" x1="{x:.1f}" x2="{x:.1f}" y1="{FRAME.top - 14}" y2="{FRAME.base}"/>'
+        )
         anchor, shift = ("start", 4) if x < 0.8 * FRAME.width else ("end", -4)
-        parts.append(f'<text class="phase" x="{x + shift:.1f}" y="{FRAME.top - 6}" text-anchor="{anchor}">{escape(name)}</text>')
+        parts.append(
+            f'<text class="phase" x="{x + shift:.1f}" y="{FRAME.top - 6}"'
+            f' text-anchor="{anchor}">{escape(name)}</text>'
+        )
     return parts

@@ -1,7 +1,8 @@
 """The HTML page of a report: a table of quality and size, curves, and pictures of a few views.
 
-The page is one file: pictures are data URIs, curves are inline SVG, and its content security policy forbids to load anything.
-`svrgs prune --report` and `svrgs compare` fill the same Report; each leaves out what it does not have.
+The page is one file: pictures are data URIs, curves are inline SVG, and its content security policy forbids
+to load anything. `svrgs prune --report` and `svrgs compare` fill the same Report; each leaves out what it
+does not have.
 """
 
 from __future__ import annotations
@@ -21,9 +22,11 @@ from .line_chart import Series, line_chart
 from .pictures import DIFFERENCE_GAIN, data_uri, difference_image, mask_to_rgb, to_uint8
 from .style import CSS, SCRIPT
 
-MASK_PERCENTILE = 99.5  # of F, gets the brightest colour: with the maximum, one bright pixel would darken all masks
+# of F, gets the brightest colour: with the maximum, one bright pixel would darken all masks
+MASK_PERCENTILE = 99.5
 
-Quality = dict[str, float | int | None]  # keys psnr ssim lpips flip count bytes ms_per_frame; None or missing: not measured
+# keys psnr ssim lpips flip count bytes ms_per_frame; None or missing: not measured
+Quality = dict[str, float | int | None]
 
 
 @dataclass(frozen=True)
@@ -37,7 +40,8 @@ class Phase:
 
 @dataclass(frozen=True)
 class View:
-    """One test view. Images are (H, W, 3) floats in 0..1; spatial masks F are (H, W) floats ≥ 0; PSNR is in dB."""
+    """One test view. Images are (H, W, 3) floats in 0..1; spatial masks F are (H, W) floats ≥ 0; PSNR is in
+    dB."""
 
     name: str
     before: np.ndarray
@@ -72,11 +76,12 @@ class Report:
 
 
 def write_report(folder: str | Path, report: Report) -> Path:
-    """Writes folder/index.html and returns its path. The folder is made if needed; the file is replaced as a whole. Raises SceneError if it
-    cannot be written."""
+    """Writes folder/index.html and returns its path. The folder is made if needed; the file is replaced as a
+    whole. Raises SceneError if it cannot be written."""
     path = Path(folder) / "index.html"
     with atomic_write(path) as file:
-        file.write(page(report).encode(errors="surrogateescape").decode(errors="replace").encode())  # paths need not be UTF-8
+        # paths need not be UTF-8
+        file.write(page(report).encode(errors="surrogateescape").decode(errors="replace").encode())
     return path
 
 
@@ -158,7 +163,10 @@ def _head(report: Report) -> str:
     if before and after is not None:
         settings.append(f"{_integer(before)} → {_integer(after)} Gaussians ({_per_cent(before, after)})")
     notes = "".join(f'\n<p class="note">{escape(note)}</p>' for note in report.notes)
-    return f'<header>\n<h1>{escape(report.scene)}</h1>\n<p class="soft">{" · ".join(settings)}</p>{notes}\n</header>'
+    return (
+        f"<header>\n<h1>{escape(report.scene)}</h1>\n<p"
+        f' class="soft">{" · ".join(settings)}</p>{notes}\n</header>'
+    )
 
 
 def _quality(report: Report) -> str:
@@ -183,7 +191,12 @@ def _quality_row(row: _Row, report: Report) -> str:
 
 
 def _change_cell(row: _Row, before: float | None, after: float | None) -> str:
-    if before is None or after is None or not math.isfinite(after - before) or (row.change is None and before == 0):
+    if (
+        before is None
+        or after is None
+        or not math.isfinite(after - before)
+        or (row.change is None and before == 0)
+    ):
         return "<td>–</td>"
     change = after - before
     verdict = "" if change == 0 else "good" if change * row.better > 0 else "bad"
@@ -223,7 +236,10 @@ def _curves(report: Report) -> str:
     marks = tuple((phase.start, phase.name) for phase in report.phases if phase.start is not None)
     charts = [(series, line_chart(series, marks)) for series in report.curves]
     figures = "\n".join(
-        f'<figure class="card"><h3>{escape(series.title + (series.unit and f" ({series.unit})"))}</h3>{svg}</figure>' for series, svg in charts if svg
+        "<figure"
+        f' class="card"><h3>{escape(series.title + (series.unit and f" ({series.unit})"))}</h3>{svg}</figure>'
+        for series, svg in charts
+        if svg
     )
     return f'<h2>Over the iterations</h2>\n<div class="columns">\n{figures}\n</div>' if figures else ""
 
@@ -237,15 +253,21 @@ def _views(report: Report) -> str:
     top = _mask_range(report.views)
     views = "\n".join(_view(view, report.names, top) for view in report.views)
     before, after = (escape(name) for name in report.names)
-    explained = f'<p class="soft">Move the pointer across “{after}” to show “{before}” behind it. Differences are multiplied by {DIFFERENCE_GAIN}.'
+    explained = (
+        f'<p class="soft">Move the pointer across “{after}” to show “{before}” behind it. Differences are'
+        f" multiplied by {DIFFERENCE_GAIN}."
+    )
     if top is not None:
         explained += " The spatial mask F is bright where the ray of a pixel hits many Gaussians."
     return f"<h2>Views</h2>\n{explained}</p>\n{views}"
 
 
 def _mask_range(views: tuple[View, ...]) -> float | None:
-    """The value of F with the brightest colour. All masks on the page share it, so that their colours can be compared. None without masks."""
-    masks = [mask.ravel() for view in views for mask in (view.mask_before, view.mask_after) if mask is not None]
+    """The value of F with the brightest colour. All masks on the page share it, so that their colours can be
+    compared. None without masks."""
+    masks = [
+        mask.ravel() for view in views for mask in (view.mask_before, view.mask_after) if mask is not None
+    ]
     return float(np.percentile(np.concatenate(masks), MASK_PERCENTILE)) if masks else None
 
 
@@ -259,7 +281,9 @@ def _view(view: View, names: tuple[str, str], mask_top: float | None) -> str:
     for name, mask in zip(names, (view.mask_before, view.mask_after), strict=True):
         if mask is not None and mask_top is not None:
             title = f"spatial mask F, {name}: mean {float(mask.mean()):.3g}"
-            figures.append(_figure(title, view.name, mask_to_rgb(mask, mask_top), below=_colour_bar(mask_top)))
+            figures.append(
+                _figure(title, view.name, mask_to_rgb(mask, mask_top), below=_colour_bar(mask_top))
+            )
     pictures, across = "\n".join(figures), 4 if len(figures) == 4 else 3
     return (
         f'<section class="view card"><header><h3>{escape(view.name)}</h3>{_view_psnr(view)}</header>\n'
@@ -278,7 +302,9 @@ def _view_psnr(view: View) -> str:
     return f"<span>PSNR {decibels(view.psnr_before)} → {decibels(view.psnr_after)} dB{suffix}</span>"
 
 
-def _figure(title: str, view: str, rgb: np.ndarray, css: str = "", stack: bool = False, below: str = "") -> str:
+def _figure(
+    title: str, view: str, rgb: np.ndarray, css: str = "", stack: bool = False, below: str = ""
+) -> str:
     height, width, _ = rgb.shape
     alt = escape(f"{view}: {title}")
     image = f'<img src="{data_uri(rgb)}" alt="{alt}" width="{width}" height="{height}">'

@@ -22,9 +22,11 @@ WEBP_QUALITY = 92
 
 
 def mask_to_rgb(mask: np.ndarray, vmax: float | None = None) -> np.ndarray:
-    """A spatial mask F (H, W), finite and ≥ 0, as colours (H, W, 3) uint8: black at 0, yellow at vmax and above.
+    """A spatial mask F (H, W), finite and ≥ 0, as colours (H, W, 3) uint8: black at 0, yellow at vmax and
+    above.
 
-    vmax: the value of F with the brightest colour; None: the largest value of the mask. Masks that are compared need the same vmax.
+    vmax: the value of F with the brightest colour; None: the largest value of the mask. Masks that are
+    compared need the same vmax.
     """
     return to_uint8(colored(mask, float(np.max(mask, initial=0)) if vmax is None else vmax))
 
@@ -35,7 +37,8 @@ def difference_image(a: np.ndarray, b: np.ndarray, gain: float = DIFFERENCE_GAIN
 
 
 def wipe(left: np.ndarray, right: np.ndarray, share: float) -> np.ndarray:
-    """An image whose first columns, the share `share`, are those of `left` and whose other columns are those of `right`; both (H, W, ...)."""
+    """An image whose first columns, the share `share`, are those of `left` and whose other columns are those
+    of `right`; both (H, W, ...)."""
     image = right.copy()
     edge = round(share * image.shape[1])
     image[:, :edge] = left[:, :edge]
@@ -43,8 +46,9 @@ def wipe(left: np.ndarray, right: np.ndarray, share: float) -> np.ndarray:
 
 
 def contact_sheet(rows: list[list[np.ndarray]], columns: int = 2, gap: int = 4) -> np.ndarray:
-    """All pictures on one picture (H, W, 3). rows: lists of pictures (h, w, 3), which may differ in size; a list is placed from left to
-    right, `columns` lists side by side. gap: pixels between pictures, which are black."""
+    """All pictures on one picture (H, W, 3). rows: lists of pictures (h, w, 3), which may differ in size; a
+    list is placed from left to right, `columns` lists side by side. gap: pixels between pictures, which are
+    black."""
     strips = [_side_by_side(row, gap) for row in rows]
     lines = [_side_by_side(strips[i : i + columns], 3 * gap) for i in range(0, len(strips), columns)]
     return _side_by_side([line.swapaxes(0, 1) for line in lines], gap).swapaxes(0, 1)
@@ -69,7 +73,8 @@ def to_uint8(image: np.ndarray) -> np.ndarray:
 
 
 def data_uri(rgb: np.ndarray) -> str:
-    """A picture (H, W, 3) uint8 as a data URI: WebP if OpenImageIO can write it, otherwise PNG, which is larger."""
+    """A picture (H, W, 3) uint8 as a data URI: WebP if OpenImageIO can write it, otherwise PNG, which is
+    larger."""
     encoded = _webp(rgb)
     kind = "webp" if encoded else "png"
     return f"data:image/{kind};base64,{base64.b64encode(encoded or png_bytes(rgb)).decode()}"
@@ -82,7 +87,8 @@ def png_bytes(rgb: np.ndarray) -> bytes:
     """
     height, width, _ = rgb.shape
     above = np.vstack([np.zeros_like(rgb[:1]), rgb[:-1]])
-    rows = np.full((height, 1 + 3 * width), 2, np.uint8)  # each row starts with the number of its filter: 2, the difference to the row above
+    # each row starts with the number of its filter: 2, the difference to the row above
+    rows = np.full((height, 1 + 3 * width), 2, np.uint8)
     rows[:, 1:] = (rgb - above).reshape(height, -1)  # uint8 wraps around, as PNG defines it
     header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
     chunks = ((b"IHDR", header), (b"IDAT", zlib.compress(rows.tobytes(), 6)), (b"IEND", b""))

@@ -9,7 +9,8 @@ from math import ceil, floor, log10
 
 from .svg_axes import Frame, nice_ticks, short_number
 
-FRAME = Frame(width=640, height=400, left=66, right=28, top=48, bottom=54)  # the margins hold tick texts and titles
+# the margins hold tick texts and titles
+FRAME = Frame(width=640, height=400, left=66, right=28, top=48, bottom=54)
 LINE = 15  # pixels between labels that would overlap
 STYLE = """
 svg { background: #fff; font: 13px system-ui, "Segoe UI", Roboto, Arial, sans-serif; }
@@ -59,11 +60,16 @@ class Axis:
             return [(value, short_number(value)) for value in nice_ticks(low, high)]
         steps = (1,) if high - low > 2.5 else (1, 2, 5)
         values = [(power, step) for power in range(floor(low), ceil(high) + 1) for step in steps]
-        return [(power + log10(step), short_number(step * 10.0**power)) for power, step in values if low <= power + log10(step) <= high]
+        return [
+            (power + log10(step), short_number(step * 10.0**power))
+            for power, step in values
+            if low <= power + log10(step) <= high
+        ]
 
 
 def front(points: list[Point]) -> list[Point]:
-    """The Pareto front: the points that no other point beats in both values, of which less is better, by rising x."""
+    """The Pareto front: the points that no other point beats in both values, of which less is better, by
+    rising x."""
     best = float("inf")
     found: list[Point] = []
     for point in sorted(points, key=lambda p: (p.x, p.y)):
@@ -72,17 +78,28 @@ def front(points: list[Point]) -> list[Point]:
     return found
 
 
-def chart(title: str, points: list[Point], x: Axis, y: Axis, line: Sequence[Point] = (), rings: Sequence[Point] = ()) -> str:
-    """The chart as an SVG document: points with their labels, a dashed line through the points of `line`, and a second series as rings."""
+def chart(
+    title: str, points: list[Point], x: Axis, y: Axis, line: Sequence[Point] = (), rings: Sequence[Point] = ()
+) -> str:
+    """The chart as an SVG document: points with their labels, a dashed line through the points of `line`, and
+    a second series as rings."""
     x_range, y_range = x.range([p.x for p in points]), y.range([p.y for p in (*points, *rings)])
 
     def place(p: Point) -> tuple[float, float]:
         return FRAME.x(x.position(p.x), x_range), FRAME.y(y.position(p.y), y_range)
 
-    parts = [f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {FRAME.width} {FRAME.height}" role="img" aria-label="{escape(title)}">']
-    parts += [f"<style>{STYLE}</style>", f'<text class="title" x="{FRAME.left}" y="26">{escape(title)}</text>']
+    parts = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {FRAME.width} {FRAME.height}" role="img"'
+        f' aria-label="{escape(title)}">'
+    ]
+    parts += [
+        f"<style>{STYLE}</style>",
+        f'<text class="title" x="{FRAME.left}" y="26">{escape(title)}</text>',
+    ]
     parts += _axes(x, x_range, y, y_range)
-    parts.append(f'<polyline class="front" points="{" ".join(f"{a:.1f},{b:.1f}" for a, b in map(place, line))}"/>')
+    parts.append(
+        f'<polyline class="front" points="{" ".join(f"{a:.1f},{b:.1f}" for a, b in map(place, line))}"/>'
+    )
     for point, (a, b) in ((p, place(p)) for p in points):
         parts.append(f'<circle class="dot" cx="{a:.1f}" cy="{b:.1f}" r="4"/>')
         if point.marked:
@@ -93,12 +110,20 @@ def chart(title: str, points: list[Point], x: Axis, y: Axis, line: Sequence[Poin
 
 def _axes(x: Axis, x_range: tuple[float, float], y: Axis, y_range: tuple[float, float]) -> list[str]:
     middle = (FRAME.top + FRAME.base) / 2
-    title = f'<text class="tick" transform="translate(16 {middle:.0f}) rotate(-90)" text-anchor="middle">{escape(y.title)}</text>'
-    return [*FRAME.y_axis(y.ticks(*y_range), y_range), *FRAME.x_axis(x.ticks(*x_range), x_range, escape(x.title), grid=True), title]
+    title = (
+        f'<text class="tick" transform="translate(16 {middle:.0f}) rotate(-90)"'
+        f' text-anchor="middle">{escape(y.title)}</text>'
+    )
+    return [
+        *FRAME.y_axis(y.ticks(*y_range), y_range),
+        *FRAME.x_axis(x.ticks(*x_range), x_range, escape(x.title), grid=True),
+        title,
+    ]
 
 
 def _labels(placed: list[tuple[Point, float, float]]) -> list[str]:
-    """The labels of points. A label is at the right of its point, or at the left if the point is far right; it moves down if it would overlap another."""
+    """The labels of points. A label is at the right of its point, or at the left if the point is far right;
+    it moves down if it would overlap another."""
     parts: list[str] = []
     taken: list[tuple[float, float, float]] = []  # top, left and right of the labels so far
     for point, a, b in sorted(placed, key=lambda item: item[2]):
@@ -110,7 +135,13 @@ def _labels(placed: list[tuple[Point, float, float]]) -> list[str]:
             top += 1
         taken.append((top, left, right))
         if top > b + LINE / 2:
-            parts.append(f'<line class="leader" x1="{a + 5 * side:.1f}" y1="{b:.1f}" x2="{a + 11 * side:.1f}" y2="{top:.1f}"/>')
+            parts.append(
+                f'<line class="leader" x1="{a + 5 * side:.1f}" y1="{b:.1f}" x2="{a + 11 * side:.1f}"'
+                f' y2="{top:.1f}"/>'
+            )
         anchor = "start" if side > 0 else "end"
-        parts.append(f'<text class="label" x="{a + 13 * side:.1f}" y="{top + 4:.1f}" text-anchor="{anchor}">{escape(text)}</text>')
+        parts.append(
+            f'<text class="label" x="{a + 13 * side:.1f}" y="{top + 4:.1f}"'
+            f' text-anchor="{anchor}">{escape(text)}</text>'
+        )
     return parts

@@ -27,9 +27,19 @@ REPORT_VIEWS = 3  # number of views with pictures
 Opens = Callable[[Path, str, Callable[[int], int]], AbstractContextManager[tuple[Renderable, Renderer]]]
 
 
-def write_prune_report(folder: Path, name: str, before: list, after: Scene, dataset: Dataset, run: Run, result: dict, lpips_missing: str):
-    """Writes folder/index.html. before: report_pictures() of the source scene; after: the pruned scene; result: the JSON result of the job;
-    lpips_missing: why LPIPS was not measured. Raises SceneError if it cannot be written."""
+def write_prune_report(
+    folder: Path,
+    name: str,
+    before: list,
+    after: Scene,
+    dataset: Dataset,
+    run: Run,
+    result: dict,
+    lpips_missing: str,
+):
+    """Writes folder/index.html. before: report_pictures() of the source scene; after: the pruned scene;
+    result: the JSON result of the job; lpips_missing: why LPIPS was not measured. Raises SceneError if it
+    cannot be written."""
     page = Report(
         scene=name,
         before=result["before"],
@@ -51,12 +61,15 @@ def write_prune_report(folder: Path, name: str, before: list, after: Scene, data
 
 
 def write_report_of_files(folder: Path, dataset: Dataset, result: dict, opened: Opens):
-    """write_prune_report() of a job by blocks, from its files; without curves. result: its JSON result. opened: opens a scene to render it, as
-    large.opened.opened() does. Raises SplatError."""
+    """write_prune_report() of a job by blocks, from its files; without curves. result: its JSON result.
+    opened: opens a scene to render it, as large.opened.opened() does. Raises SplatError."""
     shown = [dataset.cameras[i] for i in report_indices(dataset)]
     size, pictures = (max(camera.width for camera in shown), max(camera.height for camera in shown)), []
     for path in (result["scene"], result["out"]):
-        with opened(Path(path), "rendering", lambda count: memory.rendering(count, *size)) as (scene, rasterizer):
+        with opened(Path(path), "rendering", lambda count: memory.rendering(count, *size)) as (
+            scene,
+            rasterizer,
+        ):
             pictures.append(report_pictures(scene, dataset, rasterizer))
     before, after = pictures
     page = Report(
@@ -67,7 +80,12 @@ def write_report_of_files(folder: Path, dataset: Dataset, result: dict, opened: 
 
 
 def _versions() -> dict[str, str]:
-    return {"SVR-GS": __version__, "Python": platform.python_version(), "NumPy": np.__version__, "SIMD": Rasterizer().level}
+    return {
+        "SVR-GS": __version__,
+        "Python": platform.python_version(),
+        "NumPy": np.__version__,
+        "SIMD": Rasterizer().level,
+    }
 
 
 def _phases(run: Run, seconds_by_phase: dict[str, float]) -> tuple[Phase, ...]:
@@ -83,7 +101,11 @@ def _series(run: Run) -> tuple[Series, ...]:
     if not curves.iteration:
         return ()
     count = Series("Gaussians", curves.iteration, curves.count, from_zero=True)
-    psnrs = [Series("PSNR", curves.iteration, curves.psnr, "dB")] if any(value is not None for value in curves.psnr) else []
+    psnrs = (
+        [Series("PSNR", curves.iteration, curves.psnr, "dB")]
+        if any(value is not None for value in curves.psnr)
+        else []
+    )
     return (count, *psnrs, Series("Loss", curves.iteration, curves.loss))
 
 
@@ -93,17 +115,35 @@ def report_indices(dataset: Dataset, count: int = REPORT_VIEWS) -> list[int]:
     return views[:: max(1, len(views) // count)][:count]
 
 
-def report_pictures(scene: Renderable, dataset: Dataset, rasterizer: Renderer) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Colours (H, W, 3), clamped to 0..1 and rounded to 8 bits, and spatial mask (H, W) of each view of the report."""
+def report_pictures(
+    scene: Renderable, dataset: Dataset, rasterizer: Renderer
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Colours (H, W, 3), clamped to 0..1 and rounded to 8 bits, and spatial mask (H, W) of each view of the
+    report."""
     options = picture_options(scene, dataset.background, "svr")
-    renders = [rasterizer.forward(scene, dataset.cameras[i], options, outputs=("rgb", "mask")) for i in report_indices(dataset)]
+    renders = [
+        rasterizer.forward(scene, dataset.cameras[i], options, outputs=("rgb", "mask"))
+        for i in report_indices(dataset)
+    ]
     return [(rounded_to_8_bits(images["rgb"]), images["mask"]) for images in renders]
 
 
 def report_views(before: list, after: list, dataset: Dataset) -> Iterator[View]:
-    """The views of the report, from report_pictures() of both scenes. Pictures of the scene itself are not shown as photographs."""
+    """The views of the report, from report_pictures() of both scenes. Pictures of the scene itself are not
+    shown as photographs."""
     own = isinstance(dataset, RenderedDataset)
-    for i, (rgb_before, mask_before), (rgb_after, mask_after) in zip(report_indices(dataset), before, after, strict=True):
+    for i, (rgb_before, mask_before), (rgb_after, mask_after) in zip(
+        report_indices(dataset), before, after, strict=True
+    ):
         photo = to_float(dataset.image(i))
         psnr_before = None if own else psnr(rgb_before, photo)
-        yield View(dataset.cameras[i].name, rgb_before, rgb_after, None if own else photo, mask_before, mask_after, psnr_before, psnr(rgb_after, photo))
+        yield View(
+            dataset.cameras[i].name,
+            rgb_before,
+            rgb_after,
+            None if own else photo,
+            mask_before,
+            mask_after,
+            psnr_before,
+            psnr(rgb_after, photo),
+        )

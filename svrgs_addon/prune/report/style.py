@@ -50,7 +50,8 @@ footer { margin-top: 2.5rem; font-size: .88rem; color: var(--soft); }
 @media print { body { background: #fff; } .card { break-inside: avoid; } }
 """
 
-# In a .stack, the pruned picture covers the original, its background image. The script clips it at the position of the pointer.
+# In a .stack, the pruned picture covers the original, its background image. The script clips it at the
+# position of the pointer.
 SCRIPT = """
 for (const view of document.querySelectorAll(".view")) {
   const below = view.querySelector(".original img"), stack = view.querySelector(".stack");

@@ -1,4 +1,5 @@
-"""Axes of SVG charts: round tick values, short number texts, grid lines. The charts of the report and of `svrgs bench` use it."""
+"""Axes of SVG charts: round tick values, short number texts, grid lines. The charts of the report and of
+`svrgs bench` use it."""
 
 from __future__ import annotations
 
@@ -13,7 +14,8 @@ Ticks = Iterable[tuple[float, str]]  # position on the axis, text
 class Frame:
     """The plotting area of a chart: size of the picture and the margins around the area, in pixels.
 
-    `ends` in the methods are the positions on the axis at the left and right, or lower and upper, side of the area.
+    `ends` in the methods are the positions on the axis at the left and right, or lower and upper, side of the
+    area.
     """
 
     width: int
@@ -47,20 +49,33 @@ class Frame:
         for position, text in ticks:
             y = self.y(position, ends)
             parts.append(f'<line class="grid" x1="{self.left}" x2="{self.end}" y1="{y:.1f}" y2="{y:.1f}"/>')
-            parts.append(f'<text class="tick" x="{self.left - 8}" y="{y + 4:.1f}" text-anchor="end">{text}</text>')
+            parts.append(
+                f'<text class="tick" x="{self.left - 8}" y="{y + 4:.1f}" text-anchor="end">{text}</text>'
+            )
         return parts
 
     def x_axis(self, ticks: Ticks, ends: tuple[float, float], title: str, grid: bool = False) -> list[str]:
-        """The axis line, a text below it for each tick, and the title (escaped). grid: also a vertical grid line for each tick."""
+        """The axis line, a text below it for each tick, and the title (escaped). grid: also a vertical grid
+        line for each tick."""
         parts, texts = [], []
         for position, text in ticks:
             x = self.x(position, ends)
             if grid:
-                parts.append(f'<line class="grid" x1="{x:.1f}" x2="{x:.1f}" y1="{self.top}" y2="{self.base}"/>')
-            texts.append(f'<text class="tick" x="{x:.1f}" y="{self.base + 17}" text-anchor="middle">{text}</text>')
-        parts.append(f'<line class="axis" x1="{self.left}" x2="{self.end}" y1="{self.base}" y2="{self.base}"/>')
+                parts.append(
+                    f'<line class="grid" x1="{x:.1f}" x2="{x:.1f}" y1="{self.top}" y2="{self.base}"/>'
+                )
+            texts.append(
+                f'<text class="tick" x="{x:.1f}" y="{self.base + 17}" text-anchor="middle">{text}</text>'
+            )
+        parts.append(
+            f'<line class="axis" x1="{self.left}" x2="{self.end}" y1="{self.base}" y2="{self.base}"/>'
+        )
         middle = (self.left + self.end) / 2
-        return [*parts, *texts, f'<text class="tick" x="{middle:.0f}" y="{self.height - 8}" text-anchor="middle">{title}</text>']
+        return [
+            *parts,
+            *texts,
+            f'<text class="tick" x="{middle:.0f}" y="{self.height - 8}" text-anchor="middle">{title}</text>',
+        ]
 
 
 def nice_ticks(low: float, high: float) -> list[float]:

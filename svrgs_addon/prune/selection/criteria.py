@@ -1,4 +1,5 @@
-"""The criteria of selections: pure functions that return a mask (N,) bool. Values that are not numbers fulfil no criterion."""
+"""The criteria of selections: pure functions that return a mask (N,) bool. Values that are not numbers fulfil
+no criterion."""
 
 from __future__ import annotations
 
@@ -21,7 +22,8 @@ Range = tuple[float, float]  # lowest and highest value, both inside
 def in_box(means: np.ndarray, corners: tuple[float, ...], matrix: np.ndarray | None = None) -> np.ndarray:
     """Centres (N, 3) inside a box with two opposite corners (x0, y0, z0, x1, y1, z1), faces included.
 
-    matrix: (4, 4) affine, from the coordinates of the centres to those of the corners; None: they are the same.
+    matrix: (4, 4) affine, from the coordinates of the centres to those of the corners; None: they are the
+    same.
     """
     low, high = np.minimum(corners[:3], corners[3:]), np.maximum(corners[:3], corners[3:])
     points = _moved(means, matrix)
@@ -29,7 +31,8 @@ def in_box(means: np.ndarray, corners: tuple[float, ...], matrix: np.ndarray | N
 
 
 def in_sphere(means: np.ndarray, sphere: tuple[float, ...], matrix: np.ndarray | None = None) -> np.ndarray:
-    """Centres (N, 3) in a sphere (x, y, z, radius), surface included. matrix: as for in_box; it may stretch the sphere."""
+    """Centres (N, 3) in a sphere (x, y, z, radius), surface included. matrix: as for in_box; it may stretch
+    the sphere."""
     with np.errstate(invalid="ignore", over="ignore"):
         return ((_moved(means, matrix) - sphere[:3]) ** 2).sum(axis=1) <= sphere[3] ** 2
 
@@ -40,7 +43,8 @@ def between(values: np.ndarray, limits: Range) -> np.ndarray:
 
 
 def lowest(values: np.ndarray, share: float) -> np.ndarray:
-    """The share (0..1) of the Gaussians with the lowest values (N,), rounded to a whole number; of equal values the earlier rows."""
+    """The share (0..1) of the Gaussians with the lowest values (N,), rounded to a whole number; of equal
+    values the earlier rows."""
     mask = np.zeros(len(values), bool)
     mask[np.argsort(values, kind="stable")[: round(share * len(values))]] = True
     return mask
@@ -64,18 +68,24 @@ def contributions(scene: Scene, cameras: list[Camera]) -> np.ndarray:
 
 
 def errors(scene: Scene, cameras: list[Camera]) -> np.ndarray:
-    """Removal error (finetune/saliency.py), (N,) float64: squared error of colours, summed over views. Raises SceneError without views."""
+    """Removal error (finetune/saliency.py), (N,) float64: squared error of colours, summed over views. Raises
+    SceneError without views."""
     return removal_errors(scene, _some(cameras), Rasterizer(), render_options(scene))
 
 
 def seen(scene: Scene, cameras: list[Camera]) -> np.ndarray:
-    """Gaussians that reach αT = 1/255 in a pixel of at least one view, (N,) bool. Raises SceneError without views."""
-    return contribution(scene, _some(cameras), Rasterizer(), render_options(scene))[1] >= np.float32(thresholds().alpha_cut)
+    """Gaussians that reach αT = 1/255 in a pixel of at least one view, (N,) bool. Raises SceneError without
+    views."""
+    return contribution(scene, _some(cameras), Rasterizer(), render_options(scene))[1] >= np.float32(
+        thresholds().alpha_cut
+    )
 
 
 def floaters(scene: Scene, cameras: list[Camera]) -> np.ndarray:
     """Gaussians on small islands (islands.py) and, with enough views, haze (haze.py), (N,) bool."""
-    return on_small_islands(scene) | hangs_before_cameras(scene, cameras, Rasterizer(), picture_options(scene))
+    return on_small_islands(scene) | hangs_before_cameras(
+        scene, cameras, Rasterizer(), picture_options(scene)
+    )
 
 
 def _moved(means: np.ndarray, matrix: np.ndarray | None) -> np.ndarray:

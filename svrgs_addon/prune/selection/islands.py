@@ -1,11 +1,13 @@
-"""Islands: Gaussians, and small groups of them, that hang in empty space, apart from everything else in the scene.
+"""Islands: Gaussians, and small groups of them, that hang in empty space, apart from everything else in the
+scene.
 
-Each visible Gaussian is linked to its nearest ones where the two touch, or where the gap between them is ordinary for the place. Linked
-Gaussians form islands. An island with a tiny share of the scene is small. So a thin thing such as an antenna stays, because it is a
-chain of links to the rest; and an object of its own stays, because it is large enough.
+Each visible Gaussian is linked to its nearest ones where the two touch, or where the gap between them is
+ordinary for the place. Linked Gaussians form islands. An island with a tiny share of the scene is small. So a
+thin thing such as an antenna stays, because it is a chain of links to the rest; and an object of its own
+stays, because it is large enough.
 
-Gaussians far from the middle of a scene are larger and farther apart (walls, trees, a sky). So ordinary gaps are measured in proportion
-to the distance from the middle, and a background is not apart for being far.
+Gaussians far from the middle of a scene are larger and farther apart (walls, trees, a sky). So ordinary gaps
+are measured in proportion to the distance from the middle, and a background is not apart for being far.
 """
 
 from __future__ import annotations
@@ -18,7 +20,9 @@ from ...scene.gaussians import Scene
 from ...scene.neighbours import nearest_rows
 from ...scene.rotations import rotation_matrices
 
-NEIGHBOURS = 16  # Gaussians that each one is compared with; with 8, the dense end of a strap is an island, because all of them are in it
+# Gaussians that each one is compared with; with 8, the dense end of a strap is an island, because all of them
+# are in it
+NEIGHBOURS = 16
 TOUCH = 2.0  # standard deviations of both, along the line between them, within which two Gaussians touch
 GAP = 6.0  # ordinary gaps: up to this multiple of the median distance to the nearest Gaussian
 ISLAND = 5e-4  # share of the visible Gaussians below which an island is small
@@ -26,9 +30,11 @@ LEAST = 2 * NEIGHBOURS  # Gaussians: a scene of fewer has no small islands
 
 
 def on_small_islands(scene: Scene, gap: float = GAP, island: float = ISLAND) -> np.ndarray:
-    """(N,) bool: the visible Gaussians on islands with less than the share `island` of all visible ones. See the top of this file.
+    """(N,) bool: the visible Gaussians on islands with less than the share `island` of all visible ones. See
+    the top of this file.
 
-    scene: finite values. gap: as GAP; a larger one takes fewer Gaussians. Invisible ones (opacity below 1/255) are on no island.
+    scene: finite values. gap: as GAP; a larger one takes fewer Gaussians. Invisible ones (opacity below
+    1/255) are on no island.
     """
     mask = np.zeros(scene.count, bool)
     rows = np.flatnonzero(~invisible(scene))
@@ -55,7 +61,8 @@ def links(scene: Scene, near: np.ndarray, gap: float) -> np.ndarray:
 
 
 def islands(near: np.ndarray, linked: np.ndarray) -> np.ndarray:
-    """(N,) int64: for each row the smallest row of its island. Row i and row near[i, j] are in one island where linked[i, j].
+    """(N,) int64: for each row the smallest row of its island. Row i and row near[i, j] are in one island
+    where linked[i, j].
 
     near: (N, k) int64. linked: (N, k) bool.
     """
@@ -73,8 +80,8 @@ def islands(near: np.ndarray, linked: np.ndarray) -> np.ndarray:
 
 
 def _usual_distance(scene: Scene, nearest: np.ndarray) -> np.ndarray:
-    """The usual distance (N,) to the nearest Gaussian at the place of each: in proportion to its distance from the middle, from the edge
-    of the middle on. nearest: (N,) the distances."""
+    """The usual distance (N,) to the nearest Gaussian at the place of each: in proportion to its distance
+    from the middle, from the edge of the middle on. nearest: (N,) the distances."""
     box = robust_box(scene.means, 1 / (1 + np.exp(-scene.opacity_logits.astype(np.float64))))
     assert box is not None  # all Gaussians are visible
     radius = max(np.linalg.norm(box[1] - box[0]) / 2, 1e-12)
@@ -83,6 +90,7 @@ def _usual_distance(scene: Scene, nearest: np.ndarray) -> np.ndarray:
 
 
 def _extent(axes: np.ndarray, lines: np.ndarray) -> np.ndarray:
-    """Standard deviations (N,) of Gaussians along lines (N, 3) through their centres. axes: (N, 3, 3), A with the covariance A Aᵀ."""
+    """Standard deviations (N,) of Gaussians along lines (N, 3) through their centres. axes: (N, 3, 3), A with
+    the covariance A Aᵀ."""
     lengths = np.maximum(np.linalg.norm(lines, axis=1), 1e-300)
     return np.linalg.norm(np.einsum("nij,ni->nj", axes, lines / lengths[:, None]), axis=1)

@@ -1,4 +1,5 @@
-"""The criteria of `svrgs select` as options. Nothing heavy is imported here: the parser of the command line reads this file."""
+"""The criteria of `svrgs select` as options. Nothing heavy is imported here: the parser of the command line
+reads this file."""
 
 from __future__ import annotations
 
@@ -7,38 +8,97 @@ from pathlib import Path
 
 from ...system.option_kinds import BOX, COUNT, FLAG, PATH, RANGE, SHARE, SPHERE, TEXT, option
 
-OF_VIEWS = ("contribution", "lowest_contribution", "removal_error", "lowest_removal_error", "seen_by")  # criteria that need views
+# criteria that need views
+OF_VIEWS = ("contribution", "lowest_contribution", "removal_error", "lowest_removal_error", "seen_by")
 OF_ONE = ("box", "sphere", "opacity", "size")  # criteria that judge each Gaussian by itself
 
 
 @dataclass(frozen=True, kw_only=True)
 class Criteria:
-    """What Gaussians must fulfil to be selected: all criteria that are given. Coordinates and sizes are those of the file."""
+    """What Gaussians must fulfil to be selected: all criteria that are given. Coordinates and sizes are those
+    of the file."""
 
-    box: tuple | None = option(BOX, None, "inside the box between two opposite corners", metavar="X,Y,Z,X,Y,Z")
-    sphere: tuple | None = option(SPHERE, None, "inside the sphere with this centre and radius", metavar="X,Y,Z,R")
-    opacity: tuple | None = option(RANGE, None, "opacity in this range, 0..1; either end of a range may be left out, as in ,0.1", metavar="LO,HI")
-    size: tuple | None = option(RANGE, None, "largest standard deviation in this range, in units of the file", metavar="LO,HI")
-    contribution: tuple | None = option(RANGE, None, "contribution in this range: the sum of alpha T over all pixels of the views", metavar="LO,HI")
-    lowest_contribution: float | None = option(SHARE, None, "this share of the Gaussians, those with the lowest contribution", metavar="SHARE")
-    removal_error: tuple | None = option(
-        RANGE, None, "removal error in this range: the squared error of the colours, summed over the views, if only this Gaussian is removed", metavar="LO,HI"
+    box: tuple | None = option(
+        BOX, None, "inside the box between two opposite corners", metavar="X,Y,Z,X,Y,Z"
     )
-    lowest_removal_error: float | None = option(SHARE, None, "this share of the Gaussians, those with the lowest removal error", metavar="SHARE")
-    seen_by: str = option(TEXT, "", "seen by one of these views: all, train, test, or names and numbers of views with commas between", metavar="VIEWS")
-    floaters: bool = option(FLAG, False, "floaters: small groups of Gaussians apart from all others and, with at least 8 views, haze in front of the cameras")
+    sphere: tuple | None = option(
+        SPHERE, None, "inside the sphere with this centre and radius", metavar="X,Y,Z,R"
+    )
+    opacity: tuple | None = option(
+        RANGE,
+        None,
+        "opacity in this range, 0..1; either end of a range may be left out, as in ,0.1",
+        metavar="LO,HI",
+    )
+    size: tuple | None = option(
+        RANGE, None, "largest standard deviation in this range, in units of the file", metavar="LO,HI"
+    )
+    contribution: tuple | None = option(
+        RANGE,
+        None,
+        "contribution in this range: the sum of alpha T over all pixels of the views",
+        metavar="LO,HI",
+    )
+    lowest_contribution: float | None = option(
+        SHARE, None, "this share of the Gaussians, those with the lowest contribution", metavar="SHARE"
+    )
+    removal_error: tuple | None = option(
+        RANGE,
+        None,
+        "removal error in this range: the squared error of the colours, summed over the views, if only this"
+        " Gaussian is removed",
+        metavar="LO,HI",
+    )
+    lowest_removal_error: float | None = option(
+        SHARE, None, "this share of the Gaussians, those with the lowest removal error", metavar="SHARE"
+    )
+    seen_by: str = option(
+        TEXT,
+        "",
+        "seen by one of these views: all, train, test, or names and numbers of views with commas between",
+        metavar="VIEWS",
+    )
+    floaters: bool = option(
+        FLAG,
+        False,
+        "floaters: small groups of Gaussians apart from all others and, with at least 8 views, haze in front"
+        " of the cameras",
+    )
 
     def given(self) -> tuple[str, ...]:
         """Names of the criteria that are given."""
-        return tuple(found.name for found in fields(Criteria) if getattr(self, found.name) not in (None, "", False))
+        return tuple(
+            found.name for found in fields(Criteria) if getattr(self, found.name) not in (None, "", False)
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
 class SelectOptions(Criteria):
     """Options of `svrgs select`."""
 
-    colmap: Path | None = option(PATH, None, "views: dataset, COLMAP model or transforms.json; photographs are not needed", metavar="DIR")
-    cameras: Path | None = option(PATH, None, "views: cameras.json of a 3DGS run, or transforms.json", metavar="JSON")
-    invert: bool = option(FLAG, False, "select all other Gaussians instead: with --out, the criteria then say what is deleted")
-    threads: int = option(COUNT, 0, "number of threads; the result does not depend on it", metavar="N", default_help="one per core")
-    out: Path | None = option(PATH, None, "splat file to write the selected Gaussians to", metavar="FILE", default_help="only counts are printed")
+    colmap: Path | None = option(
+        PATH,
+        None,
+        "views: dataset, COLMAP model or transforms.json; photographs are not needed",
+        metavar="DIR",
+    )
+    cameras: Path | None = option(
+        PATH, None, "views: cameras.json of a 3DGS run, or transforms.json", metavar="JSON"
+    )
+    invert: bool = option(
+        FLAG, False, "select all other Gaussians instead: with --out, the criteria then say what is deleted"
+    )
+    threads: int = option(
+        COUNT,
+        0,
+        "number of threads; the result does not depend on it",
+        metavar="N",
+        default_help="one per core",
+    )
+    out: Path | None = option(
+        PATH,
+        None,
+        "splat file to write the selected Gaussians to",
+        metavar="FILE",
+        default_help="only counts are printed",
+    )

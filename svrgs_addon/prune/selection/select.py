@@ -13,14 +13,17 @@ from ...system.errors import SceneError
 from . import criteria
 from .options import Criteria
 
-Views = Callable[[str], list[Camera]]  # "all", or names and numbers as in Criteria.seen_by; "": all that there are, which may be none
+# "all", or names and numbers as in Criteria.seen_by; "": all that there are, which may be none
+Views = Callable[[str], list[Camera]]
 
 
 def selected(scene: Scene, wanted: Criteria, views: Views, matrix: np.ndarray | None = None) -> np.ndarray:
-    """(N,) bool: the Gaussians that fulfil all criteria of `wanted`. Those that cannot be rendered (repair.py) are never selected.
+    """(N,) bool: the Gaussians that fulfil all criteria of `wanted`. Those that cannot be rendered
+    (repair.py) are never selected.
 
-    scene: as stored in a file. views: called only for criteria that use views, in coordinates of the scene. matrix: (4, 4) affine, from the
-    scene's coordinates to those of wanted.box and wanted.sphere. Raises SceneError if no criterion is given, and without views that are needed.
+    scene: as stored in a file. views: called only for criteria that use views, in coordinates of the scene.
+    matrix: (4, 4) affine, from the scene's coordinates to those of wanted.box and wanted.sphere. Raises
+    SceneError if no criterion is given, and without views that are needed.
     """
     if not wanted.given():
         raise SceneError("no criterion is given; choose at least one, such as an opacity or a box")
@@ -33,7 +36,9 @@ def selected(scene: Scene, wanted: Criteria, views: Views, matrix: np.ndarray | 
     return mask
 
 
-def _fulfilled(scene: Scene, name: str, wanted: Criteria, views: Views, matrix: np.ndarray | None) -> np.ndarray:
+def _fulfilled(
+    scene: Scene, name: str, wanted: Criteria, views: Views, matrix: np.ndarray | None
+) -> np.ndarray:
     """(N,) bool: the Gaussians that fulfil one criterion."""
     limits = getattr(wanted, name)
     values = {
@@ -51,4 +56,8 @@ def _fulfilled(scene: Scene, name: str, wanted: Criteria, views: Views, matrix: 
     if name == "floaters":
         return criteria.floaters(scene, views(""))
     measured = values[name.removeprefix("lowest_")]()
-    return criteria.lowest(measured, limits) if name.startswith("lowest_") else criteria.between(measured, limits)
+    return (
+        criteria.lowest(measured, limits)
+        if name.startswith("lowest_")
+        else criteria.between(measured, limits)
+    )

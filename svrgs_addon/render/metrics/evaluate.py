@@ -23,7 +23,8 @@ from .psnr import with_error
 # Limits of refuse_unseen() and any_in_view().
 VISIBLE_CAMERAS = 32  # approximate number of cameras that are checked, evenly spaced in the list
 VISIBLE_POINTS = 100_000  # approximate number of Gaussians that are checked
-VISIBLE_REACH = 100.0  # largest z, as a multiple of the largest distance of a camera from the mean of the cameras
+# largest z, as a multiple of the largest distance of a camera from the mean of the cameras
+VISIBLE_REACH = 100.0
 
 
 class Renderable(Protocol):
@@ -60,7 +61,8 @@ def rounded_to_8_bits(rgb: np.ndarray) -> np.ndarray:
 
 
 def render_options(scene: Renderable, background=(0.0, 0.0, 0.0), mask_kind: str = "none") -> RenderOptions:
-    """Options to render the scene as it was trained. background: display sRGB 0..1. mask_kind: form of F, see RenderOptions."""
+    """Options to render the scene as it was trained. background: display sRGB 0..1. mask_kind: form of F, see
+    RenderOptions."""
     return RenderOptions(antialiased=scene.antialiased, background=background, mask_kind=mask_kind)
 
 
@@ -71,15 +73,27 @@ def picture_options(scene: Renderable, background=(0.0, 0.0, 0.0), mask_kind: st
 
 def split_indices(dataset: Dataset, split: str) -> Sequence[int]:
     """Indices of the views of split 'test', 'train' or 'all'. Raises SceneError if there are none."""
-    chosen = {"test": dataset.test_indices, "train": dataset.train_indices, "all": range(len(dataset.cameras))}[split]
+    chosen = {
+        "test": dataset.test_indices,
+        "train": dataset.train_indices,
+        "all": range(len(dataset.cameras)),
+    }[split]
     if not len(chosen):
         raise SceneError(f"the dataset has no {split} views; choose another split")
     return chosen
 
 
-def mean_psnr(model, dataset: Dataset, indices: Sequence[int], rasterizer: Rasterizer, options: RenderOptions, masks=None, error=0.0) -> float:
-    """Mean PSNR in dB over the given views. model: an object with the arrays of Scene. masks: (N,) uint8, None: all 1. error: mean squared error
-    that is added in each view, colours in 0..1."""
+def mean_psnr(
+    model,
+    dataset: Dataset,
+    indices: Sequence[int],
+    rasterizer: Rasterizer,
+    options: RenderOptions,
+    masks=None,
+    error=0.0,
+) -> float:
+    """Mean PSNR in dB over the given views. model: an object with the arrays of Scene. masks: (N,) uint8,
+    None: all 1. error: mean squared error that is added in each view, colours in 0..1."""
     values, options = [], replace(options, picture_only=True)
     for i in indices:
         rgb = rasterizer.forward(model, dataset.cameras[i], options, masks)["rgb"]
@@ -87,11 +101,18 @@ def mean_psnr(model, dataset: Dataset, indices: Sequence[int], rasterizer: Raste
     return statistics.fmean(values)
 
 
-def evaluate(scene: Renderable, dataset: Dataset, indices: Sequence[int], rasterizer: Renderer, lpips: Callable | None = None) -> dict:
+def evaluate(
+    scene: Renderable,
+    dataset: Dataset,
+    indices: Sequence[int],
+    rasterizer: Renderer,
+    lpips: Callable | None = None,
+) -> dict:
     """Renders the views and compares them with the photographs.
 
-    Returns means over the views: psnr (dB), ssim, flip, lpips (None without `lpips`); and count (Gaussians), ms_per_frame (median
-    duration of a forward pass in milliseconds; None for a divided scene, which is read for each view).
+    Returns means over the views: psnr (dB), ssim, flip, lpips (None without `lpips`); and count (Gaussians),
+    ms_per_frame (median duration of a forward pass in milliseconds; None for a divided scene, which is read
+    for each view).
     """
     options = picture_options(scene, dataset.background)
     rows, seconds = [], []
@@ -101,7 +122,14 @@ def evaluate(scene: Renderable, dataset: Dataset, indices: Sequence[int], raster
         seconds.append(time.perf_counter() - started)
         image, photo = rounded_to_8_bits(rgb), to_float(dataset.image(i))
         del rgb
-        rows.append((psnr(image, photo), ssim(image, photo), lpips(image, photo) if lpips else math.nan, flip(image, photo)))
+        rows.append(
+            (
+                psnr(image, photo),
+                ssim(image, photo),
+                lpips(image, photo) if lpips else math.nan,
+                flip(image, photo),
+            )
+        )
     means = np.mean(rows, axis=0)
     return {
         "psnr": float(means[0]),
@@ -114,23 +142,29 @@ def evaluate(scene: Renderable, dataset: Dataset, indices: Sequence[int], raster
 
 
 def refuse_unseen(scene: Renderable, cameras: Sequence[Camera], name: str):
-    """Raises SceneError if no camera sees the centre of a Gaussian within VISIBLE_REACH: scene and cameras do not belong together.
+    """Raises SceneError if no camera sees the centre of a Gaussian within VISIBLE_REACH: scene and cameras do
+    not belong together.
 
     name: name of the scene's file, for the message.
     """
     looking = cameras[:: max(1, len(cameras) // VISIBLE_CAMERAS)]
     if not any_in_view(scene.means, cameras, looking):
         near = thresholds().near
-        raise SceneError(f"{name}: none of its Gaussians is near a camera and in view of it, more than {near:g} in front; use the cameras of this scene")
+        raise SceneError(
+            f"{name}: none of its Gaussians is near a camera and in view of it, more than {near:g} in front;"
+            " use the cameras of this scene"
+        )
 
 
 def any_in_view(points: np.ndarray, cameras: Sequence[Camera], looking: Sequence[Camera]) -> bool:
-    """Whether one of the cameras `looking` sees one of the points (N, 3), world, where it would be rendered, and within VISIBLE_REACH.
+    """Whether one of the cameras `looking` sees one of the points (N, 3), world, where it would be rendered,
+    and within VISIBLE_REACH.
 
     cameras: all of them, which give the scale. Of many points, about VISIBLE_POINTS are checked.
     """
     centres = np.array([camera.position for camera in cameras])
-    reach = VISIBLE_REACH * np.linalg.norm(centres - centres.mean(axis=0), axis=1).max() or np.inf  # a single camera gives no scale
+    # a single camera gives no scale
+    reach = VISIBLE_REACH * np.linalg.norm(centres - centres.mean(axis=0), axis=1).max() or np.inf
     near, points = thresholds().near, points[:: max(1, len(points) // VISIBLE_POINTS)].astype(np.float64)
     for camera in looking:
         local = points @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]

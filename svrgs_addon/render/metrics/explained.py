@@ -15,17 +15,18 @@ from .arrays import image_pair
 from .evaluate import Renderable, Renderer, picture_options
 from .psnr import psnr
 
-# Splats of four captures explain 0.82 to 0.98 of their own photographs, and less than -0.6 of those of another capture. Objects before a
-# black background explain up to 0.3 of each other.
+# Splats of four captures explain 0.82 to 0.98 of their own photographs, and less than -0.6 of those of
+# another capture. Objects before a black background explain up to 0.3 of each other.
 ENOUGH = 0.5
 VIEWS, SIDE = 4, 320  # views that are compared, spread evenly, and their longer side in pixels
 
 
 def explained(image: np.ndarray, photo: np.ndarray) -> float:
-    """Share of the photograph's variance that the image explains: R² = 1 - Σ (photo - image)² / Σ (photo - mean of photo)².
+    """Share of the photograph's variance that the image explains: R² = 1 - Σ (photo - image)² / Σ (photo -
+    mean of photo)².
 
-    1: equal images; 0: as good as one colour; below 0: worse. image, photo: (H, W, 3) in [0, 1]. A photograph of one colour counts as
-    explained. Raises SceneError.
+    1: equal images; 0: as good as one colour; below 0: worse. image, photo: (H, W, 3) in [0, 1]. A photograph
+    of one colour counts as explained. Raises SceneError.
     """
     image, photo = image_pair(image, photo)
     spread = float(((photo - photo.mean(axis=(0, 1), dtype=np.float64)) ** 2).sum(dtype=np.float64))
@@ -34,7 +35,8 @@ def explained(image: np.ndarray, photo: np.ndarray) -> float:
 
 
 def sample_views(dataset: Dataset) -> list[tuple[Camera, np.ndarray]]:
-    """Some views of the dataset and their photographs (H, W, 3) float32, reduced to about SIDE pixels. Raises FormatError, SceneError."""
+    """Some views of the dataset and their photographs (H, W, 3) float32, reduced to about SIDE pixels. Raises
+    FormatError, SceneError."""
     chosen = np.unique(np.linspace(0, len(dataset.cameras) - 1, VIEWS).round().astype(int))
     return [_reduced(dataset.cameras[index], to_float(dataset.image(index))) for index in chosen]
 
@@ -42,21 +44,31 @@ def sample_views(dataset: Dataset) -> list[tuple[Camera, np.ndarray]]:
 def _reduced(camera: Camera, photo: np.ndarray) -> tuple[Camera, np.ndarray]:
     factor = max(1, max(camera.width, camera.height) // SIDE)
     small = camera.reduced(factor)
-    blocks = photo[: small.height * factor, : small.width * factor].reshape(small.height, factor, small.width, factor, 3)
+    blocks = photo[: small.height * factor, : small.width * factor].reshape(
+        small.height, factor, small.width, factor, 3
+    )
     return small, blocks.mean(axis=(1, 3), dtype=np.float32)
 
 
-def fit(scene: Renderable, views: Sequence[tuple[Camera, np.ndarray]], background=(0.0, 0.0, 0.0), rasterizer: Renderer | None = None) -> dict:
+def fit(
+    scene: Renderable,
+    views: Sequence[tuple[Camera, np.ndarray]],
+    background=(0.0, 0.0, 0.0),
+    rasterizer: Renderer | None = None,
+) -> dict:
     """How well the splat fits photographs: a dict of medians over the views, explained (R²) and psnr (dB).
 
-    views: (camera, photograph (H, W, 3) in [0, 1]), at least one. background: display sRGB 0..1. rasterizer: renders the scene; None: native.Rasterizer.
-    Raises SceneError.
+    views: (camera, photograph (H, W, 3) in [0, 1]), at least one. background: display sRGB 0..1. rasterizer:
+    renders the scene; None: native.Rasterizer. Raises SceneError.
     """
     rasterizer, options, rows = rasterizer or Rasterizer(), picture_options(scene, background), []
     for camera, photo in views:
         image = np.clip(rasterizer.forward(scene, camera, options)["rgb"], 0, 1)
         rows.append((explained(image, photo), psnr(image, photo)))
-    return {"explained": statistics.median(row[0] for row in rows), "psnr": statistics.median(row[1] for row in rows)}
+    return {
+        "explained": statistics.median(row[0] for row in rows),
+        "psnr": statistics.median(row[1] for row in rows),
+    }
 
 
 def mismatch(found: dict) -> str:
@@ -65,11 +77,12 @@ def mismatch(found: dict) -> str:
         return ""
     share = max(0.0, found["explained"])
     return (
-        f"The splat explains only {share:.0%} of its photographs (PSNR {found['psnr']:.1f} dB): it may belong to another capture,"
-        " or show only a part of this one"
+        f"The splat explains only {share:.0%} of its photographs (PSNR {found['psnr']:.1f} dB): it may belong"
+        " to another capture, or show only a part of this one"
     )
 
 
 def mismatch_of(scene: Renderable, dataset: Dataset, rasterizer: Renderer | None = None) -> str:
-    """As mismatch(), for some views of the dataset. rasterizer: as for fit(). Raises FormatError, SceneError."""
+    """As mismatch(), for some views of the dataset. rasterizer: as for fit(). Raises FormatError,
+    SceneError."""
     return mismatch(fit(scene, sample_views(dataset), dataset.background, rasterizer))

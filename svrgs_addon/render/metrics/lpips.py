@@ -4,8 +4,10 @@ The weights are not part of this project. With the package lpips installed, this
 
     torch.save(lpips.LPIPS(net="vgg").state_dict(), "lpips_vgg.pt")
 
-The file is a state dict (.pt, .pth) or arrays (.npz). It must have these keys, all with floats; other keys are ignored:
-    backbone  features.I.weight, features.I.bias   as in torchvision's vgg16; or net.sliceS.I.weight … as in the package lpips
+The file is a state dict (.pt, .pth) or arrays (.npz). It must have these keys, all with floats; other keys
+are ignored:
+    backbone  features.I.weight, features.I.bias   as in torchvision's vgg16; or net.sliceS.I.weight … as in
+              the package lpips
     heads     linK.model.1.weight, K = 0 … 4       or lins.K.model.1.weight; shape (1, C, 1, 1)
 """
 
@@ -24,7 +26,8 @@ import numpy as np
 from ...system.errors import FormatError, SceneError
 from .arrays import image_pair
 
-# VGG16 up to relu5_3: (index in torchvision's `features`, output channels) of each convolution, one row per stage.
+# VGG16 up to relu5_3: (index in torchvision's `features`, output channels) of each convolution, one row per
+# stage.
 STAGES = (
     ((0, 64), (2, 64)),
     ((5, 128), (7, 128)),
@@ -32,11 +35,13 @@ STAGES = (
     ((17, 512), (19, 512), (21, 512)),
     ((24, 512), (26, 512), (28, 512)),
 )
-SHIFT = (-0.030, -0.088, -0.188)  # the scaling layer (x - SHIFT) / SCALE: mean and deviation of ImageNet for inputs in [-1, 1]
+# the scaling layer (x - SHIFT) / SCALE: mean and deviation of ImageNet for inputs in [-1, 1]
+SHIFT = (-0.030, -0.088, -0.188)
 SCALE = (0.458, 0.448, 0.450)
 MIN_SIDE = 2 ** (len(STAGES) - 1)  # pixels; the network halves the image four times
 UNREADABLE = (
-    *(pickle.UnpicklingError, zipfile.BadZipFile, zlib.error, OSError, EOFError, RuntimeError),  # of NumPy and torch
+    # of NumPy and torch
+    *(pickle.UnpicklingError, zipfile.BadZipFile, zlib.error, OSError, EOFError, RuntimeError),
     *(TypeError, ValueError, KeyError, AttributeError),  # which they raise for malformed content
 )
 SUFFIXES = (".npz", ".pt", ".pth")
@@ -54,19 +59,27 @@ class Lpips:
         self._weights = weights
 
     def __call__(self, a: np.ndarray, b: np.ndarray) -> float:
-        """LPIPS distance >= 0 of two images (H, W, 3) in [0, 1], H and W at least MIN_SIDE; lower is better, 0: equal images.
+        """LPIPS distance >= 0 of two images (H, W, 3) in [0, 1], H and W at least MIN_SIDE; lower is better,
+        0: equal images.
 
-        Values in [0, 1] are the direct input of the network, as in the scripts of 3DGS and later work, so that results can be compared.
-        The network was made for inputs in [-1, 1], so the call in its authors' README gives other results. Raises SceneError.
+        Values in [0, 1] are the direct input of the network, as in the scripts of 3DGS and later work, so
+        that results can be compared. The network was made for inputs in [-1, 1], so the call in its authors'
+        README gives other results. Raises SceneError.
         """
         import torch
 
         a, b = image_pair(a, b)
         if min(a.shape[:2]) < MIN_SIDE:
-            raise SceneError(f"LPIPS needs images of at least {MIN_SIDE} x {MIN_SIDE} pixels, not {a.shape[1]} x {a.shape[0]}")
+            raise SceneError(
+                f"LPIPS needs images of at least {MIN_SIDE} x {MIN_SIDE} pixels, not {a.shape[1]} x"
+                f" {a.shape[0]}"
+            )
         batch = torch.from_numpy(np.stack([a, b])).permute(0, 3, 1, 2).contiguous()
         with torch.no_grad():
-            return sum(self._stage_distance(k, activations) for k, activations in enumerate(self._stage_activations(batch)))
+            return sum(
+                self._stage_distance(k, activations)
+                for k, activations in enumerate(self._stage_activations(batch))
+            )
 
     def _stage_activations(self, batch):
         """Yields the activations (2, C, h, w) after the last ReLU of each stage."""
@@ -83,7 +96,8 @@ class Lpips:
             yield x
 
     def _stage_distance(self, k: int, activations) -> float:
-        """Squared difference of normalised feature vectors, weighted per channel, mean over pixels (equation 1 of the paper)."""
+        """Squared difference of normalised feature vectors, weighted per channel, mean over pixels (equation
+        1 of the paper)."""
         unit = activations / (activations.norm(dim=1, keepdim=True) + 1e-10)
         squared = (unit[0] - unit[1]).square()
         head = self._weights[f"lin{k}.model.1.weight"].view(-1, 1, 1)
@@ -91,10 +105,11 @@ class Lpips:
 
 
 def load_lpips(path: str | Path | None) -> tuple[Lpips | None, str]:
-    """Loads the network from a weight file. Returns (network, ""), or (None, reason), which a report can print.
+    """Loads the network from a weight file. Returns (network, ""), or (None, reason), which a report can
+    print.
 
-    Reasons are: no path, no such file, torch is not installed. Raises FormatError if the file exists but is not a complete set of
-    LPIPS-VGG16 weights. Pickled code in the file is never run.
+    Reasons are: no path, no such file, torch is not installed. Raises FormatError if the file exists but is
+    not a complete set of LPIPS-VGG16 weights. Pickled code in the file is never run.
     """
     if path is None:
         return None, "no LPIPS weight file was given"
@@ -147,14 +162,21 @@ def _expected() -> dict[str, tuple[int, ...]]:
 
 
 def _checked(found: dict[str, Any], key: str, shape: tuple[int, ...], path: Path):
-    """The tensor of a key as float32. Raises FormatError if it is missing, has another shape or type, or is not finite."""
+    """The tensor of a key as float32. Raises FormatError if it is missing, has another shape or type, or is
+    not finite."""
     import torch
 
     if key not in found:
-        raise FormatError(f"{path} lacks {key}, so it is not a complete set of LPIPS-VGG16 weights; write the file again")
+        raise FormatError(
+            f"{path} lacks {key}, so it is not a complete set of LPIPS-VGG16 weights; write the file again"
+        )
     tensor = found[key]
     if not isinstance(tensor, torch.Tensor) or not tensor.is_floating_point() or tuple(tensor.shape) != shape:
-        kind = f"{tensor.dtype}{tuple(tensor.shape)}" if isinstance(tensor, torch.Tensor) else type(tensor).__name__
+        kind = (
+            f"{tensor.dtype}{tuple(tensor.shape)}"
+            if isinstance(tensor, torch.Tensor)
+            else type(tensor).__name__
+        )
         raise FormatError(f"{path}: {key} is {kind}; expected floats of shape {shape}")
     if not tensor.isfinite().all():
         raise FormatError(f"{path}: {key} holds NaN or infinite values; write the file again")

@@ -1,4 +1,5 @@
-"""Which Gaussians a set of candidate views sees, and the choice of the fewest views that see all of them several times."""
+"""Which Gaussians a set of candidate views sees, and the choice of the fewest views that see all of them
+several times."""
 
 from __future__ import annotations
 
@@ -12,7 +13,8 @@ from ...scene.camera import Camera
 from ...scene.gaussians import Scene
 
 TIMES = 3  # views that must see a Gaussian
-RESOLVED, NEAREST = 4.0, 2.0  # a view sees a Gaussian if a pixel there is at most so many widths of it, or pixels of the nearest view, wide
+# a view sees a Gaussian if a pixel there is at most so many widths of it, or pixels of the nearest view, wide
+RESOLVED, NEAREST = 4.0, 2.0
 
 
 class Coverage:
@@ -24,8 +26,12 @@ class Coverage:
         self.cameras: list[Camera] = []
         self.peaks = np.zeros(scene.count, np.float32)  # largest alpha T in any view
         self._seen: list[np.ndarray] = []  # packed bits, (N,) of each view
-        self._nearest = np.full(scene.count, np.inf, np.float32)  # smallest width of a pixel at the Gaussian, of the views that see it
-        self._rasterizer, self._options = Rasterizer(), RenderOptions(sh_degree=0, antialiased=scene.antialiased)
+        # smallest width of a pixel at the Gaussian, of the views that see it
+        self._nearest = np.full(scene.count, np.inf, np.float32)
+        self._rasterizer, self._options = (
+            Rasterizer(),
+            RenderOptions(sh_degree=0, antialiased=scene.antialiased),
+        )
 
     def add(self, cameras: list[Camera]):
         """Renders further candidates."""
@@ -49,13 +55,15 @@ class Coverage:
 
     def _pixel(self, camera: Camera, rows: np.ndarray) -> np.ndarray:
         """The width of a pixel in the world, where the Gaussians are, (P,) float32."""
-        z = self.scene.means[rows] @ camera.viewmat[2, :3].astype(np.float32) + np.float32(camera.viewmat[2, 3])
+        z = self.scene.means[rows] @ camera.viewmat[2, :3].astype(np.float32) + np.float32(
+            camera.viewmat[2, 3]
+        )
         return z / np.float32(camera.K[0, 0])
 
 
 class Choice:
-    """Greedy choice of candidates: the next one is the one that adds most to the sum over Gaussians of weight times the number of views that
-    see it, at most `cap`."""
+    """Greedy choice of candidates: the next one is the one that adds most to the sum over Gaussians of weight
+    times the number of views that see it, at most `cap`."""
 
     def __init__(self, coverage: Coverage):
         self.weights = coverage.peaks.astype(np.float64)
@@ -99,7 +107,8 @@ class Choice:
         return count >= min(most, len(self.seen)) or (count >= least and self.share() >= share)
 
     def _run(self, cap: int, least: int, most: int, share: float):
-        """Chooses until no view adds anything below the cap. Gains only shrink, so that an old one that is still the largest is right."""
+        """Chooses until no view adds anything below the cap. Gains only shrink, so that an old one that is
+        still the largest is right."""
         taken = set(self.chosen)
         heap = [(-self._gain(view, cap), view) for view in range(len(self.seen)) if view not in taken]
         heapq.heapify(heap)

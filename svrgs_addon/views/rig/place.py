@@ -14,11 +14,15 @@ from .coverage import TIMES, Choice, Coverage
 from .space import Matter, Space, matter_of, usable_rows
 from .viewpoints import Around, View, Within, setting_of, side_of
 
-FIRST, SECOND = 96, 48  # candidates: spread over the scene; aimed at what few of the first see, if they are needed
-LEAST, MOST, ENOUGH = 32, 128, 0.995  # views that are chosen by what they see; share of what can be seen that TIMES of them must see
+# candidates: spread over the scene; aimed at what few of the first see, if they are needed
+FIRST, SECOND = 96, 48
+# views that are chosen by what they see; share of what can be seen that TIMES of them must see
+LEAST, MOST, ENOUGH = 32, 128, 0.995
 USUAL = 192  # views of a rig: steps would fit fewer pictures, but not what lies between them
 HELD_OUT, QUICK_HELD_OUT = 16, 8
-OUTSIDE, OPEN = 32, 0.7  # views from outside of a scene that is seen from within, if they show at least this share of its Gaussians, too
+# views from outside of a scene that is seen from within, if they show at least this share of its Gaussians,
+# too
+OUTSIDE, OPEN = 32, 0.7
 SCORED = 384  # side, in pixels, at which candidates are looked at, at most
 LARGE = 1_000_000  # a scene with more Gaussians has the fewer candidates, at least half as many
 
@@ -29,8 +33,11 @@ class Rig:
 
     cameras: list[Camera]  # rig_000 ...
     held_out: list[Camera]  # off_000 ...: from other places, in other directions
-    inside_out: bool  # the splat is a room, a street or a sky, seen from within; some cameras may stand outside all the same
-    seen: float | None  # share of what can be seen that at least 3 of the cameras see, weighted by the largest alpha T; None: not measured
+    # the splat is a room, a street or a sky, seen from within; some cameras may stand outside all the same
+    inside_out: bool
+    # share of what can be seen that at least 3 of the cameras see, weighted by the largest alpha T; None: not
+    # measured
+    seen: float | None
 
     @property
     def width(self) -> int:
@@ -50,12 +57,15 @@ class Rig:
         }  # fmt: skip
 
 
-def place_rig(scene: Scene, *, views: int | None = None, held_out: int = HELD_OUT, seed: int = 0, enlarged: float = 1.0) -> Rig:
-    """The fewest cameras that see ENOUGH of what can be seen from free space in at least 3 views each, LEAST to MOST, and further ones, evenly
-    spread, up to USUAL.
+def place_rig(
+    scene: Scene, *, views: int | None = None, held_out: int = HELD_OUT, seed: int = 0, enlarged: float = 1.0
+) -> Rig:
+    """The fewest cameras that see ENOUGH of what can be seen from free space in at least 3 views each, LEAST
+    to MOST, and further ones, evenly spread, up to USUAL.
 
-    views: their number instead, each chosen by what it sees. held_out: further cameras for testing. enlarged: as for side_of(). The result depends on the
-    seed, not on the number of threads. Raises SceneError if the splat shows nothing.
+    views: their number instead, each chosen by what it sees. held_out: further cameras for testing. enlarged:
+    as for side_of(). The result depends on the seed, not on the number of threads. Raises SceneError if the
+    splat shows nothing.
     """
     rng = np.random.default_rng([seed, 0])
     setting = _setting(scene)
@@ -75,7 +85,8 @@ def place_rig(scene: Scene, *, views: int | None = None, held_out: int = HELD_OU
 def quick_rig(scene: Scene, views: int = 24, *, held_out: int = QUICK_HELD_OUT, seed: int = 0) -> Rig:
     """About so many cameras, spread evenly and without a look at what they see.
 
-    Around an object they stand on a sphere. Within a scene, a few places look all around. Raises SceneError as place_rig().
+    Around an object they stand on a sphere. Within a scene, a few places look all around. Raises SceneError
+    as place_rig().
     """
     setting = _setting(scene)
     rng = np.random.default_rng([seed, 0])
@@ -91,10 +102,15 @@ def _setting(scene: Scene) -> Around | Within:
 
 
 def _outside(scene: Scene, side: int) -> tuple[list[View], Coverage]:
-    """Views from outside of the whole scene, if they show most of it: then it will be looked at from there, too. And what they see."""
+    """Views from outside of the whole scene, if they show most of it: then it will be looked at from there,
+    too. And what they see."""
     views, coverage = views_around(scene, OUTSIDE), _coverage(scene)
     coverage.add([view.camera(side) for view in views])
-    return (views, coverage) if (coverage.peaks >= thresholds().alpha_cut).mean() >= OPEN else ([], _coverage(scene))
+    return (
+        (views, coverage)
+        if (coverage.peaks >= thresholds().alpha_cut).mean() >= OPEN
+        else ([], _coverage(scene))
+    )
 
 
 def _coverage(scene: Scene) -> Coverage:
@@ -104,8 +120,11 @@ def _coverage(scene: Scene) -> Coverage:
     return Coverage(scene, _widths(scene))
 
 
-def _candidates(coverage: Coverage, setting: Around | Within, outside: list[View], side: int, rng: np.random.Generator) -> tuple[list[View], Choice]:
-    """The candidate views, those from outside first, and the choice among them. coverage: of the views from outside."""
+def _candidates(
+    coverage: Coverage, setting: Around | Within, outside: list[View], side: int, rng: np.random.Generator
+) -> tuple[list[View], Choice]:
+    """The candidate views, those from outside first, and the choice among them. coverage: of the views from
+    outside."""
     scene = coverage.scene
     share = min(1.0, max(0.5, LARGE / scene.count))
     within = setting.views(int(share * FIRST), rng)
@@ -119,7 +138,14 @@ def _candidates(coverage: Coverage, setting: Around | Within, outside: list[View
     return looked + more, Choice(coverage)
 
 
-def _aimed(scene: Scene, setting: Around | Within, looked: list[View], choice: Choice, count: int, rng: np.random.Generator) -> list[View]:
+def _aimed(
+    scene: Scene,
+    setting: Around | Within,
+    looked: list[View],
+    choice: Choice,
+    count: int,
+    rng: np.random.Generator,
+) -> list[View]:
     """Further views of the Gaussians that fewer than TIMES candidates see, each near one that sees them."""
     few, views = choice.few(), list[View]()
     for _ in range(count // (TIMES - 1)):

@@ -13,7 +13,8 @@ from .place import Rig
 from .viewpoints import View
 
 SIDE = 900  # pixels
-DIRECTION, TANGENT = np.array([0.6, -0.55, 0.6]), 0.4  # from the middle, world y down; tangent of half the angle of view
+# from the middle, world y down; tangent of half the angle of view
+DIRECTION, TANGENT = np.array([0.6, -0.55, 0.6]), 0.4
 FARTHER = 1.15  # of the distance at which all cameras fit into the picture
 LENGTH = 0.07  # of a pyramid, in the largest distance of a camera from the middle
 OPENED = 3.0  # what is shown of a scene that is seen from within, in the same
@@ -23,16 +24,25 @@ EDGES = ((0, 1), (0, 2), (0, 3), (0, 4), (1, 2), (2, 3), (3, 4), (4, 1))  # of a
 
 
 def preview(scene: Scene, rig: Rig) -> np.ndarray:
-    """The picture, (SIDE, SIDE, 3) uint8: cameras in orange, those held out in blue. Of a scene that is seen from within, what is nearer than the
-    cameras is left out, and what is far away."""
+    """The picture, (SIDE, SIDE, 3) uint8: cameras in orange, those held out in blue. Of a scene that is seen
+    from within, what is nearer than the cameras is left out, and what is far away."""
     eyes = np.array([camera.position for camera in (*rig.cameras, *rig.held_out)])
     middle = np.median(eyes, axis=0)
     reach = float(np.linalg.norm(eyes - middle, axis=1).max()) or 1.0
-    view = View(middle + FARTHER * reach * np.sqrt(1 + TANGENT**-2) * DIRECTION / np.linalg.norm(DIRECTION), middle, TANGENT)
+    view = View(
+        middle + FARTHER * reach * np.sqrt(1 + TANGENT**-2) * DIRECTION / np.linalg.norm(DIRECTION),
+        middle,
+        TANGENT,
+    )
     camera = view.camera(SIDE)
     if rig.inside_out:
         scene = _cut_open(scene, camera, middle, reach)
-    images = Rasterizer().forward(scene, camera, RenderOptions(antialiased=scene.antialiased, picture_only=True), outputs=("rgb", "depth", "alpha"))
+    images = Rasterizer().forward(
+        scene,
+        camera,
+        RenderOptions(antialiased=scene.antialiased, picture_only=True),
+        outputs=("rgb", "depth", "alpha"),
+    )
     picture = np.rint(images["rgb"].clip(0, 1) * 255).astype(np.uint8)
     walls = np.where((images["alpha"] > 0.5) & (not rig.inside_out), images["depth"], np.inf)
     for name, cameras in (("rig", rig.cameras), ("held_out", rig.held_out)):
@@ -41,14 +51,23 @@ def preview(scene: Scene, rig: Rig) -> np.ndarray:
 
 
 def _cut_open(scene: Scene, camera: Camera, middle: np.ndarray, reach: float) -> Scene:
-    """The scene without what is nearer to the camera than the middle (3,) of the rig, or far from it. reach: radius of the rig."""
+    """The scene without what is nearer to the camera than the middle (3,) of the rig, or far from it. reach:
+    radius of the rig."""
     depths = scene.means @ camera.viewmat[2, :3].astype(np.float32) + np.float32(camera.viewmat[2, 3])
     near = np.linalg.norm(scene.means - middle.astype(np.float32), axis=1) < OPENED * reach
     return scene.select(near & (depths > np.linalg.norm(camera.position - middle)))
 
 
-def _draw(picture: np.ndarray, walls: np.ndarray, camera: Camera, cameras: Sequence[Camera], length: float, color: tuple[int, int, int]):
-    """Draws the pyramids where nothing is in front of them. walls: (H, W), depth up to which a pixel shows what is drawn."""
+def _draw(
+    picture: np.ndarray,
+    walls: np.ndarray,
+    camera: Camera,
+    cameras: Sequence[Camera],
+    length: float,
+    color: tuple[int, int, int],
+):
+    """Draws the pyramids where nothing is in front of them. walls: (H, W), depth up to which a pixel shows
+    what is drawn."""
     points = np.concatenate([_pyramid(each, length) for each in cameras]) if cameras else np.empty((0, 3))
     local = points @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
     local = local[local[:, 2] > 0]
@@ -62,7 +81,10 @@ def _draw(picture: np.ndarray, walls: np.ndarray, camera: Camera, cameras: Seque
 
 def _pyramid(camera: Camera, length: float) -> np.ndarray:
     """Points on the edges of a camera's pyramid, (8 POINTS, 3), world."""
-    corners = np.array([(0, 0, 1), (camera.width, 0, 1), (camera.width, camera.height, 1), (0, camera.height, 1)]) @ np.linalg.inv(camera.K).T
+    corners = (
+        np.array([(0, 0, 1), (camera.width, 0, 1), (camera.width, camera.height, 1), (0, camera.height, 1)])
+        @ np.linalg.inv(camera.K).T
+    )
     base = corners / np.linalg.norm(corners, axis=1, keepdims=True) * length
     nodes = np.concatenate([np.zeros((1, 3)), base]) @ camera.viewmat[:3, :3] + camera.position
     along = np.linspace(0, 1, POINTS)[:, None]

@@ -1,9 +1,11 @@
 """Where a splat has matter and where it is free: a grid of optical depths over the whole of space.
 
-The grid is fine around the middle of the splat and coarser outside, so that a sky a thousand times as far away has its cells too: the
-coordinates u = (x - centre) / half are kept inside the cube |u| <= 1 (largest component), and contracted outside, to u (2 - 1/|u|) / |u|.
+The grid is fine around the middle of the splat and coarser outside, so that a sky a thousand times as far
+away has its cells too: the coordinates u = (x - centre) / half are kept inside the cube |u| <= 1 (largest
+component), and contracted outside, to u (2 - 1/|u|) / |u|.
 
-The optical depth of a cell is the sum over its Gaussians of opacity times projected area, divided by the area of the cell's side.
+The optical depth of a cell is the sum over its Gaussians of opacity times projected area, divided by the area
+of the cell's side.
 """
 
 from __future__ import annotations
@@ -18,10 +20,12 @@ from ...scene.rotations import rotated
 from ...system.errors import SceneError
 
 SAMPLES = 100_000  # Gaussians that are looked at, at most, evenly spaced in the list
-MIDDLE, WIDER = 0.4, 1.5  # the cube |u| <= 1 is WIDER times as wide as that which holds this share of the opacity
+# the cube |u| <= 1 is WIDER times as wide as that which holds this share of the opacity
+MIDDLE, WIDER = 0.4, 1.5
 CELLS = 64  # along each axis
 PIECES = 64  # points, at most, by which a Gaussian larger than a cell is spread over cells
-FREE, SOLID, OPAQUE = 0.05, 0.5, 1.0  # optical depths: below, a cell is free; above, it is matter; a ray that has gathered so much is blocked
+# optical depths: below, a cell is free; above, it is matter; a ray that has gathered so much is blocked
+FREE, SOLID, OPAQUE = 0.05, 0.5, 1.0
 CLEARANCE = 1.25  # a camera keeps this multiple of the nearest rendered depth from matter
 RAYS, MARCH = 32, 128  # directions in which a place looks for matter; steps of a ray
 LARGEST_LOG, SMALLEST_LOG = 40.0, -40.0  # of log-scales that are taken as they are
@@ -45,24 +49,30 @@ class Matter:
 
     @property
     def widths(self) -> np.ndarray:
-        """(P,) the width as which a picture shows it: twice the geometric mean of the two larger standard deviations."""
+        """(P,) the width as which a picture shows it: twice the geometric mean of the two larger standard
+        deviations."""
         largest = self.scales.max(axis=1)
         middle = self.scales.sum(axis=1) - largest - self.scales.min(axis=1)
         return 2 * np.sqrt(largest * middle)
 
 
 def usable_rows(scene: Scene) -> np.ndarray:
-    """(N,) bool: Gaussians that are finite and have an opacity of at least 1/255. Raises SceneError if there are none."""
+    """(N,) bool: Gaussians that are finite and have an opacity of at least 1/255. Raises SceneError if there
+    are none."""
     good = np.isfinite(scene.opacity_logits) & np.isfinite(scene.sh[:, 0]).all(axis=1)
     for array in (scene.means, scene.log_scales, scene.quats):
         good &= np.isfinite(array.sum(axis=1))
     if not good.any():
-        raise SceneError("the splat has no Gaussian with finite values, so there is nothing that cameras could look at")
+        raise SceneError(
+            "the splat has no Gaussian with finite values, so there is nothing that cameras could look at"
+        )
     cut = thresholds().alpha_cut
     with np.errstate(invalid="ignore"):
         good &= scene.opacity_logits >= np.float32(np.log(cut / (1 - cut)))
     if not good.any():
-        raise SceneError("all Gaussians of the splat are transparent, so there is nothing that cameras could look at")
+        raise SceneError(
+            "all Gaussians of the splat are transparent, so there is nothing that cameras could look at"
+        )
     return good
 
 
@@ -79,7 +89,8 @@ def matter_of(scene: Scene) -> Matter:
 
 
 def share_below(values: np.ndarray, weights: np.ndarray, share: float) -> float:
-    """The value (weighted quantile) below which this share of the weights lies. values, weights: (P,), P > 0."""
+    """The value (weighted quantile) below which this share of the weights lies. values, weights: (P,), P >
+    0."""
     order = np.argsort(values, kind="stable")
     total = np.cumsum(weights[order])
     return float(np.interp(share, (total - weights[order] / 2) / total[-1], values[order]))
@@ -100,7 +111,9 @@ class Space:
         centre = np.array([share_below(axis, weights, 0.5) for axis in matter.means.T])
         half = WIDER * share_below(np.abs(matter.means - centre).max(axis=1), weights, MIDDLE)
         least = share_below(matter.widths, weights, 0.5)
-        space = cls(centre, max(half, least, 1e-6 * float(np.abs(centre).max()), 1e-6), np.zeros((CELLS,) * 3))
+        space = cls(
+            centre, max(half, least, 1e-6 * float(np.abs(centre).max()), 1e-6), np.zeros((CELLS,) * 3)
+        )
         space._fill(matter)
         return space
 
@@ -135,10 +148,13 @@ class Space:
         """(P, 3) the middle of each cell, by its number (P,)."""
         v = (np.stack(np.unravel_index(cells, self.depth.shape), axis=1) + 0.5) * (4 / CELLS) - 2
         m = np.abs(v).max(axis=1, keepdims=True)
-        return self.centre + self.half * v * np.where(m > 1, 1 / np.maximum(2 - m, 1e-9) / np.maximum(m, 1), 1)
+        return self.centre + self.half * v * np.where(
+            m > 1, 1 / np.maximum(2 - m, 1e-9) / np.maximum(m, 1), 1
+        )
 
     def free(self) -> np.ndarray:
-        """(CELLS, CELLS, CELLS) bool: cells in which a camera may stand: no matter is in them or nearer than a camera can see.
+        """(CELLS, CELLS, CELLS) bool: cells in which a camera may stand: no matter is in them or nearer than
+        a camera can see.
 
         Where no cell has such a clearance, that is given up step by step.
         """
@@ -155,12 +171,18 @@ class Space:
         return empty
 
     def enclosure(self, points: np.ndarray) -> np.ndarray:
-        """(P,) the share of directions in which a ray from the point (P, 3) ends in matter: 0 outside and far away, 1 in a closed room."""
-        blocked = np.array([self.blocked(points, np.broadcast_to(direction, points.shape)) for direction in sphere(RAYS)])
+        """(P,) the share of directions in which a ray from the point (P, 3) ends in matter: 0 outside and far
+        away, 1 in a closed room."""
+        blocked = np.array(
+            [self.blocked(points, np.broadcast_to(direction, points.shape)) for direction in sphere(RAYS)]
+        )
         return blocked.mean(axis=0)
 
-    def blocked(self, points: np.ndarray, directions: np.ndarray, reach: np.ndarray | None = None) -> np.ndarray:
-        """(P,) bool: whether the ray from each point (P, 3) in its direction (P, 3) meets matter. reach: (P,) lengths of the rays; None: endless."""
+    def blocked(
+        self, points: np.ndarray, directions: np.ndarray, reach: np.ndarray | None = None
+    ) -> np.ndarray:
+        """(P,) bool: whether the ray from each point (P, 3) in its direction (P, 3) meets matter. reach: (P,)
+        lengths of the rays; None: endless."""
         depth, flat, at = np.zeros(len(points)), self.depth.reshape(-1), np.zeros(len(points))
         limit = np.inf if reach is None else reach
         for _ in range(MARCH):
@@ -174,7 +196,8 @@ class Space:
 
 
 def sphere(count: int, turn: float = 0.0) -> np.ndarray:
-    """(count, 3) unit vectors spread evenly over the sphere (Fibonacci). turn: of all of them around the axis z, in radians."""
+    """(count, 3) unit vectors spread evenly over the sphere (Fibonacci). turn: of all of them around the axis
+    z, in radians."""
     z = 1 - (2 * np.arange(count) + 1) / count
     angle = turn + np.pi * (3 - np.sqrt(5)) * np.arange(count)
     r = np.sqrt(1 - z * z)
@@ -182,7 +205,8 @@ def sphere(count: int, turn: float = 0.0) -> np.ndarray:
 
 
 def connected(free: np.ndarray, start: int) -> np.ndarray:
-    """(n, n, n) bool: the free cells that are connected, side by side, to the cell with the number `start`, which is free."""
+    """(n, n, n) bool: the free cells that are connected, side by side, to the cell with the number `start`,
+    which is free."""
     n = len(free)
     padded = np.zeros((n + 2,) * 3, bool)
     padded[1:-1, 1:-1, 1:-1] = free

@@ -1,4 +1,5 @@
-"""Places from which a splat can be looked at, and the cameras there: around an object, or within a room, a street or a sky."""
+"""Places from which a splat can be looked at, and the cameras there: around an object, or within a room, a
+street or a sky."""
 
 from __future__ import annotations
 
@@ -13,7 +14,9 @@ from .space import CELLS, FREE, Matter, Space, connected, share_below, sphere
 
 AROUND_FOV, WITHIN_FOV = 0.9, 1.3  # angle of view in radians, of a square picture
 SMALLEST, LARGEST, STEP = 512, 1024, 32  # side of a picture, pixels; a multiple of STEP
-ENCLOSED, INSIDE_OUT = 0.5, 0.4  # a place counts as within matter from this enclosure on; a scene is inside-out from this share of such places on
+# a place counts as within matter from this enclosure on; a scene is inside-out from this share of such places
+# on
+ENCLOSED, INSIDE_OUT = 0.5, 0.4
 PROBED = 128  # places whose enclosure is looked at, to tell both kinds of scene apart
 STANDING = 512  # places within a scene from which cameras are chosen
 BULK = 0.05, 0.95  # quantiles of opacity along each axis: the box in which the middle of the scene is
@@ -24,7 +27,8 @@ CLOSE = 0.35, 0.6  # radius of what a close view shows, in radii of the body
 ROOM = 1.5  # a camera keeps this multiple of the nearest rendered depth from a body
 NEAREST, FARTHEST = 0.6, 1.1  # distances of whole views of a body, in those at which it fills a picture
 TRIES, FARTHER = 12, 1.15  # moves outward by this factor, until a camera is free
-PER_PLACE, AIMED = 8, 3  # views from one place within a scene; those of them that are aimed at Gaussians, not spread over the sphere
+# views from one place within a scene; those of them that are aimed at Gaussians, not spread over the sphere
+PER_PLACE, AIMED = 8, 3
 
 
 @dataclass(frozen=True)
@@ -46,7 +50,9 @@ class View:
         viewmat[:3, :3] = right, np.cross(forward, right), forward
         viewmat[:3, 3] = -viewmat[:3, :3] @ self.eye
         focal = side / 2 / self.tangent
-        return Camera(viewmat, np.array([[focal, 0, side / 2], [0, focal, side / 2], [0, 0, 1]]), side, side, name)
+        return Camera(
+            viewmat, np.array([[focal, 0, side / 2], [0, focal, side / 2], [0, 0, 1]]), side, side, name
+        )
 
 
 @dataclass(frozen=True)
@@ -58,16 +64,23 @@ class Body:
     rows: np.ndarray  # (P,) int64: its Gaussians in Matter
 
     def distance(self, tangent: float) -> float:
-        """The distance from the centre at which the sphere fills a picture, and no part of it is too near to be rendered."""
+        """The distance from the centre at which the sphere fills a picture, and no part of it is too near to
+        be rendered."""
         return max(self.radius / math.sin(math.atan(tangent)), self.radius + ROOM * thresholds().near)
 
     def view(self, direction: np.ndarray, nearness: float = 1.0, aim: np.ndarray | float = 0.0) -> View:
-        """The view from a direction (3,), a unit vector. nearness: factor on the distance. aim: (3,) offset of the point that is looked at."""
+        """The view from a direction (3,), a unit vector. nearness: factor on the distance. aim: (3,) offset
+        of the point that is looked at."""
         tangent = math.tan(AROUND_FOV / 2)
         distance = self.distance(tangent)
-        fitting = math.tan(math.asin(min(1.0, self.radius / distance)))  # of a small body from as near as can be: a smaller angle
+        # of a small body from as near as can be: a smaller angle
+        fitting = math.tan(math.asin(min(1.0, self.radius / distance)))
         least = self.radius + ROOM * thresholds().near
-        return View(self.centre + max(least, nearness * distance) * direction, self.centre + aim, min(tangent, fitting))
+        return View(
+            self.centre + max(least, nearness * distance) * direction,
+            self.centre + aim,
+            min(tangent, fitting),
+        )
 
 
 class Around:
@@ -82,7 +95,8 @@ class Around:
         self.bodies = bodies_of(matter, space)
         rows = np.concatenate([body.rows for body in self.bodies])
         self.whole = self.bodies[0] if len(self.bodies) == 1 else body_of(matter, rows)
-        self.shown = [self.whole, *(body for body in self.bodies if body.radius < APART * self.whole.radius)]  # what views show
+        # what views show
+        self.shown = [self.whole, *(body for body in self.bodies if body.radius < APART * self.whole.radius)]
 
     @property
     def tangent(self) -> float:
@@ -91,7 +105,9 @@ class Around:
     def distances(self) -> tuple[np.ndarray, np.ndarray]:
         """Rows of the matter, (P,), and how far away they are looked at, (P,)."""
         rows = np.concatenate([body.rows for body in self.bodies])
-        return rows, np.concatenate([np.full(len(body.rows), body.distance(self.tangent)) for body in self.bodies])
+        return rows, np.concatenate(
+            [np.full(len(body.rows), body.distance(self.tangent)) for body in self.bodies]
+        )
 
     def views(self, count: int, rng: np.random.Generator, close: float = 0.1) -> list[View]:
         """About `count` views. close: share of those that show a part from nearer."""
@@ -100,7 +116,9 @@ class Around:
         total = sum(len(body.rows) for body in self.shown)
         for body in self.shown:
             for direction in sphere(max(OF_BODY, wide * len(body.rows) // total), rng.uniform(0, 2 * np.pi)):
-                views.append(body.view(direction, math.exp(rng.uniform(math.log(NEAREST), math.log(FARTHEST)))))
+                views.append(
+                    body.view(direction, math.exp(rng.uniform(math.log(NEAREST), math.log(FARTHEST))))
+                )
         views += [self.close_view(rng) for _ in range(count - wide)]
         return [view for view in map(self.freed, views) if view is not None]
 
@@ -120,19 +138,28 @@ class Around:
             if len(views) % 8 == 7:
                 view = self.freed(self.close_view(rng))
             else:
-                view = self.freed(body.view(_direction(rng), rng.uniform(NEAREST, FARTHEST), 0.2 * body.radius * rng.standard_normal(3)))
+                view = self.freed(
+                    body.view(
+                        _direction(rng),
+                        rng.uniform(NEAREST, FARTHEST),
+                        0.2 * body.radius * rng.standard_normal(3),
+                    )
+                )
             views += [view] if view is not None else []
             if len(views) == count:
                 break
         return views
 
     def varied(self, view: View, target: np.ndarray, rng: np.random.Generator) -> View | None:
-        """A view near another one that has `target` (3,) nearer to its middle; None if no camera can stand there."""
+        """A view near another one that has `target` (3,) nearer to its middle; None if no camera can stand
+        there."""
         arm = view.eye - view.target
         length = np.linalg.norm(arm)
         arm = arm / length + 0.35 * _direction(rng)
         eye = view.target + length * rng.uniform(0.75, 1.1) * arm / np.linalg.norm(arm)
-        return self.freed(View(eye, view.target + rng.uniform(0.3, 0.9) * (target - view.target), view.tangent))
+        return self.freed(
+            View(eye, view.target + rng.uniform(0.3, 0.9) * (target - view.target), view.tangent)
+        )
 
     def freed(self, view: View) -> View | None:
         """The view from the nearest free place farther away in its direction; None if there is none."""
@@ -164,13 +191,17 @@ class Within:
         return rows, np.min([np.linalg.norm(means - place, axis=1) for place in places], axis=0)
 
     def views(self, count: int, rng: np.random.Generator, aimed: int = AIMED) -> list[View]:
-        """About `count` views. aimed: those of each place that are aimed at Gaussians; 0: a few places that look all around."""
+        """About `count` views. aimed: those of each place that are aimed at Gaussians; 0: a few places that
+        look all around."""
         views = []
         per_place = PER_PLACE if aimed else 6
         for place in spread_places(self.places, max(1, count // per_place)):
             axes = np.linalg.qr(rng.standard_normal((3, 3)))[0]
             around = np.concatenate([axes, -axes]) if not aimed else sphere(per_place - aimed) @ axes
-            views += [View(place, place + self.space.half * direction, self.tangent if aimed else 1.05) for direction in around]
+            views += [
+                View(place, place + self.space.half * direction, self.tangent if aimed else 1.05)
+                for direction in around
+            ]
             views += [View(place, self._aim(place, rng), self.tangent) for _ in range(aimed)]
         return views
 
@@ -209,7 +240,8 @@ def setting_of(matter: Matter, space: Space) -> Around | Within:
 
 
 def enclosed_share(matter: Matter, space: Space) -> float:
-    """The share of the box around the middle of the scene that is empty, with matter in at least half of all directions.
+    """The share of the box around the middle of the scene that is empty, with matter in at least half of all
+    directions.
 
     An object leaves much of its box empty, but outside of it; a room is empty inside.
     """
@@ -222,7 +254,8 @@ def enclosed_share(matter: Matter, space: Space) -> float:
 
 
 def standing_places(matter: Matter, space: Space) -> np.ndarray:
-    """(P, 3) the middles of free cells within the scene, at most STANDING, that are connected to each other. P may be 0."""
+    """(P, 3) the middles of free cells within the scene, at most STANDING, that are connected to each other.
+    P may be 0."""
     free = space.free()
     cells = np.flatnonzero(free.reshape(-1) & _in_bulk(matter, space))
     cells = cells[np.linspace(0, len(cells) - 1, min(STANDING, len(cells))).astype(np.int64)]
@@ -235,7 +268,8 @@ def standing_places(matter: Matter, space: Space) -> np.ndarray:
 
 
 def spread_places(places: np.ndarray, count: int) -> np.ndarray:
-    """At most `count` of the places (P, 3), each as far as possible from those before it; the first is the most central one."""
+    """At most `count` of the places (P, 3), each as far as possible from those before it; the first is the
+    most central one."""
     chosen = [int(np.argmin(np.linalg.norm(places - np.median(places, axis=0), axis=1)))]
     nearest = np.linalg.norm(places - places[chosen[0]], axis=1)
     while len(chosen) < min(count, len(places)):
@@ -245,7 +279,8 @@ def spread_places(places: np.ndarray, count: int) -> np.ndarray:
 
 
 def bodies_of(matter: Matter, space: Space) -> list[Body]:
-    """The connected parts of the matter that hold at least BODY of it, the largest first; floaters are none."""
+    """The connected parts of the matter that hold at least BODY of it, the largest first; floaters are
+    none."""
     cells, weights = space.cells(matter.means), matter.opacities * np.minimum(matter.areas, space.half**2)
     mass = np.bincount(cells, weights, CELLS**3)
     left, bodies = (mass > 0).reshape(space.depth.shape), list[tuple[float, Body]]()
@@ -271,8 +306,8 @@ def body_of(matter: Matter, rows: np.ndarray) -> Body:
 
 
 def side_of(setting: Around | Within, enlarged: float = 1.0) -> int:
-    """The side of a picture in pixels at which a pixel is as wide as half of all Gaussians, within limits. enlarged: how much wider they are than those that
-    are looked at in the end."""
+    """The side of a picture in pixels at which a pixel is as wide as half of all Gaussians, within limits.
+    enlarged: how much wider they are than those that are looked at in the end."""
     rows, distances = setting.distances()
     focal = share_below(distances / setting.matter.widths[rows], setting.matter.opacities[rows], 0.5)
     return int(np.clip(round(2 * setting.tangent * focal * enlarged / STEP) * STEP, SMALLEST, LARGEST))
@@ -280,14 +315,18 @@ def side_of(setting: Around | Within, enlarged: float = 1.0) -> int:
 
 def _in_bulk(matter: Matter, space: Space) -> np.ndarray:
     """(CELLS³,) bool: cells in the box between the quantiles BULK."""
-    low, high = np.array([[share_below(axis, matter.opacities, share) for share in BULK] for axis in matter.means.T]).T
+    low, high = np.array(
+        [[share_below(axis, matter.opacities, share) for share in BULK] for axis in matter.means.T]
+    ).T
     places = space.places(np.arange(CELLS**3))
     return ((places > low) & (places < high)).all(axis=1)
 
 
 def _middle(matter: Matter) -> np.ndarray:
     """Rows of the matter between the quantiles BULK along each axis; all if there are none."""
-    low, high = np.array([[share_below(axis, matter.opacities, share) for share in BULK] for axis in matter.means.T]).T
+    low, high = np.array(
+        [[share_below(axis, matter.opacities, share) for share in BULK] for axis in matter.means.T]
+    ).T
     rows = np.flatnonzero(((matter.means >= low) & (matter.means <= high)).all(axis=1))
     return rows if len(rows) else np.arange(len(matter.means))
 
