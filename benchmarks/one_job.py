@@ -92,23 +92,25 @@ def settings_of(request: dict):
 
 def run_job(request: dict) -> dict:
     """The job's result, with further figures of memory and time."""
-    from svrgs_addon.prune import train_and_prune
+    from svrgs_addon.prune.context import JobContext
+    from svrgs_addon.prune.pipeline import run
+    from svrgs_addon.prune.recipes.fine_tuned import FineTuned
+    from svrgs_addon.prune.recipes.trained import Trained
     from svrgs_addon.system.memory_limits import peak
     from svrgs_addon.views.dataset import load_dataset
 
     native = time_native_calls()
     dataset = load_dataset(Path(request["colmap"]), need_points=request["kind"] == "train")
     base, counts = peak(), [0]
-    options = train_and_prune.JobContext(
-        Path(request["out"]), observe=lambda progress: counts.append(progress.count)
-    )
+    options = JobContext(Path(request["out"]), observe=lambda progress: counts.append(progress.count))
     profile = cProfile.Profile()
     if request["profile"]:
         profile.enable()
     if request["kind"] == "train":
-        result = train_and_prune.train(dataset, settings_of(request), options)
+        result = run(Trained(settings_of(request), options, lambda: dataset))
     else:
-        result = train_and_prune.prune(Path(request["scene"]), dataset, settings_of(request), options)
+        scene = Path(request["scene"])
+        result = run(FineTuned(scene, settings_of(request), options, lambda _: dataset))
     profile.disable()
     result |= {
         "base_memory_bytes": base,

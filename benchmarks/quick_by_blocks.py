@@ -22,7 +22,7 @@ from svrgs_addon.native.rasterizer import Rasterizer
 from svrgs_addon.prune.by_blocks import prune_large
 from svrgs_addon.prune.context import JobContext
 from svrgs_addon.prune.options import PruneOptions
-from svrgs_addon.prune.run_job import prune_scene
+from svrgs_addon.prune.pipeline import prune_scene
 from svrgs_addon.render.metrics import psnr
 from svrgs_addon.render.metrics.evaluate import render_options, rounded_to_8_bits
 from svrgs_addon.scene.camera import Camera

@@ -44,7 +44,7 @@ def data(tiny):
 def small_pictures(monkeypatch):
     """Quick jobs in this process decide on smaller pictures than those of users, in a fraction of the
     time."""
-    from svrgs_addon.prune import quick
+    from svrgs_addon.prune.recipes import quick
 
     monkeypatch.setattr(quick, "SIDE", 192)
 

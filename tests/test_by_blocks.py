@@ -16,7 +16,7 @@ from svrgs_addon.files.streamed_sog import read_level
 from svrgs_addon.finetune.decimate.order import hidden, looks
 from svrgs_addon.finetune.saliency import reduced
 from svrgs_addon.native.rasterizer import Rasterizer
-from svrgs_addon.prune import by_blocks, run_job
+from svrgs_addon.prune import by_blocks, pipeline, plans
 from svrgs_addon.prune.blocks.sample import MOST, finer, refuse_hidden, sample_of
 from svrgs_addon.prune.blocks.tuning import tune
 from svrgs_addon.prune.options import PruneOptions
@@ -120,7 +120,7 @@ def test_the_share_that_is_done_is_that_of_the_whole_job(short, source, tmp_path
     options = PruneOptions(
         scene=source, out=tmp_path / "o.ply", quick=True, target=0.5, levels=(0.5, 0.2), quiet=True
     )
-    run_job.prune_scene(
+    pipeline.prune_scene(
         options, lambda job: replace(job, part=lambda text, share: told.append((text, share)))
     )
     shares = [share for _, share in told]
@@ -200,7 +200,9 @@ def test_a_drop_is_held(svrgs, short, source, tmp_path, suffix):
 def test_a_drop_that_the_format_alone_exceeds_is_refused_before_views_are_scored(
     svrgs, short, monkeypatch, source, tmp_path
 ):
-    monkeypatch.setattr("svrgs_addon.prune.blocks.whole.score", lambda *_: pytest.fail("views were scored"))
+    monkeypatch.setattr(
+        "svrgs_addon.prune.recipes.by_blocks.score", lambda *_: pytest.fail("views were scored")
+    )
     done = svrgs("prune", source, "--quick", "--max-drop", 1e-4, "--out", tmp_path / "o.spz")
     assert done.status == 2 and "the format alone loses" in done.err and not any(tmp_path.iterdir())
 
@@ -234,7 +236,8 @@ def test_levels_are_files_of_their_own(svrgs, short, source, tmp_path):
 
 def test_without_a_number_the_result_is_the_whole_scene(svrgs, short, monkeypatch, source, tmp_path):
     monkeypatch.setattr(
-        "svrgs_addon.prune.blocks.whole.tune", lambda divided, *_: tuned.append(divided) or tune(divided, *_)
+        "svrgs_addon.prune.recipes.by_blocks.tune",
+        lambda divided, *_: tuned.append(divided) or tune(divided, *_),
     )
     tuned = []
     result = svrgs("prune", source, "--quick", "--levels", "0.3", "--out", tmp_path / "o.ply", "--json").json
@@ -266,7 +269,9 @@ def test_levels_of_a_streamed_sog_are_in_it(svrgs, short, source, tmp_path):
 
 
 def test_a_full_disk_is_told_before_views_are_scored(svrgs, short, monkeypatch, source, tmp_path):
-    monkeypatch.setattr("svrgs_addon.prune.blocks.whole.score", lambda *_: pytest.fail("views were scored"))
+    monkeypatch.setattr(
+        "svrgs_addon.prune.recipes.by_blocks.score", lambda *_: pytest.fail("views were scored")
+    )
     monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=4 * COUNT * (12 + 3 * 4) * 2))
     done = svrgs("prune", source, "--quick", "--target", 0.9, "--out", tmp_path / "o.ply")
     assert (
@@ -424,7 +429,7 @@ def test_only_some_jobs_can_be_done_by_blocks(tmp_path):
     assert not possible(max_drop=0.1) and not possible(method="svr", target=0.5)
     assert not possible(target=0.5, levels=(0.5,)) and not possible(method="merge", max_drop=0.1)
     assert not possible(target=0.5, recovery=10) and not possible()
-    assert run_job.method_of(PruneOptions(target=0.5)).merges
+    assert plans.method_of(PruneOptions(target=0.5)).merges
     photographs = {"colmap": tmp_path, "iterations": 10}
     assert (
         possible(**photographs, target=0.5)

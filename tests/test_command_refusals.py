@@ -16,7 +16,7 @@ import tiny_dataset
 from command_checks import files, refused
 from svrgs_addon.files.ply import read_ply, write_ply
 from svrgs_addon.native.rasterizer import Rasterizer
-from svrgs_addon.prune import train_and_prune
+from svrgs_addon.prune.recipes import fine_tuned
 
 
 @pytest.fixture
@@ -262,8 +262,8 @@ UNWRITABLE = {
 @pytest.mark.parametrize("line", UNWRITABLE.values(), ids=UNWRITABLE)
 def test_an_output_that_cannot_be_written_is_found_before_the_work(tiny, svrgs, tmp_path, monkeypatch, line):
     for module, name in (
-        (train_and_prune, "load_scene"),
-        (train_and_prune, "fine_tune"),
+        (fine_tuned, "load_scene"),
+        (fine_tuned.FineTuned, "tune"),
         (Rasterizer, "forward"),
     ):
         monkeypatch.setattr(module, name, lambda *_, **__: pytest.fail("the work has begun"))

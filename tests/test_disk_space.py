@@ -15,12 +15,14 @@ import pytest
 pytest.importorskip("pycolmap")
 pytest.importorskip("OpenImageIO")
 
+import whole_jobs
 from svrgs_addon.files import disk_space
 from svrgs_addon.files.disk_space import CAN_HOLD, HeldSpace, refuse_shortage
 from svrgs_addon.files.ply import read_ply
 from svrgs_addon.finetune import loop
 from svrgs_addon.jobs.job_folder import JobFolder
-from svrgs_addon.prune import train_and_prune
+from svrgs_addon.prune.context import JobContext
+from svrgs_addon.prune.recipes import fine_tuned
 from svrgs_addon.system import memory
 from svrgs_addon.system.errors import Cancelled, SceneError
 from tiny_jobs import SETTINGS, TRAINING
@@ -54,8 +56,8 @@ def test_a_disk_that_is_too_small_is_said_before_the_work(
     def work(*_):
         raise AssertionError("the work has begun")
 
-    monkeypatch.setattr(train_and_prune, "measured", work)
-    monkeypatch.setattr(train_and_prune, "fine_tune", work)
+    monkeypatch.setattr(fine_tuned.Tuned, "measured", work)
+    monkeypatch.setattr(fine_tuned.Tuned, "tune", work)
     scene = [tiny.splat] if command == "prune" else []
     outcome = svrgs(
         command,
@@ -89,19 +91,19 @@ def test_a_background_job_is_refused_before_its_folder_is_made(tiny, tmp_path, l
 )
 @pytest.mark.parametrize("command", ["prune", "train"])
 def test_the_room_is_held_until_it_is_used_and_then_free_again(tiny, data, tmp_path, monkeypatch, command):
-    seen, write = [], train_and_prune.write_scene
+    seen, write = [], fine_tuned.write_scene
 
     def last(path, scene):
         seen.append(held_in(tmp_path))
         write(path, scene)
 
-    monkeypatch.setattr(train_and_prune, "write_scene", last)
+    monkeypatch.setattr(fine_tuned, "write_scene", last)
     monkeypatch.setattr(loop, "CHECKPOINT_SECONDS", 0)
-    job = train_and_prune.JobContext(tmp_path / "o.ply", observe=lambda _: seen.append(held_in(tmp_path)))
+    job = JobContext(tmp_path / "o.ply", observe=lambda _: seen.append(held_in(tmp_path)))
     if command == "prune":
-        train_and_prune.prune(tiny.splat, data, SETTINGS, job)
+        whole_jobs.prune(tiny.splat, data, SETTINGS, job)
     else:
-        train_and_prune.train(data, TRAINING, job)
+        whole_jobs.train(data, TRAINING, job)
     *during, at_the_end = seen
     assert min(during) > (tmp_path / "o.ply").stat().st_size and at_the_end == 0
     assert held_in(tmp_path) == 0 and [path.name for path in tmp_path.iterdir()] == ["o.ply"]
@@ -114,7 +116,7 @@ def test_a_disk_that_fills_while_the_room_is_taken_is_one_sentence(tiny, data, t
 
     monkeypatch.setattr(os, "posix_fallocate", full)
     with pytest.raises(SceneError, match=r"o\.ply: cannot be written \(No space left on device\)"):
-        train_and_prune.prune(tiny.splat, data, SETTINGS, train_and_prune.JobContext(tmp_path / "o.ply"))
+        whole_jobs.prune(tiny.splat, data, SETTINGS, JobContext(tmp_path / "o.ply"))
     assert not list(tmp_path.iterdir())
 
 
@@ -125,15 +127,13 @@ def test_where_space_cannot_be_held_the_work_goes_on(tiny, data, tmp_path, monke
 
     monkeypatch.setattr(os, "posix_fallocate", unknown)
     HeldSpace(tmp_path, 1000).release()
-    train_and_prune.prune(tiny.splat, data, SETTINGS, train_and_prune.JobContext(tmp_path / "o.ply"))
+    whole_jobs.prune(tiny.splat, data, SETTINGS, JobContext(tmp_path / "o.ply"))
     assert (tmp_path / "o.ply").exists()
 
 
 def test_the_size_of_a_checkpoint_is_foreseen(tiny, data, tmp_path):
     with pytest.raises(Cancelled):
-        train_and_prune.prune(
-            tiny.splat, data, SETTINGS, train_and_prune.JobContext(tmp_path / "o.ply", stop=lambda: True)
-        )
+        whole_jobs.prune(tiny.splat, data, SETTINGS, JobContext(tmp_path / "o.ply", stop=lambda: True))
     (file,) = tmp_path.rglob("arrays.npz")
     with np.load(file) as arrays:
         count, coefficients = arrays["values.sh"].shape[:2]

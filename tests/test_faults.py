@@ -16,11 +16,13 @@ import pytest
 pytest.importorskip("pycolmap")
 pytest.importorskip("OpenImageIO")
 
+import whole_jobs
 from faults import WRITERS, digest
 from plans import prune_settings
 from svrgs_addon.files.ply import read_ply
 from svrgs_addon.finetune import checkpoint, loop
-from svrgs_addon.prune import train_and_prune
+from svrgs_addon.prune.context import JobContext
+from svrgs_addon.prune.recipes import fine_tuned
 from svrgs_addon.system.errors import SceneError, SplatError
 from svrgs_addon.views.dataset import load_dataset
 
@@ -132,7 +134,7 @@ def at(iteration: int, action):
 def test_photographs_that_vanish_lose_no_work(tiny, data, tmp_path, damage):
     """A checkpoint of the last whole step is left, and with the photographs back the run ends as if nothing
     had been."""
-    train_and_prune.prune(tiny.splat, data, SETTINGS, train_and_prune.JobContext(tmp_path / "whole.ply"))
+    whole_jobs.prune(tiny.splat, data, SETTINGS, JobContext(tmp_path / "whole.ply"))
     photos = sorted((tmp_path / "data/images").iterdir())
     kept = {photo: photo.read_bytes() for photo in photos}
 
@@ -142,15 +144,13 @@ def test_photographs_that_vanish_lose_no_work(tiny, data, tmp_path, damage):
 
     out = tmp_path / "o.ply"
     with pytest.raises(SplatError, match=r"images/\d+\.png") as caught:
-        train_and_prune.prune(
-            tiny.splat, data, SETTINGS, train_and_prune.JobContext(out, observe=at(12, lose))
-        )
+        whole_jobs.prune(tiny.splat, data, SETTINGS, JobContext(out, observe=at(12, lose)))
     assert "\n" not in str(caught.value) and not out.exists()
     (left,) = (tmp_path / "o.ply.job").iterdir()
     assert checkpoint.read_manifest(left)["iteration"] >= 12
     for photo, content in kept.items():
         photo.write_bytes(content)
-    train_and_prune.prune(tiny.splat, data, SETTINGS, train_and_prune.JobContext(out, resume=True))
+    whole_jobs.prune(tiny.splat, data, SETTINGS, JobContext(out, resume=True))
     assert out.read_bytes() == (tmp_path / "whole.ply").read_bytes()
 
 
@@ -166,18 +166,18 @@ def test_a_full_disk_at_the_end_leaves_the_last_checkpoint(tiny, data, tmp_path,
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
-    original = train_and_prune.write_scene
-    monkeypatch.setattr(train_and_prune, "write_scene", write)
+    original = fine_tuned.write_scene
+    monkeypatch.setattr(fine_tuned, "write_scene", write)
     with pytest.raises(SceneError, match="cannot be written"):
-        train_and_prune.prune(tiny.splat, data, SETTINGS, train_and_prune.JobContext(out))
+        whole_jobs.prune(tiny.splat, data, SETTINGS, JobContext(out))
     assert not out.exists()
-    monkeypatch.setattr(train_and_prune, "write_scene", original)
+    monkeypatch.setattr(fine_tuned, "write_scene", original)
     seen = []
-    train_and_prune.prune(
+    whole_jobs.prune(
         tiny.splat,
         data,
         SETTINGS,
-        train_and_prune.JobContext(out, resume=True, observe=lambda p: seen.append(p.iteration)),
+        JobContext(out, resume=True, observe=lambda p: seen.append(p.iteration)),
     )
     assert len(seen) <= 1 and read_ply(out).count > 5
 
@@ -188,11 +188,11 @@ def test_a_checkpoint_that_cannot_be_written_leaves_the_one_before(tiny, data, t
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     try:
         with pytest.raises(SceneError, match="arrays.npz: cannot be written"):
-            train_and_prune.prune(
+            whole_jobs.prune(
                 tiny.splat,
                 data,
                 SETTINGS,
-                train_and_prune.JobContext(
+                JobContext(
                     out, observe=at(8, lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard)))
                 ),
             )

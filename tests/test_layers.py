@@ -218,7 +218,7 @@ def test_info_loads_nothing_heavy(tiny):
     assert (
         not {
             f"svrgs_addon.{name}"
-            for name in ("native.rasterizer", "finetune", "views", "render", "prune.run_job")
+            for name in ("native.rasterizer", "finetune", "views", "render", "prune.pipeline")
         }
         & loaded
     )

@@ -24,7 +24,7 @@ from svrgs_addon.finetune.plan import Plan
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.jobs.job_recorder import PruneRecorder
 from svrgs_addon.native.rasterizer import Rasterizer
-from svrgs_addon.prune import run_job
+from svrgs_addon.prune import pipeline
 from svrgs_addon.prune.blocks.divided import Divided, divide, gathered, scene_of
 from svrgs_addon.prune.blocks.learning import decide, recover, targets
 from svrgs_addon.prune.blocks.likeness import PhotographLikeness
@@ -274,7 +274,7 @@ def test_a_job_on_photographs_goes_over_to_blocks_where_memory_is_short(
     def short(*_):
         raise SHORT
 
-    monkeypatch.setattr(run_job.train_and_prune, "prune", short)
+    monkeypatch.setattr(pipeline.FineTuned, "open", short)
     words = ["--colmap", tiny.folder, *STEPS, "--out", tmp_path / "o.spz"]
     result = svrgs("prune", tiny.splat, *words, "--target", 0.5, "--json").json
     assert (
@@ -313,7 +313,7 @@ def test_a_job_on_photographs_goes_over_to_blocks_where_memory_is_short(
         recovery=10,
         quiet=True,
     )
-    run_job.prune_scene(options, lambda job: replace(job, part=lambda text, _: said.append(text)))
+    pipeline.prune_scene(options, lambda job: replace(job, part=lambda text, _: said.append(text)))
     assert any(text.startswith("decide: block 0, 125 Gaussians: Removing") for text in said) and any(
         text.startswith("recover: ") for text in said
     )
@@ -341,10 +341,10 @@ def test_a_job_of_blender_goes_over_to_blocks_too_and_tells_what_it_does(tiny, t
     def short(*_):
         raise SHORT
 
-    monkeypatch.setattr(run_job.train_and_prune, "prune", short)
+    monkeypatch.setattr(pipeline.FineTuned, "open", short)
     folder = create(tmp_path / "job", tiny, method="removal", iterations=20, recovery=10, target=0.5)
     recorder = PruneRecorder(folder, Listener())
-    result = recorder.finish(run_job.prune_scene(folder.options(), recorder.attached))
+    result = recorder.finish(pipeline.prune_scene(folder.options(), recorder.attached))
     assert any(text.startswith("decide: block 0") for text in Listener.said)
     assert result["merged"] and result["count"] == COUNT // 2 and result["before"]["psnr"] > 15
     assert read_scene(folder / "pruned.ply").count == COUNT // 2 and not list(

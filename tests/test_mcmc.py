@@ -20,7 +20,7 @@ from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.settings import MCMC, Densify
 from svrgs_addon.finetune.torch_engine import TorchEngine
 from svrgs_addon.prune.options import TrainOptions
-from svrgs_addon.prune.run_job import plan_of_training
+from svrgs_addon.prune.plans import plan_of_training
 from svrgs_addon.scene.rotations import rotated, rotation_matrices
 from svrgs_addon.system.errors import SceneError
 

@@ -15,13 +15,14 @@ pytest.importorskip("OpenImageIO")
 
 import scenes
 import tiny_dataset
+import whole_jobs
 from plans import plan_of
 from svrgs_addon.cli import commands
 from svrgs_addon.files import ply
 from svrgs_addon.files.ply import write_ply
 from svrgs_addon.files.registry import load_parts, load_scene, write_scene
 from svrgs_addon.finetune.settings import Densify, Phase, Rates
-from svrgs_addon.prune import train_and_prune
+from svrgs_addon.prune.context import JobContext
 from svrgs_addon.system import memory, packages
 from svrgs_addon.system import memory_limits as readings
 from svrgs_addon.system.errors import Cancelled, NativeError, SceneError, TooMany
@@ -327,9 +328,7 @@ GROWING = plan_of("3dgs", (Phase("train", 10, Rates(), RULE),))
 
 
 def trained(tiny, out, **options) -> dict:
-    return train_and_prune.train(
-        load_dataset(tiny.folder), GROWING, train_and_prune.JobContext(out, **options)
-    )
+    return whole_jobs.train(load_dataset(tiny.folder), GROWING, JobContext(out, **options))
 
 
 def short_from_the_start_on(monkeypatch):

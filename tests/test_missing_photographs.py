@@ -13,10 +13,11 @@ pytest.importorskip("pycolmap")
 pytest.importorskip("OpenImageIO")
 
 import tiny_dataset
+import whole_jobs
 from job_checks import ROOT, SHORT, create, follow
 from svrgs_addon.jobs.estimate import estimate
 from svrgs_addon.jobs.job_process import Job
-from svrgs_addon.prune import train_and_prune
+from svrgs_addon.prune.context import JobContext
 from svrgs_addon.prune.options import PruneOptions
 from svrgs_addon.system.errors import Cancelled, FormatError
 from svrgs_addon.views.dataset import load_dataset
@@ -83,11 +84,9 @@ def test_a_background_job_says_it_while_it_runs(fewer, tmp_path, jobs):
 
 def test_resume_needs_the_same_photographs(fewer, tmp_path):
     out, data, steps = tmp_path / "o.ply", load_dataset(fewer.folder), []
-    context = train_and_prune.JobContext(
-        out, observe=lambda p: steps.append(p.iteration), stop=lambda: len(steps) == 30
-    )
+    context = JobContext(out, observe=lambda p: steps.append(p.iteration), stop=lambda: len(steps) == 30)
     with pytest.raises(Cancelled):
-        train_and_prune.prune(fewer.splat, data, SETTINGS, context)
+        whole_jobs.prune(fewer.splat, data, SETTINGS, context)
     moved = fewer.folder / "images/02.png"
     kept = moved.read_bytes()
     moved.unlink()

@@ -12,6 +12,7 @@ pytest.importorskip("OpenImageIO")
 
 import scenes
 import tiny_dataset
+import whole_jobs
 from command_checks import files, refused
 from job_checks import create, follow
 from pictures import photographed
@@ -26,7 +27,7 @@ from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.saliency import removal_errors
 from svrgs_addon.jobs.job_process import Job
 from svrgs_addon.native.rasterizer import Rasterizer
-from svrgs_addon.prune import train_and_prune
+from svrgs_addon.prune.context import JobContext
 from svrgs_addon.system.errors import Cancelled, SceneError
 
 COUNT, SMALLEST = 60, 0.1
@@ -146,14 +147,10 @@ def test_a_stopped_run_ends_as_if_it_had_not_been(tiny, data, tmp_path, iteratio
         asked.append(0)
         return len(asked) == iteration
 
-    train_and_prune.prune(tiny.splat, data, settings, train_and_prune.JobContext(tmp_path / "whole.ply"))
+    whole_jobs.prune(tiny.splat, data, settings, JobContext(tmp_path / "whole.ply"))
     with pytest.raises(Cancelled):
-        train_and_prune.prune(
-            tiny.splat, data, settings, train_and_prune.JobContext(tmp_path / "o.ply", stop=stop)
-        )
-    train_and_prune.prune(
-        tiny.splat, data, settings, train_and_prune.JobContext(tmp_path / "o.ply", resume=True)
-    )
+        whole_jobs.prune(tiny.splat, data, settings, JobContext(tmp_path / "o.ply", stop=stop))
+    whole_jobs.prune(tiny.splat, data, settings, JobContext(tmp_path / "o.ply", resume=True))
     assert (tmp_path / "o.ply").read_bytes() == (tmp_path / "whole.ply").read_bytes()
 
 

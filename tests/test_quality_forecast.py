@@ -14,8 +14,8 @@ from svrgs_addon.jobs.estimate import estimate
 from svrgs_addon.native.rasterizer import Rasterizer
 from svrgs_addon.prune import quality_forecast
 from svrgs_addon.prune.options import PruneOptions
+from svrgs_addon.prune.pipeline import prune_scene
 from svrgs_addon.prune.quality_forecast import LEAST_STEPS, forecast, spread
-from svrgs_addon.prune.run_job import prune_scene
 from svrgs_addon.render.metrics.evaluate import mean_psnr, render_options
 
 SHARES = (1.0, 0.7, 0.5, 0.3, 0.2, 0.1, 0.05)

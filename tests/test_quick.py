@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,10 +16,10 @@ from svrgs_addon.files.streamed_sog import read_level
 from svrgs_addon.finetune.decimate.order import looks, order_of
 from svrgs_addon.finetune.refit import interpolated
 from svrgs_addon.native.rasterizer import Rasterizer
-from svrgs_addon.prune import smallest_file
+from svrgs_addon.prune import pipeline, smallest_file
 from svrgs_addon.prune.context import JobContext
 from svrgs_addon.prune.options import PruneOptions
-from svrgs_addon.prune.quick import prune_quick
+from svrgs_addon.prune.recipes.quick import Quick
 from svrgs_addon.render.metrics.evaluate import render_options
 from svrgs_addon.render.metrics.psnr import psnr
 from svrgs_addon.scene.gaussians import Scene
@@ -37,7 +38,7 @@ def splat(tmp_path):
 
 def run(path, **more) -> dict:
     options = {"target": 0.25, "out": path.with_name("small.ply"), "quick": True, "scene": path} | more
-    return prune_quick(PruneOptions(**options), JobContext(options["out"]))
+    return pipeline.run(Quick(PruneOptions(**options), JobContext(options["out"], scene=path)))
 
 
 @pytest.fixture(scope="module")
@@ -186,7 +187,7 @@ def test_a_stop_leaves_nothing_and_says_so(splat):
     options = PruneOptions(scene=splat, out=splat.with_name("small.ply"), target=0.25, quick=True)
     asked = iter([False, False, True])
     with pytest.raises(Cancelled, match="no checkpoint"):
-        prune_quick(options, JobContext(splat.with_name("small.ply"), stop=lambda: next(asked)))
+        pipeline.prune_scene(options, lambda job: replace(job, stop=lambda: next(asked)))
     assert sorted(path.name for path in splat.parent.iterdir()) == ["ball.ply"]
 
 
@@ -200,7 +201,7 @@ def test_lost_columns_are_named(tmp_path):
 @pytest.mark.parametrize("target", [0.2, 0.9])
 def test_steps_that_do_harm_are_taken_back(splat, monkeypatch, target):
     """The steps of this test paint all Gaussians grey."""
-    from svrgs_addon.prune import quick
+    from svrgs_addon.prune.recipes import quick
 
     before = []
     monkeypatch.setattr(
@@ -226,11 +227,10 @@ def test_a_full_disk_costs_the_order_and_not_the_result(splat, monkeypatch, tmp_
     def full(*_):
         raise SceneError("the disk is full")
 
-    monkeypatch.setattr("svrgs_addon.prune.quick.write_order", full)
+    monkeypatch.setattr("svrgs_addon.prune.recipes.quick.write_order", full)
     out = splat.with_name("small.ply")
-    result = prune_quick(
-        PruneOptions(scene=splat, out=out, target=0.5, quick=True), JobContext(out, order=tmp_path)
-    )
+    options = PruneOptions(scene=splat, out=out, target=0.5, quick=True)
+    result = pipeline.prune_scene(options, lambda job: replace(job, order=tmp_path))
     assert read_ply(out).count == result["count"] == 1_000 and "the disk is full" in result["notes"][-1]
 
 

@@ -17,8 +17,8 @@ from svrgs_addon.jobs.job_folder import JobFolder
 from svrgs_addon.jobs.job_process import Job
 from svrgs_addon.native.rasterizer import Rasterizer
 from svrgs_addon.prune.options import PruneOptions
+from svrgs_addon.prune.pipeline import prune_scene
 from svrgs_addon.prune.rendered_views import LONGEST, rendered_dataset
-from svrgs_addon.prune.run_job import prune_scene
 from svrgs_addon.render.metrics.evaluate import render_options
 from svrgs_addon.render.metrics.psnr import psnr, with_error
 from svrgs_addon.scene.camera import Camera
@@ -46,6 +46,11 @@ def splat(tmp_path):
     return path
 
 
+def dataset_of(options: PruneOptions):
+    """The splat's own pictures."""
+    return rendered_dataset(options, read_ply(options.scene))
+
+
 def prune(path, **more) -> dict:
     options = {
         "target": 0.25,
@@ -58,7 +63,7 @@ def prune(path, **more) -> dict:
 
 
 def test_pictures_are_those_of_the_scene(splat):
-    dataset, scene = rendered_dataset(PruneOptions(scene=splat, background=(0.2, 0.4, 0.6))), read_ply(splat)
+    dataset, scene = dataset_of(PruneOptions(scene=splat, background=(0.2, 0.4, 0.6))), read_ply(splat)
     for index in (0, len(dataset.cameras) - 1):
         image = dataset.image(index)
         rgb = Rasterizer().forward(scene, dataset.cameras[index], render_options(scene, (0.2, 0.4, 0.6)))[
@@ -71,7 +76,7 @@ def test_pictures_are_those_of_the_scene(splat):
 
 
 def test_pictures_come_from_several_threads_in_order_and_stay_within_their_memory(splat):
-    dataset = rendered_dataset(PruneOptions(scene=splat, image_memory=0.0))
+    dataset = dataset_of(PruneOptions(scene=splat, image_memory=0.0))
     order = [3, 1, 3, 0, 2, 1]
     streamed = list(dataset.stream(order))
     assert [index for index, _ in streamed] == order
@@ -123,7 +128,7 @@ def test_the_same_job_gives_the_same_bytes_on_any_number_of_threads_and_after_a_
 
 def test_a_stopped_job_of_another_splat_does_not_go_on(splat):
     """The pictures are part of what must be the same, also those of Gaussians that the cut has removed."""
-    dataset = rendered_dataset(PruneOptions(scene=splat))
+    dataset = dataset_of(PruneOptions(scene=splat))
     before = list(dataset.inputs())
     dataset.scene.sh[7, 0, 0] += 0.01
     assert list(dataset.inputs()) != before
@@ -244,7 +249,7 @@ def test_a_shot_that_sees_the_front_drops_the_back(splat):
     assert any("what they do not see may be removed" in note for note in only["notes"])
     assert (
         len(
-            rendered_dataset(
+            dataset_of(
                 PruneOptions(scene=splat, cameras=options["cameras"], holdout=3, seen_from_only=True)
             ).test_indices
         )
@@ -254,9 +259,7 @@ def test_a_shot_that_sees_the_front_drops_the_back(splat):
 
 def test_large_views_are_reduced(splat):
     write_cameras_json(splat.with_name("shot.json"), front(read_ply(splat), 1, 3840, 2160))
-    dataset = rendered_dataset(
-        PruneOptions(scene=splat, cameras=splat.with_name("shot.json"), seen_from_only=True)
-    )
+    dataset = dataset_of(PruneOptions(scene=splat, cameras=splat.with_name("shot.json"), seen_from_only=True))
     assert (dataset.cameras[0].width, dataset.cameras[0].height) == (
         LONGEST,
         900,

@@ -15,11 +15,12 @@ pytest.importorskip("pycolmap")
 pytest.importorskip("OpenImageIO")
 
 import tiny_dataset
+import whole_jobs
 from plans import prune_settings
 from svrgs_addon.files.ply import read_ply, write_ply
 from svrgs_addon.finetune import loop
 from svrgs_addon.finetune.checkpoint import read_manifest
-from svrgs_addon.prune import train_and_prune
+from svrgs_addon.prune.context import JobContext
 from svrgs_addon.system.errors import Cancelled, FormatError
 from svrgs_addon.system.memory import checkpoint as checkpoint_bytes
 from svrgs_addon.views.dataset import load_dataset
@@ -32,8 +33,8 @@ class StopAt:
     def __init__(self, iteration: int):
         self.iteration, self.seen = iteration, []
 
-    def options(self, out: Path, resume: bool = False) -> train_and_prune.JobContext:
-        return train_and_prune.JobContext(
+    def options(self, out: Path, resume: bool = False) -> JobContext:
+        return JobContext(
             out,
             resume=resume,
             observe=lambda p: self.seen.append(p.iteration),
@@ -57,7 +58,7 @@ def test_resume_after_stops(tiny, data, whole, tmp_path, iterations):
     for iteration in iterations:
         stop = StopAt(iteration)
         with pytest.raises(Cancelled):
-            train_and_prune.prune(tiny.splat, data, SETTINGS, stop.options(out, resume=True))
+            whole_jobs.prune(tiny.splat, data, SETTINGS, stop.options(out, resume=True))
         assert stop.seen == list(range(before + 1, iteration + 1)), (
             "resuming must go on where the last run stopped"
         )
@@ -70,11 +71,11 @@ def test_resume_after_stops(tiny, data, whole, tmp_path, iterations):
 @pytest.mark.parametrize("iteration", [19, 40, 70, 100, 119, 120, 130])
 def test_resume_of_training(data, tmp_path, iteration):
     """Densification statistics, clones and splits, opacity resets, masks."""
-    train_and_prune.train(data, TRAINING, train_and_prune.JobContext(tmp_path / "whole.ply"), 1)
+    whole_jobs.train(data, TRAINING, JobContext(tmp_path / "whole.ply"), 1)
     assert read_ply(tmp_path / "whole.ply").count != tiny_dataset.SEEN
     with pytest.raises(Cancelled):
-        train_and_prune.train(data, TRAINING, StopAt(iteration).options(tmp_path / "o.ply"), 1)
-    train_and_prune.train(data, TRAINING, train_and_prune.JobContext(tmp_path / "o.ply", resume=True), 1)
+        whole_jobs.train(data, TRAINING, StopAt(iteration).options(tmp_path / "o.ply"), 1)
+    whole_jobs.train(data, TRAINING, JobContext(tmp_path / "o.ply", resume=True), 1)
     assert (tmp_path / "o.ply").read_bytes() == (tmp_path / "whole.ply").read_bytes()
 
 
@@ -82,10 +83,10 @@ def test_resume_of_training(data, tmp_path, iteration):
 def test_resume_with_reduced_photographs_and_views_by_loss(data, tmp_path, iteration):
     train, recover = TRAINING.phases
     settings = replace(TRAINING, phases=(replace(train, coarse_until=60), recover), views_by_loss=True)
-    train_and_prune.train(data, settings, train_and_prune.JobContext(tmp_path / "whole.ply"), 1)
+    whole_jobs.train(data, settings, JobContext(tmp_path / "whole.ply"), 1)
     with pytest.raises(Cancelled):
-        train_and_prune.train(data, settings, StopAt(iteration).options(tmp_path / "o.ply"), 1)
-    train_and_prune.train(data, settings, train_and_prune.JobContext(tmp_path / "o.ply", resume=True), 1)
+        whole_jobs.train(data, settings, StopAt(iteration).options(tmp_path / "o.ply"), 1)
+    whole_jobs.train(data, settings, JobContext(tmp_path / "o.ply", resume=True), 1)
     assert (tmp_path / "o.ply").read_bytes() == (tmp_path / "whole.ply").read_bytes()
 
 
@@ -94,7 +95,7 @@ def test_resume_while_values_are_averaged(tiny, data, tmp_path, iteration):
     settings = replace(prune_settings("removal", 30, 60), target=12, seed=5)
     expected = prune(tiny, data, tmp_path / "whole.ply", settings)
     with pytest.raises(Cancelled):
-        train_and_prune.prune(tiny.splat, data, settings, StopAt(iteration).options(tmp_path / "o.ply"))
+        whole_jobs.prune(tiny.splat, data, settings, StopAt(iteration).options(tmp_path / "o.ply"))
     folder = tmp_path / "o.ply.job" / f"{iteration:07d}"
     samples = max(0, iteration - 75)
     assert read_manifest(folder)["averaged"] == samples
@@ -110,7 +111,7 @@ def test_resume_while_values_are_averaged(tiny, data, tmp_path, iteration):
 
 def test_a_stop_at_the_last_step_finishes(tiny, data, whole, tmp_path):
     stop = StopAt(SETTINGS.total)
-    train_and_prune.prune(tiny.splat, data, SETTINGS, stop.options(tmp_path / "o.ply"))
+    whole_jobs.prune(tiny.splat, data, SETTINGS, stop.options(tmp_path / "o.ply"))
     assert (tmp_path / "o.ply").read_bytes() == whole
 
 
@@ -122,7 +123,7 @@ def stopped(tiny, data, out: Path, monkeypatch, iteration: int = 45):
     """Leaves checkpoints of the two last iterations."""
     monkeypatch.setattr(loop, "CHECKPOINT_SECONDS", 0)
     with pytest.raises(Cancelled):
-        train_and_prune.prune(tiny.splat, data, SETTINGS, StopAt(iteration).options(out))
+        whole_jobs.prune(tiny.splat, data, SETTINGS, StopAt(iteration).options(out))
     assert checkpoints(out) == [f"{iteration - 1:07d}", f"{iteration:07d}"]
 
 
@@ -173,7 +174,7 @@ def test_a_torn_checkpoint_falls_back_to_the_one_before(
     damage(tmp_path / "o.ply.job" / "0000045")
     stop = StopAt(10**9)
     with caplog.at_level(logging.WARNING):
-        train_and_prune.prune(tiny.splat, data, SETTINGS, stop.options(out, resume=True))
+        whole_jobs.prune(tiny.splat, data, SETTINGS, stop.options(out, resume=True))
     assert stop.seen[0] == 45 and "0000045 is damaged or of another version" in caplog.text
     assert out.read_bytes() == whole and [path.name for path in tmp_path.iterdir()] == ["o.ply"]
 
@@ -185,7 +186,7 @@ def test_a_torn_checkpoint_does_not_displace_later_ones(tiny, data, whole, tmp_p
         shutil.copytree(tmp_path / "o.ply.job/0000045", tmp_path / f"o.ply.job/{number:07d}")
         damage_flip(tmp_path / f"o.ply.job/{number:07d}")
     with pytest.raises(Cancelled):
-        train_and_prune.prune(tiny.splat, data, SETTINGS, StopAt(46).options(out, resume=True))
+        whole_jobs.prune(tiny.splat, data, SETTINGS, StopAt(46).options(out, resume=True))
     assert checkpoints(out) == ["0000045", "0000046"]
     assert prune(tiny, data, out, resume=True) == whole
 
@@ -196,7 +197,7 @@ def test_without_resume_a_job_starts_anew(tiny, data, whole, tmp_path, monkeypat
     stopped(tiny, data, out, monkeypatch)
     stop = StopAt(7)
     with pytest.raises(Cancelled):
-        train_and_prune.prune(tiny.splat, data, SETTINGS, stop.options(out))
+        whole_jobs.prune(tiny.splat, data, SETTINGS, stop.options(out))
     assert stop.seen == list(range(1, 8)) and checkpoints(out) == ["0000006", "0000007"]
     assert prune(tiny, data, out, resume=True) == whole
 
@@ -247,8 +248,8 @@ def test_resume_with_other_settings_is_refused(tiny, data, whole, tmp_path, monk
 def test_seconds_of_a_resumed_job_are_those_of_all_its_parts(tiny, data, tmp_path):
     out, stop = tmp_path / "o.ply", StopAt(60)
     with pytest.raises(Cancelled):
-        train_and_prune.prune(tiny.splat, data, SETTINGS, stop.options(out))
-    result = train_and_prune.prune(tiny.splat, data, SETTINGS, train_and_prune.JobContext(out, resume=True))
+        whole_jobs.prune(tiny.splat, data, SETTINGS, stop.options(out))
+    result = whole_jobs.prune(tiny.splat, data, SETTINGS, JobContext(out, resume=True))
     assert result["seconds"] >= sum(result["seconds_by_phase"].values())
 
 

@@ -18,7 +18,7 @@ from svrgs_addon.finetune import checkpoint, loop
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.jobs.job_folder import JobFolder
 from svrgs_addon.jobs.job_process import Job
-from svrgs_addon.prune import run_job
+from svrgs_addon.prune import pipeline
 from svrgs_addon.prune.blocks.folder import refuse_foreign, remove
 from svrgs_addon.prune.blocks.learning import RUNS, decide, recover
 from svrgs_addon.prune.blocks.tasks import FILE, progress
@@ -32,7 +32,7 @@ def short(monkeypatch):
     def refuse(*_):
         raise MemoryShort("a.ply: fine-tuning needs 90 GB of memory, but only 1 GB is available")
 
-    monkeypatch.setattr(run_job.train_and_prune, "prune", refuse)
+    monkeypatch.setattr(pipeline.FineTuned, "open", refuse)
 
 
 @pytest.fixture
@@ -285,7 +285,7 @@ def interrupted(tiny, folder: Path) -> JobFolder:
     """The folder of a job of Blender that was stopped while it recovered."""
     job = create(folder, tiny, method="removal", iterations=40, recovery=20, target=0.5)
     with pytest.raises(Cancelled):
-        run_job.prune_scene(
+        pipeline.prune_scene(
             job.options(),
             lambda context: replace(context, stop=lambda: progress(folder / "recovered.ply.blocks")[0] >= 4),
         )
@@ -306,7 +306,7 @@ def test_a_job_of_blender_says_what_it_goes_on_with_and_can_be_moved(tiny, tmp_p
     shutil.move(folder.path, tmp_path / "moved")
     moved = JobFolder(tmp_path / "moved")
     steps.clear()
-    result = run_job.prune_scene(moved.options())
+    result = pipeline.prune_scene(moved.options())
     assert len(steps) <= 20 and result["scene"] == str(tmp_path / "moved" / "scene.ply")
     assert not (moved / "recovered.ply.blocks").exists()
 
@@ -316,7 +316,7 @@ def test_a_job_by_blocks_says_how_much_of_it_is_done(tiny, tmp_path, short):
         create(tmp_path / "job", tiny, method="removal", iterations=40, recovery=20, target=0.5),
         list[tuple[str, float]](),
     )
-    run_job.prune_scene(
+    pipeline.prune_scene(
         job.options(), lambda context: replace(context, part=lambda text, share: told.append((text, share)))
     )
     starts = {text.split(":")[0]: share for text, share in reversed(told)}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,9 +14,8 @@ from svrgs_addon.finetune.decimate.order import looks, order_of
 from svrgs_addon.finetune.decimate.saved_order import MERGED, ORDER, read_order, write_order
 from svrgs_addon.native.library import PARAMETERS
 from svrgs_addon.native.rasterizer import Rasterizer
-from svrgs_addon.prune.context import JobContext
 from svrgs_addon.prune.options import PruneOptions
-from svrgs_addon.prune.quick import prune_quick
+from svrgs_addon.prune.pipeline import prune_scene
 from svrgs_addon.render.metrics.evaluate import render_options
 from svrgs_addon.scene.gaussians import Scene
 from svrgs_addon.system.errors import SplatError
@@ -111,9 +111,9 @@ def test_damaged_files_get_one_sentence(ordered, saved, case):
 def test_a_quick_job_writes_it_down_to_a_hundredth(tmp_path):
     write_ply(tmp_path / "ball.ply", ball())
     options = PruneOptions(scene=tmp_path / "ball.ply", out=tmp_path / "small.ply", target=0.5, quick=True)
-    plain = prune_quick(options, JobContext(tmp_path / "small.ply"))
+    plain = prune_scene(options)
     first = (tmp_path / "small.ply").read_bytes()
-    assert prune_quick(options, JobContext(tmp_path / "small.ply", order=tmp_path))["psnr"] == plain["psnr"]
+    assert prune_scene(options, lambda job: replace(job, order=tmp_path))["psnr"] == plain["psnr"]
     assert (tmp_path / "small.ply").read_bytes() == first
     found = read_order(tmp_path, read_ply(tmp_path / "ball.ply"))
     assert (found.least, found.most) == (20, 2_000)

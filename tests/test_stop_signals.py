@@ -27,7 +27,7 @@ RUN = """
 import sys, time
 from svrgs_addon.cli.main import main
 from svrgs_addon.finetune import loop
-from svrgs_addon.jobs import train_and_prune
+from svrgs_addon.prune.recipes import fine_tuned
 {change}
 sys.exit(main(sys.argv[1:]))
 """
@@ -152,7 +152,7 @@ def test_a_stop_request_hears_both_signals():
 
 def test_a_second_ctrl_c_ends_at_once(tiny, tmp_path):
     busy = "lambda *_: (print('ready', file=sys.stderr, flush=True), time.sleep(60))"
-    code = RUN.format(change=f"train_and_prune.fine_tune = {busy}")
+    code = RUN.format(change=f"fine_tuned.FineTuned.tune = {busy}")
     process = start("-c", code, *words_for(tiny, tmp_path / "o.ply", 10, 0))
     assert process.stderr.readline() == "ready\n"
     process.send_signal(signal.SIGINT)

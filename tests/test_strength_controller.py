@@ -12,6 +12,7 @@ pytest.importorskip("pycolmap")
 pytest.importorskip("OpenImageIO")
 
 import tiny_dataset
+import whole_jobs
 from plans import prune_settings
 from svrgs_addon.files import compressed_ply
 from svrgs_addon.files.registry import as_held, load_scene
@@ -24,7 +25,8 @@ from svrgs_addon.finetune.recovery_pruning import RecoveryPruning
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.settings import Phase, Rates, Settings
 from svrgs_addon.finetune.strength_controller import StrengthController, controller_for
-from svrgs_addon.prune import train_and_prune
+from svrgs_addon.prune.context import JobContext
+from svrgs_addon.prune.recipes import fine_tuned
 from svrgs_addon.system.errors import SceneError
 
 STEPS = 2_000
@@ -87,7 +89,7 @@ def test_only_what_is_asked_for_is_steered(changes, steered):
 def steered_run(tiny, data, method: str, steps: int = 1_200, seed: int = 3, **goal) -> Run:
     scene = load_scene(tiny.splat).scene
     settings = prune_settings(method, steps, 0, seed=seed, **goal)
-    return Run(Model.of(train_and_prune.first_cut(scene, data, settings)), data, settings, NativeEngine())
+    return Run(Model.of(fine_tuned.first_cut(scene, data, settings)), data, settings, NativeEngine())
 
 
 def to_the_end(run: Run) -> Run:
@@ -126,9 +128,7 @@ def test_what_the_recovery_wins_back_is_spent(tiny, data, tmp_path, method, allo
     drops, cuts = [], []
     for seed in range(3):
         settings = replace(prune_settings(method, 300, 200), max_drop=allowed, seed=seed)
-        result = train_and_prune.prune(
-            tiny.splat, data, settings, train_and_prune.JobContext(tmp_path / f"{seed}.ply")
-        )
+        result = whole_jobs.prune(tiny.splat, data, settings, JobContext(tmp_path / f"{seed}.ply"))
         left = result["curves"]["count"]
         (
             drops.append(result["drop"]),
@@ -190,7 +190,7 @@ def test_a_steered_run_restored_from_a_checkpoint_goes_on_bit_for_bit(tiny, data
 def test_a_drop_cannot_be_asked_of_methods_without_masks(data, method):
     settings = replace(prune_settings(method, 100, 0), max_drop=0.5)
     with pytest.raises(SceneError, match="cannot take --max-drop"):
-        train_and_prune.check_request(data, settings)
+        fine_tuned.check_request(data, settings)
 
 
 def test_the_command_line_reaches_the_drop(tiny, svrgs, tmp_path):
@@ -239,32 +239,27 @@ def test_a_drop_is_measured_on_test_views_and_on_training_views_if_there_are_non
 
 def test_a_drop_counts_from_the_scene_before_its_first_cut(tiny, data, tmp_path):
     settings = replace(prune_settings("svr", 60, 0), max_drop=6.0, min_contribution=0.2)
-    result = train_and_prune.prune(tiny.splat, data, settings, train_and_prune.JobContext(tmp_path / "o.ply"))
+    result = whole_jobs.prune(tiny.splat, data, settings, JobContext(tmp_path / "o.ply"))
     assert result["first_cut"] > 20
     assert result["drop"] == pytest.approx(result["before"]["psnr"] - result["psnr"], abs=1e-3)
 
 
 def test_a_drop_counts_what_the_format_of_the_output_loses(tiny, data, tmp_path):
     settings = replace(prune_settings("svr", 60, 0), max_drop=2.0)
-    result = train_and_prune.prune(
-        tiny.splat, data, settings, train_and_prune.JobContext(tmp_path / "o.compressed.ply")
-    )
+    result = whole_jobs.prune(tiny.splat, data, settings, JobContext(tmp_path / "o.compressed.ply"))
     assert result["drop"] == pytest.approx(result["before"]["psnr"] - result["psnr"], abs=1e-3)
     source, held = load_scene(tiny.splat).scene, result["before"]["psnr"]
-    left = train_and_prune.without_format_loss(source, data, settings, tmp_path / "o.compressed.ply").max_drop
-    seen = train_and_prune.measured(
-        as_held(source, compressed_ply.FORMAT),
-        data,
-        train_and_prune.JobContext(tmp_path / "o.compressed.ply"),
-        tiny.splat,
-    )
+    left = fine_tuned.without_format_loss(source, data, settings, tmp_path / "o.compressed.ply").max_drop
+    recipe = fine_tuned.FineTuned(tiny.splat, settings, JobContext(tmp_path / "o.ply"), lambda _: data)
+    recipe.views()
+    seen = recipe.measured(as_held(source, compressed_ply.FORMAT), tiny.splat)
     assert 2.0 - left == pytest.approx(max(0.0, held - seen["psnr"]), abs=1e-3) and left < 2.0
-    assert train_and_prune.without_format_loss(source, data, settings, tmp_path / "o.ply").max_drop == 2.0
+    assert fine_tuned.without_format_loss(source, data, settings, tmp_path / "o.ply").max_drop == 2.0
     with pytest.raises(SceneError, match="o.splat: the format alone loses"):
-        train_and_prune.prune(
+        whole_jobs.prune(
             tiny.splat,
             data,
             replace(settings, max_drop=0.01),
-            train_and_prune.JobContext(tmp_path / "o.splat"),
+            JobContext(tmp_path / "o.splat"),
         )
     assert not (tmp_path / "o.splat").exists()

@@ -27,7 +27,7 @@ from svrgs_addon.prune import duration, planning, time_plan
 from svrgs_addon.prune.context import JobContext
 from svrgs_addon.prune.duration import Pace, pace_of
 from svrgs_addon.prune.options import PruneOptions, TrainOptions
-from svrgs_addon.prune.run_job import prune_scene, train_scene
+from svrgs_addon.prune.pipeline import prune_scene, train_scene
 from svrgs_addon.prune.time_plan import GRID, LEAST, MOST, fitted
 from svrgs_addon.system.errors import Cancelled, FormatError, SceneError
 

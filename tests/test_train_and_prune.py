@@ -11,12 +11,14 @@ pytest.importorskip("pycolmap")
 pytest.importorskip("OpenImageIO")
 
 import tiny_dataset
+import whole_jobs
 from plans import prune_settings, train_settings
 from svrgs_addon.files.ply import read_ply, write_ply
 from svrgs_addon.files.registry import invisible, load_scene
 from svrgs_addon.finetune import scores
 from svrgs_addon.native.rasterizer import Rasterizer, RenderOptions
-from svrgs_addon.prune import train_and_prune
+from svrgs_addon.prune.context import JobContext
+from svrgs_addon.prune.recipes import fine_tuned
 from svrgs_addon.system.errors import SceneError
 from tiny_jobs import SETTINGS, TRAINING, prune
 
@@ -43,7 +45,7 @@ def test_the_command_line_reaches_the_skips(tiny, svrgs, tmp_path):
 
 def test_a_job_leaves_its_dataset_as_it_was(data, tmp_path):
     points, colors = data.points.copy(), data.point_colors.copy()
-    train_and_prune.train(data, TRAINING, train_and_prune.JobContext(tmp_path / "o.ply"), 1)
+    whole_jobs.train(data, TRAINING, JobContext(tmp_path / "o.ply"), 1)
     assert (data.points == points).all() and (data.point_colors == colors).all()
 
 
@@ -88,7 +90,7 @@ def test_the_first_cut_is_that_of_one_look_after_the_other(tiny, data, method, m
     ):
         score, peaks, _ = scores.contribution(left, views, Rasterizer(), RenderOptions())
         left = left.select((peaks >= limit) | scores.top(peaks if np.isfinite(limit) else score, count))
-    cut = train_and_prune.first_cut(scene, data, settings)
+    cut = fine_tuned.first_cut(scene, data, settings)
     assert 0 < cut.count < scene.count
     np.testing.assert_array_equal(cut.means, left.means)
 
@@ -160,15 +162,13 @@ def test_a_target_needs_iterations_to_prune_in(data, tmp_path):
         with pytest.raises(
             SceneError, match=f"method '{method}' cannot reach a target without iterations in which it prunes"
         ):
-            train_and_prune.train(
-                data, train_settings(method, 0, 5, target=20), train_and_prune.JobContext(tmp_path / "o.ply")
-            )
+            whole_jobs.train(data, train_settings(method, 0, 5, target=20), JobContext(tmp_path / "o.ply"))
 
 
 def test_lambda_is_told_where_it_decided(tiny, data, tmp_path):
     def told(**settings):
-        options = train_and_prune.JobContext(tmp_path / "o.ply")
-        return train_and_prune.prune(
+        options = JobContext(tmp_path / "o.ply")
+        return whole_jobs.prune(
             tiny.splat,
             data,
             prune_settings(settings.pop("method"), 20, 0, lambda_f=1e-5, **settings),

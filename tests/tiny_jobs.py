@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import whole_jobs
 from plans import prune_settings, train_settings
 from svrgs_addon.finetune.settings import Densify
-from svrgs_addon.prune import train_and_prune
+from svrgs_addon.prune.context import JobContext
 
 # Masks that start undecided, so that pruning events bite within few steps.
 SETTINGS = replace(prune_settings("svr", 60, 30, prune_every=20, lambda_f=1e-3), mask_init=0.5, seed=5)
@@ -16,7 +17,7 @@ TRAINING = replace(train_settings("svr", 120, 20, densify=DENSIFY, lambda_f=1e-3
 
 
 def prune(tiny, data, out: Path, settings=SETTINGS, **options) -> bytes:
-    train_and_prune.prune(tiny.splat, data, settings, train_and_prune.JobContext(out, **options))
+    whole_jobs.prune(tiny.splat, data, settings, JobContext(out, **options))
     return out.read_bytes()
 
 

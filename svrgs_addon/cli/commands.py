@@ -42,7 +42,7 @@ def render(words: Words) -> int:
 
 
 def train(words: Words) -> int:
-    from ..prune.run_job import train_scene
+    from ..prune.pipeline import train_scene
 
     result = train_scene(options_from(TrainOptions, words))
     return _print(result, words, _figures(result))
@@ -50,7 +50,8 @@ def train(words: Words) -> int:
 
 def prune(words: Words) -> int:
     from ..jobs.worker import run_in_child
-    from ..prune.run_job import method_of, prune_scene
+    from ..prune.pipeline import prune_scene
+    from ..prune.plans import method_of
     from . import batch_list
 
     options = options_from(PruneOptions, words, out=None, report=None)
@@ -110,7 +111,7 @@ def rig(words: Words) -> int:
 
 def evaluate(words: Words) -> int:
     from ..prune.blocks.block_rasterizer import opened
-    from ..prune.run_job import dataset_of
+    from ..prune.plans import dataset_of
     from ..render.metrics import load_lpips
     from ..render.metrics.evaluate import evaluate as measure
     from ..render.metrics.evaluate import refuse_unseen, split_indices

@@ -12,9 +12,9 @@ from ..files.registry import check_readable
 from ..prune.blocks.block_rasterizer import opened
 from ..prune.blocks.sample import sample_of
 from ..prune.options import DatasetOptions
+from ..prune.plans import dataset_of
 from ..prune.rendered_views import LONGEST
 from ..prune.report.compare import compare
-from ..prune.run_job import dataset_of
 from ..scene.camera import evenly
 from ..system.errors import SceneError
 from ..views.camera_files import load_cameras

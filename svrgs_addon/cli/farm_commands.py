@@ -17,7 +17,7 @@ from ..jobs.farm.openjd import write_bundle
 from ..jobs.farm.run_tasks import numbers_of, run_tasks
 from ..jobs.farm.summary import summarise
 from ..prune.options import PruneOptions
-from ..prune.run_job import method_of
+from ..prune.plans import method_of
 from ..system.errors import SceneError, SplatError
 from ..system.memory import size_text
 from .arguments import options_from

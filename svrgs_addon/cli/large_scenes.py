@@ -21,12 +21,14 @@ from ..prune.blocks.request import Request
 from ..prune.blocks.sample import finer, refuse_hidden, sample_of
 from ..prune.blocks.scoring import score
 from ..prune.blocks.tuning import EPOCHS, TUNED, cut, tune
-from ..prune.blocks.whole import Goal, check_out, prune_by_blocks
-from ..prune.by_blocks import left_by_a_stop, request_of
+from ..prune.by_blocks import request_of
+from ..prune.context import JobContext
+from ..prune.door import check_files
 from ..prune.options import PruneOptions
-from ..prune.stop_request import StopRequest
+from ..prune.pipeline import run
+from ..prune.recipes.by_blocks import Goal, LearnedByBlocks, MergedByBlocks
 from ..scene.camera import Camera
-from ..system.errors import Cancelled, SceneError
+from ..system.errors import SceneError
 from ..system.option_kinds import default_of
 from ..views.camera_files import load_cameras
 from ..views.dataset import HOLDOUT, load_dataset
@@ -94,21 +96,13 @@ def _prune(words: argparse.Namespace) -> dict[str, Any]:
         raise SceneError(
             "--resume is for methods that decide on photographs: removals and merges begin again"
         )
-    left = left_by_a_stop(request, words.out, words.levels)
-    with StopRequest() as stop:
-        told, views = functools.partial(_told, words, stop=stop, left=left), functools.partial(_views, words)
-        return prune_by_blocks(
-            words.scene,
-            words.out,
-            views,
-            goal,
-            words.steps,
-            told,
-            words.work,
-            words.block,
-            request,
-            words.resume,
-        )
+    messages = Messages(words.messages)
+    job = JobContext(words.out, resume=words.resume, part=messages.progress)
+    more: dict[str, Any] = {"work": words.work, "block": words.block}
+    views = lambda: (*_views(words), list[str]())
+    if request is not None:
+        return run(LearnedByBlocks(words.scene, job, goal, views, request=request, **more))
+    return run(MergedByBlocks(words.scene, job, goal, views, steps=words.steps, **more))
 
 
 def _request(words: argparse.Namespace) -> Request | None:
@@ -231,7 +225,7 @@ def _recover(words: argparse.Namespace, divided: Divided, request: Request) -> d
 
 def _finish(words: argparse.Namespace) -> dict[str, Any]:
     divided, request = Divided.read(words.work), Request.read(words.work)
-    check_out(words.out, divided.source)
+    check_files(divided.source, [words.out])
     told = functools.partial(_told, words)
     if request is not None:
         return finish_learned(divided, request, request.dataset(), words.out, told)
@@ -263,15 +257,7 @@ def _views(words: argparse.Namespace) -> tuple[list[Camera], list[Camera]]:
     return scored, measured
 
 
-def _told(
-    words: argparse.Namespace, step: str, stop: Callable[[], bool] = lambda: False, left: str = ""
-) -> Callable[[str, float], None]:
-    """Reports progress of a step. left: a sentence on what a stop leaves."""
+def _told(words: argparse.Namespace, step: str) -> Callable[[str, float], None]:
+    """Reports progress of a step."""
     messages = Messages(words.messages)
-
-    def tell(text: str, share: float):
-        if stop():
-            raise Cancelled(left)
-        messages.progress(f"{step}: {text}", share)
-
-    return tell
+    return lambda text, share: messages.progress(f"{step}: {text}", share)

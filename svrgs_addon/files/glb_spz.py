@@ -11,7 +11,7 @@ from __future__ import annotations
 import os
 
 from ..scene.gaussians import Scene
-from . import glb, spz
+from . import glb, spz, zstd
 from .atomic import atomic_write, check_space
 from .axes import turned_around, turned_over
 from .glb_container import glb_of
@@ -49,4 +49,5 @@ FORMAT = SplatFormat(
     quantises=True,
     limits=spz.limits,
     carries=("antialiased",),
+    needs=zstd.lack,
 )

@@ -146,6 +146,12 @@ def _library() -> ModuleType:
     return packages.load("OpenImageIO", "reading and writing images")
 
 
+def lack() -> str:
+    """ "": images can be written. Raises SceneError, NativeError if OpenImageIO is not there."""
+    _library()
+    return ""
+
+
 def library_path(path: str | os.PathLike) -> Any:
     """The path as OpenImageIO takes it: bytes if it is not UTF-8, which not every version takes; else str."""
     text = os.fspath(path)

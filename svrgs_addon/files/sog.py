@@ -17,6 +17,7 @@ import numpy as np
 
 from ..scene.gaussians import SH_COEFFICIENTS, Scene
 from ..system.errors import FormatError
+from . import images
 from .images import read_texture
 from .opened import MAX_COUNT, json_object, opened, refuse_unpacking
 from .quantised import logits_of, quats_of_three
@@ -259,4 +260,5 @@ FORMAT = SplatFormat(
     index=META,
     parts=parts,
     carries=("antialiased",),
+    needs=images.lack,
 )

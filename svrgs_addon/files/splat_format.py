@@ -13,6 +13,7 @@ import numpy as np
 
 from ..native.library import PARAMETERS
 from ..scene.gaussians import Scene
+from ..system.errors import SceneError
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,14 @@ class SplatFormat:
     parts: Callable[[Path], list[Path]] | None = None  # all files of such a splat, by its index
     # what it can hold besides: attributes, antialiased, order (of the Gaussians)
     carries: tuple[str, ...] = ()
+
+    # whether the packages that writing needs are there: a reason why not, or ""; may also raise SceneError
+    needs: Callable[[], str] = lambda: ""
+
+    def check_packages(self, path: Path):
+        """Raises SceneError if a package is missing without which the file `path` cannot be written."""
+        if missing := self.needs():
+            raise SceneError(f"{path}: cannot be written, {missing}")
 
     def whole(self, path: Path) -> Scene:
         """The scene with values as stored, not repaired. Raises FormatError."""

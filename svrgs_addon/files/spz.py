@@ -24,6 +24,7 @@ import numpy as np
 
 from ..scene.gaussians import Scene
 from ..scene.morton_order import morton_order
+from . import zstd
 from .atomic import atomic_write, check_space
 from .axes import turned_over
 from .opened import MAX_COUNT, opened
@@ -246,4 +247,5 @@ FORMAT = SplatFormat(
     quantises=True,
     limits=limits,
     carries=("antialiased",),
+    needs=zstd.lack,
 )

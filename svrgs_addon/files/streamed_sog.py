@@ -26,7 +26,7 @@ from ..scene.gaussians import SH_COEFFICIENTS, Scene
 from ..scene.morton_order import morton_order
 from ..scene.rotations import rotation_matrices
 from ..system.errors import FormatError
-from . import sog
+from . import images, sog
 from .atomic import atomic_write, check_space
 from .opened import MAX_COUNT, MAX_IN_PARTS, json_object, opened, refuse_many
 from .sog_layout import META, files_of
@@ -268,4 +268,5 @@ FORMAT = SplatFormat(
     index=INDEX,
     parts=parts,
     carries=("antialiased",),
+    needs=images.lack,
 )

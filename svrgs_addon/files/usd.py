@@ -199,6 +199,12 @@ def module(name: str) -> Any:
     return packages.load(f"pxr.{name}", "reading and writing USD")
 
 
+def lack() -> str:
+    """ "": USD can be written. Raises SceneError if usd-core is not installed."""
+    module("Usd")
+    return ""
+
+
 FORMAT = SplatFormat(
     name="usd",
     label="USD",
@@ -207,4 +213,5 @@ FORMAT = SplatFormat(
     read_parts=read_parts,
     write=write,
     carries=("order",),
+    needs=lack,
 )

@@ -22,6 +22,11 @@ def available() -> bool:
     return importlib.util.find_spec("zstandard") is not None or _in_python()
 
 
+def lack() -> str:
+    """Why SPZ 4 cannot be written: a part of a sentence; "" if it can."""
+    return "" if available() else MISSING
+
+
 def compress(data: bytes | memoryview, level: int, **parameters: int) -> bytes:
     """One frame that says how long its content is. A long one is compressed by all cores. parameters: of
     Zstandard, other than the level has them."""

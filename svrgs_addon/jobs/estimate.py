@@ -11,17 +11,16 @@ from __future__ import annotations
 import sys
 import time
 
-from ..files.registry import invisible
+from ..files.registry import invisible, load_scene
 from ..finetune.plan import at_schedule
 from ..native import library
 from ..prune.context import PROCESS
 from ..prune.duration import pace_of
 from ..prune.expected_count import expected_count, expected_order, seen_by_some
 from ..prune.options import PruneOptions
-from ..prune.planning import timed_scene
+from ..prune.plans import dataset_of_pruning, plan_of_pruning
 from ..prune.quality_forecast import forecast
-from ..prune.quick import like_quick
-from ..prune.run_job import dataset_of_pruning, plan_of_pruning
+from ..prune.recipes.quick import like_quick
 from ..prune.time_plan import fitted
 from ..render.metrics.evaluate import refuse_unseen
 from ..render.metrics.explained import mismatch_of
@@ -44,9 +43,12 @@ def estimate(options: PruneOptions) -> dict:
     """
     begun = time.perf_counter()
     library.set_threads(options.threads)
-    options, dataset = like_quick(options) if options.quick else (options, dataset_of_pruning(options))
     assert options.scene is not None
-    scene, read = timed_scene(options.scene)
+    scene = load_scene(options.scene).scene
+    read = time.perf_counter() - begun
+    options, dataset = (
+        like_quick(options, scene) if options.quick else (options, dataset_of_pruning(options, scene))
+    )
     loaded = time.perf_counter() - begun
     refuse_unseen(scene, dataset.cameras, "the splat")
     plan = plan_of_pruning(options)
@@ -54,8 +56,8 @@ def estimate(options: PruneOptions) -> dict:
     measured = time.perf_counter() - begun
     kept = expected_count(plan, scene, dataset, seen)
     seconds_of = lambda some: pace.pruning(some, kept / scene.count, RECORDED)
-    # one time for writing; a job with a time limit reads twice
-    others = PROCESS + read + (measured + read if options.time else loaded)
+    # writing takes about as long as reading; a job with a time limit measures the speed, too
+    others = PROCESS + read + (measured if options.time else loaded)
     found = fitted(options.time, plan, seconds_of, others) if options.time else None
     plan = at_schedule(plan, found.schedule) if found else plan
     quality = forecast(scene, dataset, plan, expected_order(plan, scene, dataset, seen), kept)

@@ -69,7 +69,7 @@ class JobMain:
             _say(kind, facts)
 
     def _work(self) -> int:
-        from ..prune.run_job import prune_scene, train_scene
+        from ..prune.pipeline import prune_scene, train_scene
         from .job_recorder import RECORDERS
 
         kind, options = self.folder.kind, self.folder.options()

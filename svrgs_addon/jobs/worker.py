@@ -50,7 +50,7 @@ def run_in_child(options: PruneOptions) -> tuple[int, dict]:
 
 
 def _prune_request(request: dict) -> dict:
-    from ..prune.run_job import prune_scene
+    from ..prune.pipeline import prune_scene
 
     values: dict[str, Any] = {
         name: Path(value) if name in PATHS and value is not None else value for name, value in request.items()

@@ -3,37 +3,26 @@ lambda_F, are done by blocks (prune/blocks/) instead."""
 
 from __future__ import annotations
 
-import logging
-import time
 from collections.abc import Collection
 from dataclasses import replace
-from functools import partial
-from pathlib import Path
 from typing import Any
 
-from ..files.atomic import check_writable
-from ..files.level_files import level_files
 from ..finetune.methods import DEFAULT, method_named
-from ..render.metrics.evaluate import refuse_unseen
 from ..scene.camera import Camera, evenly
 from ..scene.gaussians import Scene
 from ..system import memory
-from ..system.errors import Cancelled, MemoryShort, SceneError, TooMany
+from ..system.errors import MemoryShort, TooMany
 from ..system.option_kinds import default_of
 from ..views.dataset import load_dataset
-from .blocks.block_rasterizer import opened
-from .blocks.divided import Tell
 from .blocks.folder import blocks_of
 from .blocks.request import Request, methods, methods_of_drop
 from .blocks.sample import finer, refuse_hidden, sample_of
 from .blocks.tasks import progress
-from .blocks.tuning import EPOCHS
-from .blocks.whole import Goal, prune_by_blocks
 from .context import JobContext
+from .door import check_views
 from .options import MIN_CONTRIBUTION, PruneOptions
-from .progress import Reporter
+from .recipes.by_blocks import Goal, LearnedByBlocks, MergedByBlocks
 from .rendered_views import LONGEST, MOST, refuse_options, views_of
-from .report.prune_report import write_report_of_files
 
 TAKES = (  # options; with others, the scene must be read as a whole
     "colmap", "images", "holdout", "cameras", "seen_from_only", "threads", "seed", "target", "target_count", "quiet", "quick", "method", "scene", "out",
@@ -47,7 +36,6 @@ OF_METHODS = (  # those of methods on photographs
 NEEDS_VISIBLE = (
     "with --visible-mask, or with removal to a number or an allowed drop, it would be pruned by blocks"
 )
-NOT_FINISHED = "stopped; {}: start it again, or use the steps of svrgs large, each of which can be continued"
 
 
 def possible(options: PruneOptions) -> bool:
@@ -133,71 +121,19 @@ def request_of(options: PruneOptions) -> Request:
     return request
 
 
-def prune_large(options: PruneOptions, job: JobContext, reason: str) -> dict[str, Any]:
-    """Does `svrgs prune` by blocks; of the context, `stop` and `part` count. reason: why, in a sentence.
-    Returns the JSON result. Raises SplatError, Cancelled."""
-    assert options.scene is not None and options.out is not None
-    begun, reporter = time.perf_counter(), Reporter(options.quiet)
-    reason = memory.without_advice(reason)
-    logging.warning("%s; it is pruned by blocks, which takes longer", reason)
-    request = request_of(options) if _learns(options) else None
-    if options.report:
-        check_writable(options.report / "index.html")
-    notes = [
-        f"{reason}; so it was pruned by blocks"
-        + (f", and fine-tuned in {EPOCHS} steps for each view" if request is None else "")
-    ]
-    train, test, more = _views(options, *sample_of(options.scene))
+def recipe_of(options: PruneOptions, job: JobContext, reason: str) -> MergedByBlocks | LearnedByBlocks:
+    """The recipe of `svrgs prune` by blocks. reason: why, in a sentence. Raises SplatError."""
+    assert options.scene is not None
     goal = Goal(options.target_count or 0, options.target or 0.0, options.max_drop or 0.0, options.levels)
-    told = partial(
-        _told, reporter=reporter, job=job, left=left_by_a_stop(request, options.out, options.levels)
-    )
-    result = prune_by_blocks(
-        options.scene,
-        options.out,
-        lambda: (train, test or train),
-        goal,
-        None,
-        told,
-        request=request,
-        resume=options.resume,
-    )
-    after = (
-        {name: result[name] for name in ("psnr", "ssim", "flip")}
-        | {"lpips": None, "ms_per_frame": None}
-        | result["after"]
-    )
-    result |= {
-        **after,
-        "after": after,
-        "views": len(train),
-        "seconds": time.perf_counter() - begun,
-        "notes": [*notes, *more, *result["notes"]],
-    }
-    if options.report and request is not None:
-        write_report_of_files(options.report, request.dataset(), result, opened)
-    return result
+    more: dict[str, Any] = {"reason": memory.without_advice(reason)}
 
+    def views_of() -> tuple[list[Camera], list[Camera], list[str]]:
+        train, test, notes = _views(options, *sample_of(options.scene))
+        return train, test or train, notes
 
-def left_by_a_stop(request: Request | None, out: Path, levels: tuple[float, ...]) -> str:
-    """A sentence on what a job that is stopped leaves; empty for one that --resume continues."""
-    if request is not None:
-        return ""
-    return NOT_FINISHED.format(
-        "the files that are there are complete" if level_files(out, levels) else "nothing was written"
-    )
-
-
-def _told(step: str, reporter: Reporter, job: JobContext, left: str) -> Tell:
-    """Reports progress. left: a sentence on what a stop leaves."""
-
-    def tell(text: str, share: float):
-        if job.stop():
-            raise Cancelled(left)
-        reporter.part(f"{step}: {text}", share)
-        job.part(f"{step}: {text}", share)
-
-    return tell
+    if _learns(options):
+        return LearnedByBlocks(options.scene, job, goal, views_of, request=request_of(options), **more)
+    return MergedByBlocks(options.scene, job, goal, views_of, **more)
 
 
 def _views(
@@ -214,11 +150,9 @@ def _views(
         given = len(train) - facts.get("views", 0)
         return train[:given] + finer(train[given:]), test, notes
     dataset = load_dataset(options.colmap, options.images or None, holdout=options.holdout, cameras_only=True)
-    refuse_unseen(scene, dataset.cameras, str(options.scene))
+    check_views(scene, dataset.cameras, dataset.train_indices, str(options.scene))
     train, test = (
         [dataset.cameras[i].fitted(LONGEST) for i in indices]
         for indices in (dataset.train_indices, dataset.test_indices)
     )
-    if not train:
-        raise SceneError("all views of the dataset are held out for testing: use --holdout 0")
     return evenly(train, MOST), test, []

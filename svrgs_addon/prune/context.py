@@ -24,6 +24,7 @@ class JobContext:
     report: Path | None = None
     resume: bool = False
     engine: str = "native"
+    scene: Path | None = None  # the splat that is pruned; None: a training
     order: Path | None = None  # folder for the order of a quick job (finetune/decimate/saved_order.py)
     levels: tuple[float, ...] = ()  # shares of a nested result that are written too
     planned: TimePlan | None = None  # of a job with a time limit
@@ -44,6 +45,11 @@ class JobContext:
     def seconds(self) -> float:
         """Seconds since the job began, with those that the program needs to start and to end."""
         return PROCESS + time.perf_counter() - self.started
+
+    @property
+    def outs(self) -> list[Path]:
+        """The splat files that the job writes: the result, and its levels of detail."""
+        return [self.out, *self.level_files.values()]
 
     @property
     def level_files(self) -> dict[float, Path]:

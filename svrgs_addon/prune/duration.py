@@ -27,7 +27,7 @@ from statistics import fmean
 import numpy as np
 
 from ..finetune.engine import NativeEngine
-from ..finetune.loop import CURVE_POINTS, LEAST_BETWEEN
+from ..finetune.loop import CURVE_POINTS, CURVE_VIEWS, LEAST_BETWEEN
 from ..finetune.methods import method_named
 from ..finetune.model import Model
 from ..finetune.nested import SIZES
@@ -45,7 +45,6 @@ from ..scene.gaussians import Scene
 from ..views.dataset import READER_THREADS, Dataset
 from ..views.rendered import RenderedDataset
 from .quality_forecast import spread
-from .train_and_prune import CURVE_VIEWS
 
 TRAINING_POWER, LOOK_POWER = 0.4, 0.65
 # power: measured with 1/SOME of the Gaussians, lowered by GROWN, within these limits

@@ -3,16 +3,12 @@ that fits (time_plan.py)."""
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
-from pathlib import Path
 
-from ..files.registry import load_scene
 from ..finetune.model import scene_from_points
 from ..finetune.plan import Plan, at_schedule
 from ..finetune.settings import Densify
 from ..scene.gaussians import Scene
-from ..system import memory
 from ..views.dataset import Dataset
 from .context import JobContext
 from .duration import pace_of
@@ -23,20 +19,16 @@ from .time_plan import TRAINING_MARGIN, TimePlan, fitted, of_checkpoint
 
 
 def pruning_within(
-    seconds: float, plan: Plan, splat: Path, dataset: Dataset, job: JobContext
+    seconds: float, plan: Plan, scene: Scene, read: float, dataset: Dataset, job: JobContext
 ) -> tuple[Plan, JobContext]:
     """The plan of `svrgs prune` that takes at most so many seconds, and the context with it. plan: with the
-    whole schedule. It tells what it expects. Raises SceneError if the time is too short; FormatError."""
+    whole schedule. read: seconds of reading the splat. It tells what it expects. Raises SceneError if the time is too short; FormatError."""
     if found := of_checkpoint(seconds, job.folder) if job.resume else None:
         return _with(found, plan, job, "the job goes on as it was planned")
-    scene, read = timed_scene(splat)
-    # of a copy, with which steps are measured
-    needed = memory.tuning(scene.count, scene.sh.shape[1], dataset.cameras, dataset.memory_budget)
-    memory.refuse_excess(f"{splat}: choosing the steps for --time", needed)
     pace = pace_of(scene, dataset, plan, job.lpips)
     kept = plan.target or expected_count(plan, scene, dataset, seen_by_some(scene, dataset, plan))
-    # the splat is read again, and written
-    others = 2 * read + (2 * REPORT_VIEWS * pace.measured if job.report else 0.0)
+    # writing takes about as long as reading
+    others = read + (2 * REPORT_VIEWS * pace.measured if job.report else 0.0)
     fit = lambda: fitted(
         seconds,
         plan,
@@ -75,12 +67,6 @@ def training_within(
         seconds, plan, lambda some: pace.training(some, job.recorded), job.seconds(), TRAINING_MARGIN
     )
     return _with(found, plan, job, "a quarter more or less, as the scene grows")
-
-
-def timed_scene(splat: Path) -> tuple[Scene, float]:
-    """The scene of a file, and the seconds of reading it. Raises FormatError, SceneError."""
-    started = time.perf_counter()
-    return load_scene(splat).scene, time.perf_counter() - started
 
 
 def _with(found: TimePlan, plan: Plan, job: JobContext, *foreseen: str) -> tuple[Plan, JobContext]:

@@ -7,7 +7,7 @@ import logging
 from pathlib import Path
 from typing import Any
 
-from ..files.registry import invisible, load_scene
+from ..files.registry import invisible
 from ..render.metrics.evaluate import refuse_unseen
 from ..scene.camera import Camera, evenly
 from ..scene.gaussians import Scene
@@ -23,12 +23,10 @@ MOST = 256  # given views, evenly spread in the file
 OWN = "no photographs: the splat's own pictures take their place"
 
 
-def rendered_dataset(options: PruneOptions) -> RenderedDataset:
-    """The dataset of options.cameras and of placed cameras; of the first alone with options.seen_from_only.
-    Raises SceneError, FormatError."""
+def rendered_dataset(options: PruneOptions, scene: Scene) -> RenderedDataset:
+    """The dataset of options.cameras and of placed cameras; of the first alone with options.seen_from_only. Its
+    pictures are those of the scene, which it keeps. Raises SceneError, FormatError."""
     refuse_options(options)
-    assert options.scene is not None
-    scene = load_scene(options.scene).scene
     if invisible(scene).all():
         raise SceneError(
             f"{options.scene}: all of its Gaussians have an opacity below 1/255, so there is nothing to keep"

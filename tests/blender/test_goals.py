@@ -68,7 +68,7 @@ def test_the_panel_promises_only_what_was_measured(splat, method, goal, sentence
 def test_balanced_is_what_the_default_strength_is(splat):
     set_up({"method": "removal", "goal": "LAMBDA"})
     strength = options(splat)
-    plan = part("svrgs_addon.prune.run_job").plan_of_pruning
+    plan = part("svrgs_addon.prune.plans").plan_of_pruning
     make = part("svrgs_addon.prune.options").PruneOptions
     assert plan(make(method="removal", **strength)) == plan(make(method="removal")) and strength == {
         "lambda_f": 1e-4

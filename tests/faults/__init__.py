@@ -21,6 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
+import whole_jobs
 from plans import prune_settings
 from svrgs_addon.cli.main import main as svrgs
 from svrgs_addon.files.images import write_image
@@ -28,7 +29,7 @@ from svrgs_addon.files.npz import write_arrays
 from svrgs_addon.files.ply import write_ply
 from svrgs_addon.finetune import loop
 from svrgs_addon.jobs.job_folder import JobFolder
-from svrgs_addon.prune import train_and_prune
+from svrgs_addon.prune.context import JobContext
 from svrgs_addon.scene.gaussians import Scene
 from svrgs_addon.views.dataset import load_dataset
 
@@ -153,7 +154,7 @@ def kill_run(splat: Path, dataset: Path, folder: Path, kills: int, seed: int = 0
     out, data = folder / "o.ply", load_dataset(dataset)
 
     def prune():
-        train_and_prune.prune(splat, data, settings, train_and_prune.JobContext(out, resume=True))
+        whole_jobs.prune(splat, data, settings, JobContext(out, resume=True))
 
     return _kill_job(prune, out, "o.ply.job/*/manifest.json", kills, 0.7, seed)
 

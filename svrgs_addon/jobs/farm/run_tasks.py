@@ -12,7 +12,7 @@ from typing import Any
 from ...files.digests import scene_sha256, sha256
 from ...finetune.loop import Progress
 from ...prune.context import JobContext
-from ...prune.run_job import prune_scene
+from ...prune.pipeline import prune_scene
 from ...system.errors import SceneError, SplatError
 from ...views.colmap_files import MODEL_FILES
 from ...views.sources import read_source

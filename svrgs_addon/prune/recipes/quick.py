@@ -6,7 +6,6 @@ opened), else all around the scene. Quality is measured on views that the result
 
 from __future__ import annotations
 
-import contextlib
 import math
 import time
 from collections.abc import Callable
@@ -18,34 +17,33 @@ from typing import Any
 
 import numpy as np
 
-from ..files.atomic import check_writable, reserved
-from ..files.level_files import level_files, write_with_levels
-from ..files.registry import format_to_write, invisible, load_scene, refuse_input, size_on_disk
-from ..finetune.decimate.order import MOST_HIDDEN, NORMALS, Order, hidden, looks, lost_columns, order_of
-from ..finetune.decimate.saved_order import write_order
-from ..finetune.quality import LEAST
-from ..finetune.refit import SHARES, USUAL, Look, interpolated, middle_scale, pace_at, refit
-from ..native.library import thresholds
-from ..native.rasterizer import Rasterizer
-from ..render.metrics import flip, psnr, ssim
-from ..render.metrics.evaluate import picture_options, refuse_unseen, render_options, rounded_to_8_bits
-from ..render.metrics.format_loss import ASSUMED, loss_notes
-from ..render.metrics.missed_drop import missed_drop
-from ..render.metrics.psnr import with_error
-from ..scene.affine import scaled
-from ..scene.camera import Camera, evenly
-from ..scene.gaussians import Scene
-from ..system import memory
-from ..system.errors import Cancelled, SceneError
-from ..system.option_kinds import default_of
-from ..views.dataset import load_dataset
-from ..views.rendered import PHOTOGRAPHED, RenderedDataset
-from ..views.rig.around import DISTANCE, cameras_around, middle_and_radius
-from ..views.rig.place import quick_rig
-from .context import JobContext
-from .disk_room import ROW
-from .options import PruneOptions
-from .smallest_file import smallest_file
+from ...files.level_files import write_with_levels
+from ...files.registry import format_to_write, invisible, load_scene, size_on_disk
+from ...finetune.decimate.order import MOST_HIDDEN, NORMALS, Order, hidden, looks, lost_columns, order_of
+from ...finetune.decimate.saved_order import write_order
+from ...finetune.quality import LEAST
+from ...finetune.refit import SHARES, USUAL, Look, interpolated, middle_scale, pace_at, refit
+from ...native.library import thresholds
+from ...native.rasterizer import Rasterizer
+from ...render.metrics import flip, psnr, ssim
+from ...render.metrics.evaluate import picture_options, render_options, rounded_to_8_bits
+from ...render.metrics.format_loss import ASSUMED, loss_notes
+from ...render.metrics.missed_drop import missed_drop
+from ...render.metrics.psnr import with_error
+from ...scene.affine import scaled
+from ...scene.camera import Camera, evenly
+from ...scene.gaussians import Scene
+from ...system import memory
+from ...system.errors import Cancelled, SceneError
+from ...views.dataset import load_dataset
+from ...views.rendered import PHOTOGRAPHED, RenderedDataset
+from ...views.rig.around import DISTANCE, cameras_around, middle_and_radius
+from ...views.rig.place import quick_rig
+from ..context import JobContext
+from ..disk_room import ROW
+from ..door import check_options, check_views
+from ..options import PruneOptions
+from ..smallest_file import smallest_file
 
 SIDE = 512  # pixels of the longer side of a picture
 VIEWS, TEST_VIEWS, DROP_VIEWS = 32, 16, 6  # to decide on; to measure on; of those, for an allowed drop
@@ -60,28 +58,119 @@ LIKELY = 0.25  # share of the Gaussians that an allowed drop leaves, to foresee 
 NOT_FINISHED = "stopped; nothing was written, and a quick job has no checkpoint: start it again"
 
 
-def prune_quick(options: PruneOptions, job: JobContext) -> dict:
-    """Does `svrgs prune --quick`; of the context, `order` and `stop` count. Returns the JSON result. Raises
-    SplatError, Cancelled."""
-    assert options.scene is not None and options.out is not None
-    refuse_options(options)
-    format_to_write(options.out)
-    outs = [options.out, *level_files(options.out, options.levels).values()]
-    for out in outs:
-        check_writable(out)
-        refuse_input(out, options.scene)
-    with contextlib.ExitStack() as stack:
-        for out in outs:
-            stack.enter_context(reserved(out))
-        return _prune_quick(options, job)
+class Quick:
+    """Removes and merges in the order of what it changes in pictures of the scene, and fine-tunes for seconds."""
+
+    def __init__(self, options: PruneOptions, job: JobContext):
+        refuse_options(options)
+        self.options, self.begun = options, time.perf_counter()
+        self.job = replace(job, scene=options.scene, levels=options.levels)
+
+    def further_files(self) -> list[Path]:
+        return []
+
+    def open(self):
+        assert self.options.scene is not None
+        self.source = load_scene(self.options.scene).scene
+        self.visible = np.flatnonzero(~invisible(self.source))
+        self.scene = self.source.select(self.visible)
+        if not self.scene.count:
+            raise SceneError(
+                f"{self.options.scene}: all of its Gaussians have an opacity below 1/255, so there is nothing to"
+                " keep"
+            )
+
+    def views(self):
+        options, scene = self.options, self.scene
+        self.enlarged, self.factor = (scene, 1.0) if options.colmap else _enlarged(scene)
+        self.cameras, self.test, self.notes = _views(self.enlarged, options)
+
+    def check(self):
+        needed = memory.decimating(self.scene.count, self.scene.sh.shape[1], self.cameras)
+        memory.refuse_excess(f"{self.options.scene}: pruning it", needed, memory.BY_BLOCKS)
+
+    def rank(self):
+        options, scene, job = self.options, self.scene, self.job
+        self.rasterizer, settings = Rasterizer(), render_options(scene, options.background)
+        sums, self.pictures = looks(self.enlarged, self.cameras, self.rasterizer, settings)
+        if not options.colmap and (unseen := hidden(sums)) > MOST_HIDDEN * scene.count:
+            self.cameras, self.test, self.notes = _views_within(self.enlarged, options, unseen)
+            sums, self.pictures = looks(self.enlarged, self.cameras, self.rasterizer, settings)
+        if job.stop():
+            raise Cancelled(NOT_FINISHED)
+        self.hidden, self.wanted = hidden(sums), min(_wanted(options, self.source.count), scene.count)
+        least = max(1, math.floor(min(options.levels, default=1) * self.wanted))
+        kept = min(least, math.ceil(SMALLEST * scene.count)) if job.order else least
+        self.order = order_of(self.enlarged, sums, kept)
+
+    def budget(self):
+        options = self.options
+        self.likeness = _Likeness(self.enlarged, evenly(self.test, DROP_VIEWS), self.rasterizer, options)
+        self.count, self.quantise = self.wanted, 1.0
+        if options.max_drop:
+            self.count, self.quantise = smallest_file(
+                self.order, self.wanted, self.likeness.psnr, self.job.out, options.max_drop, 1 / self.factor
+            )
+
+    def select(self):
+        counts = [self.count, *(max(1, round(share * self.count)) for share in self.options.levels)]
+        self.scenes = [self.order.at(count) for count in counts]
+
+    def tune(self):
+        shown = list(map(Look, self.cameras, self.pictures))
+        self.scenes = [
+            _tuned(small, small.count / self.scene.count, self.likeness, shown, self.options, self.job.stop)
+            for small in self.scenes
+        ]
+
+    def write(self):
+        scenes = [scaled(scene, 1 / self.factor) for scene in self.scenes]
+        self.written = write_with_levels(self.job.out, self.options.levels, scenes, self.quantise)
+        if self.job.order:
+            self.notes += _kept(self.job.order, self.order, self.visible, self.source.count, 1 / self.factor)
+
+    def measure(self) -> dict[str, Any]:
+        options, job = self.options, self.job
+        facts: dict[str, Any] = {
+            "method": "quick",
+            "seconds": time.perf_counter() - self.begun,
+            "views": len(self.cameras),
+            "invisible": self.source.count - self.scene.count,
+            "hidden": self.hidden,
+        }
+        before = {"count": self.source.count, "bytes": size_on_disk(options.scene)}
+        after, *levels = (
+            _measured(scaled(one.scene, self.factor), self.enlarged, self.test, self.rasterizer, options)
+            | {"bytes": one.bytes, "out": str(one.path)}
+            for one in self.written
+        )
+        facts["levels"] = [{"share": share, **one} for share, one in zip(options.levels, levels, strict=True)]
+        facts["drop"] = ASSUMED - with_error(after["psnr"], PHOTOGRAPHED) if options.max_drop else None
+        stored = self.written[0].scene
+        notes = [
+            *self.notes,
+            *_of_hidden(self.hidden),
+            *_of_quantise(self.quantise),
+            *_lost(job.out, self.source, self.scenes[0], stored, self.factor, self.likeness),
+            *missed_drop(facts["drop"], options.max_drop),
+        ]
+        return {
+            **after,
+            "scene": str(options.scene),
+            "before": before,
+            "after": after,
+            **facts,
+            "notes": notes,
+        }
+
+    def close(self):
+        """It holds nothing."""
 
 
-def like_quick(options: PruneOptions) -> tuple[PruneOptions, RenderedDataset]:
+def like_quick(options: PruneOptions, scene: Scene) -> tuple[PruneOptions, RenderedDataset]:
     """A fine-tuned job that takes about as long as the quick one, and its views: to foresee the time. Raises
     SceneError, FormatError."""
     refuse_options(options)
-    assert options.scene is not None
-    scene = load_scene(options.scene).scene
     train, test, notes = _views(scene, options)
     dataset = RenderedDataset.of(scene, train, test, background=options.background, notes=tuple(notes))
     share = options.target or (options.target_count or LIKELY * scene.count) / scene.count
@@ -90,95 +179,12 @@ def like_quick(options: PruneOptions) -> tuple[PruneOptions, RenderedDataset]:
 
 def refuse_options(options: PruneOptions):
     """Raises SceneError for options that the quick way does not have."""
-    other = [
-        name
-        for name in PruneOptions.__dataclass_fields__
-        if name not in TAKES and getattr(options, name) != default_of(PruneOptions, name)
-    ]
-    if other:
-        raise SceneError(
-            f"--quick takes no --{other[0].replace('_', '-')}: leave it out, or leave --quick out"
-        )
+    check_options(options, TAKES, "--quick")
     if not (options.target or options.target_count or options.max_drop or options.levels):
         raise SceneError(
             "--quick needs --target, --target-count, --max-drop or --levels: it does not choose how many"
             " Gaussians to keep"
         )
-
-
-def _prune_quick(options: PruneOptions, job: JobContext) -> dict:
-    assert options.scene is not None and options.out is not None
-    begun = time.perf_counter()
-    source = load_scene(options.scene).scene
-    visible = np.flatnonzero(~invisible(source))
-    scene = source.select(visible)
-    if not scene.count:
-        raise SceneError(
-            f"{options.scene}: all of its Gaussians have an opacity below 1/255, so there is nothing to keep"
-        )
-    enlarged, factor = (scene, 1.0) if options.colmap else _enlarged(scene)
-    cameras, test, notes = _views(enlarged, options)
-    memory.refuse_excess(
-        f"{options.scene}: pruning it",
-        memory.decimating(scene.count, scene.sh.shape[1], cameras),
-        memory.BY_BLOCKS,
-    )
-    rasterizer, settings = Rasterizer(), render_options(scene, options.background)
-    sums, pictures = looks(enlarged, cameras, rasterizer, settings)
-    if not options.colmap and (unseen := hidden(sums)) > MOST_HIDDEN * scene.count:
-        cameras, test, notes = _views_within(enlarged, options, unseen)
-        sums, pictures = looks(enlarged, cameras, rasterizer, settings)
-    if job.stop():
-        raise Cancelled(NOT_FINISHED)
-    wanted = min(_wanted(options, source.count), scene.count)
-    least = max(1, math.floor(min(options.levels, default=1) * wanted))
-    order = order_of(enlarged, sums, min(least, math.ceil(SMALLEST * scene.count)) if job.order else least)
-    likeness = _Likeness(enlarged, evenly(test, DROP_VIEWS), rasterizer, options)
-    count, quantise = (
-        smallest_file(order, wanted, likeness.psnr, options.out, options.max_drop, 1 / factor)
-        if options.max_drop
-        else (wanted, 1.0)
-    )
-    counts = [count, *(max(1, round(share * count)) for share in options.levels)]
-    scenes = [
-        _tuned(order, some, likeness, list(map(Look, cameras, pictures)), options, job.stop)
-        for some in counts
-    ]
-    written = write_with_levels(
-        options.out, options.levels, [scaled(scene, 1 / factor) for scene in scenes], quantise
-    )
-    notes += _kept(job.order, order, visible, source.count, 1 / factor) if job.order else []
-    facts: dict[str, Any] = {
-        "method": "quick",
-        "seconds": time.perf_counter() - begun,
-        "views": len(cameras),
-        "invisible": source.count - scene.count,
-        "hidden": hidden(sums),
-    }
-    before = {"count": source.count, "bytes": size_on_disk(options.scene)}
-    after, *levels = (
-        _measured(scaled(one.scene, factor), enlarged, test, rasterizer, options)
-        | {
-            "bytes": one.bytes,
-            "out": str(one.path),
-        }
-        for one in written
-    )
-    facts["levels"] = [{"share": share, **level} for share, level in zip(options.levels, levels, strict=True)]
-    facts["drop"] = ASSUMED - with_error(after["psnr"], PHOTOGRAPHED) if options.max_drop else None
-    notes += [
-        *_of_hidden(facts["hidden"]),
-        *_of_quantise(quantise),
-        *_lost(options.out, source, scenes[0], written[0].scene, factor, likeness),
-    ]
-    return {
-        **after,
-        "scene": str(options.scene),
-        "before": before,
-        "after": after,
-        **facts,
-        "notes": [*notes, *missed_drop(facts["drop"], options.max_drop)],
-    }
 
 
 def _lost(
@@ -236,16 +242,15 @@ class _Likeness:
 
 
 def _tuned(
-    order: Order,
-    count: int,
+    small: Scene,
+    share: float,
     likeness: _Likeness,
     shown: list[Look],
     options: PruneOptions,
     stop: Callable[[], bool],
 ) -> Scene:
-    """The scene with `count` Gaussians, fine-tuned on the pictures. Where that does harm in other views, it
-    is interpolated with the scene before the steps. Raises Cancelled."""
-    small, share = order.at(count), count / order.scene.count
+    """The scene fine-tuned on the pictures. Where that does harm in other views, it is interpolated with the
+    scene before the steps. share: of the Gaussians of the original. Raises Cancelled."""
     if share == 1:
         return small
     try:
@@ -305,13 +310,11 @@ def _views(scene: Scene, options: PruneOptions) -> tuple[list[Camera], list[Came
             _of_views(where),
         )
     dataset = load_dataset(options.colmap, options.images or None, holdout=options.holdout, cameras_only=True)
-    refuse_unseen(scene, dataset.cameras, str(options.scene))
+    check_views(scene, dataset.cameras, dataset.train_indices, str(options.scene))
     train, test = (
         [dataset.cameras[i].fitted(SIDE) for i in indices]
         for indices in (dataset.train_indices, dataset.test_indices or dataset.train_indices)
     )
-    if not train:
-        raise SceneError("all views of the dataset are held out for testing: use --holdout 0")
     return evenly(train, VIEWS), evenly(test, TEST_VIEWS), _of_views("from the cameras of the dataset")
 
 

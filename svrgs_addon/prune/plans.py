@@ -1,11 +1,7 @@
-"""From options to a finished job. This module turns options into a plan (method, phases, target); later code
-reads only the plan."""
+"""From options to a plan: method, phases, target; to the dataset, and to the context of the job."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 from ..files import registry
@@ -13,13 +9,12 @@ from ..finetune.methods import DEFAULT, method_named, paper_method
 from ..finetune.methods.base import Method
 from ..finetune.plan import Plan, prune_plan, train_plan
 from ..finetune.settings import MCMC, Densify
-from ..native import library
 from ..render.metrics import load_lpips
-from ..system.errors import MemoryShort, SceneError, TooMany
-from ..system.option_kinds import default_of, options_of
+from ..scene.gaussians import Scene
+from ..system.errors import SceneError
 from ..views.dataset import Dataset, load_dataset
-from . import by_blocks, train_and_prune
 from .context import JobContext
+from .door import given
 from .options import (
     MIN_CONTRIBUTION,
     RECOVERY,
@@ -29,70 +24,8 @@ from .options import (
     TuningOptions,
     refuse_time_and_steps,
 )
-from .planning import pruning_within, training_within
 from .progress import Reporter
-from .quick import prune_quick
 from .rendered_views import rendered_dataset
-from .stop_request import StopRequest
-
-# changes the context of the command line; a background job adds its own observer and stop
-Adapt = Callable[[JobContext], JobContext]
-
-
-def train_scene(options: TrainOptions, adapt: Adapt = lambda job: job) -> dict:
-    """Does `svrgs train`. Returns the JSON result. Raises SplatError; Cancelled if stopped, after a
-    checkpoint."""
-    assert options.out is not None
-    library.set_threads(options.threads)
-    job, plan = _context(options, options.out), plan_of_training(options)
-    train_and_prune.check_outputs(job)
-    dataset = dataset_of(options, need_points=True)
-    with StopRequest() as stop:
-        job = adapt(replace(job, stop=stop))
-        if options.time:
-            plan, job = training_within(options.time, plan, dataset, job, options.sh_degree)
-        return train_and_prune.train(dataset, plan, job, options.sh_degree)
-
-
-def prune_scene(options: PruneOptions, adapt: Adapt = lambda job: job) -> dict:
-    """Does `svrgs prune` of options.scene. Returns the JSON result. Raises SplatError; Cancelled if stopped,
-    after a checkpoint."""
-    library.set_threads(options.threads)
-    assert options.out is not None
-    reason = (
-        f"{options.scene}: its blocks are there from an earlier start" if by_blocks.was_begun(options) else ""
-    )
-    if not reason:
-        try:
-            return _prune_whole(options, adapt)
-        except (MemoryShort, TooMany) as error:
-            if not by_blocks.possible(options):
-                raise by_blocks.with_advice(error, options) from None
-            # what follows is outside of the except: there, the error still holds the scene in memory
-            reason = str(error)
-    with StopRequest() as stop:
-        return by_blocks.prune_large(options, adapt(JobContext(options.out, stop=stop)), reason)
-
-
-def _prune_whole(options: PruneOptions, adapt: Adapt) -> dict:
-    """With the whole scene in memory. Raises MemoryShort or TooMany before anything is done if that is too
-    large."""
-    if options.quick:
-        assert options.out is not None
-        with StopRequest() as stop:
-            return prune_quick(options, adapt(JobContext(options.out, stop=stop)))
-    assert options.scene is not None and options.out is not None
-    job, plan = (
-        replace(_context(options, options.out, options.report), levels=options.levels),
-        plan_of_pruning(options),
-    )
-    train_and_prune.check_outputs(job)
-    dataset = dataset_of_pruning(options)
-    with StopRequest() as stop:
-        job = adapt(replace(job, stop=stop))
-        if options.time:
-            plan, job = pruning_within(options.time, plan, options.scene, dataset, job)
-        return train_and_prune.prune(options.scene, dataset, plan, job)
 
 
 def plan_of_training(options: TrainOptions) -> Plan:
@@ -157,10 +90,10 @@ def method_of(options: TuningOptions) -> Method:
     return paper_method() if options.paper else method
 
 
-def dataset_of_pruning(options: PruneOptions) -> Dataset:
+def dataset_of_pruning(options: PruneOptions, scene: Scene) -> Dataset:
     """The dataset of the options; without one, views of the scene itself. Raises SceneError, FormatError."""
     if options.colmap is None:
-        return rendered_dataset(options)
+        return rendered_dataset(options, scene)
     if options.cameras or options.seen_from_only:
         raise SceneError(
             "--cameras and --seen-from-only are for scenes without photographs: leave them out, or --colmap"
@@ -180,14 +113,7 @@ def dataset_of(options: DatasetOptions, need_points: bool = False) -> Dataset:
 def _settings(options: TuningOptions) -> dict[str, Any]:
     """The settings that training and pruning have in common. Raises SceneError for a time limit together with
     a number of steps."""
-    refuse_time_and_steps(
-        type(options),
-        [
-            name
-            for name in options_of(type(options))
-            if getattr(options, name) != default_of(type(options), name)
-        ],
-    )
+    refuse_time_and_steps(type(options), given(options))
     return {
         "lambda_f": options.lambda_f, "lambda_m": options.lambda_m, "seed": options.seed, "full": not options.visible_mask,
         "background": options.background, "views_by_loss": options.views_by_loss, "schedule": options.schedule,
@@ -214,16 +140,22 @@ def _nested(options: PruneOptions) -> float:
     return smallest
 
 
-def _context(options: TuningOptions, out: Path, report: Path | None = None) -> JobContext:
+def context_of(options: TuningOptions) -> JobContext:
+    """Where a job writes, what it reads, and its progress on stderr."""
+    assert options.out is not None
     lpips, missing = load_lpips(options.lpips_weights)
     reporter = Reporter(options.quiet)
+    prunes = isinstance(options, PruneOptions)
     return JobContext(
-        out,
-        report,
+        options.out,
+        options.report if prunes else None,
         options.resume,
         options.engine,
+        scene=options.scene if prunes else None,
+        levels=options.levels if prunes else (),
         lpips=lpips,
         lpips_missing=missing,
         observe=reporter,
+        part=reporter.part,
         tell=lambda _, sentence: reporter.say(sentence),
     )

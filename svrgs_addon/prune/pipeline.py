@@ -1,0 +1,114 @@
+"""One way to prune and to train: open, views, check, rank, budget, select, tune, write, measure.
+
+Each step is a method of a recipe (recipes/): fine-tuned in memory, quick, a training, or by blocks on the disk.
+A recipe keeps what one step hands to the next. The door (door.py) is the same for all.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Protocol
+
+from ..files.atomic import reserved
+from ..native import library
+from ..system.errors import MemoryShort, TooMany
+from . import by_blocks, plans
+from .context import JobContext
+from .door import check_files
+from .options import PruneOptions, TrainOptions
+from .recipes.fine_tuned import FineTuned
+from .recipes.quick import Quick
+from .recipes.trained import Trained
+from .stop_request import StopRequest
+
+# changes the context of the command line; a background job adds its own observer and stop
+Adapt = Callable[[JobContext], JobContext]
+
+
+class Recipe(Protocol):
+    """What each step does. A step raises SplatError; those after check() raise Cancelled, too."""
+
+    job: JobContext
+
+    def further_files(self) -> list[Path]: ...  # that it writes beside the outputs, such as checkpoints
+    def open(self): ...  # reads the scene, or as much of it as tells where it is
+    def views(self): ...  # which views decide, are trained on, and measure
+    def check(self): ...  # whether views and scene go together, and memory and disk suffice
+    def rank(self): ...  # the order of the Gaussians, where it does not depend on how many stay
+    def budget(self): ...  # how many stay, or what decides that; how many steps fit into the time
+    def select(self): ...  # what is removed or merged before the steps
+    def tune(self): ...  # the steps
+    def write(self): ...  # all outputs
+    def measure(self) -> dict[str, Any]: ...  # the JSON result
+    def close(self): ...  # gives back what the recipe holds, also after an error
+
+
+def train_scene(options: TrainOptions, adapt: Adapt = lambda job: job) -> dict[str, Any]:
+    """Runs `svrgs train`. Returns the JSON result. Raises SplatError; Cancelled if stopped, after a checkpoint."""
+    library.set_threads(options.threads)
+    job, plan = plans.context_of(options), plans.plan_of_training(options)
+    return run(
+        Trained(plan, job, lambda: plans.dataset_of(options, True), options.sh_degree, options.time), adapt
+    )
+
+
+def prune_scene(options: PruneOptions, adapt: Adapt = lambda job: job) -> dict[str, Any]:
+    """Runs `svrgs prune` of options.scene. Returns the JSON result. Raises SplatError; Cancelled if stopped."""
+    library.set_threads(options.threads)
+    reason = (
+        f"{options.scene}: its blocks are there from an earlier start" if by_blocks.was_begun(options) else ""
+    )
+    if not reason:
+        try:
+            return run(in_memory(options), adapt)
+        except (MemoryShort, TooMany) as error:
+            if not by_blocks.possible(options):
+                raise by_blocks.with_advice(error, options) from None
+            reason = str(
+                error
+            )  # the rest is outside of the except: there, the error holds the scene in memory
+    return run(by_blocks.recipe_of(options, plans.context_of(options), reason), adapt)
+
+
+def in_memory(options: PruneOptions) -> Recipe:
+    """The recipe of a scene that fits into memory. Raises SplatError."""
+    job = plans.context_of(options)
+    if options.quick:
+        return Quick(options, job)
+    assert options.scene is not None
+    dataset = lambda scene: plans.dataset_of_pruning(options, scene)
+    return FineTuned(options.scene, plans.plan_of_pruning(options), job, dataset, options.time)
+
+
+def run(recipe: Recipe, adapt: Adapt = lambda job: job) -> dict[str, Any]:
+    """All steps of a recipe, in order. Its outputs are reserved meanwhile. Returns the JSON result."""
+    with _at_the_door(recipe):
+        recipe.open()
+        recipe.views()
+        recipe.check()
+        with StopRequest() as stop:
+            asked = recipe.job.stop
+            recipe.job = adapt(replace(recipe.job, stop=lambda: asked() or stop()))
+            recipe.rank()
+            recipe.budget()
+            recipe.select()
+            recipe.tune()
+            recipe.write()
+            return recipe.measure()
+
+
+@contextlib.contextmanager
+def _at_the_door(recipe: Recipe) -> Iterator[None]:
+    """What is the same for all recipes before and after the steps."""
+    job = recipe.job
+    check_files(
+        job.scene, job.outs, [*([job.report / "index.html"] if job.report else []), *recipe.further_files()]
+    )
+    with contextlib.ExitStack() as held:
+        for out in job.outs:
+            held.enter_context(reserved(out))
+        held.callback(recipe.close)
+        yield

@@ -1,0 +1,366 @@
+"""By blocks on the disk, for scenes larger than memory: removals and merges, or a method that decides on photographs."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from ...files.atomic import check_space
+from ...files.digests import scene_sha256
+from ...files.level_files import holds_levels
+from ...finetune.quality import LEAST
+from ...render.metrics.format_loss import loss_notes
+from ...render.metrics.missed_drop import missed_drop
+from ...scene.camera import Camera
+from ...system.errors import Cancelled
+from ...views.dataset import Dataset
+from ..blocks.allowed_drop import (
+    drop,
+    errors_of_format,
+    fewest_above,
+    fewest_within,
+    floor_on_photographs,
+    read_number,
+    write_number,
+)
+from ..blocks.block_rasterizer import opened
+from ..blocks.block_size import as_memory_allows
+from ..blocks.divided import Divided, Tell, Told, divide
+from ..blocks.folder import (
+    LEVEL,
+    SCORED,
+    blocks_of,
+    measured_views,
+    prepare,
+    refuse_foreign,
+    remove,
+    scored_views,
+)
+from ..blocks.learning import AROUND_SHARE, decide, prepare_around, recover, targets
+from ..blocks.likeness import Likeness, PhotographLikeness
+from ..blocks.merging import merge, reduce
+from ..blocks.pruning import finish, finish_learned, join_levels, write_left
+from ..blocks.request import Request
+from ..blocks.scoring import score
+from ..blocks.tasks import Overall, Tasks
+from ..blocks.tuning import EPOCHS, cut, tune
+from ..context import JobContext
+from ..report.prune_report import write_report_of_files
+
+# views that are scored and tuned on; those on which the result is measured; what the user must know of them
+Views = tuple[Sequence[Camera], Sequence[Camera], list[str]]
+# bytes: no limit, because fine-tuning on pictures of the scene keeps all of them in memory
+PICTURES = 1 << 62
+# space that the steps need at least: for sums and orders, in sizes of all blocks; copies of what stays
+SUMS, COPIES = 1.2, 4
+ORDER, ALLOWED = "order", "number"  # tasks: the first one that takes long; the number of an allowed drop
+
+
+@dataclass(frozen=True)
+class Goal:
+    """How many Gaussians stay: a number, a share, or as few as an allowed drop in dB leaves; and of levels of
+    detail, shares of that."""
+
+    count: int = 0
+    share: float = 0.0
+    max_drop: float = 0.0
+    levels: tuple[float, ...] = ()
+
+    def number(self, count: int) -> int:
+        """The Gaussians that stay of so many, if no drop is allowed."""
+        return self.count or max(1, round((self.share or 1.0) * count))
+
+
+class ByBlocks:
+    """What both ways by blocks have in common."""
+
+    def __init__(
+        self,
+        source: Path,
+        job: JobContext,
+        goal: Goal,
+        views_of: Callable[[], Views],
+        work: Path | None = None,
+        block: int | None = None,
+        reason: str = "",
+    ):
+        """views_of: gives the views. work: folder for the blocks; None: beside the output. block: Gaussians of a
+        block, at most; None: as memory allows. reason: why `svrgs prune` goes over to blocks, a sentence; "":
+        blocks were asked for."""
+        self.source, self.goal, self.views_of = source.absolute(), goal, views_of
+        self.job = replace(job, scene=source, levels=goal.levels)
+        self.work, self.block, self.reason = work or blocks_of(job.out), block, reason
+        self.begun, self.started = time.perf_counter(), False
+        if reason:
+            logging.warning("%s; it is pruned by blocks, which takes longer", reason)
+
+    def further_files(self) -> list[Path]:
+        return []
+
+    def open(self):
+        """The scene is read in parts, by rank()."""
+        refuse_foreign(self.work)
+
+    def views(self):
+        self.scored, self.measured, self.notes = self.views_of()
+
+    def check(self):
+        """views() has asked a sample of the scene."""
+
+    def left_by_a_stop(self) -> str:
+        """A sentence on what a job that is stopped leaves; "" for one that can be resumed."""
+        return ""
+
+    def told(self, step: str) -> Tell:
+        """Reports the progress of a step."""
+
+        def tell(text: str, share: float):
+            if self.job.stop():
+                raise Cancelled(self.left_by_a_stop())
+            self.job.part(f"{step}: {text}", share)
+
+        return tell
+
+    def of_prune(self, result: dict[str, Any], how: str) -> dict[str, Any]:
+        """The result with what `svrgs prune` adds to that of `svrgs large prune`. how: for the note."""
+        if not self.reason:
+            return result
+        after = {name: result[name] for name in ("psnr", "ssim", "flip")} | {
+            "lpips": None,
+            "ms_per_frame": None,
+        }
+        after |= result["after"]
+        notes = [f"{self.reason}; so it was pruned by blocks{how}", *self.notes, *result["notes"]]
+        facts = {"views": len(self.scored), "seconds": time.perf_counter() - self.begun, "notes": notes}
+        return {**result, **after, "after": after, **facts}
+
+
+class MergedByBlocks(ByBlocks):
+    """Removes and merges in an order, and fine-tunes what is left on pictures of the original."""
+
+    def __init__(self, *arguments: Any, steps: int | None = None, **more: Any):
+        """steps: of fine-tuning; None: EPOCHS for each view."""
+        super().__init__(*arguments, **more)
+        self.steps = steps
+
+    def left_by_a_stop(self) -> str:
+        what = "the files that are there are complete" if self.goal.levels else "nothing was written"
+        return f"stopped; {what}: start it again, or use the steps of svrgs large, each of which can be continued"
+
+    def rank(self):
+        goal, work, self.started = self.goal, self.work, True
+        self.overall = Overall(self.told, 1 + len(goal.levels))
+        prepare(work, self.scored, self.measured)
+        self.scored = scored_views(work)
+        block = self.block or as_memory_allows(self.scored, PICTURES)
+        self.divided = divide(self.source, work, block, self.overall("divide"))
+        _check_room(work, self.divided, goal)
+        self.likeness, self.errors = Likeness(self.divided, measured_views(work), self.overall), list[float]()
+        if goal.max_drop:
+            self.errors = errors_of_format(
+                self.divided, self.likeness, goal.max_drop, self.job.out, self.overall
+            )
+        _order(self.divided, self.scored, self.overall)
+
+    def budget(self):
+        goal, divided = self.goal, self.divided
+        self.count = goal.number(divided.count)
+        if goal.max_drop:
+            self.count = fewest_within(
+                divided, self.scored, self.likeness, goal.max_drop, self.errors, self.overall
+            )
+
+    def select(self):
+        """Each level is cut, tuned and written before the next one, as the disk has room for one: by write()."""
+        self.shares = (1.0, *self.goal.levels)
+        self.streamed = bool(self.goal.levels) and holds_levels(self.job.out)
+        levels = [self.divided.folder / LEVEL.format(level) for level in range(len(self.shares))]
+        self.files = levels if self.streamed else self.job.outs
+
+    def tune(self):
+        """By write()."""
+
+    def write(self):
+        divided, told, self.results = self.divided, self.overall, []
+        for share, path in zip(self.shares, self.files, strict=True):
+            left = cut(divided, self.scored, max(1, round(share * self.count)), told("cut"))
+            wanted = EPOCHS * len(self.scored) if self.steps is None else self.steps
+            for number in range(len(left.blocks) if wanted and left.count < divided.count else 0):
+                tune(divided, number, self.scored, wanted, _part(told("tune"), number, len(left.blocks)))
+            write = write_left if self.streamed else partial(finish, told=told)
+            self.results.append(write(divided, self.likeness, path))
+        if self.streamed:
+            joined = join_levels(divided, self.likeness, self.files, self.job.out, told)
+            self.results = [result | new for result, new in zip(self.results, joined, strict=True)]
+
+    def measure(self) -> dict[str, Any]:
+        goal, results = self.goal, self.results
+        levels = [
+            {"share": share, **_figures(result)}
+            for share, result in zip(goal.levels, results[1:], strict=True)
+        ]
+        notes = loss_notes(results[0]["psnr_values"], results[0]["psnr"])
+        result = {**results[0], "levels": levels, "drop": None, "notes": notes}
+        if goal.max_drop:
+            result |= _of_drop(result, drop(result["psnr"]), goal)
+        return self.of_prune(result, f", and fine-tuned in {EPOCHS} steps for each view")
+
+    def close(self):
+        if self.started:
+            remove(self.work)
+
+
+class LearnedByBlocks(ByBlocks):
+    """A method that decides on photographs, block by block, in its own steps.
+
+    If it is stopped or fails later than in its first minutes, the blocks stay, and a resumed job goes on from
+    there.
+    """
+
+    def __init__(self, *arguments: Any, request: Request, **more: Any):
+        super().__init__(*arguments, **more)
+        self.request, self.finished = request, False
+
+    def views(self):
+        if self.goal.max_drop:
+            self.request.refuse_drop()
+        super().views()
+        self.dataset = self.request.dataset()
+
+    def told(self, step: str) -> Tell:
+        return self.tasks.told(step, super().told(step))
+
+    def rank(self):
+        goal, dataset, plan, source = self.goal, self.dataset, self.request.plan(), self.source
+        views = (self.scored, self.measured)
+        identity = _identity(source, views, goal, self.block, self.request, dataset)
+        self.tasks, self.started = Tasks(self.work, identity, self.job.resume), True
+
+        def divide_anew():
+            prepare(self.work, *views, self.request)
+            block = self.block or as_memory_allows(dataset.cameras, dataset.memory_budget)
+            divide(source, self.work, block, self.told("divide"))
+
+        self.tasks.once("divide", divide_anew)
+        self.divided = divided = replace(Divided.read(self.work), source=source)
+        if ORDER not in self.tasks.done:
+            _check_room(self.work, divided, goal, AROUND_SHARE)
+        blocks = len(divided.blocks)
+        self.wanted = goal.number(divided.count) if goal.count or goal.share else 0
+        self.tasks.total = 3 + bool(goal.max_drop) + blocks * (2 if self.request.recovery else 1)
+        self.likeness, self.floor = PhotographLikeness(dataset, self.told), 0.0
+        if goal.max_drop and ALLOWED not in self.tasks.done:  # may refuse
+            self.floor = floor_on_photographs(
+                divided, self.likeness, goal.max_drop, plan, self.job.out, self.told
+            )
+        ordered = self.wanted or goal.max_drop or blocks > 1
+        self.tasks.once(
+            ORDER, lambda: _order(divided, scored_views(divided.folder), self.told) if ordered else None
+        )
+
+    def budget(self):
+        divided = self.divided
+        if self.goal.max_drop:
+            self.tasks.once(
+                ALLOWED,
+                lambda: write_number(
+                    divided.folder, fewest_above(divided, self.likeness, self.floor, self.told)
+                ),
+            )
+            self.wanted = read_number(divided.folder)
+
+    def select(self):
+        divided, plan = self.divided, self.request.plan()
+        self.tasks.once("around", lambda: prepare_around(divided, self.told("merge")))
+        for number, target in enumerate(targets(divided, self.wanted)):
+            self.tasks.once(
+                f"decide {number}",
+                partial(decide, divided, number, self.dataset, plan, target, self.told("decide")),
+            )
+
+    def tune(self):
+        plan = self.request.plan()
+        for number in range(len(self.divided.blocks) if self.request.recovery else 0):
+            self.tasks.once(
+                f"recover {number}",
+                partial(recover, self.divided, number, self.dataset, plan, self.told("recover")),
+            )
+
+    def write(self):
+        self.result = finish_learned(self.divided, self.request, self.dataset, self.job.out, self.told)
+        self.finished = True
+
+    def measure(self) -> dict[str, Any]:
+        result = self.result
+        if self.goal.max_drop:
+            result |= _of_drop(result, result["before"]["psnr"] - result["psnr"], self.goal)
+        result = self.of_prune(result, "")
+        if self.job.report:
+            write_report_of_files(self.job.report, self.dataset, result, opened)
+        return result
+
+    def close(self):
+        if self.started and (self.finished or ORDER not in self.tasks.done):
+            remove(self.work)
+
+
+def _order(divided: Divided, scored: Sequence[Camera], told: Told):
+    """Orders removals and merges in all blocks."""
+    score(divided, scored, 0, 1, told("score"))
+    reduce(divided, scored)
+    for number in range(len(divided.blocks)):
+        told("merge")(f"block {number}", number / len(divided.blocks))
+        merge(divided, number)
+
+
+def _part(tell: Tell, number: int, parts: int) -> Tell:
+    """Tells the share of all parts instead of that of one."""
+    return lambda text, share: tell(text, (number + share) / parts)
+
+
+def _check_room(work: Path, divided: Divided, goal: Goal, more: float = 0.0):
+    """more: space that is needed beside that for removals and merges, in sizes of all blocks. Raises
+    SceneError if there is less."""
+    share = min(1.0, goal.number(divided.count) / divided.count) if not goal.max_drop else LEAST
+    check_space(work / SCORED, int((SUMS + COPIES * share + more) * divided.bytes))
+
+
+def _of_drop(result: dict[str, Any], lost: float, goal: Goal) -> dict[str, Any]:
+    """What an allowed drop adds to a result that has lost so many dB."""
+    return {"drop": lost, "notes": [*result["notes"], *missed_drop(lost, goal.max_drop)]}
+
+
+def _identity(
+    source: Path,
+    views: tuple[Sequence[Camera], Sequence[Camera]],
+    goal: Goal,
+    block: int | None,
+    request: Request,
+    dataset: Dataset,
+) -> str:
+    """Digest of all that must be the same in a job that is continued; where its files lie may differ. Raises
+    SceneError."""
+    settings = replace(request, colmap="", images="", image_memory=0.0)
+    digest = hashlib.sha256(
+        repr(
+            (scene_sha256(source), goal, block, settings, [[camera.key for camera in some] for some in views])
+        ).encode()
+    )
+    for part in dataset.inputs():
+        digest.update(part)
+    return digest.hexdigest()
+
+
+def _figures(result: dict[str, Any]) -> dict[str, Any]:
+    """Of a level, as `svrgs prune` has them."""
+    return (
+        {name: result[name] for name in ("out", "psnr", "ssim", "flip")}
+        | {"lpips": None, "ms_per_frame": None}
+        | result["after"]
+    )

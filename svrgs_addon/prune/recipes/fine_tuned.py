@@ -1,0 +1,373 @@
+"""Fine-tuning in memory: a method decides what is removed, and the others are trained in between, on photographs or
+on the splat's own pictures."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...files.registry import (
+    FORMATS,
+    format_to_write,
+    invisible,
+    load_scene,
+    size_on_disk,
+    stored,
+    write_scene,
+)
+from ...finetune import checkpoint, loop, masks, scores
+from ...finetune.decimate.order import NORMALS, lost_columns
+from ...finetune.engine import NativeEngine
+from ...finetune.loop import CURVE_VIEWS
+from ...finetune.model import Model
+from ...finetune.plan import Plan
+from ...finetune.quality import quality_views
+from ...finetune.run import Run
+from ...native.rasterizer import Rasterizer, RenderOptions
+from ...render.metrics.evaluate import evaluate, mean_psnr, render_options
+from ...render.metrics.explained import mismatch_of
+from ...render.metrics.format_loss import format_loss
+from ...render.metrics.missed_drop import missed_drop
+from ...scene.gaussians import Scene
+from ...system import memory
+from ...system.errors import SceneError
+from ...system.memory_limits import peak
+from ...views.dataset import Dataset
+from ...views.rendered import RenderedDataset
+from ..blocks.folder import remove_blocks
+from ..context import JobContext
+from ..disk_room import ROW, DiskRoom
+from ..door import check_training, check_views
+from ..planning import pruning_within
+from ..report.prune_report import report_pictures, write_prune_report
+
+CANNOT_REACH = "method '{}' cannot reach a target without iterations in which it prunes"
+
+
+class Tuned:
+    """What training and fine-tuning have in common: the steps, the result, and what is told of them."""
+
+    def __init__(self, plan: Plan, job: JobContext, seconds: float = 0.0):
+        """seconds: that the job may take; 0: no limit."""
+        self.plan, self.job, self.seconds = plan, job, seconds
+        self.clock, self.room = Clock(), DiskRoom(job.out, job.folder)
+        self.held = 0.0  # PSNR in dB from which an allowed drop counts
+
+    def further_files(self) -> list[Path]:
+        return [self.job.folder / "manifest.json"]
+
+    def tune(self):
+        """All phases, with checkpoints."""
+        job, plan, dataset = self.job, self.plan, self.dataset
+        run = Run(self.model, dataset, plan, make_engine(job.engine), self.model.metadata["antialiased"])
+        if run.recovery_pruning:
+            run.recovery_pruning.start = self.held
+        identity = checkpoint.identity_of(self.model, dataset, plan, job.engine)
+        if job.resume:
+            checkpoint.restore(run, job.folder, identity)
+            self.clock.earlier = sum(run.seconds.values())
+        else:
+            checkpoint.delete_all(job.folder)
+            remove_blocks(job.out)
+        job.begin(run)
+
+        def save():
+            with self.room.for_checkpoint(run.model.count):
+                checkpoint.save(run, job.folder, identity, asdict(job.planned) if job.planned else None)
+
+        loop.run_to_end(run, job.observe, job.stop, save, lambda: curve_psnr(run))
+        self.clock.phases |= run.seconds
+        run.engine = make_engine(job.engine)  # a new engine frees the buffers of the old one
+        self.run, self.scene = run, self.model.into_scene(source_order=not plan.nested)
+        del self.model
+
+    def write(self):
+        self.room.release()
+        with self.clock.phase("write"):
+            write_scene(self.job.out, self.scene)
+        checkpoint.delete_all(self.job.folder)
+
+    def close(self):
+        self.room.release()
+
+    def measured(self, scene: Scene, path: Path) -> dict[str, Any]:
+        """The figures of `svrgs eval` for a scene. path: its file, for the size in bytes."""
+        views = self.dataset.test_indices or self.dataset.train_indices
+        return {
+            **evaluate(scene, self.dataset, views, Rasterizer(), self.job.lpips),
+            "bytes": size_on_disk(path),
+        }
+
+    def facts(self) -> dict[str, Any]:
+        """The keys of the JSON result that describe the run, not the quality of the scene."""
+        run, plan = self.run, self.run.settings
+        tuned = sum(run.seconds.values())
+        return {
+            "out": str(self.job.out),
+            "method": plan.method.name,
+            "lambda_f": plan.lambda_f if run.method.uses_lambda_f(plan) else None,
+            "lambda_m": plan.lambda_m or None,
+            "target": None if plan.max_drop else run.target or None,
+            "reached": run.controller.reached if run.controller else None,
+            "drop": run.drop,
+            "strength": run.strength,
+            "seconds": self.clock.total,
+            "seconds_by_phase": self.clock.phases,
+            "iterations": run.iteration,
+            "iterations_per_second": run.iteration / tuned if tuned else None,
+            "peak_memory_bytes": peak(),
+            "nonfinite_gradients": run.nonfinite,
+            "densifications_held_back": run.held_back,
+            "seed": plan.seed,
+            "notes": list(run.dataset.notes),
+            "curves": vars(run.curves),
+        }
+
+    def time_facts(self) -> dict[str, Any] | None:
+        """Of a job with a time limit: seconds asked for, foreseen and used, the time between a stop and a resume
+        left out, and the schedule that was chosen."""
+        planned = self.job.planned
+        return {**asdict(planned), "used": self.clock.earlier + self.job.seconds()} if planned else None
+
+
+class FineTuned(Tuned):
+    """Prunes a trained scene with a method, and recovers its quality."""
+
+    def __init__(
+        self,
+        path: Path,
+        plan: Plan,
+        job: JobContext,
+        dataset_of: Callable[[Scene], Dataset],
+        seconds: float = 0.0,
+    ):
+        """dataset_of: the dataset for the scene of the file `path`. seconds: as for Tuned."""
+        super().__init__(plan, replace(job, scene=path), seconds)
+        self.path, self.dataset_of = path, dataset_of
+
+    def open(self):
+        with self.clock.phase("read"):
+            self.source = load_scene(self.path).scene
+
+    def views(self):
+        self.dataset = self.dataset_of(self.source)
+
+    def check(self):
+        source, dataset, plan = self.source, self.dataset, self.plan
+        check_request(dataset, plan)
+        refuse_lost_order(plan, self.job)
+        check_views(source, dataset.cameras, dataset.train_indices, str(self.path))
+        refuse_excess(
+            f"{self.path}: pruning it", source.count, source.sh.shape[1], dataset, plan, memory.BY_BLOCKS
+        )
+        self.room.hold_for(source, source.count, plan.averaged_count(source.count))
+
+    def rank(self):
+        """Methods rank between their steps."""
+
+    def budget(self):
+        source, dataset, job = self.source, self.dataset, self.job
+        if self.seconds:
+            read = self.clock.phases["read"]
+            self.plan, self.job = pruning_within(self.seconds, self.plan, source, read, dataset, job)
+        with self.clock.phase("evaluate before"):
+            self.before = {"count": source.count, "bytes": size_on_disk(self.path)}
+            if not isinstance(dataset, RenderedDataset):
+                self.before = self.measured(source, self.path)
+                note_mismatch(source, dataset)
+            self.pictures = report_pictures(source, dataset, Rasterizer()) if job.report else []
+        with self.clock.phase("first cut"):
+            self.held, self.allowed = psnr_to_hold(source, dataset, self.plan), self.plan.max_drop
+            self.plan = without_format_loss(source, dataset, self.plan, job.out)
+
+    def select(self):
+        source = self.source
+        del self.source  # frees memory for the optimiser
+        with self.clock.phase("first cut"):
+            start = first_cut(source, self.dataset, self.plan)
+            self.dataset.notes += tuple(lost_columns(source, start, (*NORMALS, ROW)))
+            shown = (
+                isinstance(self.dataset, RenderedDataset) and start is source
+            )  # whose pictures are trained on
+            self.model, self.cut = Model.of(start, copy=shown), source.count - start.count
+
+    def write(self):
+        super().write()
+        self.levels = []
+        with self.clock.phase("evaluate after"):
+            for share, path in self.job.level_files.items():
+                level = self.scene.select(np.arange(max(1, round(share * self.scene.count))))
+                write_scene(path, level)
+                self.levels.append(
+                    {"share": share, "out": str(path), **self.measured(stored(path, level), path)}
+                )
+
+    def measure(self) -> dict[str, Any]:
+        job, dataset = self.job, self.dataset
+        with self.clock.phase("evaluate after"):
+            scene = stored(job.out, self.scene)
+            after = self.measured(scene, job.out)
+            self.run.drop = self.held - psnr_to_hold(scene, dataset, self.plan) if self.allowed else None
+            dataset.notes += tuple(missed_drop(self.run.drop, self.allowed))
+        result = {
+            **after,
+            "scene": str(self.path),
+            "before": self.before,
+            "after": after,
+            "levels": self.levels,
+            "first_cut": self.cut,
+            **self.facts(),
+            **({"rig": dataset.facts} if isinstance(dataset, RenderedDataset) else {}),
+        }
+        if job.report:
+            write_prune_report(
+                job.report, self.path.stem, self.pictures, scene, dataset, self.run, result, job.lpips_missing
+            )
+        return {**result, "time": self.time_facts()}
+
+
+class Clock:
+    """Seconds of each phase, in order."""
+
+    def __init__(self):
+        self.started = time.perf_counter()
+        self.earlier = 0.0  # seconds before the job was resumed
+        self.phases: dict[str, float] = {}
+
+    @contextlib.contextmanager
+    def phase(self, name: str):
+        begun = time.perf_counter()
+        yield
+        self.phases[name] = self.phases.get(name, 0.0) + time.perf_counter() - begun
+
+    @property
+    def total(self) -> float:
+        return self.earlier + time.perf_counter() - self.started
+
+
+def check_request(dataset: Dataset, plan: Plan):
+    """Checks, before any work, that the dataset has training views and that the method can do what the plan
+    asks. Raises SceneError."""
+    check_training(dataset.train_indices)
+    method, asked = plan.method, plan.target or plan.share
+    if plan.max_drop and not (method.supports_max_drop and plan.prunes):
+        raise SceneError(
+            f"method '{method.name}' cannot take --max-drop: it needs a method that learns what to prune, and"
+            " iterations in which it learns"
+        )
+    if method.ranks and not asked:
+        raise SceneError(
+            f"method '{method.name}' needs --target or --target-count: it ranks Gaussians, it does not learn"
+            " how many to keep"
+        )
+    if asked and not method.ranks and not plan.prunes:
+        raise SceneError(CANNOT_REACH.format(plan.method.name))
+
+
+def refuse_lost_order(plan: Plan, job: JobContext):
+    """Raises SceneError if the order of the Gaussians is what is asked for, and the format of the output has
+    one of its own."""
+    if plan.nested and not job.level_files and "order" not in format_to_write(job.out).carries:
+        fitting = [
+            splat_format.suffixes[0]
+            for splat_format in FORMATS
+            if splat_format.write and "order" in splat_format.carries
+        ]
+        raise SceneError(
+            f"{job.out}: this format has an order of its own, and a nested result is an order of the"
+            f" Gaussians: write a {' or '.join(fitting)}"
+        )
+
+
+def refuse_excess(what: str, count: int, coefficients: int, dataset: Dataset, plan: Plan, advice: str = ""):
+    """Raises MemoryShort if memory is too short for the fine-tuning of so many Gaussians. coefficients: SH
+    coefficients per channel. advice: what else can be done."""
+    needed = memory.tuning(
+        count, coefficients, dataset.cameras, dataset.memory_budget, plan.averaged_count(count)
+    )
+    memory.refuse_excess(
+        what,
+        max(needed, memory.ordering(count, coefficients, dataset.cameras)) if plan.method.merges else needed,
+        advice,
+    )
+
+
+def note_mismatch(scene: Scene, dataset: Dataset):
+    """Warns, and notes in the dataset, if the scene explains little of the photographs."""
+    if sentence := mismatch_of(scene, dataset):
+        logging.warning("%s", sentence)
+        dataset.notes = (*dataset.notes, sentence)
+
+
+def psnr_to_hold(scene: Scene, dataset: Dataset, plan: Plan) -> float:
+    """PSNR in dB from which an allowed drop counts, on the views of finetune/quality.py. 0 if none is
+    allowed."""
+    if not plan.max_drop:
+        return 0.0
+    options = render_options(scene, plan.background)
+    return mean_psnr(scene, dataset, quality_views(dataset), Rasterizer(), options, error=dataset.unexplained)
+
+
+def without_format_loss(scene: Scene, dataset: Dataset, plan: Plan, out: Path) -> Plan:
+    """The plan, with what the format of the output loses taken off an allowed drop. Raises SceneError if
+    nothing is left of it."""
+    if not plan.max_drop:
+        return plan
+    return replace(
+        plan,
+        max_drop=plan.max_drop
+        - format_loss(out, scene, lambda some: psnr_to_hold(some, dataset, plan), plan.max_drop),
+    )
+
+
+def first_cut(scene: Scene, dataset: Dataset, plan: Plan) -> Scene:
+    """The scene after the first removal and the first cut (docs/methods.md, "What all methods share"). Raises
+    SceneError if almost nothing stays.
+
+    First removal: Gaussians with an opacity below 1/255; no picture changes. First cut: those whose alpha T
+    is below plan.min_contribution in every pixel of every training view, but never below a target count.
+    Methods that rank keep only the target count here.
+
+    Both masks are applied in one selection, before other arrays exist: two copies would raise the peak memory
+    of the job.
+    """
+    method, faint = plan.method, invisible(scene)
+    views = [dataset.cameras[i] for i in dataset.train_indices]
+    keep = ~faint
+    if plan.min_contribution:
+        _, peaks, _ = scores.contribution(scene, views, Rasterizer(), render_options(scene, plan.background))
+        keep &= (peaks >= plan.min_contribution) | scores.top(np.where(faint, -1, peaks), plan.target)
+        masks.refuse_emptying(keep, scene.count - int(faint.sum()), plan.target)
+    scene = scene if keep.all() else scene.select(keep)
+    if not method.ranks:
+        return scene
+    return method.reduced(scene, views, Rasterizer(), render_options(scene, plan.background), plan.target)
+
+
+def make_engine(name: str):
+    if name == "native":
+        return NativeEngine()
+    from ..finetune.torch_engine import TorchEngine
+
+    return TorchEngine()
+
+
+def curve_psnr(run: Run) -> float | None:
+    """PSNR in dB on a few test views, of the Gaussians that would stay if pruning ended now. None without
+    test views."""
+    dataset, model = run.dataset, run.model
+    views = dataset.test_indices[:: max(1, len(dataset.test_indices) // CURVE_VIEWS)][:CURVE_VIEWS]
+    if not views:
+        return None
+    kept = run.method.current_mask(model) if model.learns_masks else None
+    options = RenderOptions(antialiased=run.antialiased, background=run.settings.background)
+    return mean_psnr(
+        model, dataset, views, run.engine.rasterizer, options, None if kept is None else kept.astype(np.uint8)
+    )

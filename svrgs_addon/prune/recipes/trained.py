@@ -1,0 +1,81 @@
+"""A training from the sparse points of a dataset."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from ...files.registry import stored
+from ...finetune.model import Model, scene_from_points
+from ...finetune.plan import Plan
+from ...finetune.settings import Densify
+from ...native.library import thresholds
+from ...render.metrics.evaluate import any_in_view
+from ...system.errors import SceneError
+from ...views.dataset import Dataset
+from ..context import JobContext
+from ..planning import training_within
+from .fine_tuned import CANNOT_REACH, Tuned, check_request, refuse_excess
+
+
+class Trained(Tuned):
+    """Trains from the sparse points."""
+
+    def __init__(
+        self,
+        plan: Plan,
+        job: JobContext,
+        read_dataset: Callable[[], Dataset],
+        sh_degree: int = 3,
+        seconds: float = 0.0,
+    ):
+        """read_dataset: gives the dataset, with its points. seconds: as for Tuned."""
+        super().__init__(plan, job, seconds)
+        self.read_dataset, self.sh_degree = read_dataset, sh_degree
+
+    def open(self):
+        """There is no scene yet."""
+
+    def views(self):
+        self.dataset = self.read_dataset()
+
+    def check(self):
+        dataset, plan = self.dataset, self.plan
+        check_request(dataset, plan)
+        if (plan.target or plan.share) and not plan.prunes:
+            raise SceneError(CANNOT_REACH.format(plan.method.name))
+        refuse_unseen_points(dataset)
+        refuse_excess("training", len(dataset.points), (self.sh_degree + 1) ** 2, dataset, plan)
+
+    def rank(self):
+        """Nothing is there yet."""
+
+    def budget(self):
+        if self.seconds:
+            self.plan, self.job = training_within(
+                self.seconds, self.plan, self.dataset, self.job, self.sh_degree
+            )
+
+    def select(self):
+        dataset, plan = self.dataset, self.plan
+        with self.clock.phase("initialise"):
+            growth = plan.phases[0].densify or Densify()
+            start = scene_from_points(dataset.points, dataset.point_colors, self.sh_degree, *growth.INITIAL)
+            most = max(start.count, plan.target)
+            self.room.hold_for(start, most, plan.averaged_count(most))
+            self.model = Model.of(start, copy=False)
+
+    def measure(self) -> dict[str, Any]:
+        with self.clock.phase("evaluate"):
+            after = self.measured(stored(self.job.out, self.scene), self.job.out)
+        return {**after, **self.facts(), "time": self.time_facts()}
+
+
+def refuse_unseen_points(dataset: Dataset):
+    """Raises SceneError if no training view sees a sparse point: training would end with black pictures."""
+    if not any_in_view(dataset.points, dataset.cameras, [dataset.cameras[i] for i in dataset.train_indices]):
+        count, near = len(dataset.points), thresholds().near
+        raise SceneError(
+            f"no training view sees any of the {count:,} sparse points more than {near:g} in front of it; run"
+            " COLMAP again, or scale the model up"
+        )
