@@ -41,6 +41,39 @@ def farm(commands):
     actions = commands.add_parser("farm", help=help_, description=help_).add_subparsers(
         dest="action", required=True, metavar="ACTION"
     )
+    _export(actions)
+    files = command_of(
+        actions,
+        "files",
+        "Writes the files for the engines again, after a job or its captures were moved or job.json was"
+        " changed.",
+    )
+    files.add_argument("folder", type=extended, metavar="JOB", help="folder of the job")
+    files.add_argument("--root", type=extended, metavar="DIR", help="where the captures lie now")
+    run = command_of(
+        actions, "run", "Does tasks of a job. What is done stays, and what was interrupted goes on."
+    )
+    run.add_argument("folder", type=extended, metavar="JOB", help="folder of the job")
+    run.add_argument(
+        "--tasks", default="", metavar="N-M", help="numbers of tasks, as in 0-3,8 (default: all)"
+    )
+    run.add_argument(
+        "--root",
+        type=extended,
+        metavar="DIR",
+        help="where the captures lie on this machine (default: where they lay when the job was made)",
+    )
+    run.add_argument(
+        "--messages",
+        choices=MESSAGES,
+        default=MESSAGES[0],
+        help=f"how progress is told (default: {MESSAGES[0]}, on stderr)",
+    )
+    report = command_of(actions, "report", "Writes a table and a chart over all tasks of a job.")
+    report.add_argument("folder", type=extended, metavar="JOB", help="folder of the job")
+
+
+def _export(actions):
     export = command_of(
         actions,
         "export",
@@ -91,35 +124,6 @@ def farm(commands):
         leave_out=("method", "target", "resume", "quiet", "time", "levels"),
         colmap=False,
     )
-    files = command_of(
-        actions,
-        "files",
-        "Writes the files for the engines again, after a job or its captures were moved or job.json was"
-        " changed.",
-    )
-    files.add_argument("folder", type=extended, metavar="JOB", help="folder of the job")
-    files.add_argument("--root", type=extended, metavar="DIR", help="where the captures lie now")
-    run = command_of(
-        actions, "run", "Does tasks of a job. What is done stays, and what was interrupted goes on."
-    )
-    run.add_argument("folder", type=extended, metavar="JOB", help="folder of the job")
-    run.add_argument(
-        "--tasks", default="", metavar="N-M", help="numbers of tasks, as in 0-3,8 (default: all)"
-    )
-    run.add_argument(
-        "--root",
-        type=extended,
-        metavar="DIR",
-        help="where the captures lie on this machine (default: where they lay when the job was made)",
-    )
-    run.add_argument(
-        "--messages",
-        choices=MESSAGES,
-        default=MESSAGES[0],
-        help=f"how progress is told (default: {MESSAGES[0]}, on stderr)",
-    )
-    report = command_of(actions, "report", "Writes a table and a chart over all tasks of a job.")
-    report.add_argument("folder", type=extended, metavar="JOB", help="folder of the job")
 
 
 def large(commands):
@@ -167,59 +171,8 @@ def large(commands):
             )
         else:
             command.add_argument("work", type=extended, metavar="WORK", help="folder of the blocks")
-        if name in ("score", "merge", "decide", "tune"):
-            command.add_argument(
-                "--part",
-                type=reader(COUNT),
-                default=0,
-                metavar="K",
-                help="number of the part of the work, from 0 (default: 0)",
-            )
-            command.add_argument(
-                "--parts",
-                type=reader(POSITIVE),
-                default=1,
-                metavar="N",
-                help="number of all parts (default: 1)",
-            )
-        if name in ("prune", "tune"):
-            help_ = "steps of fine-tuning, on one view each; 0: none (default: two for each view)"
-            command.former["--steps"] = "--tuning-steps"
-            command.add_argument("--tuning-steps", dest="steps", type=reader(COUNT), metavar="N", help=help_)
-        if name in ("prune", "cut", "decide"):
-            size = command.add_mutually_exclusive_group()
-            size.add_argument(
-                "--target",
-                type=reader(SHARE),
-                metavar="SHARE",
-                help="share of the Gaussians to keep, up to 1",
-            )
-            size.add_argument(
-                "--target-count", type=reader(POSITIVE), metavar="N", help="number of Gaussians to keep"
-            )
-        if name == "prune":
-            size.add_argument(
-                "--max-drop",
-                type=reader(DECIBELS),
-                metavar="DB",
-                help="keep as few as lose about so many dB at most",
-            )
-            command.add_argument(
-                "--levels",
-                type=reader(SHARES),
-                default=(),
-                metavar="SHARES",
-                help="levels of detail, as of svrgs prune",
-            )
-            command.add_argument(
-                "--resume",
-                action="store_true",
-                help="with --method: continue the same job after a stop; without it, the job starts again",
-            )
-        if name in ("prune", "finish"):
-            command.add_argument(
-                "--out", type=extended, required=True, metavar="FILE", help="splat file to write"
-            )
+        _parts(command, name)
+        _goal(command, name)
 
 
 def _learning(command: Parser):
@@ -242,3 +195,64 @@ def _learning(command: Parser):
         "seed",
     ):
         add_option(command, command, name, options_of(PruneOptions)[name], default_of(PruneOptions, name))
+
+
+def _parts(command: Parser, name: str):
+    """Which part of the work a call does, and its steps."""
+    if name in ("score", "merge", "decide", "tune"):
+        command.add_argument(
+            "--part",
+            type=reader(COUNT),
+            default=0,
+            metavar="K",
+            help="number of the part of the work, from 0 (default: 0)",
+        )
+        command.add_argument(
+            "--parts",
+            type=reader(POSITIVE),
+            default=1,
+            metavar="N",
+            help="number of all parts (default: 1)",
+        )
+    if name in ("prune", "tune"):
+        help_ = "steps of fine-tuning, on one view each; 0: none (default: two for each view)"
+        command.former["--steps"] = "--tuning-steps"
+        command.add_argument("--tuning-steps", dest="steps", type=reader(COUNT), metavar="N", help=help_)
+
+
+def _goal(command: Parser, name: str):
+    """How many Gaussians stay, and where the result goes."""
+    if name in ("prune", "cut", "decide"):
+        size = command.add_mutually_exclusive_group()
+        size.add_argument(
+            "--target",
+            type=reader(SHARE),
+            metavar="SHARE",
+            help="share of the Gaussians to keep, up to 1",
+        )
+        size.add_argument(
+            "--target-count", type=reader(POSITIVE), metavar="N", help="number of Gaussians to keep"
+        )
+    if name == "prune":
+        size.add_argument(
+            "--max-drop",
+            type=reader(DECIBELS),
+            metavar="DB",
+            help="keep as few as lose about so many dB at most",
+        )
+        command.add_argument(
+            "--levels",
+            type=reader(SHARES),
+            default=(),
+            metavar="SHARES",
+            help="levels of detail, as of svrgs prune",
+        )
+        command.add_argument(
+            "--resume",
+            action="store_true",
+            help="with --method: continue the same job after a stop; without it, the job starts again",
+        )
+    if name in ("prune", "finish"):
+        command.add_argument(
+            "--out", type=extended, required=True, metavar="FILE", help="splat file to write"
+        )

@@ -218,8 +218,8 @@ def _tune(words: argparse.Namespace) -> dict[str, Any]:
 def _recover(words: argparse.Namespace, divided: Divided, request: Request) -> dict[str, Any]:
     if words.steps is not None:
         raise SceneError(
-            "--tuning-steps is for removals and merges: leave it out; --recovery of svrgs large divide gives the"
-            " steps of a method"
+            "--tuning-steps is for removals and merges: leave it out; --recovery of svrgs large divide gives"
+            " the steps of a method"
         )
     numbers, plan, dataset = (
         range(len(divided.blocks) if request.recovery else 0)[words.part :: words.parts],
