@@ -6,7 +6,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 from statistics import median
 
-from svrgs_addon.finetune.quality import HALVED, psnr_after
+from svrgs_addon.finetune.methods import METHODS
+from svrgs_addon.finetune.quality import psnr_after
+
+HALVED = {name: method.halved for name, method in METHODS.items() if method.halved}
 
 FITTED = ("demo", "lund")  # the scenes on which the numbers are fitted; the other two test them
 PAGE = """# How near the foreseen quality comes

@@ -16,11 +16,14 @@ pytest.importorskip("OpenImageIO")
 
 import tiny_dataset
 from command_checks import MEASURES, TEST_VIEWS, files, refused
+from svrgs_addon.cli.arguments import parser
 from svrgs_addon.files.ply import read_ply
 from svrgs_addon.finetune import scores
 from svrgs_addon.finetune.methods import METHODS
 from svrgs_addon.native.rasterizer import Rasterizer
+from svrgs_addon.prune.options import GROUPS, PruneOptions
 from svrgs_addon.render.metrics.evaluate import render_options
+from svrgs_addon.system.option_kinds import options_of
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -243,10 +246,48 @@ def test_the_papers_form_is_chosen_by_a_flag(tiny, svrgs, tmp_path):
     )
 
 
-def test_help_lists_every_method(svrgs):
-    for command in ("train", "prune"):
-        lines = svrgs(command, "--help").out.split("methods:\n")[1].splitlines()
-        assert [line.split()[0] for line in lines if line[2] != " "] == list(METHODS)
+def test_every_method_is_listed_with_its_source_and_its_weights(svrgs):
+    found = svrgs("methods", "--json").json["methods"]
+    assert [entry["name"] for entry in found] == list(METHODS)
+    for entry in found:
+        assert entry["source"] and entry["help"], "a method names its paper"
+        assert (
+            bool(entry["lambda_f"])
+            == bool(METHODS[entry["name"]].lambda_f)
+            == bool(entry["lambda_f_meaning"])
+        )
+    said = svrgs("methods").out
+    assert all(f"\n{name} ({method.label})\n" in said for name, method in METHODS.items())
+
+
+def test_the_page_names_the_papers_that_the_program_names():
+    page = (ROOT / "docs/methods.md").read_text()
+    papers = {
+        number for method in METHODS.values() for number in re.findall(r"arXiv (\S+?)(?:,|$)", method.source)
+    }
+    assert papers and all(number in page for number in papers)
+
+
+def test_help_fits_one_screen_and_help_all_has_the_rest(svrgs, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    short, whole = svrgs("prune", "--help").out, svrgs("prune", "--help-all").out
+    assert len(short.splitlines()) <= 40 and all(f"\n{group}:\n" in short for group in GROUPS)
+    flags = {
+        f"--{option.flag or name.replace('_', '-')}" for name, option in options_of(PruneOptions).items()
+    }
+    assert flags <= set(re.findall(r"--[a-z-]+", whole)) and not flags <= set(re.findall(r"--[a-z-]+", short))
+    assert "--colmap" not in whole and "--cameras" not in whole
+
+
+def test_older_names_of_options_are_still_read():
+    for command, words in {"prune": ["x.ply"], "select": ["x.ply"], "eval": ["x.ply"]}.items():
+        for flag in ("--colmap", "--data"):
+            assert parser().parse_args([command, *words, flag, "here"]).colmap == Path("here")
+            assert parser().parse_args([command, *words, f"{flag}=here"]).colmap == Path("here")
+    for flag in ("--cameras", "--seen-from"):
+        assert parser().parse_args(["prune", "x.ply", flag, "c.json"]).cameras == Path("c.json")
+    for flag in ("--steps", "--tuning-steps"):
+        assert parser().parse_args(["large", "tune", "work", flag, "3"]).steps == 3
 
 
 def test_opacity_keeps_the_most_opaque(tiny, svrgs, tmp_path):

@@ -219,7 +219,7 @@ REFUSED = [  # what is broken, the command, what the sentence says
     (nothing, f"{RENDER} --outputs rgb,normals", ("output 'normals' is unknown",)),
     (nothing, f"{RENDER} --format gif", ("--format",)),
     (nothing, f"{RENDER} --background 0,0,2", ("--background",)),
-    (nothing, "render {data}/scene.ply --out {work}/out", ("--colmap", "--cameras")),
+    (nothing, "render {data}/scene.ply --out {work}/out", ("--data", "--cameras")),
     (nothing, "render {data}/scene.ply --cameras {work}/file --out {work}/out", ("is not JSON",)),
     (
         nothing,

@@ -95,7 +95,7 @@ def test_without_an_output_nothing_is_written(svrgs, splat):
         (("--opacity", "0.9,0.1"), "lower one first"),
         (("--box", "1,2,3"), "six numbers"),
         (("--sphere", "0,0,0,nan"), "four numbers"),
-        (("--contribution", "1,"), "--colmap or --cameras"),
+        (("--contribution", "1,"), "--data or --cameras"),
         (("--opacity", "2,3", "--out", "OUT"), "no Gaussian fulfils"),
         (("--opacity", "0,1", "--out", "IN"), "never overwritten"),
         (("--opacity", "0,1", "--out", "OUT.txt"), "OUT.txt"),

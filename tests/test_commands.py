@@ -334,7 +334,7 @@ def test_views_of_a_comparison_are_placed(tiny, svrgs, tmp_path):
     )
     assert (
         refused.status == 2
-        and "give --colmap, or leave them out" in refused.err
+        and "give --data, or leave them out" in refused.err
         and not (tmp_path / "no").exists()
     )
 
@@ -371,7 +371,9 @@ def test_failures_that_are_nobody_s_input_exit_1(tiny, svrgs, monkeypatch):
     assert (done.status, done.out, done.err) == (1, "", "svrgs: out of memory\n")
 
 
-@pytest.mark.parametrize("command", ["info", "render", "train", "prune", "eval", "compare", "bench"])
+@pytest.mark.parametrize(
+    "command", ["info", "render", "train", "prune", "eval", "compare", "methods", "bench"]
+)
 def test_every_command_has_help_in_any_encoding(command):
     environment = os.environ | {"PYTHONIOENCODING": "ascii"}
     done = subprocess.run(

@@ -3,6 +3,7 @@ benchmarks/methods.py)."""
 
 import itertools
 import json
+import re
 from collections import defaultdict
 from pathlib import Path
 from statistics import fmean
@@ -88,3 +89,85 @@ def test_default_is_ahead_on_scenes_trained_to_their_end_with_three_seeds():
                 run for run, other in rivals.items() if behind(ours, other) > -AHEAD
             }
             assert behind(ours, runs["3dgs"]) < 0
+
+
+# --- sentences with a figure
+
+DOCS = ROWS.parents[1]
+
+
+def means(schedule: float, *studies: str) -> dict[tuple[str, int, str, str], tuple[float, float]]:
+    """Mean count and PSNR by (scene, size of the photographs, study, run)."""
+    found: dict[tuple, list] = defaultdict(list)
+    for row in map(json.loads, ROWS.read_text().splitlines()):
+        if row["study"] in studies and row["schedule"] == schedule and "error" not in row:
+            found[row["scene"], row["shrink"], row["study"], row["run"]].append((row["count"], row["psnr"]))
+    return {key: tuple(map(fmean, zip(*those, strict=True))) for key, those in found.items()}
+
+
+def said(page: str, sentence: str) -> list[float]:
+    """The figures of a sentence of a page, in which # stands for each."""
+    pattern = re.escape(sentence).replace(r"\ ", r"\s+").replace(r"\#", r"(\d[\d ]*(?:\.\d+)?)")
+    (found,) = re.finditer(pattern, (DOCS / page).read_text())
+    return [float(figure.replace(" ", "")) for figure in found.groups()]
+
+
+@pytest.mark.parametrize("page", ["results.md", "results/page.md"])
+def test_sentences_on_the_paper_are_those_of_the_rows(page):
+    whole, tenth = means(1, "table", "printed"), means(0.1, "table")
+    count = lambda scene, shrink, run, rows=whole: rows[scene, shrink, "table", run][0]
+    fewer = lambda *case, **more: count(*case, "3DGS", **more) / count(*case, "SVR-GS", **more)
+    figures = [fewer("snowmiku", 4), fewer("snowmiku", 4, rows=tenth), fewer("demo", 3)]
+    assert said(
+        page,
+        "keeps # times fewer Gaussians than 3DGS on snowmiku (a tenth of the schedule: #)"
+        " and # times fewer on demo",
+    ) == [round(figure, 1) for figure in figures]
+    grown = [count("snowmiku", 4, "3DGS"), count("snowmiku", 4, "3DGS", rows=tenth)]
+    assert said(page, "3DGS grows to # Gaussians instead of #.") == [round(figure) for figure in grown]
+    gained = {
+        case: (whole[*case, "printed", run][1] - whole[*case, "table", run][1])
+        for case, run in ((("demo", 3), "3DGS"), (("snowmiku", 4), "3DGS"))
+    }
+    assert said(page, "On demo it has # dB more") == [round(gained["demo", 3], 1)]
+    assert said(page, "3DGS itself has # dB less on snowmiku") == [-round(gained["snowmiku", 4])]
+    lost = lambda case, study: whole[*case, study, "MaskGS alpha"][1] - whole[*case, study, "SVR-GS"][1]
+    assert said(page, "it loses # dB on snowmiku and # on demo; with the usual loss # and #.") == [
+        round(lost(case, study), 1)
+        for study in ("printed", "table")
+        for case in (("snowmiku", 4), ("demo", 3))
+    ]
+
+
+def test_the_printed_loss_leaves_as_many_gaussians_as_the_pages_say():
+    ratios = []
+    for schedule in (0.1, 1):
+        rows = means(schedule, "table", "printed")
+        ratios += [
+            rows[scene, shrink, "printed", run][0] / value[0]
+            for (scene, shrink, study, run), value in rows.items()
+            if study == "table" and run == "SVR-GS" and (scene, shrink, "printed", run) in rows
+        ]
+    ends = [round(min(ratios), 1), round(max(ratios), 1)]
+    assert ends == said("results.md", "At the same λ_F # to # times as many Gaussians stay")
+    assert ends == said("methods.md", "the same λ_F leaves # to # times as many Gaussians")
+
+
+def test_runs_on_another_machine_gain_what_the_sentence_says():
+    text = (DOCS / "figures.md").read_text()
+    rows = text.split("peak memory (MB) |")[1].split("\n\n")[0].splitlines()[2:]
+    psnr = [float(row.split("|")[3]) for row in rows]
+    gains = {round(after - before, 2) for before, after in zip(psnr[::2], psnr[1::2], strict=True)}
+    assert len(psnr) == 4 and gains == set(said("figures.md", "Both pairs gain # dB."))
+
+
+def test_the_table_of_the_readme_is_that_of_the_figures():
+    cells = lambda text: [[c.strip().removesuffix(" dB") for c in row.split("|")[2:-1]] for row in text]
+    table = lambda text, start: [row for row in text.split(start)[1].split("\n\n")[1].splitlines()[2:]]
+    readme = cells(table((DOCS.parent / "README.md").read_text(), "## Result"[:9] + "\n\nOne scene"))
+    figures = {
+        tuple(row[:2]): row for row in cells((DOCS / "figures.md").read_text().splitlines()) if len(row) == 7
+    }
+    for count, psnr, size, seconds in readme:
+        published = figures[count, psnr]
+        assert size == published[5] and seconds.split(" ")[0] in ("", published[6])

@@ -9,7 +9,8 @@ import pytest
 from plans import prune_settings
 from svrgs_addon.files.ply import read_ply
 from svrgs_addon.finetune import scores
-from svrgs_addon.finetune.quality import HALVED, psnr_after, psnr_removed
+from svrgs_addon.finetune.methods import METHODS
+from svrgs_addon.finetune.quality import psnr_after, psnr_removed
 from svrgs_addon.jobs.estimate import estimate
 from svrgs_addon.native.rasterizer import Rasterizer
 from svrgs_addon.prune import quality_forecast
@@ -17,6 +18,8 @@ from svrgs_addon.prune.options import PruneOptions
 from svrgs_addon.prune.pipeline import prune_scene
 from svrgs_addon.prune.quality_forecast import LEAST_STEPS, forecast, spread
 from svrgs_addon.render.metrics.evaluate import mean_psnr, render_options
+
+HALVED = {name: method.halved for name, method in METHODS.items() if method.halved}
 
 SHARES = (1.0, 0.7, 0.5, 0.3, 0.2, 0.1, 0.05)
 PLAN = prune_settings("removal", 900, 1500)

@@ -1,4 +1,4 @@
-"""Every command of README.md, run as it stands in a folder that holds the files it names. A new line must be
+"""Every command of README.md and of the pages that it names first, run as it stands in a folder that holds the files it names. A new line must be
 added here.
 
 `blender` is Blender as a Python module behind run_as_blender.py, or the Blender that SVRGS_BLENDER names (a
@@ -28,16 +28,17 @@ from test_extension import extension_zip  # noqa: F401
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text()
+PAGES = (README, *((ROOT / f"docs/{name}.md").read_text() for name in ("command-line", "blender")))
 RUNS: dict[str, tuple[str, ...]] = {  # command: what it writes
     "svrgs info scene.ply": (),
-    "svrgs train --colmap DATASET --out trained.ply": ("trained.ply",),
-    "svrgs prune trained.ply --colmap DATASET --out pruned.ply --report report": (
+    "svrgs train --data DATASET --out trained.ply": ("trained.ply",),
+    "svrgs prune trained.ply --data DATASET --out pruned.ply --report report": (
         "pruned.ply",
         "report/index.html",
     ),
-    "svrgs prune trained.ply --colmap DATASET --target 0.25 --out quarter.ply": ("quarter.ply",),
-    "svrgs prune trained.ply --colmap DATASET --target 0.25 --time 60 --out quarter.ply": ("quarter.ply",),
-    "svrgs prune trained.ply --colmap DATASET --target 0.25 --levels 0.5,0.1 --out quarter.ply": (
+    "svrgs prune trained.ply --data DATASET --target 0.25 --out quarter.ply": ("quarter.ply",),
+    "svrgs prune trained.ply --data DATASET --target 0.25 --time 60 --out quarter.ply": ("quarter.ply",),
+    "svrgs prune trained.ply --data DATASET --target 0.25 --levels 0.5,0.1 --out quarter.ply": (
         "quarter.ply",
         "quarter_50.ply",
         "quarter_10.ply",
@@ -51,25 +52,25 @@ RUNS: dict[str, tuple[str, ...]] = {  # command: what it writes
         "scene/lod-meta.json",
         "scene/3_0/meta.json",
     ),
-    "svrgs eval pruned.ply --colmap DATASET": (),
+    "svrgs eval pruned.ply --data DATASET": (),
     "svrgs farm export FOLDER --out JOB --methods removal,lightgaussian --targets 0.5,0.25": (
         "JOB/job.json",
         "JOB/template.json",
     ),
-    "svrgs render pruned.ply --colmap DATASET --views test --outputs rgb,mask --out pictures": (
+    "svrgs render pruned.ply --data DATASET --views test --outputs rgb,mask --out pictures": (
         "pictures/00.rgb.png",
         "pictures/00.mask.png",
     ),
-    "svrgs compare trained.ply pruned.ply --colmap DATASET --out comparison": ("comparison/index.html",),
-    "blender --command svrgs prune trained.ply --colmap DATASET --out pruned.ply": ("pruned.ply",),
+    "svrgs compare trained.ply pruned.ply --data DATASET --out comparison": ("comparison/index.html",),
+    "blender --command svrgs prune trained.ply --data DATASET --out pruned.ply": ("pruned.ply",),
     """blender -b FILE.blend --python-expr "import bpy; bpy.ops.svrgs.prune(colmap='DATASET', target=0.25)\"""": (
         "scene_pruned.ply",
     ),
     "blender -b --python svrgs_addon/batch.py -- prune FOLDER --out PRUNED": ("PRUNED/one.ply",),
 }
 SHORTER = {  # added, since 30,000 steps take minutes
-    "svrgs train --colmap DATASET --out trained.ply": "--iterations 100",
-    "svrgs prune trained.ply --colmap DATASET --target 0.25 --time 60 --out quarter.ply": "--time 10",
+    "svrgs train --data DATASET --out trained.ply": "--iterations 100",
+    "svrgs prune trained.ply --data DATASET --target 0.25 --time 60 --out quarter.ply": "--time 10",
     "svrgs prune scene.ply --target 0.25 --time 90 --out quarter.ply": "--time 12",
 }
 NOT_RUN = {
@@ -162,13 +163,18 @@ def test_command(line, tools, inputs, tmp_path, request):
 
 
 def test_every_command_is_known_here():
-    known = {line for line in commands(README) if not line.startswith("pip install ")}
-    assert known == {*RUNS, *NOT_RUN} and len(commands(README)) == len({*commands(README)})
+    known = {line for page in PAGES for line in commands(page) if not line.startswith("pip install ")}
+    assert known == {*RUNS, *NOT_RUN}
+    assert all(len(commands(page)) == len({*commands(page)}) for page in PAGES)
+
+
+def test_the_first_page_fits_two_screens():
+    assert len(README.splitlines()) <= 100
 
 
 def test_wheels_have_the_names_that_make_package_gives_them():
     """tests/test_packaging.py looks into the wheels, and installs one."""
-    named = [line for line in commands(README) if line.startswith("pip install ")]
+    named = [line for page in PAGES for line in commands(page) if line.startswith("pip install ")]
     made = [
         f"svrgs_addon-{platforms.VERSION}-py3-none-{facts['pip']}.whl"
         for facts in platforms.TABLE["platform"].values()

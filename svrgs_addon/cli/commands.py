@@ -18,7 +18,7 @@ from ..prune.options import DatasetOptions, PruneOptions, TrainOptions
 from ..system import memory
 from ..system.errors import Cancelled
 from ..system.exit_status import STOPPED, plain, printable
-from .arguments import options_from
+from .option_parser import options_from
 
 if TYPE_CHECKING:
     from .batch_list import Item
@@ -153,6 +153,13 @@ def compare(words: Words) -> int:
     )
 
 
+def methods(words: Words) -> int:
+    from .method_list import as_text, method_list
+
+    found = method_list()
+    return _print({"methods": found}, words, as_text(found))
+
+
 def farm(words: Words) -> int:
     from .farm_commands import as_text
     from .farm_commands import farm as run
@@ -184,8 +191,9 @@ def bench(words: Words) -> int:
 
 
 COMMANDS: dict[str, Callable[[Words], int]] = {
-    "info": info, "render": render, "train": train, "prune": prune, "select": select, "convert": convert, "rig": rig,
-    "eval": evaluate, "compare": compare, "farm": farm, "large": large, "bench": bench,
+    "info": info, "render": render, "train": train, "prune": prune, "select": select, "convert": convert,
+    "rig": rig, "eval": evaluate, "compare": compare, "methods": methods, "farm": farm, "large": large,
+    "bench": bench,
 }  # fmt: skip
 
 

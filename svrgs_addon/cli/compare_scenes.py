@@ -20,7 +20,7 @@ from ..system.errors import SceneError
 from ..views.camera_files import load_cameras
 from ..views.dataset import HOLDOUT, Dataset
 from ..views.rig import place_rig
-from .arguments import options_from
+from .option_parser import options_from
 
 MOST = 32  # given views, evenly spread in the file
 
@@ -28,7 +28,7 @@ MOST = 32  # given views, evenly spread in the file
 def compare_scenes(words: argparse.Namespace) -> dict:
     """Writes the report. Returns the result of report.compare.compare(). Raises SplatError."""
     if words.colmap and words.cameras:
-        raise SceneError("--colmap and --cameras both name views; leave one out")
+        raise SceneError("--data and --cameras both name views; leave one out")
     check_writable(words.out / "index.html")  # before cameras are placed
     for path in (words.a, words.b):
         check_readable(path)
@@ -39,7 +39,7 @@ def compare_scenes(words: argparse.Namespace) -> dict:
 def _views_alone(words: argparse.Namespace) -> Dataset:
     """Given or placed cameras, without photographs. Raises SplatError."""
     if words.images or words.holdout != HOLDOUT:
-        raise SceneError("--images and --holdout are of photographs: give --colmap, or leave them out")
+        raise SceneError("--images and --holdout are of photographs: give --data, or leave them out")
     if words.cameras:
         cameras, where = (
             [camera.fitted(LONGEST) for camera in evenly(load_cameras(words.cameras), MOST)],

@@ -23,8 +23,8 @@ from ..scene.gaussians import SH_COEFFICIENTS, Scene
 from ..system import memory
 from ..system.errors import MemoryShort, SceneError, SplatError, TooMany
 from ..system.file_names import extended, real
-from .arguments import options_from
 from .convert_options import ConvertOptions
+from .option_parser import options_from
 
 LARGE = 1 << 28  # bytes of a file that is read in parts, by way of the disk
 

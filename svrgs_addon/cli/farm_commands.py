@@ -20,8 +20,8 @@ from ..prune.options import PruneOptions
 from ..prune.plans import method_of
 from ..system.errors import SceneError, SplatError
 from ..system.memory import size_text
-from .arguments import options_from
 from .batch_list import expand
+from .option_parser import options_from
 
 
 def farm(words: argparse.Namespace) -> dict[str, Any]:

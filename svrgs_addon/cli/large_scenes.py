@@ -33,7 +33,7 @@ from ..system.option_kinds import default_of
 from ..views.camera_files import load_cameras
 from ..views.dataset import HOLDOUT, load_dataset
 from ..views.rig import place_rig
-from .arguments import options_from
+from .option_parser import options_from
 
 OF_METHODS = ("lambda_f", "iterations", "recovery", "schedule", "min_contribution")  # options
 
@@ -91,7 +91,9 @@ def _prune(words: argparse.Namespace) -> dict[str, Any]:
     if request is None and not (goal.count or goal.share or goal.max_drop):
         raise SceneError("how many Gaussians stay is not given: add --target, --target-count or --max-drop")
     if request is not None and (words.steps is not None or goal.levels):
-        raise SceneError("--steps and --levels are for removals and merges: leave them out, or --method")
+        raise SceneError(
+            "--tuning-steps and --levels are for removals and merges: leave them out, or --method"
+        )
     if words.resume and request is None:
         raise SceneError(
             "--resume is for methods that decide on photographs: removals and merges begin again"
@@ -109,7 +111,7 @@ def _request(words: argparse.Namespace) -> Request | None:
     """What is asked of a method on photographs. Raises SceneError for options that do not go together."""
     if words.method:
         if not words.colmap:
-            raise SceneError("--method decides on photographs: add --colmap, or leave it out")
+            raise SceneError("--method decides on photographs: add --data, or leave it out")
         request = request_of(options_from(PruneOptions, words))
         request.dataset()  # raises before anything is written
         return request
@@ -210,8 +212,8 @@ def _tune(words: argparse.Namespace) -> dict[str, Any]:
 def _recover(words: argparse.Namespace, divided: Divided, request: Request) -> dict[str, Any]:
     if words.steps is not None:
         raise SceneError(
-            "--steps is for removals and merges: leave it out; --recovery of svrgs large divide gives the"
-            " steps of a method"
+            "--tuning-steps is for removals and merges: leave it out; --recovery of svrgs large divide gives"
+            " the steps of a method"
         )
     numbers, plan, dataset = (
         range(len(divided.blocks) if request.recovery else 0)[words.part :: words.parts],

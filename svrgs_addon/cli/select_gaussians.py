@@ -20,7 +20,7 @@ from ..system import memory
 from ..system.errors import SceneError
 from ..views.camera_files import load_cameras
 from ..views.dataset import load_dataset
-from .arguments import options_from
+from .option_parser import options_from
 from .render_views import choose
 
 
@@ -88,14 +88,14 @@ def _selected(
 
 
 def views_of(words: argparse.Namespace) -> list[Camera]:
-    """The views that criteria are measured in: those of --colmap or --cameras. Raises SceneError if neither
+    """The views that criteria are measured in: those of --data or --cameras. Raises SceneError if neither
     is given."""
     if words.cameras:
         return load_cameras(words.cameras)
     if words.colmap:
         return load_dataset(words.colmap, cameras_only=True).cameras
     raise SceneError(
-        "contribution, removal error and seen-by are measured in views; name them with --colmap or --cameras"
+        "contribution, removal error and seen-by are measured in views; name them with --data or --cameras"
     )
 
 
@@ -108,7 +108,7 @@ def _refuse_outputs(scene, options: SelectOptions) -> None:
     """Raises SceneError for two sources of views, and for an output that cannot be written or is the
     input."""
     if options.colmap and options.cameras:
-        raise SceneError("--colmap and --cameras both name views; leave one out")
+        raise SceneError("--data and --cameras both name views; leave one out")
     if options.out is None:
         return
     refuse_input(options.out, scene)

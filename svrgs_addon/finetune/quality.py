@@ -6,8 +6,8 @@ and at the end of the run (after):
 
     after = now + left * (removed - now),      left = 1 / (1 + steps / HALVED)
 
-The removed Gaussians leave an error; those that stay take over nearly all of it. HALVED, the only fitted
-number of a method, is the number of steps that win back half of it. Without a removal nothing changes: that
+The removed Gaussians leave an error; those that stay take over nearly all of it. HALVED, Method.halved, the
+only fitted number of a method, is the number of steps that win back half of it. Without a removal nothing changes: that
 steps may still train the scene, and that fewer Gaussians may fit few photographs less closely, is left out.
 benchmarks/forecast.py fits and tests it; docs/forecast.md says how near it is.
 """
@@ -30,7 +30,6 @@ if TYPE_CHECKING:  # reads files; a Blender that only starts needs none of it
 # large blurs
 LEAST = 0.05
 VIEWS = 16  # most views on which a drop in PSNR is measured, spread evenly over the test views
-HALVED = {"removal": 10.0, "svr": 59.0, "maskgs": 5.6}  # by name of the method; others were not measured
 
 
 def quality_views(dataset: Dataset) -> list[int]:

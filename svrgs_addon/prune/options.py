@@ -35,6 +35,8 @@ from ..system.option_kinds import (
     options_of,
 )
 
+# headings of --help
+GOAL, INPUT, TIME, OUTPUT = GROUPS = ("Goal", "Input", "Time", "Output")
 ITERATIONS, PRUNE_ITERATIONS, RECOVERY = 30_000, 3_000, 5_000
 MIN_CONTRIBUTION = 0.02
 ENGINES = ("native", "torch")
@@ -47,10 +49,13 @@ class DatasetOptions:
     colmap: Path | None = option(
         PATH,
         None,
-        "folder of the dataset: photographs, and a COLMAP model or transforms.json",
+        "folder of the dataset (COLMAP or Nerfstudio): photographs, and a COLMAP model or transforms.json",
         metavar="DIR",
         required=True,
         in_job=True,
+        group=INPUT,
+        flag="data",
+        former="colmap",
     )
     images: str = option(
         TEXT,
@@ -95,14 +100,23 @@ class TuningOptions(DatasetOptions):
         TEXT, "native", "what computes the steps: native (C++), or torch (PyTorch, for comparison)"
     )
     lambda_f: float | None = option(
-        WEIGHT, None,
-        "with svr methods, weight of the spatial mask; with removal and saliency, the saliency above which a Gaussian stays; larger values keep fewer",
-        metavar="L", default_help="1e-4; svr-a: 1e-2", in_job=True,
-    )  # fmt: skip
+        WEIGHT,
+        None,
+        "with svr methods, weight of the spatial mask; with removal and saliency, the saliency above "
+        "which a Gaussian stays; larger values keep fewer",
+        metavar="L",
+        default_help="1e-4; svr-a: 1e-2",
+        in_job=True,
+        group=GOAL,
+    )
     lambda_m: float | None = option(
-        WEIGHT, None, "with maskgs and compact3dgs, weight of their term over all masks; with gns, weight of the opacity pressure at the start",
-        metavar="L", default_help="that of the method",
-    )  # fmt: skip
+        WEIGHT,
+        None,
+        "with maskgs and compact3dgs, weight of their term over all masks; with gns, weight of the "
+        "opacity pressure at the start",
+        metavar="L",
+        default_help="that of the method",
+    )
     paper: bool = option(
         FLAG,
         False,
@@ -122,13 +136,23 @@ class TuningOptions(DatasetOptions):
         in_job=True,
     )
     schedule: float = option(
-        FACTOR, 1.0, "multiply all step counts, pruning events included, but not the spacing of densifications and opacity resets; a quick try is 0.1",
-        metavar="X", steps=True,
-    )  # fmt: skip
+        FACTOR,
+        1.0,
+        "multiply all step counts, pruning events included, but not the spacing of densifications "
+        "and opacity resets; a quick try is 0.1",
+        metavar="X",
+        steps=True,
+    )
     time: float = option(
-        SECONDS, 0.0, "seconds that the job may take: measures the speed of this machine, chooses the schedule that fits, up to 1, and prints it",
-        metavar="SECONDS", default_help="no limit", in_job=True,
-    )  # fmt: skip
+        SECONDS,
+        0.0,
+        "seconds that the job may take: measures the speed of this machine, chooses the schedule "
+        "that fits, up to 1, and prints it",
+        metavar="SECONDS",
+        default_help="no limit",
+        in_job=True,
+        group=TIME,
+    )
     target: float | None = option(
         SHARE,
         None,
@@ -137,6 +161,7 @@ class TuningOptions(DatasetOptions):
         default_help="the method decides",
         size=True,
         in_job=True,
+        group=GOAL,
     )
     target_count: int | None = option(
         POSITIVE,
@@ -146,12 +171,14 @@ class TuningOptions(DatasetOptions):
         default_help="the method decides",
         size=True,
         in_job=True,
+        group=GOAL,
     )
     resume: bool = option(
         FLAG,
         False,
         "continue from the last checkpoint of the same job; without it, the job starts again and deletes its"
         " checkpoints",
+        group=TIME,
     )
     quiet: bool = option(FLAG, False, "print no progress on stderr")
 
@@ -161,10 +188,20 @@ class TrainOptions(TuningOptions):
     """Options of `svrgs train`."""
 
     method: str = option(
-        TEXT, "3dgs", "method that prunes while training, see the list below", metavar="NAME"
+        TEXT,
+        "3dgs",
+        "method that prunes while training",
+        metavar="NAME",
+        group=GOAL,
     )
     iterations: int = option(
-        COUNT, ITERATIONS, "number of training steps", metavar="N", steps=True, in_job=True
+        COUNT,
+        ITERATIONS,
+        "number of training steps",
+        metavar="N",
+        steps=True,
+        in_job=True,
+        group=TIME,
     )
     recovery: int | None = option(
         COUNT,
@@ -181,6 +218,7 @@ class TrainOptions(TuningOptions):
         "how training adds Gaussians: 3dgs clones and splits them, mcmc relocates them and grows up to --cap"
         " (3DGS-MCMC)",
         in_job=True,
+        group=GOAL,
     )
     densify_until: int | None = option(
         COUNT,
@@ -190,11 +228,16 @@ class TrainOptions(TuningOptions):
         default_help="half of the steps, at most 15000; mcmc: 5/6, at most 25000",
     )
     cap: int | None = option(
-        POSITIVE, None, "with --densify mcmc, number of Gaussians up to which the scene grows", metavar="N",
-        default_help="with --method 3dgs, that of --target-count", in_job=True,
-    )  # fmt: skip
-    sh_degree: int = option(SH_DEGREE, 3, "degree of the spherical harmonics")
-    out: Path | None = option(PATH, None, "splat file to write", metavar="FILE", required=True)
+        POSITIVE,
+        None,
+        "with --densify mcmc, number of Gaussians up to which the scene grows",
+        metavar="N",
+        default_help="with --method 3dgs, that of --target-count",
+        in_job=True,
+        group=GOAL,
+    )
+    sh_degree: int = option(SH_DEGREE, 3, "degree of the spherical harmonics", group=OUTPUT)
+    out: Path | None = option(PATH, None, "splat file to write", metavar="FILE", required=True, group=OUTPUT)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -202,9 +245,14 @@ class PruneOptions(TuningOptions):
     """Options of `svrgs prune` for one scene."""
 
     method: str = option(
-        TEXT, "", "method that decides which Gaussians are removed, see the list below", metavar="NAME",
-        default_help="removal; without photographs, to a number, merge", in_job=True,
-    )  # fmt: skip
+        TEXT,
+        "",
+        "method that decides which Gaussians are removed",
+        metavar="NAME",
+        default_help="removal; without photographs, to a number, merge",
+        in_job=True,
+        group=GOAL,
+    )
     iterations: int = option(
         COUNT,
         PRUNE_ITERATIONS,
@@ -222,26 +270,52 @@ class PruneOptions(TuningOptions):
         in_job=True,
     )
     min_contribution: float | None = option(
-        SMALL_SHARE, None, "first remove the Gaussians that cover less than this share of every pixel in every training view", metavar="A",
-        default_help=f"{MIN_CONTRIBUTION} for methods that learn masks, else 0", in_job=True,
-    )  # fmt: skip
+        SMALL_SHARE,
+        None,
+        "first remove the Gaussians that cover less than this share of every pixel in every training view",
+        metavar="A",
+        default_help=f"{MIN_CONTRIBUTION} for methods that learn masks, else 0",
+        in_job=True,
+    )
     max_drop: float = option(
-        DECIBELS, 0.0, "keep as few Gaussians as possible, but at least 5 %%, and lose at most about this much PSNR, in dB, on a few test views", metavar="DB",
-        default_help="no such limit", size=True, in_job=True,
-    )  # fmt: skip
+        DECIBELS,
+        0.0,
+        "lose at most about so many dB of PSNR; the fewest Gaussians that do so on a few test views, "
+        "at least 5 %%",
+        metavar="DB",
+        default_help="no such limit",
+        size=True,
+        in_job=True,
+        group=GOAL,
+    )
     nested: float | None = option(
-        SMALLER_SHARE, None, "also train smaller numbers of Gaussians, down to this share of the result: its first rows, any number, are a good splat",
-        metavar="SHARE", default_help="only the result as a whole is trained", in_job=True,
-    )  # fmt: skip
+        SMALLER_SHARE,
+        None,
+        "also train smaller numbers of Gaussians, down to this share of the result: its first rows, "
+        "any number, are a good splat",
+        metavar="SHARE",
+        default_help="only the result as a whole is trained",
+        in_job=True,
+    )
     levels: tuple[float, ...] = option(
-        SHARES, (), "levels of detail, as in 0.5,0.25,0.1: also write these shares of the result, to OUT_50.ply and so on, or into the streamed SOG "
+        SHARES,
+        (),
+        "levels of detail, as in 0.5,0.25,0.1: also write these shares of the result, to OUT_50.ply "
+        "and so on, or into the streamed SOG "
         "OUT/lod-meta.json: the first rows of a nested result; with --quick, each pruned on its own",
-        metavar="SHARES", default_help="none",
-    )  # fmt: skip
+        metavar="SHARES",
+        default_help="none",
+        group=OUTPUT,
+    )
     quick: bool = option(
-        FLAG, False, "remove and merge within seconds, on the scene's own pictures instead of photographs; needs --target, --target-count, --max-drop or "
-        "--levels; with --colmap only the cameras of the dataset are read", in_job=True,
-    )  # fmt: skip
+        FLAG,
+        False,
+        "remove and merge within seconds, on the scene's own pictures instead of photographs; needs "
+        "--target, --target-count, --max-drop or "
+        "--levels; with --data only the cameras of the dataset are read",
+        in_job=True,
+        group=TIME,
+    )
     cameras: Path | None = option(
         PATH,
         None,
@@ -249,11 +323,14 @@ class PruneOptions(TuningOptions):
         " transforms.json",
         metavar="JSON",
         in_job=True,
+        group=INPUT,
+        flag="seen-from",
+        former="cameras",
     )
     seen_from_only: bool = option(
         FLAG,
         False,
-        "with --cameras, only those views count: what they do not see may be removed",
+        "with --seen-from, only those views count: what they do not see may be removed",
         in_job=True,
     )
     scene: Path | None = None  # splat file to prune

@@ -16,7 +16,7 @@ import numpy as np
 
 from ..finetune import scores
 from ..finetune.plan import Plan
-from ..finetune.quality import HALVED, psnr_after
+from ..finetune.quality import psnr_after
 from ..finetune.views import as_real
 from ..native.rasterizer import Rasterizer
 from ..render.metrics.evaluate import picture_options, rounded_to_8_bits
@@ -48,14 +48,14 @@ def forecast(scene: Scene, dataset: Dataset, plan: Plan, ranking: np.ndarray, ke
         (before,) = _mean_psnrs(scene, dataset, [None])
         return Forecast(before, None, None)
     before, removed = _mean_psnrs(scene, dataset, [None, scores.top(ranking, kept).astype(np.uint8)])
-    return Forecast(before, removed, psnr_after(before, removed, plan.total, HALVED[plan.method.name]))
+    return Forecast(before, removed, psnr_after(before, removed, plan.total, plan.method.halved))
 
 
 def is_foreseen(plan: Plan) -> bool:
     """Whether the quality is foreseen. It is not for methods without a fitted number; with an allowed drop,
     which is the quality; for a run without steps in which the method prunes, or with fewer than LEAST_STEPS
     steps."""
-    return plan.method.name in HALVED and not plan.max_drop and plan.prunes and plan.total >= LEAST_STEPS
+    return plan.method.halved > 0 and not plan.max_drop and plan.prunes and plan.total >= LEAST_STEPS
 
 
 def spread(views: list[int]) -> list[int]:

@@ -7,6 +7,7 @@ offers.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -135,12 +136,20 @@ class Option:
 
     kind: Kind
     help: str  # help text without the default value
+    group: str = ""  # heading in --help; an option without one stands under --help-all alone
+    flag: str = ""  # name on the command line without its dashes, if it is not that of the field
+    former: str = ""  # an older name on the command line that is still read, and not shown
     metavar: str = ""
     default_help: str = ""  # description of the default where it is not one value
     size: bool = False  # sets the number of Gaussians that stay; at most one such option may be given
     steps: bool = False  # sets the number of steps; no such option may be given with a time limit
     required: bool = False
     in_job: bool = False  # allowed in a job folder
+
+    @property
+    def brief(self) -> str:
+        """The help text up to its first semicolon or colon: what --help shows."""
+        return re.split("[;:]", self.help, maxsplit=1)[0]
 
 
 def option(kind: Kind, default: Any, help_: str, **more) -> Any:

@@ -37,6 +37,9 @@ class Method:
     # number in Blender's menu, stored in .blend files: never change it, never use it again
     number: int = field(repr=False)
     label: str = field(repr=False)  # how menus and --help call it
+    source: str = field(default="", repr=False, kw_only=True)  # the paper, for `svrgs methods`
+    # number of steps that win back half of a removal (quality.py), measured; 0: unknown, nothing is foreseen
+    halved: float = field(default=0.0, repr=False, kw_only=True)
     lambda_f_help: str = field(default="", repr=False)  # the meaning of lambda_F for this method
     lambda_f: float = 0.0  # default of lambda_F; 0: the method does not use it
     lambda_m: float = 0.0  # default weight of the method's term over all masks or opacities

@@ -69,5 +69,6 @@ METHODS = (
         "learns a gate on opacity and scale and removes the Gaussians whose gate closes",
         11,
         "Compact3DGS",
+        source="Compact3DGS, arXiv 2311.13681",
     ),
 )

@@ -15,5 +15,6 @@ METHODS = (
         "removes, in one cut, the Gaussians that add least to the photographs (sum of αT)",
         15,
         "Contribution",
+        source="common in the literature",
     ),
 )

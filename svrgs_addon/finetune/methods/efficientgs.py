@@ -30,6 +30,10 @@ class EfficientGS(Stepwise):
 
 METHODS = (
     EfficientGS(
-        "efficientgs", "removes the Gaussians that are not the strongest one in any pixel", 25, "EfficientGS"
+        "efficientgs",
+        "removes the Gaussians that are not the strongest one in any pixel",
+        25,
+        "EfficientGS",
+        source="EfficientGS, arXiv 2404.12777",
     ),
 )

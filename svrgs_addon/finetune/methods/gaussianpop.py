@@ -42,5 +42,6 @@ METHODS = (
         "removes, in 8 looks, the Gaussians whose removal changes the photographs least",
         19,
         "GaussianPOP",
+        source="GaussianPOP, arXiv 2602.06830",
     ),
 )

@@ -163,5 +163,6 @@ METHODS = (
         12,
         "GNS",
         share=0.25,
+        source="GNS, arXiv 2511.16980",
     ),
 )

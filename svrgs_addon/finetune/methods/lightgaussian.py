@@ -40,5 +40,6 @@ METHODS = (
         13,
         "LightGaussian",
         share=0.34,
+        source="LightGaussian, arXiv 2311.17245",
     ),
 )

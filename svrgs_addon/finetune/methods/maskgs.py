@@ -47,11 +47,36 @@ class MaskGS(Masked):
 LIKE_BETA = "when pruning, the same as MaskGaussian; in training, "
 
 METHODS = (
-    MaskGS("maskgs", "learns the probability that each Gaussian exists and penalises the mean of all", 7, "MaskGaussian"),
     MaskGS(
-        "maskgs-alpha", LIKE_BETA + "schedule alpha: a strong penalty from 19/30 to 20/30 of the steps", 8, "MaskGaussian Alpha",
-        lambda_m=0.1, window=(19 / 30, 20 / 30),
+        "maskgs",
+        "learns the probability that each Gaussian exists and penalises the mean of all",
+        7,
+        "MaskGaussian",
+        source="MaskGaussian, arXiv 2412.20522",
+        halved=5.6,
     ),
-    MaskGS("maskgs-beta", LIKE_BETA + "schedule beta: a weak penalty in every step", 9, "MaskGaussian Beta"),
-    MaskGS("maskgs-gamma", LIKE_BETA + "schedule gamma: twice the penalty of beta", 10, "MaskGaussian Gamma", lambda_m=1e-3),
-)  # fmt: skip
+    MaskGS(
+        "maskgs-alpha",
+        LIKE_BETA + "schedule alpha: a strong penalty from 19/30 to 20/30 of the steps",
+        8,
+        "MaskGaussian Alpha",
+        lambda_m=0.1,
+        window=(19 / 30, 20 / 30),
+        source="MaskGaussian, arXiv 2412.20522",
+    ),
+    MaskGS(
+        "maskgs-beta",
+        LIKE_BETA + "schedule beta: a weak penalty in every step",
+        9,
+        "MaskGaussian Beta",
+        source="MaskGaussian, arXiv 2412.20522",
+    ),
+    MaskGS(
+        "maskgs-gamma",
+        LIKE_BETA + "schedule gamma: twice the penalty of beta",
+        10,
+        "MaskGaussian Gamma",
+        lambda_m=1e-3,
+        source="MaskGaussian, arXiv 2412.20522",
+    ),
+)

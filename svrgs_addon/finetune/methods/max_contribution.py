@@ -15,5 +15,6 @@ METHODS = (
         "removes, in one cut, the Gaussians that never add much to any pixel (largest αT)",
         16,
         "RadSplat",
+        source="RadSplat",
     ),
 )

@@ -108,5 +108,6 @@ METHODS = (
         "removes and merges Gaussians, in one cut, by what each operation changes in the pictures",
         27,
         "Merging",
+        source="this project",
     ),
 )

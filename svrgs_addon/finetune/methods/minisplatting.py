@@ -49,6 +49,7 @@ METHODS = (
         "draws Gaussians in proportion to what they add to the photographs (sum of αT)",
         22,
         "Mini-Splatting",
+        source="Mini-Splatting, arXiv 2403.14166",
     ),
     MiniSplatting(
         "minisplatting-outdoor",
@@ -56,5 +57,6 @@ METHODS = (
         23,
         "Mini-Splatting, Outdoor",
         by_area=True,
+        source="Mini-Splatting, arXiv 2403.14166",
     ),
 )

@@ -8,4 +8,12 @@ class Opacity(Ranked):
         return scene.opacity_logits
 
 
-METHODS = (Opacity("opacity", "removes, in one cut, the Gaussians of lowest opacity", 14, "Opacity"),)
+METHODS = (
+    Opacity(
+        "opacity",
+        "removes, in one cut, the Gaussians of lowest opacity",
+        14,
+        "Opacity",
+        source="common in the literature",
+    ),
+)

@@ -52,5 +52,6 @@ METHODS = (
         "cuts twice by the change of the photographs and fades, in between, the Gaussians that are to go",
         21,
         "POPSpa",
+        source="POPSpa in KISS-GS, arXiv 2608.26948",
     ),
 )

@@ -16,5 +16,6 @@ METHODS = (
         "removes, in one cut, the Gaussians whose position and size change the photographs least",
         17,
         "PUP 3D-GS",
+        source="PUP 3D-GS, arXiv 2406.10219",
     ),
 )

@@ -17,5 +17,6 @@ METHODS = (
         "learns a gate on opacity and scale and removes, once at the end, the Gaussians whose gate is closed",
         26,
         "RDO-Gaussian",
+        source="RDO-Gaussian, arXiv 2406.01597",
     ),
 )

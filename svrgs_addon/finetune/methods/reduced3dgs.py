@@ -51,6 +51,10 @@ class Reduced3DGS(Stepwise):
 
 METHODS = (
     Reduced3DGS(
-        "reduced3dgs", "removes faint Gaussians from places that many Gaussians cover", 24, "Reduced-3DGS"
+        "reduced3dgs",
+        "removes faint Gaussians from places that many Gaussians cover",
+        24,
+        "Reduced-3DGS",
+        source="Reduced-3DGS, arXiv 2406.17074",
     ),
 )

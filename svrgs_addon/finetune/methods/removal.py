@@ -32,7 +32,7 @@ import numpy as np
 from .. import masks
 from ..densify import lower_opacity
 from ..model import Model
-from ..quality import HALVED, fewest_within, psnr_removed
+from ..quality import fewest_within, psnr_removed
 from ..run_view import Keep, RunView
 from ..saliency import removal_errors, saliency, views_that_see
 from ..scores import top
@@ -61,6 +61,7 @@ FIRST_RATE, FIRST_STEPS = 8, 150
 # budget of an allowed drop: share of the drop that is spent; more steps hardly win back more
 SPENT, FORESEEN_STEPS = 0.75, 800
 POSITION_LAST = 5e-5  # learning rate of positions at the end of the recovery
+HALVED = 10.0  # steps that win back half of a removal, measured with `removal`
 AVERAGED = 0.25  # share of the recovery, its last steps, over which the values are averaged
 
 
@@ -205,7 +206,7 @@ def floor_of_drop(before: float, settings: Settings) -> float:
     """The PSNR in dB that a removal may leave without any learning, so that the run is foreseen to spend
     SPENT of the allowed drop. before: PSNR of now."""
     return psnr_removed(
-        before, before - SPENT * settings.max_drop, min(settings.total, FORESEEN_STEPS), HALVED["removal"]
+        before, before - SPENT * settings.max_drop, min(settings.total, FORESEEN_STEPS), HALVED
     )
 
 
@@ -236,7 +237,12 @@ def _rates(phase: Phase, steps: int) -> Rates:
 
 METHODS = (
     Removal(
-        "removal", "removes the Gaussians that the photographs need least, step by step", 0, "Recommended"
+        "removal",
+        "removes the Gaussians that the photographs need least, step by step",
+        0,
+        "Recommended",
+        source="this project; parts of GaussianPOP and SVR-GS",
+        halved=HALVED,
     ),
     Removal(
         "saliency",
@@ -244,5 +250,6 @@ METHODS = (
         6,
         "Saliency",
         ranking=saliency,
+        source="this project; parts of GaussianPOP and SVR-GS",
     ),
 )

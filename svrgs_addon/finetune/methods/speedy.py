@@ -41,5 +41,6 @@ METHODS = (
         "removes, in 5 cuts, the Gaussians whose strength changes the photographs least",
         20,
         "Speedy-Splat",
+        source="Speedy-Splat, arXiv 2412.00578",
     ),
 )

@@ -28,6 +28,8 @@ SVR_GS = SVR(
     "learns the probability that each Gaussian exists and penalises the spatial mask F, as in the paper",
     1,
     "SVR-GS (paper)",
+    source="SVR-GS, arXiv 2509.11116",
+    halved=59.0,
 )
 
 # The printed settings of the paper to the letter: L1 + (1 - SSIM) with weights 1 and 1, exact gradient, F
@@ -44,6 +46,7 @@ METHODS = (  # svr-a has a larger lambda_F because its F is at most 1
         2,
         "SVR-GS, Self Term",
         mask_kind="self",
+        source="the prose of SVR-GS, arXiv 2509.11116",
     ),
     SVR(
         "svr-even",
@@ -51,6 +54,7 @@ METHODS = (  # svr-a has a larger lambda_F because its F is at most 1
         3,
         "SVR-GS, Even Footprint",
         mask_kind="even",
+        source="this project",
     ),
     SVR(
         "svr-a",
@@ -59,6 +63,7 @@ METHODS = (  # svr-a has a larger lambda_F because its F is at most 1
         "SVR-GS, Scenario A",
         mask_kind="a",
         lambda_f=1e-2,
+        source="SVR-GS, arXiv 2509.11116, ablation",
     ),
     SVR(
         "svr-b",
@@ -66,5 +71,6 @@ METHODS = (  # svr-a has a larger lambda_F because its F is at most 1
         5,
         "SVR-GS, Scenario B",
         mask_kind="b",
+        source="SVR-GS, arXiv 2509.11116, ablation",
     ),
 )

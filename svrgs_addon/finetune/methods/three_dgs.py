@@ -2,4 +2,13 @@
 
 from .base import Method
 
-METHODS = (Method("3dgs", "prunes nothing beyond the rules of plain 3DGS", 18, "3DGS", prunes=False),)
+METHODS = (
+    Method(
+        "3dgs",
+        "prunes nothing beyond the rules of plain 3DGS",
+        18,
+        "3DGS",
+        prunes=False,
+        source="3DGS, arXiv 2308.04079",
+    ),
+)

@@ -81,6 +81,8 @@ class SelectOptions(Criteria):
         None,
         "views: dataset, COLMAP model or transforms.json; photographs are not needed",
         metavar="DIR",
+        flag="data",
+        former="colmap",
     )
     cameras: Path | None = option(
         PATH, None, "views: cameras.json of a 3DGS run, or transforms.json", metavar="JSON"

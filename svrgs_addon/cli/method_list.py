@@ -1,0 +1,90 @@
+"""`svrgs methods`: what each method does, its paper, and what its weights mean."""
+
+from __future__ import annotations
+
+import shutil
+import textwrap
+from dataclasses import asdict, dataclass
+
+from ..finetune.methods import METHODS
+from ..finetune.methods.base import Method
+
+NOTE = (
+    "No method of svrgs prune needs photographs: without them, pictures of the splat take their place. svrgs"
+    " train needs them."
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Entry:
+    """One method."""
+
+    name: str
+    label: str
+    help: str
+    source: str
+    decides: str  # how it decides which Gaussians go
+    learns_masks: bool
+    ranks: bool
+    needs_photographs: bool
+    lambda_f: float | None  # default; None: the method has none
+    lambda_f_meaning: str
+    lambda_m: float | None
+    keeps: float | None  # share that stays without a target
+
+
+def method_list() -> list[dict]:
+    """All methods in the order of the registry, as values that JSON can hold."""
+    return [asdict(_entry(method)) for method in METHODS.values()]
+
+
+def _entry(method: Method) -> Entry:
+    return Entry(
+        name=method.name,
+        label=method.label,
+        help=method.help,
+        source=method.source,
+        decides=_decides(method),
+        learns_masks=method.learns_masks,
+        ranks=method.ranks,
+        needs_photographs=False,
+        lambda_f=method.lambda_f or None,
+        lambda_f_meaning=method.lambda_f_help,
+        lambda_m=method.lambda_m or None,
+        keeps=method.share or None,
+    )
+
+
+def _decides(method: Method) -> str:
+    if not method.prunes:
+        return "prunes nothing"
+    if method.learns_masks:
+        return "learns masks"
+    return "ranks the Gaussians and cuts" if method.ranks else "decides during the steps"
+
+
+def as_text(entries: list[dict]) -> str:
+    width = max(60, shutil.get_terminal_size().columns - 2)
+    wrapped = lambda text, indent: textwrap.wrap(text, width, initial_indent=indent, subsequent_indent=indent)
+    lines = [*wrapped(NOTE, "")]
+    for entry in entries:
+        lines += ["", f"{entry['name']} ({entry['label']})", *wrapped(entry["help"], "    ")]
+        lines += wrapped(f"Source: {entry['source']}. {entry['decides'].capitalize()}.", "    ")
+        lines += wrapped(_weights(entry), "    ")
+    return "\n".join(lines)
+
+
+def _weights(entry: dict) -> str:
+    parts = []
+    if entry["lambda_f"]:
+        meaning = entry["lambda_f_meaning"] or "weight of the spatial mask in the loss"
+        parts.append(f"λ_F (--lambda-f, {entry['lambda_f']:g}): {meaning}.")
+    else:
+        parts.append("No λ_F.")
+    if entry["lambda_m"]:
+        parts.append(f"λ_m (--lambda-m): {entry['lambda_m']:g}.")
+    if entry["keeps"]:
+        parts.append(f"Keeps {entry['keeps']:.0%} without a target.")
+    elif entry["ranks"]:
+        parts.append("Needs a target.")
+    return " ".join(parts)
