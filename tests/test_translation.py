@@ -30,7 +30,7 @@ NO_TEXT = {  # in English everywhere
     "Name of the empty above the cameras", "Folder of the job",  # of hidden properties
     "f'{UNDISTORTED}/{name}.png'",  # a file
 }  # fmt: skip
-CODE = {"operators/bridge_gpu.py"}  # shaders and what their constants mean
+CODE = {"operators/data/gpu_drawing.py"}  # shaders and what their constants mean
 
 
 def label(file: Path) -> str:

@@ -23,18 +23,7 @@ from ..prune.selection.options import SelectOptions
 from ..system.errors import SceneError
 from ..system.exit_status import printable
 from ..system.file_names import extended
-from ..system.option_kinds import (
-    COLOUR,
-    COUNT,
-    DECIBELS,
-    POSITIVE,
-    SHARE,
-    SHARES,
-    Kind,
-    Option,
-    default_of,
-    options_of,
-)
+from ..system.option_kinds import COLOUR, COUNT, DECIBELS, POSITIVE, SHARE, SHARES, Kind, Option, default_of, options_of
 from .convert_options import ConvertOptions
 
 NAME_WIDTH = 24  # characters of the first column of the list of methods

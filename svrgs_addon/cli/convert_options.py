@@ -5,17 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..system.option_kinds import (
-    ANGLES,
-    BOX,
-    FLAG,
-    POINT,
-    POSITIVE_FLOAT,
-    SH_DEGREE,
-    SPZ_VERSION,
-    TEXT,
-    option,
-)
+from ..system.option_kinds import ANGLES, BOX, FLAG, POINT, POSITIVE_FLOAT, SH_DEGREE, SPZ_VERSION, TEXT, option
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,18 +20,7 @@ from ..system.errors import FormatError
 from .images import read_texture
 from .opened import MAX_COUNT, json_object, opened, refuse_unpacking
 from .quantised import logits_of, quats_of_three
-from .sog_layout import (
-    HIGHEST,
-    LARGEST_QUAT,
-    MAX_META,
-    META,
-    PALETTE_ROW,
-    ROOT2,
-    SUFFIX,
-    TABLE,
-    VERSION,
-    is_texture,
-)
+from .sog_layout import HIGHEST, LARGEST_QUAT, MAX_META, META, PALETTE_ROW, ROOT2, SUFFIX, TABLE, VERSION, is_texture
 from .sog_writer import limits, write
 from .splat_format import SplatFormat, by_parts
 

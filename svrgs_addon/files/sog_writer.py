@@ -26,17 +26,7 @@ from .atomic import atomic_path, atomic_write, check_space
 from .images import write_texture
 from .palette import nearest, palette, table
 from .quantised import alphas_of, picture_weights, small_scale, three_of_quats
-from .sog_layout import (
-    HIGHEST,
-    LARGEST_QUAT,
-    META,
-    MOST_ENTRIES,
-    PALETTE_ROW,
-    ROOT2,
-    TABLE,
-    VERSION,
-    files_of,
-)
+from .sog_layout import HIGHEST, LARGEST_QUAT, META, MOST_ENTRIES, PALETTE_ROW, ROOT2, TABLE, VERSION, files_of
 
 SHARES = (64, 16, 4)  # Gaussians for each entry of the palette: the first one whose error is small enough
 SMALL_ERROR = 2.5e-3  # weighted mean of the squared errors of all coefficients: about 50 dB in a picture

@@ -27,15 +27,7 @@ from ..scene.morton_order import morton_order
 from .atomic import atomic_write, check_space
 from .axes import turned_over
 from .opened import MAX_COUNT, opened
-from .quantised import (
-    alphas_of,
-    logits_of,
-    picture_weights,
-    quats_of_three,
-    small_scale,
-    three_of_quats,
-    widest_logs,
-)
+from .quantised import alphas_of, logits_of, picture_weights, quats_of_three, small_scale, three_of_quats, widest_logs
 from .splat_format import SplatFormat, by_parts
 from .spooled import array_for
 from .spz_container import NEWEST, SMALLEST_THREE, Header, packed, streams

@@ -20,15 +20,7 @@ from ..system.option_kinds import default_of, options_of
 from ..views.dataset import Dataset, load_dataset
 from . import by_blocks, train_and_prune
 from .context import JobContext
-from .options import (
-    MIN_CONTRIBUTION,
-    RECOVERY,
-    DatasetOptions,
-    PruneOptions,
-    TrainOptions,
-    TuningOptions,
-    refuse_time_and_steps,
-)
+from .options import MIN_CONTRIBUTION, RECOVERY, DatasetOptions, PruneOptions, TrainOptions, TuningOptions, refuse_time_and_steps
 from .planning import pruning_within, training_within
 from .progress import Reporter
 from .quick import prune_quick

@@ -12,16 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ..files.atomic import check_writable, reserved
-from ..files.registry import (
-    FORMATS,
-    format_to_write,
-    invisible,
-    load_scene,
-    refuse_input,
-    size_on_disk,
-    stored,
-    write_scene,
-)
+from ..files.registry import FORMATS, format_to_write, invisible, load_scene, refuse_input, size_on_disk, stored, write_scene
 from ..finetune import checkpoint, loop, masks, scores
 from ..finetune.decimate.order import NORMALS, lost_columns
 from ..finetune.engine import NativeEngine

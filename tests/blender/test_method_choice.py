@@ -173,7 +173,7 @@ def test_every_scene_of_a_file_has_its_own_note(settings, tmp_path, capfd):
     for number in (1, 1):
         choose_in_old_version(bpy.data.scenes.new("other").svrgs_prune, number)
     save_and_open(tmp_path)
-    sentences = {part("operators.former_methods").sentence_of(scene) for scene in bpy.data.scenes}
+    sentences = {part("operators.jobs.former_methods").sentence_of(scene) for scene in bpy.data.scenes}
     assert sentences == {RENAMED[0][2], RENAMED[1][2]} and capfd.readouterr().out.count("is called") == 2
     for scene in list(bpy.data.scenes)[1:]:
         bpy.data.scenes.remove(scene)

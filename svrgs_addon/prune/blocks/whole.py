@@ -19,15 +19,7 @@ from ...render.metrics.format_loss import loss_notes
 from ...render.metrics.missed_drop import missed_drop
 from ...scene.camera import Camera
 from ...views.dataset import Dataset
-from .allowed_drop import (
-    drop,
-    errors_of_format,
-    fewest_above,
-    fewest_within,
-    floor_on_photographs,
-    read_number,
-    write_number,
-)
+from .allowed_drop import drop, errors_of_format, fewest_above, fewest_within, floor_on_photographs, read_number, write_number
 from .block_size import as_memory_allows
 from .divided import Divided, Tell, Told, divide
 from .folder import LEVEL, SCORED, blocks_of, measured_views, prepare, refuse_foreign, remove, scored_views
