@@ -285,7 +285,7 @@ def resume(job: Job, dataset: str = "") -> str:
         if job.folder.kind == TRAIN
         else tr("Pruning of '{name}' continues")
     )
-    return ". ".join(filter(None, (waits or text.format(name=job.name), job.renamed)))
+    return waits or text.format(name=job.name)
 
 
 def resume_sentence(job: Job) -> str:

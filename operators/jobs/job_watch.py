@@ -27,7 +27,7 @@ from .job_queue import jobs
 
 INTERVAL = 0.2  # seconds between two calls of the timer
 # states in which a job can be resumed, unless it is in the queue
-RESUMABLE = ("queued", "stopped", "paused", "cancelled", "interrupted", "failed")
+RESUMABLE = ("queued", "stopped", "interrupted", "failed")
 BUSY = ("new", "starting", "running")
 
 links: dict[int, str] = {}  # by session_uid of a splat, which undo does not change: the folder of its job

@@ -20,7 +20,7 @@ from ..data.option_properties import (
     time_property,
 )
 from ..translation import OWN
-from . import depths, former_methods, goals, job_result
+from . import depths, goals, job_result
 
 WEAKEST, STRONGEST = -5.0, -3.0  # ends of the slider Strength: powers of ten of λ_F
 
@@ -119,7 +119,7 @@ class SVRGS_PG_prune(bpy.types.PropertyGroup):
     )  # fmt: skip
     use_time: limited_time_property()
     time: time_property(default=60)
-    method: method_property(update=former_methods.method_chosen)
+    method: method_property()
     method_choice: method_choice_property()
     iterations: option_property("iterations", soft_max=30_000)
     recovery: option_property("recovery", soft_max=30_000)
@@ -145,7 +145,6 @@ class SVRGS_PG_prune(bpy.types.PropertyGroup):
         name="Job Folder", subtype="DIR_PATH", options=RELATIVE,
         description="Folder for the files of jobs. Empty: svrgs_jobs next to the .blend file; for an unsaved file, the extension's own folder",
     )  # fmt: skip
-    method_schema: IntProperty(options={"HIDDEN"})  # former_methods.py
 
 
 def register():

@@ -19,7 +19,7 @@ from ..data.native_check import native_problem
 from ..data.option_properties import CHOICES, method_sentence
 from ..data.splat_size import size_text
 from ..scene import camera_match, dataset_paths, place_cameras
-from . import depths, estimate, former_methods, goals, job_pictures, job_queue, job_result, orphan_jobs
+from . import depths, estimate, goals, job_pictures, job_queue, job_result, orphan_jobs
 from .job import resume_sentence
 from .job_watch import current, is_busy, is_resumable
 
@@ -294,10 +294,6 @@ def _strength_help(_) -> str:
     return goals.strength_sentence(bpy.context.scene.svrgs_prune)
 
 
-def _method_renamed(_) -> str:
-    return former_methods.sentence_of(bpy.context.scene)
-
-
 def _subject(_) -> str:
     found = current(bpy.context)
     _, pruned = job_result.pair_of(bpy.context.object)
@@ -338,7 +334,6 @@ class SVRGS_PG_prune_state(bpy.types.PropertyGroup):
     method_help: StringProperty(get=_method_help)
     goal_help: StringProperty(get=_goal_help)
     strength_help: StringProperty(get=_strength_help)  # empty: the method has no λ_F
-    method_renamed: StringProperty(get=_method_renamed)
     size: StringProperty(get=_size)
     marked: IntProperty(get=_marked)  # Gaussians of the active splat that are marked as removed
 

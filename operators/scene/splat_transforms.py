@@ -186,7 +186,7 @@ def _after_undo(*_):
 
 @persistent
 def _after_load(*_):
-    """Splats that an earlier version has saved have no stored positions."""
+    """Splats that Blender itself has imported have no stored positions."""
     _counts.clear()
     for scene in bpy.data.scenes:
         _record_positions(scene)
