@@ -33,7 +33,7 @@ from methods import ROOT, TABLE, TARGETS, command, read_rows
 
 METHODS = ("removal", "svr", "maskgs")
 SCHEDULE = 0.3  # of the rows of study pareto, and of the runs here where it is not varied
-# lambda_F of the goals of the panel (operators/goals.py)
+# lambda_F of the goals of the panel (operators/jobs/goals.py)
 STRENGTHS = {"Light": 1e-5, "Balanced": 1e-4, "Small": 1e-3}
 STEPS = {"removal": ("0.08", (0.1, 0.3, 1.0)), "svr": ("0.17", (0.1, 1.0))}
 ESTIMATE = """

@@ -3,6 +3,7 @@
 import bpy
 from bpy.app.translations import pgettext_iface as tr
 
+from ..operators.io import export_farm, export_levels
 from .wrapped_label import wrapped_label
 
 
@@ -30,7 +31,7 @@ class SVRGS_PT_export(bpy.types.Panel):
         layout.operator("svrgs.export_ply", icon="EXPORT")
         layout.operator("svrgs.export_levels", icon="MOD_DECIM")
         layout.operator("svrgs.export_farm_job", icon="NETWORK_DRIVE")
-        for line in filter(None, state.exported.split("\n")):
+        for line in (*export_levels.lines(), *export_farm.lines()):
             wrapped_label(layout, line)
 
 

@@ -80,8 +80,6 @@ def draw_settings(layout, context, state):
     if settings.depth != "QUICK":
         column.prop(settings, "method_choice")
     wrapped_label(column, state.method_help)
-    if state.method_renamed:
-        wrapped_label(column, state.method_renamed, "INFO")
     column.prop(settings, "goal")
     if settings.goal in GOALS:
         column.prop(settings, GOALS[settings.goal])

@@ -157,7 +157,7 @@ def test_the_zip_holds_the_product_and_nothing_else(extension_zip):
     }
     assert (
         "svrgs_addon/libsvrgs.so" in names
-        and "operators/bridge.py" in names
+        and "operators/data/splat_object.py" in names
         and not any("__pycache__" in name for name in names)
     )
     assert sorted(name for name in names if name.startswith("wheels/")) == sorted(

@@ -22,7 +22,7 @@ from svrgs_addon.jobs.job_process import Job
 from svrgs_addon.prune.options import RECOVERY
 from svrgs_addon.system.errors import FormatError, SceneError
 
-GOOD = {"schema": 1, "name": "a", "count": 3, "options": {"colmap": "somewhere"}}
+GOOD = {"schema": 1, "kind": "prune", "name": "a", "count": 3, "options": {"colmap": "somewhere"}}
 HOSTILE = [
     b"", b"{", b"[]", b"null", b"[" * 100_000, json.dumps(GOOD | {"schema": 99}).encode(), json.dumps(GOOD | {"count": -1}).encode(),
     json.dumps(GOOD | {"count": True}).encode(), json.dumps(GOOD | {"name": 3}).encode(), json.dumps(GOOD | {"options": []}).encode(),
@@ -50,21 +50,6 @@ def test_words_of_a_request_stay_values(tmp_path):
     options = JobFolder(tmp_path).options()
     assert (str(options.colmap), options.images, options.visible_mask) == ("--out=x", "--overwrite", True)
     assert options.out == tmp_path / "recovered.ply"
-
-
-@pytest.mark.parametrize(
-    ("former", "present"),
-    [("svr", "removal"), ("svr-mask", "svr"), ("svr-worth", "saliency"), ("gns", "gns"), (None, "removal")],
-)
-def test_a_job_of_the_first_schema_keeps_its_method_and_says_once_what_it_is_called_now(
-    tmp_path, former, present
-):
-    options = {"colmap": "x"} if former is None else {"colmap": "x", "method": former}
-    (tmp_path / "job.json").write_text(json.dumps(GOOD | {"options": options}))
-    said = JobFolder(tmp_path).update_schema()
-    assert said == ("" if former == present else f"Method '{former or 'svr'}' is called '{present}' now")
-    assert JobFolder(tmp_path).options().method == present
-    assert JobFolder(tmp_path).update_schema() == "" and JobFolder(tmp_path).options().method == present
 
 
 @pytest.mark.parametrize(

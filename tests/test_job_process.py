@@ -148,19 +148,6 @@ def test_a_job_that_is_slow_to_save_is_not_killed(tiny, tmp_path, jobs, monkeypa
     assert job.state == "stopped" and job.facts["text"] == ""
 
 
-@pytest.mark.parametrize("state", ["paused", "cancelled"])
-def test_states_of_earlier_versions_are_read(tiny, tmp_path, jobs, state):
-    folder = create(tmp_path / "job", tiny, **SHORT)
-    folder.write_json("state.json", {"state": state, "iteration": 3, "total": 60})
-    (folder / "cancel").touch()
-    job = Job(JobFolder(folder.path))
-    jobs.append(job)
-    assert job.state == state
-    job.start()
-    follow(job)
-    assert job.state == "done" and not (folder / "cancel").exists()
-
-
 def test_an_aborted_job_stays_failed_whatever_its_process_wrote_before(tiny, tmp_path, jobs, monkeypatch):
     monkeypatch.setattr("svrgs_addon.jobs.job_process.REFRESH_EVERY", 0.0)
     job = Job(create(tmp_path / "job", tiny, **LONG))

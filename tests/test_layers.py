@@ -13,8 +13,12 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 LAYERS = ("svrgs_addon", "operators", "panels")  # each may import those before it
-# Rooms of svrgs_addon, likewise; "" are the files beside them.
-ROOMS = ("system", "scene", "native", "files", "views", "render", "finetune", "prune", "jobs", "cli")
+ROOMS = {  # of a layer, likewise; the files beside them are below them all
+    "svrgs_addon": (
+        "system", "scene", "native", "files", "views", "render", "finetune", "prune", "jobs", "cli",
+    ),
+    "operators": ("data", "scene", "jobs", "io", "view"),
+}  # fmt: skip
 TOP = ("__main__.py", "batch.py")  # of svrgs_addon, above every room
 FILES = [path for layer in LAYERS for path in sorted((ROOT / layer).rglob("*.py"))]
 ALL_FILES = [
@@ -75,11 +79,9 @@ def check_imports(file: Path):
             "native",
             "system",
         ), "only svrgs_addon/native/ calls the native library"
-        assert layer < 2 or not relative or module.startswith("panels"), (
-            "panels know operators and properties by name"
-        )
-        assert layer == 0 or top != "numpy" or file.name.startswith("bridge"), (
-            "only bridge*.py turn Blender's data into arrays"
+        assert layer < 2 or top != "svrgs_addon", "panels ask operators/, which asks svrgs_addon/"
+        assert layer == 0 or top != "numpy" or file.parent == ROOT / "operators/data", (
+            "only operators/data/ turns Blender's data into arrays"
         )
     if layer == 0 and file.name != "torch_engine.py":
         heavy = {module.split(".")[0] for module, _ in imports(at_top(tree), file)} & HEAVY
@@ -143,18 +145,21 @@ def circles(graph: dict[str, set[str]]) -> list[str]:
 
 def room_of(file: Path) -> int:
     """Its place in ROOMS; a file of TOP stands above them all."""
-    parts = file.relative_to(ROOT / "svrgs_addon").parts
-    return len(ROOMS) if parts[0] in TOP else ROOMS.index(parts[0]) if len(parts) > 1 else -1
+    layer, *parts = file.relative_to(ROOT).parts
+    rooms = ROOMS[layer]
+    return len(rooms) if parts[0] in TOP else rooms.index(parts[0]) if len(parts) > 1 else -1
 
 
 GRAPH = import_graph(FILES)
-ROOM_FILES = {module_of(file): file for file in FILES if file.is_relative_to(ROOT / "svrgs_addon")}
 
 
-def test_rooms_import_no_room_above():
+@pytest.mark.parametrize("layer", ROOMS)
+def test_rooms_import_no_room_above(layer):
+    files = {module_of(file): file for file in FILES if file.is_relative_to(ROOT / layer)}
+    del files[layer]  # register() of operators/__init__.py names all rooms
     above = {
-        module: [found for found in GRAPH[module] if room_of(ROOM_FILES[found]) > room_of(file)]
-        for module, file in ROOM_FILES.items()
+        module: [found for found in GRAPH[module] & files.keys() if room_of(files[found]) > room_of(file)]
+        for module, file in files.items()
     }
     assert not {module: found for module, found in above.items() if found}
 

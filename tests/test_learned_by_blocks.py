@@ -384,7 +384,7 @@ def test_photographs_of_another_capture_are_told(tiny, tmp_path, svrgs, caplog):
             ["--colmap", "DATA", "--method", "maskgs"],
             "'maskgs' needs the scene in memory; by blocks, choose one of removal, svr, ",
         ),
-        (["--colmap", "DATA", "--method", "pressure"], "'removal' replaces it"),
+        (["--colmap", "DATA", "--method", "nothing"], "'nothing' is unknown"),
         (["--colmap", "DATA", "--method", "svr", "--iterations", 0], "give --iterations a number above 0"),
         (["--colmap", "DATA", "--method", "svr", "--steps", 5], "leave them out, or --method"),
         (["--colmap", "DATA", "--method", "svr", "--levels", "0.5"], "leave them out, or --method"),

@@ -13,7 +13,7 @@ from plans import LEARNED, RANKED, prune_settings, train_settings
 from short_runs import bits, disturbed, to_the_end
 from svrgs_addon.finetune import checkpoint
 from svrgs_addon.finetune.engine import NativeEngine
-from svrgs_addon.finetune.methods import FORMER_NAMES, METHODS, method_named, paper_method
+from svrgs_addon.finetune.methods import METHODS, method_named, paper_method
 from svrgs_addon.finetune.model import MASK, Model
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.settings import Densify
@@ -75,29 +75,24 @@ def test_paper_chooses_the_printed_settings_to_the_letter():
     ) and svr.phases == plan.phases
 
 
-def test_a_method_that_was_removed_says_what_replaces_it():
-    with pytest.raises(SceneError, match="method 'pressure' was removed: 'removal' replaces it"):
-        method_named("pressure")
-
-
 def test_names_and_menu_numbers_are_each_one_method_s():
-    """Numbers are stored in .blend files; those of the first schema keep their methods."""
+    """Numbers are stored in .blend files; the first ones never change."""
     assert len({method.number for method in METHODS.values()}) == len(METHODS)
     first = (
+        "removal",
         "svr",
-        "svr-mask",
         "svr-self",
         "svr-even",
         "svr-a",
         "svr-b",
-        "svr-worth",
+        "saliency",
         "maskgs",
         "maskgs-alpha",
         "maskgs-beta",
         "maskgs-gamma",
     )
     first += ("compact3dgs", "gns", "lightgaussian", "opacity", "contribution", "max-contribution", "pup")
-    assert [METHODS[FORMER_NAMES.get(name, name)].number for name in first] == list(range(len(first)))
+    assert [METHODS[name].number for name in first] == list(range(len(first)))
     assert all(method.help and method.name == name for name, method in METHODS.items())
 
 

@@ -17,9 +17,10 @@ from pathlib import Path
 import pytest
 
 import platforms
-from svrgs_addon.native.library_path import FILE_NAME, LIBRARY_VARIABLE, library_path
+from svrgs_addon.native.library_path import LIBRARY_VARIABLE, library_path
 from svrgs_addon.system import wheels
 from svrgs_addon.system.errors import NativeError, SceneError
+from svrgs_addon.system.here import FILE_NAME
 
 ROOT = Path(__file__).resolve().parents[1]
 NAMES = ("OpenImageIO", "pycolmap")

@@ -8,8 +8,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-from svrgs_addon.native.library_path import FILE_NAME
 from svrgs_addon.system.errors import NativeError
+from svrgs_addon.system.here import FILE_NAME
 
 SOURCES = Path(__file__).parents[2] / "native"
 

@@ -52,7 +52,6 @@ from ..files.atomic import atomic_write
 from ..files.ply_header import MAX_HEADER_BYTES, parse_header
 from ..files.registry import write_scene
 from ..finetune.decimate.saved_order import MERGED, ORDER
-from ..finetune.methods import FORMER_NAMES
 from ..prune.blocks import folder as blocks
 from ..prune.blocks import tasks
 from ..prune.disk_room import ROW, check_room
@@ -64,16 +63,14 @@ from ..system.file_names import extended, is_link, remove_link
 from ..system.option_kinds import check_mapping
 from ..system.replacing import read_bytes
 
-SCHEMA = 2
+SCHEMA = 1
 BLOCKS = blocks.blocks_of(Path("recovered.ply")).name
 HEARTBEAT = 2.0  # seconds between two writes of state.json
 STALE = 15.0  # seconds: a process that has not renewed its state for so long is gone
 LARGEST_JSON = 1 << 20  # bytes; larger files are not read
 STOP = "stop"  # flag file
 CAMERAS = "cameras.json"  # given views of a job without photographs
-FORMER_FLAGS = ("cancel", "pause")  # flag files of earlier versions
-# no process; earlier versions wrote "paused" and "cancelled"
-ENDED = ("queued", "stopped", "paused", "cancelled", "interrupted", "failed", "done")
+ENDED = ("queued", "stopped", "interrupted", "failed", "done")  # states without a process
 PRUNE, TRAIN = "prune", "train"  # kinds of a job
 OPTIONS = {PRUNE: PruneOptions, TRAIN: TrainOptions}
 METRICS = ("iteration", "count", "loss", "psnr")
@@ -84,7 +81,7 @@ FACTS = {  # keys of state.json and of messages that are read, and their types
 }  # fmt: skip
 _FILES = (
     "state.json", "scene.ply", "recovered.ply", "messages.jsonl", "log.txt", "metrics.csv", "ranking.npz", "pruned.ply", "kept.npy", "score.npy",
-    "probability.npy", "trained.ply", "result.json", MERGED, ORDER, CAMERAS, STOP, *FORMER_FLAGS, ".svrgs-*", "previews/[0-9]*.png", "previews/.svrgs-*",
+    "probability.npy", "trained.ply", "result.json", MERGED, ORDER, CAMERAS, STOP, ".svrgs-*", "previews/[0-9]*.png", "previews/.svrgs-*",
     "job.json",
 )  # fmt: skip
 
@@ -149,9 +146,9 @@ class JobFolder:
     def request(self) -> dict:
         """job.json, checked: kind, name, count (0 for a job that trains), options. Raises FormatError."""
         request = self._json("job.json")
-        if request is None or request.get("schema") not in (1, SCHEMA):
+        if request is None or request.get("schema") != SCHEMA:
             raise FormatError(f"{self / 'job.json'}: is no job of this version")
-        kind = request.setdefault("kind", PRUNE)  # earlier versions had no other
+        kind = request.get("kind")
         if not isinstance(kind, str) or kind not in OPTIONS:
             raise FormatError(f"{self / 'job.json'}: is no job of this version")
         if (
@@ -196,19 +193,6 @@ class JobFolder:
         SceneError."""
         request = self.request()
         self.write_json("job.json", {**request, "options": {**request["options"], "colmap": colmap}})
-
-    def update_schema(self) -> str:
-        """Updates a job of schema 1 to the present one. Returns a sentence if the method has another name
-        now, else ''. Raises FormatError."""
-        request = self.request()
-        if request["schema"] == SCHEMA:
-            return ""
-        former = request["options"].get("method", "svr")
-        present = FORMER_NAMES.get(former, former)
-        self.write_json(
-            "job.json", {**request, "schema": SCHEMA, "options": {**request["options"], "method": present}}
-        )
-        return f"Method '{former}' is called '{present}' now" if present != former else ""
 
     def refuse_links(self):
         """Raises FormatError if an entry of the folder is a symbolic link: writing to it would change a file
@@ -311,9 +295,8 @@ class JobFolder:
         (self / STOP).touch()
 
     def lower_flag(self):
-        """Removes the flag file, also of earlier versions."""
-        for flag in (STOP, *FORMER_FLAGS):
-            (self / flag).unlink(missing_ok=True)
+        """Removes the flag file."""
+        (self / STOP).unlink(missing_ok=True)
 
     def checkpoint(self) -> int:
         """The step of the newest checkpoint; 0 if there is none. Damaged checkpoints count: they are found

@@ -35,7 +35,6 @@ class Job:
         self.folder = folder
         self.facts: dict = folder.state()
         self.result: dict | None = None
-        self.renamed = ""  # set by start(): a sentence if the method of the job has another name now
         self._why = ""
         self._read_request: dict = {}
         self._process: ProcessGroup | None = None
@@ -161,7 +160,7 @@ class Job:
         """Starts the job, or continues it from its last checkpoint. Raises FormatError if the folder holds no
         job, or links."""
         self.folder.refuse_links()
-        self.renamed = self.folder.update_schema()
+        self.folder.request()  # raises FormatError
         self.folder.lower_flag()
         (self.folder / "messages.jsonl").write_bytes(b"")
         self.folder.write_json("state.json", {"state": "starting"})

@@ -35,7 +35,7 @@ def empty():
 
 @pytest.fixture
 def bridge():
-    return part("operators.bridge")
+    return part("operators.data.splat_object")
 
 
 @pytest.fixture
@@ -166,8 +166,8 @@ def camera(stage):
 
 @pytest.fixture
 def watch():
-    module, queue = part("operators.job_watch"), part("operators.job_queue")
-    part("operators.job_list").forget()
+    module, queue = part("operators.jobs.job_watch"), part("operators.jobs.job_queue")
+    part("operators.jobs.job_list").forget()
     yield module
     queue._queue.clear()
     for job in module.jobs.values():
@@ -179,7 +179,7 @@ def watch():
 
 @pytest.fixture
 def results():
-    return part("operators.job_result")
+    return part("operators.jobs.job_result")
 
 
 @pytest.fixture

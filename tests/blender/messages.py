@@ -14,7 +14,7 @@ LAYOUT = ("label", "operator", "prop", "menu", "progress", "popover")
 
 
 def sources(root: Path) -> list[Path]:
-    return [file for layer in ("operators", "panels") for file in sorted((root / layer).glob("*.py"))]
+    return [file for layer in ("operators", "panels") for file in sorted((root / layer).rglob("*.py"))]
 
 
 def catalogues(root: Path) -> dict[str, dict[str, str]]:

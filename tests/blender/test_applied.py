@@ -168,4 +168,4 @@ def test_a_splat_applied_by_an_earlier_version_is_pruned_again(pruned, watch, re
 def test_the_operator_for_scripts_hides_with_the_eye(splat):
     bpy.ops.svrgs.prune(colmap=bpy.context.scene.svrgs_prune.colmap, iterations=5, recovery=0, target=0.5)
     assert hidden(splat) and not hidden(bpy.context.object) and "Pruned from 'scene'" in drawn("prune")
-    assert part("operators.job_result").pair_of(bpy.context.object) == (splat, bpy.context.object)
+    assert part("operators.jobs.job_result").pair_of(bpy.context.object) == (splat, bpy.context.object)

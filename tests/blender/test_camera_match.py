@@ -12,7 +12,7 @@ from mathutils import Euler, Matrix
 
 @pytest.fixture
 def match():
-    module = part("operators.camera_match")
+    module = part("operators.scene.camera_match")
     yield module
     module._after_load()
 

@@ -141,7 +141,7 @@ def test_an_imported_camera_goes_back_as_it_was(dataset):
     bpy.context.view_layer.update()
     for view, obj in enumerate(cameras()):
         camera = (
-            part("operators.bridge_cameras")
+            part("operators.data.camera_object")
             .camera_from_object(obj, bpy.context.scene)
             .moved(root.matrix_world)
         )
@@ -167,7 +167,7 @@ def test_any_camera_is_what_blender_makes_of_it(kind, fit, size, aspect):
     scene.render.pixel_aspect_x, scene.render.pixel_aspect_y = aspect
     try:
         bpy.context.view_layer.update()
-        camera = part("operators.bridge_cameras").camera_from_object(obj, scene)
+        camera = part("operators.data.camera_object").camera_from_object(obj, scene)
         points = np.array(
             [
                 obj.matrix_world.normalized() @ Vector((*xy, z))
@@ -189,7 +189,7 @@ def test_panoramas_are_refused():
     obj = bpy.data.objects.new("flat", bpy.data.cameras.new("flat"))
     obj.data.type = "PANO"
     with pytest.raises(Exception, match="'flat' is neither perspective nor orthographic"):
-        part("operators.bridge_cameras").camera_from_object(obj, bpy.context.scene)
+        part("operators.data.camera_object").camera_from_object(obj, bpy.context.scene)
 
 
 class Nothing(bpy.types.RenderEngine):
@@ -257,7 +257,7 @@ def follow(undistort, seconds: float = 60):
 
 def test_cameras_are_there_before_their_photographs_are_undistorted(tmp_path, monkeypatch, capfd):
     """In a window. One camera is deleted meanwhile."""
-    undistort, looking = part("operators.undistort"), bpy.context.scene.svrgs_looking
+    undistort, looking = part("operators.io.undistort"), bpy.context.scene.svrgs_looking
     monkeypatch.setattr(undistort, "WAIT", False)
     bpy.ops.svrgs.import_colmap(directory=str(DATA / "distorted"), undistorted=str(tmp_path))
     said = capfd.readouterr().out
@@ -337,7 +337,7 @@ def test_one_damaged_photograph_does_not_hide_the_others(tmp_path):
 
 
 def test_each_photograph_finds_its_camera_if_others_vanish_meanwhile(tmp_path, monkeypatch):
-    folder, undistort = copy_of("distorted", tmp_path / "data"), part("operators.undistort")
+    folder, undistort = copy_of("distorted", tmp_path / "data"), part("operators.io.undistort")
     start = undistort.start
     monkeypatch.setattr(
         undistort, "start", lambda *words: ((folder / "images/00.png").unlink(), start(*words))

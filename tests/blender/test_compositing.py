@@ -65,7 +65,7 @@ def tree_of(scene):
 
 
 def layer_of(scene):
-    return part("operators.splat_layer").layer_of(scene)
+    return part("operators.scene.splat_layer").layer_of(scene)
 
 
 def over(front, behind):
@@ -115,14 +115,14 @@ def test_one_click_sets_engine_colours_and_resolution(stage, tmp_path):
     )
     assert (stage.render.resolution_x, stage.render.resolution_y) == size
     assert stage.svrgs_looking.not_drawn == ""
-    words = part("operators.set_up_rendering").camera_words(stage)
+    words = part("operators.scene.set_up_rendering").camera_words(stage)
     assert (
         f"'{stage.camera.name}'" in words
         and f"{size[0]} x {size[1]}" in words
         and words.endswith("as its photograph")
     )
     stage.camera = None
-    assert "no camera" in part("operators.set_up_rendering").camera_words(stage)
+    assert "no camera" in part("operators.scene.set_up_rendering").camera_words(stage)
 
 
 def test_the_panels_say_what_is_missing(stage, room):
@@ -290,7 +290,7 @@ def test_camera_size_and_border_are_those_of_the_scene(tmp_path, cycles, gaussia
     assert seen.shape == (30, 60, 4)
     np.testing.assert_allclose(seen, expected.clip(0, 1), atol=1.5 * LEVEL)
     cycles.render.use_border = cycles.render.use_crop_to_border = True
-    rows, columns = part("operators.render_engine").region(cycles)
+    rows, columns = part("operators.view.render_engine").region(cycles)
     np.testing.assert_allclose(
         rendered(tmp_path / "border.png"), expected[rows, columns].clip(0, 1), atol=1.5 * LEVEL
     )
@@ -330,7 +330,7 @@ def test_nodes_of_the_user_stay_and_get_the_whole_picture(tmp_path, cycles, room
     """A Flip node between render and output: it gets the whole picture."""
     bpy.ops.svrgs.set_up_compositing()
     tree = tree_of(cycles)
-    part("operators.compositor_nodes").remove(cycles)
+    part("operators.scene.compositor_nodes").remove(cycles)
     render = next(node for node in tree.nodes if node.type == "R_LAYERS")
     users = render.outputs["Image"].links
     assert len(users) == 1 and len(tree.nodes) == 2, "as if it had never been set up"
@@ -369,4 +369,7 @@ def test_the_layers_own_scene_refuses_the_buttons(cycles, room, camera):
 def test_from_the_engine_svr_gs_it_goes_to_eevee(stage, room, camera, cycles):
     stage.render.engine = "SVRGS"
     bpy.ops.svrgs.set_up_compositing()
-    assert stage.render.engine == part("operators.set_up_rendering").EEVEE and stage.render.film_transparent
+    assert (
+        stage.render.engine == part("operators.scene.set_up_rendering").EEVEE
+        and stage.render.film_transparent
+    )

@@ -44,7 +44,7 @@ def photographs() -> set[Path]:
 
 
 def dataset() -> Path:
-    return Path(part("operators.dataset_paths").dataset_of(bpy.context)[0])
+    return Path(part("operators.scene.dataset_paths").dataset_of(bpy.context)[0])
 
 
 def save(path: Path, **options):

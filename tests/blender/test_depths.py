@@ -50,11 +50,11 @@ def test_the_result_stands_beside_the_original_until_it_is_applied(splat, bridge
         splat.hide_get() and not result.hide_get() and ("svrgs_share" in drawn("prune")) == (depth == "QUICK")
     )
     assert "100 of 250 Gaussians" in said() and "against the original's own pictures" in said()
-    assert not part("operators.job_result").undecided(splat)
+    assert not part("operators.jobs.job_result").undecided(splat)
     means = bridge.scene_from_object(result).means
     bpy.ops.svrgs.apply()
     assert (bridge.scene_from_object(result).means == means).all() and not part(
-        "operators.job_result"
+        "operators.jobs.job_result"
     ).undecided(result)
     assert splat.hide_get() and bridge.count(splat) == 250
 
@@ -82,7 +82,7 @@ def test_a_moved_original_moves_its_result(splat, bridge, watch):
 def test_goals_that_quick_cannot_reach_say_so(splat):
     set_up({"depth": "QUICK"})
     set_up({"goal": "DROP", "iterations": 0})
-    assert bpy.ops.svrgs.job_start.poll() and "max_drop" in part("operators.job").options_of(
+    assert bpy.ops.svrgs.job_start.poll() and "max_drop" in part("operators.jobs.job").options_of(
         bpy.context, splat
     )
     set_up({"goal": "LAMBDA"})
@@ -90,7 +90,7 @@ def test_goals_that_quick_cannot_reach_say_so(splat):
     set_up({"depth": "TUNED"})
     assert (
         bpy.ops.svrgs.job_start.poll()
-        and part("operators.job").options_of(bpy.context, splat)["method"] == "removal"
+        and part("operators.jobs.job").options_of(bpy.context, splat)["method"] == "removal"
     )
 
 
@@ -102,13 +102,13 @@ def test_each_has_an_estimate(splat, depth):
 
 
 def test_a_device_is_a_number_of_gaussians(splat):
-    settings, devices = bpy.context.scene.svrgs_prune, part("operators.devices").DEVICES
+    settings, devices = bpy.context.scene.svrgs_prune, part("operators.data.devices").DEVICES
     set_up({"depth": "QUICK", "goal": "DEVICE"})
     assert "device" in drawn("prune")
     for name, device in devices.items():
         settings.device, count = name, device.gaussians
         assert f"Keeps {count:,} Gaussians" in drawn("prune")
-        assert part("operators.job").options_of(bpy.context, splat)["target_count"] == min(count, 250)
+        assert part("operators.jobs.job").options_of(bpy.context, splat)["target_count"] == min(count, 250)
     assert [device.gaussians for device in devices.values()] == [
         400_000,
         400_000,
@@ -132,7 +132,7 @@ def test_the_operator_prunes_without_photographs(splat, bridge, tmp_path):
 @pytest.fixture
 def shot(splat):
     """A camera that moves along a line on one side of the splat, looking at it."""
-    middle = np.array(splat.matrix_world)[:3, :3] @ part("operators.bridge").scene_from_object(
+    middle = np.array(splat.matrix_world)[:3, :3] @ part("operators.data.splat_object").scene_from_object(
         splat
     ).means.mean(axis=0)
     bpy.ops.object.camera_add(location=middle + [0, -6, 0], rotation=(np.pi / 2, 0, 0))
@@ -154,7 +154,7 @@ def shot(splat):
 
 
 def test_a_camera_path_is_a_set_of_views_in_the_coordinates_of_the_splat(splat, shot, bridge):
-    views = part("operators.bridge_views").views(bpy.context, splat)
+    views = part("operators.data.views_of_file").views(bpy.context, splat)
     assert len(views) == 10 and bpy.context.scene.frame_current == 3
     assert len({view.name for view in views}) == 10 and {(view.width, view.height) for view in views} == {
         (96, 64)
@@ -165,7 +165,7 @@ def test_a_camera_path_is_a_set_of_views_in_the_coordinates_of_the_splat(splat, 
     splat.scale = (1, 2, 1)
     bpy.context.view_layer.update()
     with pytest.raises(part("svrgs_addon.system.errors").SceneError, match="scaled unevenly"):
-        part("operators.bridge_views").views(bpy.context, splat)
+        part("operators.data.views_of_file").views(bpy.context, splat)
 
 
 @pytest.mark.parametrize("views", ["ALSO", "ONLY"])
@@ -196,7 +196,7 @@ def test_placed_cameras_are_children_of_the_splat_and_look_at_it(splat, bridge):
     set_up({"depth": "TUNED"})
     assert "place_cameras" in drawn("prune")
     bpy.ops.svrgs.place_cameras()
-    bridge_views = part("operators.bridge_views")
+    bridge_views = part("operators.data.views_of_file")
     placed = bridge_views.placed(splat)
     assert len(placed) > 32 and len(bpy.data.cameras) == len(placed) and bpy.context.object == splat
     bpy.context.view_layer.update()
@@ -215,7 +215,7 @@ def test_placed_cameras_are_children_of_the_splat_and_look_at_it(splat, bridge):
 def test_a_job_uses_what_is_left_of_the_placed_cameras(splat, watch):
     set_up({"depth": "TUNED", "views": "ONLY", "goal": "SHARE", "share": 40, "recovery": 20})
     bpy.ops.svrgs.place_cameras()
-    placed = part("operators.bridge_views").placed(splat)
+    placed = part("operators.data.views_of_file").placed(splat)
     bpy.data.batch_remove([obj.data for obj in placed[10:]])
     run(watch)
     (job,) = watch.jobs.values()
@@ -269,9 +269,11 @@ def test_a_setting_without_effect_is_not_shown(splat):
     set_up({"depth": "TUNED", "goal": "SHARE"})
     assert "nested" not in drawn("prune")
     set_up({"goal": "LAMBDA", "nested": True})
-    assert "nested" in drawn("prune") and "nested" in part("operators.job").options_of(bpy.context, splat)
+    assert "nested" in drawn("prune") and "nested" in part("operators.jobs.job").options_of(
+        bpy.context, splat
+    )
     set_up({"goal": "SHARE"})
-    assert "nested" not in part("operators.job").options_of(bpy.context, splat)
+    assert "nested" not in part("operators.jobs.job").options_of(bpy.context, splat)
 
 
 def test_an_estimate_belongs_to_the_chosen_views(splat, shot):

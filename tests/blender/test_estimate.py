@@ -27,7 +27,7 @@ def test_an_estimate_is_shown_only_beside_what_it_was_made_for(bridge):
         setattr(settings, name, other)
         assert "would stay" not in said(), name
         setattr(settings, name, before)
-    assert part("operators.estimate").of(splat)["count"] == 250
+    assert part("operators.jobs.estimate").of(splat)["count"] == 250
     bridge.replace_gaussians(splat, bridge.scene_from_object(splat).select(np.arange(99)))
     assert "would stay" not in said()
 
@@ -38,7 +38,7 @@ def test_it_says_how_good_the_result_would_be():
     settings.colmap = str(DATA / "tiny")
     settings.method, settings.goal, settings.share = "removal", "SHARE", 20
     bpy.ops.svrgs.estimate()
-    found = part("operators.estimate").of(splat)
+    found = part("operators.jobs.estimate").of(splat)
     before, removed, after = (found[f"psnr_{name}"] for name in ("before", "removed", "after"))
     assert removed < after <= before
     assert (
@@ -57,14 +57,14 @@ def test_a_limit_of_time_chooses_the_steps():
     settings.method, settings.goal, settings.share = "removal", "SHARE", 20
     assert "use_time" in drawn("prune") and not re.search(r"\btime\b", drawn("prune"))
     bpy.ops.svrgs.estimate()
-    assert part("operators.estimate").of(splat)["steps"] == 8_000 and "for 8,000 steps" in said()
+    assert part("operators.jobs.estimate").of(splat)["steps"] == 8_000 and "for 8,000 steps" in said()
     settings.use_time, settings.time = True, 3600
     assert re.search(r"\btime\b", drawn("prune"))
-    options = part("operators.job").options_of(bpy.context, splat)
+    options = part("operators.jobs.job").options_of(bpy.context, splat)
     assert options["time"] == 3600 and not {"iterations", "recovery"} & options.keys()
     assert "would stay" not in said(), "the estimate was for all steps"
     bpy.ops.svrgs.estimate()
-    assert part("operators.estimate").of(splat)["schedule"] == 1, "it is enough for all steps"
+    assert part("operators.jobs.estimate").of(splat)["schedule"] == 1, "it is enough for all steps"
     settings.use_time = False  # the scene is that of the other tests, too
 
 

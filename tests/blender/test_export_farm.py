@@ -17,7 +17,7 @@ from job_helpers import ended, follow, set_up
 def forgotten():
     """The panel says nothing of these exports to other tests."""
     yield
-    part("operators.export_farm")._lines.clear()
+    part("operators.io.export_farm")._lines.clear()
 
 
 def export(folder, **words):
@@ -43,7 +43,7 @@ def test_a_farm_prunes_as_the_panel_would(splat, bridge, watch, tmp_path):
     }
     assert run(tmp_path / "job") == 0
     bpy.ops.svrgs.job_start()
-    job = part("operators.job").job_of(splat)
+    job = part("operators.jobs.job").job_of(splat)
     follow(watch, lambda: ended(job))
     read = part("svrgs_addon.files.registry").read_scene
     (result,) = (tmp_path / "job/results").glob("*.ply")

@@ -69,7 +69,7 @@ def test_levels_that_are_none_are_refused(splat, shares, tmp_path):
 
 
 def test_what_the_dialog_foresees_is_nearly_what_is_written(splat, bridge, tmp_path):
-    size_in = part("operators.splat_size").size_in
+    size_in = part("operators.data.splat_size").size_in
     for kind, suffix in (
         ("ply", ".ply"),
         ("compressed-ply", ".compressed.ply"),

@@ -91,5 +91,5 @@ def test_what_a_format_cannot_hold_is_said(splat, tmp_path, capfd):
 )
 def test_the_format_gives_the_name_its_suffix(path, kind, wanted):
     dialog = SimpleNamespace(filepath=path, kind=kind)
-    changed = part("operators.export_ply").SVRGS_OT_export_ply.check(dialog, None)
+    changed = part("operators.io.export_ply").SVRGS_OT_export_ply.check(dialog, None)
     assert dialog.filepath == wanted and changed == (path != wanted)

@@ -12,7 +12,7 @@ from job_helpers import COUNT, drawn, set_up
 
 def options(splat) -> dict:
     """What a job is asked for, of lambda_f, target_count and max_drop."""
-    found = part("operators.job").options_of(bpy.context, splat)
+    found = part("operators.jobs.job").options_of(bpy.context, splat)
     return {name: found[name] for name in ("lambda_f", "target_count", "max_drop") if name in found}
 
 
@@ -92,7 +92,7 @@ def test_the_size_that_is_foreseen_is_that_of_the_file(tmp_path, ply, make_scene
     )
     ply.write_ply(tmp_path / "scene.ply", scene)
     bpy.ops.svrgs.import_ply(filepath=str(tmp_path / "scene.ply"))
-    size = part("operators.splat_size").size_of(bpy.context.object, 500)
+    size = part("operators.data.splat_size").size_of(bpy.context.object, 500)
     assert size == pytest.approx((tmp_path / "scene.ply").stat().st_size, abs=8)
 
 

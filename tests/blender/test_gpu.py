@@ -22,14 +22,14 @@ def shaders():
             "this Blender does not draw with the graphics card in background mode, or libEGL is missing"
         )
     gpu.init()
-    return part("operators.bridge_gpu").Shaders()
+    return part("operators.data.gpu_drawing").Shaders()
 
 
 def quads_picture(shaders, scene, camera, hidden=1.0, reduction: int = 1) -> np.ndarray:
     """(H, W, 4) of all Gaussians, from the top; hidden: depth in [0, 1] of what is in front, a number or (H,
     W)."""
     bridge_gpu, native, quads = (
-        part("operators.bridge_gpu"),
+        part("operators.data.gpu_drawing"),
         part("svrgs_addon.native.pictures"),
         part("svrgs_addon.render.quads"),
     )
@@ -113,6 +113,6 @@ def test_a_thin_line_in_front_leaves_no_dots_in_a_smaller_picture(shaders):
 
 
 def test_blender_does_not_complain_about_the_push_constants(shaders, capfd):
-    part("operators.bridge_gpu").Shaders()
+    part("operators.data.gpu_drawing").Shaders()
     ctypes.CDLL(None).fflush(None)
     assert "Push constants" not in "".join(capfd.readouterr())

@@ -180,4 +180,4 @@ def test_a_view_through_a_camera_is_left_alone(views):
 def test_frame_says_what_it_needs():
     assert not bpy.ops.svrgs.frame.poll()
     bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
-    assert bpy.ops.svrgs.frame.poll() and part("operators.bridge").root_of(bpy.context.object)
+    assert bpy.ops.svrgs.frame.poll() and part("operators.data.splat_object").root_of(bpy.context.object)

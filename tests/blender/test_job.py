@@ -276,15 +276,15 @@ def test_without_a_splat_the_buttons_say_what_to_do():
 )
 def test_targets_become_counts(splat, goal, target):
     set_up(goal)
-    options = part("operators.job").options_of(bpy.context, splat)
+    options = part("operators.jobs.job").options_of(bpy.context, splat)
     assert options["target_count"] == target and "lambda_f" not in options
 
 
 def test_a_loss_in_db_is_held(splat, watch, results, bridge):
     set_up({"goal": "DROP", "drop": 0.5, "iterations": 1000, "recovery": 0})
-    assert part("operators.job").options_of(bpy.context, splat)["max_drop"] == 0.5
+    assert part("operators.jobs.job").options_of(bpy.context, splat)["max_drop"] == 0.5
     bpy.ops.svrgs.estimate()
-    found = part("operators.estimate").of(splat)
+    found = part("operators.jobs.estimate").of(splat)
     assert found["at_most"] and 0 < found["kept"] < COUNT
     bpy.ops.svrgs.job_start()
     follow(watch, lambda: results.pruned_of(splat))
@@ -334,7 +334,7 @@ def test_lambda_is_a_number_with_a_logarithmic_slider(splat):
         settings.amount = share
         assert settings.lambda_f == pytest.approx(value) and settings.amount == pytest.approx(share)
     settings.method = "maskgs"
-    assert "lambda_f" not in part("operators.job").options_of(bpy.context, splat)
+    assert "lambda_f" not in part("operators.jobs.job").options_of(bpy.context, splat)
 
 
 def test_the_estimate_comes_before_anything_runs_and_soon(splat, capfd):
@@ -345,7 +345,7 @@ def test_the_estimate_comes_before_anything_runs_and_soon(splat, capfd):
         bpy.ops.svrgs.estimate()
         seconds.append(time.monotonic() - started)
     assert min(seconds) < 5
-    found = part("operators.estimate").of(splat)
+    found = part("operators.jobs.estimate").of(splat)
     assert (
         found["count"] == COUNT
         and found["invisible"] == 10
@@ -379,7 +379,7 @@ def test_the_panel_draws_in_any_state(tmp_path, watch, monkeypatch):
     follow(watch, lambda: job.facts.get("psnr"))
     said = drawn("prune")
     assert "Gaussians, PSNR" in said and "left" in said and "svrgs.job_stop" in said
-    pictures = part("operators.job_pictures")
+    pictures = part("operators.jobs.job_pictures")
     follow(watch, lambda: str(job.folder.path) in pictures._shown)  # there are no icons without a window
     assert tuple(pictures._pictures[0][pictures._shown[str(job.folder.path)]].image_size) == (64, 48)
     picture = pictures._pictures[0][str(job.folder.path)]

@@ -16,7 +16,7 @@ from job_helpers import COUNT, LONG, SHORT, delete, drawn, ended, follow, set_up
 @pytest.fixture
 def listed(watch):
     """The rows of the list by the name of the splat, read anew."""
-    module = part("operators.job_list")
+    module = part("operators.jobs.job_list")
     module._read.clear()
 
     def rows() -> dict[str, dict]:

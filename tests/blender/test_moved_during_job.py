@@ -82,7 +82,7 @@ def test_gaussians_brought_back_lie_where_the_original_shows_them(pruned, bridge
     bpy.context.view_layer.objects.active = result
     result.svrgs_share = 100
     bpy.context.view_layer.update()
-    shown = part("operators.job_result").shown_gaussians(result)
+    shown = part("operators.jobs.job_result").shown_gaussians(result)
     assert shown.count == before.count
     back = ~np.isin(np.arange(before.count), bridge.values(result, "svrgs:row"))
     np.testing.assert_allclose(shown.means[back], before.means[back], atol=1e-5)
@@ -100,7 +100,7 @@ def test_splats_of_an_undecided_result_are_not_transformed(pruned):
 
 
 def test_the_default_name_is_that_of_the_splat(splat, tmp_path):
-    operator = part("operators.export_ply")
+    operator = part("operators.io.export_ply")
     assert splat.name == "scene" and (DATA / "tiny").exists()
     assert operator.default_path(splat).name == "scene.ply"
     splat.name = "a/b:c"

@@ -122,7 +122,7 @@ def test_depths_are_distances(tmp_path, stage, bridge, gaussians, panorama, monk
     bridge.object_from_scene(
         "far", gaussians.select(np.arange(1)), stage.collection, Matrix.Translation((0, -999, 0))
     )
-    engine, seen = part("operators.render_engine").SVRGS_engine, {}
+    engine, seen = part("operators.view.render_engine").SVRGS_engine, {}
     hand_in = engine.hand_in
     monkeypatch.setattr(
         engine, "hand_in", lambda self, layers, *size: (seen.update(layers), hand_in(self, layers, *size))
@@ -135,7 +135,7 @@ def test_a_border_shows_the_same_pixels(tmp_path, stage, room, panorama):
     whole = f12(tmp_path / "whole.png")
     stage.render.use_border = stage.render.use_crop_to_border = True
     part_ = f12(tmp_path / "part.png")
-    rows, columns = part("operators.render_engine").region(stage)
+    rows, columns = part("operators.view.render_engine").region(stage)
     np.testing.assert_array_equal(part_, whole[rows, columns])
 
 

@@ -68,7 +68,7 @@ def test_pruning_the_active_splat_is_the_job_of_the_command_line(from_a_shell, b
     assert (tmp_path / "object.ply").read_bytes() == content
     assert pruned.matrix_world == source.matrix_world
     assert (
-        part("operators.job_result").pair_of(pruned) == (source, pruned)
+        part("operators.jobs.job_result").pair_of(pruned) == (source, pruned)
         and source.hide_render
         and not pruned.hide_render
     )
@@ -185,7 +185,7 @@ def test_an_output_without_a_place_is_refused_in_a_sentence(unsaved, more, sente
 
 
 def test_with_a_window_the_result_is_in_the_scene_alone(saved, bridge, capfd, monkeypatch):
-    monkeypatch.setattr(part("operators.prune"), "BACKGROUND", False)
+    monkeypatch.setattr(part("operators.jobs.prune"), "BACKGROUND", False)
     bpy.ops.svrgs.prune(colmap="//data", **SHORT)
     (result,) = json_lines(capfd.readouterr().out)
     assert result["out"] is None and bridge.count(bpy.context.object) == 125
@@ -243,7 +243,7 @@ def test_pruning_without_a_splat_says_so():
 
 
 def test_the_command_line_of_blender_is_the_products(capfd):
-    run = part("operators.command_line").run
+    run = part("operators.jobs.command_line").run
     assert run(["info", str(DATA / "tiny/scene.ply"), "--json"]) == 0
     (facts,) = json_lines(capfd.readouterr().out)
     assert facts == part("svrgs_addon.files.registry").describe(DATA / "tiny/scene.ply")
@@ -254,7 +254,7 @@ def test_the_command_line_of_blender_is_the_products(capfd):
 def test_threads_are_taken_from_the_preferences(capfd):
     bpy.context.preferences.addons[PACKAGE].preferences.threads = 1
     try:
-        assert part("operators.preferences").threads(bpy.context) == 1
+        assert part("operators.data.preferences").threads(bpy.context) == 1
     finally:
         bpy.context.preferences.addons[PACKAGE].preferences.threads = 0
 

@@ -36,12 +36,12 @@ def said() -> str:
 
 def shown():
     """All Gaussians that a render shows."""
-    return part("operators.bridge_graph").splats(bpy.context.evaluated_depsgraph_get()).scene
+    return part("operators.data.visible_splats").splats(bpy.context.evaluated_depsgraph_get()).scene
 
 
 def cached(obj):
     """What a viewport draws of the splat."""
-    return part("operators.scene_cache").read(obj.evaluated_get(bpy.context.evaluated_depsgraph_get()))
+    return part("operators.view.scene_cache").read(obj.evaluated_get(bpy.context.evaluated_depsgraph_get()))
 
 
 def test_the_panel_says_what_the_job_notes_until_the_result_is_applied(result):
@@ -62,7 +62,7 @@ def test_it_shows_any_number_at_once_and_the_data_stay_those_of_the_job(result, 
         assert (
             cached(result).count
             == shown().count
-            == part("operators.compare").shown_scene(result).count
+            == part("operators.view.compare").shown_scene(result).count
             == count
         )
         assert (
@@ -97,7 +97,7 @@ def test_apply_keeps_what_is_shown(result, splat, bridge):
     )
     assert (
         "svrgs_shown" not in result
-        and not part("operators.job_result").undecided(result)
+        and not part("operators.jobs.job_result").undecided(result)
         and bridge.count(splat) == 250
     )
     assert shown().count == 175
@@ -160,16 +160,19 @@ def test_modifiers_keep_the_number_of_the_job(result):
 
 @pytest.mark.parametrize("name", ["order.npy", "merged.ply"])
 def test_without_its_files_the_number_of_the_job_is_shown(result, splat, name):
-    (Path(part("operators.job_paths").folder_of(splat)) / name).write_bytes(b"broken")
+    (Path(part("operators.data.job_paths").folder_of(splat)) / name).write_bytes(b"broken")
     result.svrgs_share = 20
     assert cached(result).count == 100 and "100 of 250" in said() and name in said()
     assert "svrgs_share" not in drawn("prune")
-    (Path(part("operators.job_paths").folder_of(splat)) / "order.npy").unlink()
+    (Path(part("operators.data.job_paths").folder_of(splat)) / "order.npy").unlink()
     assert "svrgs_share" not in drawn("prune") and "100 of 250" in said() and name not in said()
 
 
 def test_the_order_can_be_read_before_it_is_needed(result, splat, monkeypatch):
-    bridge_order, folder = part("operators.bridge_order"), Path(part("operators.job_paths").folder_of(splat))
+    bridge_order, folder = (
+        part("operators.data.quick_order"),
+        Path(part("operators.data.job_paths").folder_of(splat)),
+    )
     with monkeypatch.context() as patch:
         patch.setattr(bridge_order, "bpy", SimpleNamespace(app=SimpleNamespace(background=False)))
         bridge_order.read_ahead(part("svrgs_addon.jobs.job_folder").JobFolder(folder))
@@ -187,7 +190,7 @@ def test_selecting_asks_to_apply_first(result):
 
 
 def test_fine_tune_prunes_again_to_what_is_shown(result, splat, watch, bridge):
-    former = Path(part("operators.job_paths").folder_of(splat))
+    former = Path(part("operators.data.job_paths").folder_of(splat))
     result.svrgs_share = 20
     untuned = cached(result)
     bpy.ops.svrgs.prune_again()

@@ -110,7 +110,7 @@ def test_several_splats_are_one_picture(tmp_path, stage, bridge, gaussians, room
 
 def test_passes_hold_what_the_rasterizer_counted(tmp_path, stage, bridge, gaussians, camera):
     """As they are handed to Blender: files of passes differ between versions."""
-    engine_module = part("operators.render_engine")
+    engine_module = part("operators.view.render_engine")
     few = gaussians.select(np.arange(0, gaussians.count, 10))
     bridge.object_from_scene("few", few, stage.collection)
     seen = {}
@@ -171,7 +171,7 @@ def test_an_object_that_is_no_camera_is_refused_in_one_sentence(stage, bridge, r
 
 
 def test_a_picture_is_handed_in_whatever_happens(room, camera, monkeypatch):
-    engine, handed = part("operators.render_engine").SVRGS_engine, []
+    engine, handed = part("operators.view.render_engine").SVRGS_engine, []
     hand_in = engine.hand_in
 
     def fail(*_):
@@ -240,7 +240,7 @@ def test_modifiers_count(tmp_path, stage, gaussians, room, camera):
 
 def test_viewports_show_splats_of_instanced_collections_as_renders_do(stage, bridge, gaussians, room):
     """Twice, one of them within another instance; not where what instances them is hidden."""
-    graph = part("operators.bridge_graph")
+    graph = part("operators.data.visible_splats")
 
     def instance(name: str, of, into, place):
         obj = bpy.data.objects.new(name, None)

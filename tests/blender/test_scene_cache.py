@@ -12,7 +12,7 @@ pytestmark = pytest.mark.usefixtures("stage")
 
 def seen_number(obj) -> int:
     """Of what is kept of the splat for drawing."""
-    return part("operators.scene_cache").number(obj.evaluated_get(bpy.context.evaluated_depsgraph_get()))
+    return part("operators.view.scene_cache").number(obj.evaluated_get(bpy.context.evaluated_depsgraph_get()))
 
 
 def test_gaussians_that_change_by_frame_are_read_anew_and_others_are_not(
@@ -43,13 +43,13 @@ def test_gaussians_that_change_by_frame_are_read_anew_and_others_are_not(
     stage.frame_set(1)
     before = seen_number(room), seen_number(still)
     stage.frame_set(3)
-    shown = part("operators.scene_cache").read(room.evaluated_get(bpy.context.evaluated_depsgraph_get()))
+    shown = part("operators.view.scene_cache").read(room.evaluated_get(bpy.context.evaluated_depsgraph_get()))
     np.testing.assert_allclose(shown.means[:, 2].mean(), gaussians.means[:, 2].mean() + 3, atol=1e-4)
     assert seen_number(room) != before[0] and seen_number(still) == before[1]
 
 
 def test_nothing_is_kept_of_a_splat_that_is_gone(stage, bridge, gaussians, room, camera):
-    cache = part("operators.scene_cache")
+    cache = part("operators.view.scene_cache")
     other = bridge.object_from_scene("other", gaussians, stage.collection)
     bpy.context.view_layer.update()
     cache._entries.clear()

@@ -18,7 +18,7 @@ def splat():
 
 
 def selected(obj) -> np.ndarray:
-    return part("operators.bridge").values(obj, SELECTED).astype(bool)
+    return part("operators.data.splat_object").values(obj, SELECTED).astype(bool)
 
 
 def world(bridge, obj) -> np.ndarray:
@@ -121,10 +121,10 @@ def test_selected_gaussians_are_deleted_or_kept_alone(splat, bridge):
 def test_blenders_edit_mode_has_the_same_selection(splat, bridge):
     bpy.ops.svrgs.select_gaussians(criterion="OPACITY", opacity_low=0, opacity_high=0.5)
     mask = selected(splat)
-    assert (part("operators.bridge_selection").found_in_edit_mode(splat) == mask).all()
+    assert (part("operators.data.selection").found_in_edit_mode(splat) == mask).all()
     bpy.ops.svrgs.clear_selection()
     assert SELECTED not in splat.data.attributes
-    assert not part("operators.bridge_selection").found_in_edit_mode(splat).any()
+    assert not part("operators.data.selection").found_in_edit_mode(splat).any()
 
 
 def test_the_panel_counts_and_the_viewport_shows_it(splat):
@@ -142,7 +142,7 @@ def test_the_panel_counts_and_the_viewport_shows_it(splat):
 
 
 def test_a_result_that_is_not_applied_is_not_cut(splat, bridge):
-    results = part("operators.job_result")
+    results = part("operators.jobs.job_result")
     copy = bridge.copy_with(splat, "pruned", bridge.scene_from_object(splat).select(np.arange(100)))
     results.join(splat, copy)
     copy[results.KEPT], copy[results.MERGED] = 100, True

@@ -49,7 +49,7 @@ def test_the_mask_follows_edits(stage, gaussians, room, camera):
 
 
 def test_the_mask_is_drawn_anew_only_when_something_has_moved(stage, room, camera):
-    mask_image = part("operators.mask_image")
+    mask_image = part("operators.view.mask_image")
     bpy.ops.svrgs.spatial_mask()
     assert not mask_image.is_stale(bpy.context)
     for move in (
@@ -68,7 +68,7 @@ def test_the_mask_is_drawn_anew_only_when_something_has_moved(stage, room, camer
 def test_the_mask_is_drawn_anew_where_an_address_in_memory_is_used_again(
     gaussians, room, camera, monkeypatch
 ):
-    mask_image = part("operators.mask_image")
+    mask_image = part("operators.view.mask_image")
     monkeypatch.setattr(mask_image, "id", lambda _: 0, raising=False)
     bpy.ops.svrgs.spatial_mask()
     mark_removed(room, np.arange(gaussians.count) % 2)
@@ -77,7 +77,7 @@ def test_the_mask_is_drawn_anew_where_an_address_in_memory_is_used_again(
 
 def test_the_mask_follows_in_the_scene_that_changed(stage, gaussians, room, camera):
     """Whichever scene is active when the time has come to draw."""
-    follower = part("operators.spatial_mask")
+    follower = part("operators.view.spatial_mask")
     other = bpy.data.scenes.new("other")
     try:
         stage.svrgs_looking.mask_follow, other.svrgs_looking.mask_follow = False, True

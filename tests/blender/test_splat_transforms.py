@@ -58,23 +58,23 @@ def in_world(parts) -> object:
 
 
 def splat_objects() -> list:
-    return [obj for obj in bpy.context.scene.objects if part("operators.bridge").is_splat(obj)]
+    return [obj for obj in bpy.context.scene.objects if part("operators.data.splat_object").is_splat(obj)]
 
 
 def in_render(_) -> object:
-    graph = part("operators.bridge_graph")
+    graph = part("operators.data.visible_splats")
     placed = graph.splats(bpy.context.evaluated_depsgraph_get())
     return in_world([(placed.scene, placed.matrix)])
 
 
 def in_viewport(_) -> object:
-    graph, cache = part("operators.bridge_graph"), part("operators.scene_cache")
+    graph, cache = part("operators.data.visible_splats"), part("operators.view.scene_cache")
     context = SimpleNamespace(view_layer=bpy.context.view_layer, space_data=None)
     return in_world([(cache.read(obj), matrix) for obj, matrix in graph.splats_in_view(context)])
 
 
 def in_export(tmp_path) -> object:
-    bridge, read = part("operators.bridge"), part("svrgs_addon.files.ply").read_ply
+    bridge, read = part("operators.data.splat_object"), part("svrgs_addon.files.ply").read_ply
     parts = []
     for obj in splat_objects():
         bpy.context.view_layer.objects.active = obj
@@ -84,7 +84,7 @@ def in_export(tmp_path) -> object:
 
 
 def in_job(_) -> object:
-    bridge = part("operators.bridge")
+    bridge = part("operators.data.splat_object")
     return in_world([(bridge.scene_from_object(obj), obj.matrix_world) for obj in splat_objects()])
 
 
@@ -140,10 +140,12 @@ def apply_and_join(a, b):
 
 def join_a_copy(a, b):
     """Parts of one splat in two places, one of them mirrored."""
-    half = part("operators.bridge").scene_from_object(b).select(np.arange(0, 300, 2))
-    other = part("operators.bridge").scene_from_object(b).select(np.arange(1, 300, 2))
-    part("operators.bridge").replace_gaussians(b, half)
-    copy = part("operators.bridge").object_from_scene("copy", other, bpy.context.collection, b.matrix_world)
+    half = part("operators.data.splat_object").scene_from_object(b).select(np.arange(0, 300, 2))
+    other = part("operators.data.splat_object").scene_from_object(b).select(np.arange(1, 300, 2))
+    part("operators.data.splat_object").replace_gaussians(b, half)
+    copy = part("operators.data.splat_object").object_from_scene(
+        "copy", other, bpy.context.collection, b.matrix_world
+    )
     bpy.context.view_layer.update()
     activate(copy, b, a)
     bpy.ops.object.join()
@@ -159,13 +161,13 @@ def apply_then_reload(a, b):
 def apply_then_write(a, b):
     apply_with_blender(a, b)
     assert bpy.ops.svrgs.write_shapes() == {"FINISHED"}
-    assert not part("operators.bridge").count_moved(b)
+    assert not part("operators.data.splat_object").count_moved(b)
 
 
 def rotate_in_edit_mode_and_back(a, b):
     """Some points are rotated, by their coordinates, and the others are left."""
     some = np.random.default_rng(0).random(300) < 0.4
-    positions = part("operators.bridge").values(b, "position")
+    positions = part("operators.data.splat_object").values(b, "position")
     turn = np.array(Euler((0.3, 0.4, 0.5)).to_matrix())
     for matrix in (turn, turn.T):
         positions[some] = positions[some] @ matrix.T
@@ -174,7 +176,7 @@ def rotate_in_edit_mode_and_back(a, b):
         )
         b.data.update_tag()
         if matrix is turn:
-            assert part("operators.bridge").count_moved(b) == some.sum()
+            assert part("operators.data.splat_object").count_moved(b) == some.sum()
 
 
 def move_and_duplicate_linked(a, b):
@@ -231,7 +233,7 @@ def test_nothing_seems_to_change(two, tmp_path, operation):
 def test_f12_is_the_same_before_and_after(two, tmp_path, camera, stage):
     before = f12(tmp_path / "before.png")
     assert before[..., :3].std() > 0.05
-    graph = part("operators.bridge_graph")
+    graph = part("operators.data.visible_splats")
     look = lambda: drawn(
         *(lambda p: (p.scene, camera, p.matrix))(graph.splats(bpy.context.evaluated_depsgraph_get()))
     )["rgb"]
@@ -383,7 +385,7 @@ def test_instanced_collections_are_seen(two, tmp_path, bridge):
 
 
 def test_the_panel_says_that_shapes_did_not_follow(two):
-    transforms = part("operators.splat_transforms")
+    transforms = part("operators.scene.splat_transforms")
     a, b = two
     assert transforms.moved_count(b) == 0
     apply_with_blender(a, b)

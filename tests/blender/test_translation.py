@@ -88,7 +88,7 @@ def told_to_blender() -> set[str]:
 
 def of_methods() -> set[str]:
     """Texts of svrgs_addon that the panel translates where it shows them."""
-    options = part("operators.option_properties")
+    options = part("operators.data.option_properties")
     return {
         text
         for m in part("svrgs_addon.finetune.methods").METHODS.values()

@@ -47,7 +47,7 @@ def export(path, **words):
 def moved(scene, matrix):
     """The scene in Blender's world, as the file has it: y down."""
     return part("svrgs_addon.scene.affine").transformed(
-        scene, part("operators.bridge").to_world(matrix, True)
+        scene, part("operators.data.splat_object").to_world(matrix, True)
     )
 
 
@@ -96,7 +96,7 @@ def test_instances_and_copies_are_splats_too(instances, splat, formats, bridge, 
 def test_gaussians_hidden_as_removed_are_not_in_the_stage(splat, formats, bridge, tmp_path):
     removed = np.zeros(bridge.count(splat), bool)
     removed[:3] = True
-    bridge.set_values(splat, part("operators.bridge_graph").REMOVED, "BOOLEAN", removed)
+    bridge.set_values(splat, part("operators.data.visible_splats").REMOVED, "BOOLEAN", removed)
     assert export(tmp_path / "stage.usdc") == {"FINISHED"}
     assert formats.read_scene(tmp_path / "stage.usdc").count == bridge.count(splat) - 3
 

@@ -12,7 +12,7 @@ from view_helpers import mark_removed, pixels
 
 @pytest.fixture
 def wipe():
-    module = part("operators.viewport_wipe")
+    module = part("operators.view.viewport_wipe")
     bpy.context.scene.svrgs_looking.property_unset("wipe")
     for name in ("original", "pruned"):
         setattr(bpy.context.scene.svrgs_looking, name, None)
@@ -24,7 +24,7 @@ def sides(wipe) -> list:
     """Of a viewport that shows all visible splats."""
     bpy.context.view_layer.update()
     graph = bpy.context.evaluated_depsgraph_get()
-    found = [part("operators.bridge_graph").placed_splats(graph)]
+    found = [part("operators.data.visible_splats").placed_splats(graph)]
     return wipe.sides(
         bpy.context.scene, wipe.shown([(obj, matrix) for pairs in found for obj, matrix in pairs])
     )

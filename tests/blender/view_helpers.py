@@ -26,7 +26,7 @@ def pixels(image) -> np.ndarray:
 
 def view_of(camera: bpy.types.Object, scene: bpy.types.Scene):
     """The view that a render of the scene has."""
-    cameras = part("operators.bridge_cameras")
+    cameras = part("operators.data.camera_object")
     return cameras.camera_from_object(camera, scene, cameras.render_size(scene))
 
 

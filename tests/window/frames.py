@@ -31,7 +31,7 @@ def add(count: int) -> bpy.types.Object:
     """A room of Gaussians, seen from inside."""
     for obj in list(bpy.data.objects):
         bpy.data.objects.remove(obj)
-    obj = part("operators.bridge").object_from_scene(
+    obj = part("operators.data.splat_object").object_from_scene(
         "room", part("svrgs_bench.scenes").room(count), bpy.context.scene.collection
     )
     view = area("VIEW_3D").spaces.active.region_3d
@@ -64,7 +64,7 @@ def measured() -> Generator[float, None, dict[str, float]]:
 
 def steps():
     seen: dict = {}
-    (overlay,) = part("operators.overlay")._overlay
+    (overlay,) = part("operators.view.overlay")._overlay
     for count in SIZES:
         room = add(count)
         yield 1.0

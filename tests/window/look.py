@@ -36,7 +36,7 @@ def apart(space: bpy.types.SpaceView3D) -> float:
     """Pixels between where Blender and the extension show the corners of a small cube before the viewport."""
     region = next(region for region in area("VIEW_3D").regions if region.type == "WINDOW")
     camera, centre = (
-        part("operators.bridge_graph").region_camera(region, space.region_3d),
+        part("operators.data.visible_splats").region_camera(region, space.region_3d),
         space.region_3d.view_matrix.inverted() @ Vector((0, 0, -3)),
     )
     corners = [centre + Vector(corner) for corner in itertools.product((-0.5, 0.5), repeat=3)]
@@ -57,7 +57,7 @@ def rest(views, seconds: float = 60):
 
 
 def overlay_views() -> list:
-    return [view.live for view in part("operators.overlay")._overlay[0].views.values()]
+    return [view.live for view in part("operators.view.overlay")._overlay[0].views.values()]
 
 
 def load() -> bpy.types.SpaceView3D:
@@ -114,7 +114,7 @@ def see_parallel_rays(space: bpy.types.SpaceView3D, seen: dict):
 
 
 def see_rendered_viewport(space: bpy.types.SpaceView3D, seen: dict):
-    scene, viewport = bpy.context.scene, part("operators.viewport")
+    scene, viewport = bpy.context.scene, part("operators.view.viewport")
     scene.render.engine, scene.view_settings.view_transform = "SVRGS", "Standard"
     space.shading.type = "RENDERED"
     views = lambda: [pane.live for view in viewport._open for pane in view.panes.values()]
@@ -160,8 +160,8 @@ def see_wipe(space: bpy.types.SpaceView3D, seen: dict):
     """Both sides, exact, in a Solid and in a Rendered viewport; the mouse moves the line."""
     looking, wipe, viewport = (
         bpy.context.scene.svrgs_looking,
-        part("operators.viewport_wipe"),
-        part("operators.viewport"),
+        part("operators.view.viewport_wipe"),
+        part("operators.view.viewport"),
     )
     yield from click(LEFT, driver.header_height("Compare") + WIPE)
     yield from until(lambda: looking.wiping, "the wipe")

@@ -68,7 +68,7 @@ def load() -> tuple[bpy.types.Object, bpy.types.Object]:
 
 
 def apply_and_join(a, b, seen: dict):
-    transforms = part("operators.splat_transforms")
+    transforms = part("operators.scene.splat_transforms")
     yield from f12("before")
     activate(b)
     yield from key("A", *VIEW, ctrl=True)  # the menu Apply
@@ -85,7 +85,7 @@ def apply_and_join(a, b, seen: dict):
     )
     yield 0.5
     yield from f12("joined")
-    seen["joined"] = part("operators.bridge").count(a)
+    seen["joined"] = part("operators.data.splat_object").count(a)
     yield from key("Z", *VIEW, ctrl=True)
     yield from until(
         lambda: len([obj for obj in bpy.context.scene.objects if obj.type == "POINTCLOUD"]) == 2,
@@ -100,10 +100,10 @@ def cameras_of_another_capture(seen: dict):
     activate(a)
     bpy.ops.svrgs.import_colmap(directory=str(DATA))
     activate(a)
-    match = part("operators.camera_match")
+    match = part("operators.scene.camera_match")
     yield from until(lambda: state.sentences is not None and match._found, "the check of the cameras", 60)
     seen["own"] = state.sentences
-    bridge, scene = part("operators.bridge"), part("svrgs_bench.scenes").room(2000)
+    bridge, scene = part("operators.data.splat_object"), part("svrgs_bench.scenes").room(2000)
     other = bridge.object_from_scene("other", scene, bpy.context.scene.collection)
     activate(other)
     root = next(obj for obj in bpy.context.scene.objects if bridge.ROOT in obj)
@@ -144,8 +144,10 @@ def save_move_and_reload(seen: dict):
 
 
 def new_file_during_a_job(seen: dict):
-    watch = part("operators.job_watch")
-    splat = next(obj for obj in bpy.context.scene.objects if part("operators.bridge").is_splat(obj))
+    watch = part("operators.jobs.job_watch")
+    splat = next(
+        obj for obj in bpy.context.scene.objects if part("operators.data.splat_object").is_splat(obj)
+    )
     activate(splat)
     settings = bpy.context.scene.svrgs_prune
     settings.iterations, settings.recovery = 9000, 0

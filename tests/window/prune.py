@@ -45,7 +45,7 @@ def load() -> str:
 
 
 def ask_for_estimate(splat: str, seen: dict):
-    estimate = part("operators.estimate")
+    estimate = part("operators.jobs.estimate")
     yield from click(LEFT, driver.header_height("Prune") + START)
     yield from until(lambda: "kept" in estimate.of(bpy.data.objects[splat]), "an estimate")
     yield 0.5
@@ -54,7 +54,7 @@ def ask_for_estimate(splat: str, seen: dict):
 
 
 def start_and_stop(seen: dict):
-    watch = part("operators.job_watch")
+    watch = part("operators.jobs.job_watch")
     job = lambda: watch.current(bpy.context)[1]
     yield from click(RIGHT, driver.header_height("Prune") + START)
     yield from until(job, "a job")
@@ -70,7 +70,7 @@ def start_and_stop(seen: dict):
 
 
 def go_on_to_the_result(seen: dict):
-    results = part("operators.job_result")
+    results = part("operators.jobs.job_result")
     yield from click(LEFT, driver.header_height("Prune") + RESUME)
     yield from until(lambda: "pruned" in bpy.context.object.name, "the result", 90)
     yield 0.8
@@ -81,7 +81,7 @@ def go_on_to_the_result(seen: dict):
 
 
 def apply_fewer_and_undo(pruned: str, seen: dict):
-    results = part("operators.job_result")
+    results = part("operators.jobs.job_result")
     bpy.context.object.svrgs_share = 20
     yield 0.5
     seen["fewer"] = results.shown_count(bpy.context.object)
@@ -101,7 +101,7 @@ def apply_fewer_and_undo(pruned: str, seen: dict):
 
 
 def delete_and_undo(splat: str, pruned: str, seen: dict):
-    results = part("operators.job_result")
+    results = part("operators.jobs.job_result")
     yield from key("DEL", *VIEW)
     yield from until(lambda: pruned not in bpy.context.scene.objects, "the key Delete")
     yield 0.5

@@ -11,9 +11,6 @@ from ...system.errors import SceneError
 from .base import Method
 
 DEFAULT, PAPER_METHOD = "removal", "svr"
-# names in job folders and .blend files of schema 1
-FORMER_NAMES = {"svr": "removal", "svr-mask": "svr", "svr-worth": "saliency"}
-REPLACED = {"pressure": "removal"}  # methods that were removed: the method that replaces them
 
 
 def _discovered() -> dict[str, Method]:
@@ -33,18 +30,8 @@ METHODS = _discovered()
 
 def method_named(name: str) -> Method:
     """A copy of the method for one run. Raises SceneError for an unknown name."""
-    if name in REPLACED:
-        raise SceneError(
-            f"method '{name}' was removed: '{REPLACED[name]}' replaces it; start the job again with that"
-            " method"
-        )
     if name not in METHODS:
-        hint = (
-            f"'{name}' is called '{FORMER_NAMES[name]}' now"
-            if name in FORMER_NAMES
-            else f"choose one of {', '.join(METHODS)}"
-        )
-        raise SceneError(f"method '{name}' is unknown: {hint}")
+        raise SceneError(f"method '{name}' is unknown: choose one of {', '.join(METHODS)}")
     return copy(METHODS[name])
 
 

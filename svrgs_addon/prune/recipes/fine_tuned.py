@@ -354,7 +354,7 @@ def first_cut(scene: Scene, dataset: Dataset, plan: Plan) -> Scene:
 def make_engine(name: str):
     if name == "native":
         return NativeEngine()
-    from ..finetune.torch_engine import TorchEngine
+    from ...finetune.torch_engine import TorchEngine
 
     return TorchEngine()
 

@@ -1,0 +1,103 @@
+"""Blender's cameras <-> Camera of svrgs_addon.
+
+A posed photograph is a camera with properties that hold the size and the pixel aspect of its image.
+"""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+from bpy.app.translations import pgettext_iface as tr
+from mathutils import Matrix
+
+from ...svrgs_addon.scene.camera import Camera
+from ...svrgs_addon.system.errors import SceneError
+from ...svrgs_addon.views import lens as lenses
+
+SIZE, ASPECT, IMAGE = "svrgs_size", "svrgs_pixel_aspect", "svrgs_image"  # properties of a photograph's camera
+DISPLAY_SIZE = 0.05  # of a camera in the viewport, in extents of all cameras
+CLIP_END = 100  # in extents of all cameras
+FLIP = np.diag((1.0, -1.0, -1.0, 1.0))  # Blender's cameras look along -z with y up, ours along z with y down
+
+
+def camera_from_object(
+    obj: bpy.types.Object, scene: bpy.types.Scene, size: tuple[int, int] | None = None
+) -> Camera:
+    """The view of a camera object, in Blender's world.
+
+    size: (width, height) in pixels, with the scene's pixel aspect. Default: the size and aspect of the
+    photograph, or of the scene's render if the camera has no photograph. obj: an evaluated object if
+    animation matters. Raises SceneError if the object is not a camera (Blender accepts any object as the
+    scene's camera), and if the camera is neither perspective nor orthographic.
+    """
+    if obj.type != "CAMERA":
+        raise SceneError(
+            tr("'{name}' is no camera: choose a camera as the scene's camera").format(name=obj.name)
+        )
+    data, render = obj.data, scene.render
+    if data.type not in ("PERSP", "ORTHO"):
+        text = tr(
+            "camera '{name}' is neither perspective nor orthographic: splats cannot be drawn from other"
+            " cameras"
+        )
+        raise SceneError(text.format(name=obj.name))
+    aspect = (render.pixel_aspect_x, render.pixel_aspect_y)
+    if size is None:
+        size, aspect = (
+            (tuple(data[SIZE]), tuple(data[ASPECT])) if SIZE in data else (render_size(scene), aspect)
+        )
+    sensor, orthographic = (data.sensor_width, data.sensor_height), data.type == "ORTHO"
+    ortho_scale = data.ortho_scale if orthographic else None
+    lens = lenses.Lens(
+        *size, data.lens, (data.shift_x, data.shift_y), aspect, sensor, data.sensor_fit, ortho_scale
+    )
+    viewmat = FLIP @ np.linalg.inv(_without_scale(obj.matrix_world))
+    return Camera(viewmat, lenses.intrinsics(lens), *size, data.get(IMAGE, obj.name), orthographic)
+
+
+def camera_to_object(camera: Camera, obj: bpy.types.Object):
+    """Gives the camera object the lens, the image size and the pose of a view, in the coordinates of the
+    object's parent."""
+    data, lens = obj.data, lenses.lens_of(camera)
+    data.type, data.sensor_fit = "PERSP", lens.fit
+    data.sensor_width, data.sensor_height = lens.sensor
+    data.lens = lens.lens
+    data.shift_x, data.shift_y = lens.shift
+    data[SIZE], data[ASPECT], data[IMAGE] = (camera.width, camera.height), lens.aspect, camera.name
+    obj.rotation_mode = "QUATERNION"  # Euler angles lose digits near the poles
+    obj.matrix_basis = Matrix(np.linalg.inv(camera.viewmat) @ FLIP)
+
+
+def new_camera(camera: Camera, extent: float, collection: bpy.types.Collection) -> bpy.types.Object:
+    """A camera object with a view. extent: of all cameras that belong together, in the view's unit of
+    length."""
+    data = bpy.data.cameras.new(camera.name)
+    obj = bpy.data.objects.new(camera.name, data)
+    camera_to_object(camera, obj)
+    data.display_size = DISPLAY_SIZE * extent
+    data.clip_start, data.clip_end = 1e-3 * extent, CLIP_END * extent
+    collection.objects.link(obj)
+    return obj
+
+
+def render_size(scene: bpy.types.Scene) -> tuple[int, int]:
+    """(width, height) of a render in pixels."""
+    render = scene.render
+    return tuple(
+        max(1, side * render.resolution_percentage // 100)
+        for side in (render.resolution_x, render.resolution_y)
+    )
+
+
+def apply_camera_size(scene: bpy.types.Scene):
+    """Gives the scene the image size and the pixel aspect of its camera's photograph, if it has one."""
+    data = scene.camera.data if scene.camera is not None and scene.camera.type == "CAMERA" else {}
+    if SIZE in data:
+        scene.render.resolution_x, scene.render.resolution_y = data[SIZE]
+        scene.render.pixel_aspect_x, scene.render.pixel_aspect_y = data[ASPECT]
+
+
+def _without_scale(matrix: Matrix) -> np.ndarray:
+    pose = np.array(matrix, np.float64)
+    pose[:3, :3] /= np.linalg.norm(pose[:3, :3], axis=0)
+    return pose

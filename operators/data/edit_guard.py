@@ -1,0 +1,35 @@
+"""Whether a splat can be given other Gaussians or values now, or a root a splat.
+
+A splat that is linked from another file is refused: Blender accepts what is written to linked data, but
+forgets it when the file is saved.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import bpy
+from bpy.app.translations import pgettext_iface as tr
+
+# what else keeps a splat as it is: functions that return a sentence, or ''; jobs/ adds that of its jobs
+reasons: list[Callable[[bpy.types.Object], str]] = []
+
+
+def change_problem(context, splats: list[bpy.types.Object]) -> str:
+    """Why these splats cannot lose, move or join Gaussians now; empty if they can."""
+    for obj in splats:
+        found = problem(context, obj) or next(filter(None, (reason(obj) for reason in reasons)), "")
+        if found:
+            return found
+    return ""
+
+
+def problem(context, splat: bpy.types.Object) -> str:
+    """What the user must do first, in a sentence; empty if the splat can be changed."""
+    if context.mode != "OBJECT" or splat.mode == "EDIT":  # it may be edited in another window's scene
+        return tr("Leave Edit Mode first")
+    if splat.library or (splat.data is not None and splat.data.library):
+        return tr(
+            "'{name}' is linked from another file: make it local first (Object > Relations > Make Local)"
+        ).format(name=splat.name)
+    return ""

@@ -1,0 +1,109 @@
+"""Arrays <-> Blender's images. An image is found by its name and reused; it has a preview for panels."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+from mathutils import Color
+
+from ...svrgs_addon.files.images import linear_to_srgb
+from ...svrgs_addon.render.passes import SRGB_PRIMARIES
+
+_written: set[str] = set()  # names of images that were written since the file was saved
+PREVIEW = 512  # pixels on the longer side: a wide sidebar shows that many
+
+
+def write_image(
+    name: str, pixels: np.ndarray, preview: np.ndarray | None = None, data: bool = False
+) -> bpy.types.Image:
+    """Writes `pixels` (H, W, 3), float or uint8, rows from the top, into the image of that name, which is
+    created if needed.
+
+    data: 32-bit numbers in the colour space Non-Color; else 8 bits in display sRGB. preview: (h, w, 3)
+    display sRGB; default: pixels.
+    """
+    height, width, _ = pixels.shape
+    image = bpy.data.images.get(name)
+    if image is not None and (image.is_float != data or not _is_ours(image)):
+        image.name = f"{name} (former)"
+        image = None
+    if image is None:
+        image = bpy.data.images.new(name, width, height, alpha=False, float_buffer=data, is_data=data)
+    if tuple(image.size) != (width, height):
+        image.scale(width, height)
+    image.pixels.foreach_set(_rgba(pixels))
+    image.update()
+    _written.add(name)
+    _preview(image, pixels if preview is None else preview)
+    return image
+
+
+def read_image(image: bpy.types.Image) -> np.ndarray | None:
+    """(H, W, 3) float32 display sRGB, rows from the top, composited over black; None if the image's file is
+    missing."""
+    width, height = image.size
+    if not width or not height:
+        return None
+    values = np.empty(width * height * image.channels, np.float32)
+    image.pixels.foreach_get(values)
+    values = values.reshape(height, width, image.channels)[::-1]
+    rgb = values[..., :3] if image.channels >= 3 else np.repeat(values[..., :1], 3, axis=2)
+    rgb = linear_to_srgb(rgb) if image.is_float and not image.colorspace_settings.is_data else rgb
+    return np.ascontiguousarray(rgb * values[..., 3:] if image.channels == 4 and not image.is_float else rgb)
+
+
+def is_lost(name: str) -> bool:
+    """After a file was opened: whether the image is missing or empty. Blender saves pixels with a file only
+    if the image is packed."""
+    image = bpy.data.images.get(name)
+    return image is None or (image.source == "GENERATED" and image.packed_file is None)
+
+
+def pack_written():
+    """Stores the pixels of images that were written since the last call in the .blend file."""
+    for name in _written:
+        image = bpy.data.images.get(name)
+        if image is not None and _is_ours(image):
+            image.use_fake_user = True  # else Blender drops images that nothing shows
+            values = np.empty(len(image.pixels), np.float32)
+            image.pixels.foreach_get(values)
+            # an image that the user has packed, and that was not written since, would lose its pixels
+            image.pixels.foreach_set(values)
+            image.pack()
+    _written.clear()
+
+
+def forget_written():
+    """After another file was opened."""
+    _written.clear()
+
+
+def _is_ours(image: bpy.types.Image) -> bool:
+    """Whether the image is generated, or was and has been packed: not a file that the user has opened in its
+    place."""
+    return image.source == "GENERATED" or (image.packed_file is not None and not image.filepath)
+
+
+def flattened(pixels: np.ndarray) -> np.ndarray:
+    """(H, W) or (H, W, channels) with rows from the top -> float32 numbers in Blender's order, rows from the
+    bottom."""
+    return np.ascontiguousarray(pixels[::-1], np.float32).reshape(-1)
+
+
+def working_space() -> list[tuple[float, float, float]]:
+    """The linear red, green and blue of sRGB in the file's working colour space."""
+    return [tuple(Color(axis).from_srgb_to_scene_linear()) for axis in SRGB_PRIMARIES]
+
+
+def _rgba(pixels: np.ndarray) -> np.ndarray:
+    rgba = np.ones((*pixels.shape[:2], 4), np.float32)
+    rgba[..., :3] = pixels[::-1] / np.float32(255) if pixels.dtype == np.uint8 else pixels[::-1]
+    return rgba.reshape(-1)
+
+
+def _preview(image: bpy.types.Image, pixels: np.ndarray):
+    step = max(1, -(-max(pixels.shape[:2]) // PREVIEW))
+    small = pixels[::step, ::step]
+    preview = image.preview_ensure()
+    preview.image_size = small.shape[1], small.shape[0]
+    preview.image_pixels_float.foreach_set(_rgba(small))

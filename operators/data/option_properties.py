@@ -1,0 +1,134 @@
+"""Blender properties made from the options of `svrgs prune` (svrgs_addon/prune/options.py), and the menu of
+methods."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
+
+from ...svrgs_addon.finetune.methods import DEFAULT, METHODS, PAPER_METHOD
+from ...svrgs_addon.finetune.methods.base import Method
+from ...svrgs_addon.prune.options import PruneOptions
+from ...svrgs_addon.system.option_kinds import options_of
+
+PROPERTY_TYPES = {
+    bool: BoolProperty,
+    int: IntProperty,
+    float: FloatProperty,
+    str: StringProperty,
+    Path: StringProperty,
+}
+RELATIVE = (
+    {"PATH_SUPPORTS_BLEND_RELATIVE"}
+    if "is_path_supports_blend_relative" in bpy.types.Property.bl_rna.properties
+    else set()
+)  # options of paths that take '//'
+CHOICES = {"RECOMMENDED": DEFAULT, "PAPER": PAPER_METHOD}  # items of the short menu, except OTHER -> method
+# what OTHER chooses first: the nearest to the default at small counts (docs/results.md)
+FIRST_OTHER = "maskgs"
+# the default of a property whose option has no default
+UNSET = {int: 0, float: 0.0, str: "", Path: "", bool: False}
+
+
+def option_property(name: str, /, **overrides):
+    """The property of one option. overrides: arguments of the property that are not those of the option."""
+    option, default = options_of(PruneOptions)[name], PruneOptions.__dataclass_fields__[name].default
+    kind = option.kind
+    arguments: dict = {
+        "name": name.replace("_", " ").title(),
+        "description": capitalised(option.help),
+        "default": UNSET[kind.type] if default is None else default,
+    }
+    if kind.type in (int, float):
+        arguments |= {
+            key: value for key, value in (("min", kind.minimum), ("max", kind.maximum)) if value is not None
+        }
+    elif kind.type is Path:
+        arguments |= {"subtype": "DIR_PATH", "options": RELATIVE}
+    if kind.type in (str, Path):
+        arguments["default"] = str(arguments["default"])
+    if option.default_help and kind.type in (str, Path):
+        arguments["description"] += f". Empty: {option.default_help}"
+    return PROPERTY_TYPES[kind.type](**(arguments | overrides))
+
+
+def limited_time_property():
+    """Whether the time of a job is limited."""
+    text = (
+        "Choose the number of steps so that the job takes at most so many seconds. It is chosen for the speed"
+        " of this machine"
+    )
+    return BoolProperty(name="Limit Time", description=text)
+
+
+def time_property(default: int):
+    """The limit of the time of a job, seconds."""
+    return IntProperty(
+        name="Seconds",
+        min=1,
+        soft_max=3600,
+        default=default,
+        description="Seconds that the job may take, reading and measuring included",
+    )
+
+
+def method_choice_property(**more):
+    """The short menu of methods, which shows and sets the property `method`."""
+    items = [(key, METHODS[name].label, _tooltip(METHODS[name])) for key, name in CHOICES.items()]
+    items.append(
+        ("OTHER", "Other…", "One of the methods of other papers and variants. Choose it under Advanced")
+    )
+    return EnumProperty(
+        name="Method",
+        items=items,
+        get=_choice,
+        set=_choose,
+        description="How pruning decides which Gaussians are removed",
+        **more,
+    )
+
+
+def _choice(settings) -> int:
+    return next(
+        (number for number, name in enumerate(CHOICES.values()) if name == settings.method), len(CHOICES)
+    )
+
+
+def _choose(settings, number: int):
+    if number != _choice(settings):
+        settings.method = [*CHOICES.values(), FIRST_OTHER][number]
+
+
+def method_property(**more):
+    """The menu of the methods that prune. Blender stores the number of a method in .blend files. more:
+    further arguments of the property."""
+    items = [
+        (name, method.label, _tooltip(method), "NONE", method.number)
+        for name, method in METHODS.items()
+        if method.prunes
+    ]
+    return EnumProperty(
+        name="Method",
+        items=items,
+        default=DEFAULT,
+        description="How pruning decides which Gaussians are removed",
+        **more,
+    )
+
+
+def method_sentence(method: Method) -> str:
+    """What the method does."""
+    return capitalised(method.help)
+
+
+def capitalised(text: str) -> str:
+    """The text with a capital first letter and no full stop, as Blender writes tooltips."""
+    return text[:1].upper() + text[1:]
+
+
+def _tooltip(method: Method) -> str:
+    return ". ".join(
+        filter(None, (method_sentence(method), method.lambda_f_help and f"λ_F: {method.lambda_f_help}"))
+    )

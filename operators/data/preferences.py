@@ -1,0 +1,11 @@
+"""Reads the add-on's preferences; panels/preferences.py defines and shows them."""
+
+from __future__ import annotations
+
+PACKAGE = __package__.removesuffix(".operators.data")
+
+
+def threads(context) -> int:
+    """Number of threads to use; 0: one per core."""
+    addon = context.preferences.addons.get(PACKAGE)
+    return addon.preferences.threads if addon is not None and addon.preferences is not None else 0

@@ -1,0 +1,134 @@
+"""The selection of a splat: a mask of its Gaussians as an attribute, and the objects that bound a box or a
+sphere.
+
+Blender's own selection in Edit Mode, of a point cloud or of the vertices of a mesh, is written together with
+the attribute.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import bpy
+import numpy as np
+from bpy.app.translations import pgettext_iface as tr
+from mathutils import Matrix, Vector
+
+from ...svrgs_addon.prune.selection.options import Criteria
+from ...svrgs_addon.prune.selection.select import selected
+from ...svrgs_addon.scene.camera import Camera
+from ...svrgs_addon.system.errors import SceneError
+from . import splat_object, visible_splats
+
+SELECTED = "svrgs:selected"  # attribute: marks the selected Gaussians
+EDIT_MODE = ".selection"  # Blender's attribute of a point cloud in Edit Mode
+UNIT_BOX, UNIT_SPHERE = (-1.0, -1.0, -1.0, 1.0, 1.0, 1.0), (0.0, 0.0, 0.0, 1.0)
+COMBINED = {
+    "SET": lambda before, mask: mask,
+    "EXTEND": lambda before, mask: before | mask,
+    "SUBTRACT": lambda before, mask: before & ~mask,
+    "INTERSECT": lambda before, mask: before & mask,
+}
+
+# the views of a splat, in its coordinates; the word as in prune/selection/select.py
+Views = Callable[[visible_splats.PlacedScene, str], list[Camera]]
+
+
+def find(
+    obj: bpy.types.Object, wanted: Criteria, views: Views, volume: bpy.types.Object | None
+) -> np.ndarray:
+    """(N,) bool: the Gaussians of the splat that fulfil the criteria and are not marked as removed.
+
+    wanted: lengths in Blender's units; its box or sphere is UNIT_BOX or UNIT_SPHERE, which `volume` places.
+    Raises SplatError, NativeError.
+    """
+    rows = visible_splats.visible_rows(obj)
+    placed = visible_splats.placed(
+        [(splat_object.scene_from_object(obj).select(rows), obj.matrix_world.copy())]
+    )
+    matrix = None if volume is None else np.linalg.solve(_volume(volume), np.array(placed.matrix, np.float64))
+    if wanted.size is not None:
+        wanted = Criteria(size=(wanted.size[0] / placed.unit, wanted.size[1] / placed.unit))
+    mask = np.zeros(splat_object.count(obj), bool)
+    mask[rows] = selected(placed.scene, wanted, lambda named: views(placed, named), matrix)
+    return mask
+
+
+def found_in_edit_mode(obj: bpy.types.Object) -> np.ndarray:
+    """(N,) bool: the Gaussians whose points are selected in Edit Mode."""
+    if obj.type == "MESH":
+        mask = np.zeros(splat_object.count(obj), bool)
+        obj.data.vertices.foreach_get("select", mask)
+        return mask
+    found = splat_object.values(obj, EDIT_MODE)
+    return np.ones(splat_object.count(obj), bool) if found is None else found.astype(bool)
+
+
+def change(obj: bpy.types.Object, mask: np.ndarray, mode: str, invert: bool = False) -> int:
+    """Combines a mask (N,) with the selection of the splat, as COMBINED defines. Returns the number of
+    selected Gaussians.
+
+    invert: what the mask does not mark and pruning has not marked as removed is taken instead.
+    """
+    if invert:
+        shown = np.zeros(len(mask), bool)
+        shown[visible_splats.visible_rows(obj)] = True
+        mask = shown & ~mask
+    mask = COMBINED[mode](read(obj), mask)
+    splat_object.set_values(obj, SELECTED, "BOOLEAN", mask)
+    if obj.type == "MESH":
+        obj.data.vertices.foreach_set("select", mask)
+    else:
+        splat_object.set_values(obj, EDIT_MODE, "BOOLEAN", mask)
+    return int(mask.sum())
+
+
+def read(obj: bpy.types.Object) -> np.ndarray:
+    """(N,) bool: the selection of the splat."""
+    mask = splat_object.values(obj, SELECTED)
+    return np.zeros(splat_object.count(obj), bool) if mask is None else mask.astype(bool)
+
+
+def selected_count(obj: bpy.types.Object) -> int:
+    """Number of selected Gaussians; 0 in Edit Mode, where Blender keeps those of a mesh apart."""
+    return int(read(obj).sum()) if obj.mode != "EDIT" and SELECTED in obj.data.attributes else 0
+
+
+def clear(obj: bpy.types.Object):
+    """Selects no Gaussian."""
+    change(obj, np.zeros(splat_object.count(obj), bool), "SET")
+    splat_object.remove_values(obj, SELECTED)
+
+
+def delete(obj: bpy.types.Object, others: bool):
+    """Deletes the selected Gaussians, or all others, and clears the selection. Raises SceneError if none
+    would be left."""
+    left = read(obj) if others else ~read(obj)
+    if not left.any():
+        raise SceneError(tr("no Gaussian would be left: keep more"))
+    clear(obj)
+    further = splat_object.further_values(obj)
+    splat_object.replace_gaussians(obj, splat_object.scene_from_object(obj).select(left))
+    for name, kind, values in further:
+        if name not in obj.data.attributes:
+            splat_object.set_values(obj, name, kind, values[left])
+
+
+def _volume(obj: bpy.types.Object) -> np.ndarray:
+    """(4, 4) float64, from the cube of -1 to 1 to Blender's world: the bounding box of an object, or the size
+    of an empty."""
+    low, high = (
+        np.array([function(corner[k] for corner in obj.bound_box) for k in range(3)])
+        for function in (min, max)
+    )
+    if obj.type == "EMPTY":
+        low, high = np.full(3, -obj.empty_display_size), np.full(3, obj.empty_display_size)
+    place = Matrix.Translation(Vector((low + high) / 2)) @ Matrix.Diagonal((*(high - low) / 2, 1.0))
+    matrix = np.array(obj.matrix_world @ place, np.float64)
+    if not abs(np.linalg.det(matrix)) > 0:
+        raise SceneError(
+            tr(
+                "'{name}' has no volume: choose an empty, or an object with a height, a width and a depth"
+            ).format(name=obj.name)
+        )
+    return matrix

@@ -1,0 +1,418 @@
+"""Blender's objects <-> Scene of svrgs_addon: splats, and the empties above them. Cameras are in
+camera_object.py.
+
+A splat is a point cloud, or a mesh of points in Blender 4.2, which has no point clouds. Its attributes are
+those of Blender 5.3's own splats (svrgs_addon/scene/attribute_layout.py):
+
+- The numbers are those of the file. The matrix of the object, or of its root, turns them into Blender's
+  coordinates.
+- `scale` and opacity are activated and `rotation` is normalised. The raw values lie in attributes
+  `svrgs:...`; one is used as long as
+  its activation equals the attribute. After an edit, and in splats of Blender's own import, the activation is
+  inverted.
+- Each further column of a file is an attribute of its own. Types and order of the columns, and the file's
+  comments, are a property
+  of the data-block.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+
+import bmesh
+import bpy
+import numpy as np
+from bpy.app.translations import pgettext_iface as tr
+from mathutils import Matrix
+
+from ...svrgs_addon.scene.attribute_layout import (
+    BASE,
+    POSITION,
+    RAW_POSITION,
+    REQUIRED,
+    SH,
+    from_attributes,
+    notes_of,
+    to_attributes,
+)
+from ...svrgs_addon.scene.gaussians import Scene
+from ...svrgs_addon.scene.moved_points import moved_parts
+from ...svrgs_addon.system.errors import SceneError, SplatError
+
+NOTES = "svrgs"  # property of a splat's data-block: types and order of further columns, comments
+# property of a splat without a root: whether its import has turned it from y down to z up; default True
+Y_DOWN = "svrgs_y_down"
+SAME_PLACE = 1e-6  # difference between matrices in float32 that means nothing
+ROOT = "svrgs_root"  # property of an empty: its children share the coordinates of the files
+# properties of a root: folder of its dataset, name of the image folder in it
+DATASET, IMAGES = "svrgs_dataset", "svrgs_images"
+POINTS = "svrgs_points"  # property of a root: number of sparse points in its dataset
+TYPES = ("MESH", "POINTCLOUD")
+# 3DGS files have y down, Blender has z up
+AXES = Matrix(((1, 0, 0, 0), (0, 0, 1, 0), (0, -1, 0, 0), (0, 0, 0, 1)))
+# name of the values; other types: value
+VALUE = {"FLOAT_VECTOR": "vector", "FLOAT2": "vector", "FLOAT4": "vector", "FLOAT_COLOR": "color"}
+# data types that can be copied
+COPIED = (
+    "FLOAT",
+    "INT",
+    "BOOLEAN",
+    "INT8",
+    "FLOAT_VECTOR",
+    "FLOAT_COLOR",
+    "FLOAT4",
+    "QUATERNION",
+    "INT32_2D",
+)
+# numbers per value; other types: 1
+WIDTH = {"FLOAT_VECTOR": 3, "FLOAT_COLOR": 4, "FLOAT4": 4, "QUATERNION": 4, "INT32_2D": 2}
+
+
+# --- splats
+
+
+def is_splat(obj: bpy.types.Object | None) -> bool:
+    """Whether the object is a splat: of this extension, or of Blender 5.3's own import."""
+    return obj is not None and obj.type in TYPES and all(_attribute(obj.data, name) for name in REQUIRED)
+
+
+def count(obj: bpy.types.Object) -> int:
+    """Number of Gaussians of a splat."""
+    return len(obj.data.vertices if obj.type == "MESH" else obj.data.points)
+
+
+def sh_degree(obj: bpy.types.Object) -> int:
+    """SH degree that a file of the splat would have: up to the first band that is not complete."""
+    bands = (
+        all(_attribute(obj.data, f"{SH}{k}") for k in range(n * n - 1, (n + 1) ** 2 - 1)) for n in (1, 2, 3)
+    )
+    return len(list(itertools.takewhile(bool, bands)))
+
+
+def object_from_scene(
+    name: str, scene: Scene, collection: bpy.types.Collection, matrix: Matrix = AXES
+) -> bpy.types.Object:
+    """A new splat in the collection. matrix: from the scene's coordinates to Blender's world."""
+    obj = bpy.data.objects.new(name, _mesh(name, scene))
+    if "POINTCLOUD" in bpy.ops.object.convert.get_rna_type().properties["target"].enum_items:  # from 4.5 on
+        _to_point_cloud(obj)
+    obj.matrix_world = matrix
+    collection.objects.link(obj)
+    return obj
+
+
+def scene_from_object(obj: bpy.types.Object) -> Scene:
+    """The Gaussians of a splat in its local coordinates, which are those of the file. Raises SceneError."""
+    if not is_splat(obj):
+        raise SceneError(
+            tr("'{name}' is not a Gaussian splat").format(name=obj.name) if obj else tr("there is no object")
+        )
+    with _current_data(obj) as data:
+        numbers = [a.name for a in data.attributes if a.domain == "POINT" and a.data_type == "FLOAT"]
+        return from_attributes(lambda name: _get(data, name), numbers, obj.data.get(NOTES, ""))
+
+
+def sample_scene(obj: bpy.types.Object) -> Scene:
+    """A scene of one Gaussian with the columns, comments and order of a splat, which is not read: all values
+    are 1."""
+    numbers = [a.name for a in obj.data.attributes if a.domain == "POINT" and a.data_type == "FLOAT"]
+    return from_attributes(lambda name: _ones(obj.data, name), numbers, obj.data.get(NOTES, ""))
+
+
+def values(obj: bpy.types.Object, name: str) -> np.ndarray | None:
+    """(N,) or (N, width) values of an attribute of a splat; None if it has no attribute of that name."""
+    return _get(obj.data, name)
+
+
+def stored_values(obj: bpy.types.Object, name: str) -> np.ndarray:
+    """As values(), of an attribute that this extension has added. Raises SplatError if it was deleted
+    since."""
+    found = values(obj, name)
+    if found is None:
+        text = tr(
+            "'{name}' has lost its attribute '{attribute}': undo its deletion, or discard the result and"
+            " prune again"
+        )
+        raise SplatError(text.format(name=obj.name, attribute=name))
+    return found
+
+
+def set_values(obj: bpy.types.Object, name: str, kind: str, values: np.ndarray):
+    """Writes an attribute of Blender's data type `kind`, one row per Gaussian."""
+    _set(obj.data, name, kind, values)
+    obj.data.update_tag()
+
+
+def remove_values(obj: bpy.types.Object, *names: str):
+    """Removes attributes that exist."""
+    for name in names:
+        if name in obj.data.attributes:
+            obj.data.attributes.remove(obj.data.attributes[name])
+
+
+def further_values(obj: bpy.types.Object) -> list[tuple[str, str, np.ndarray]]:
+    """Name, Blender's data type and values of the attributes that have one value per Gaussian, apart from
+    those that Blender hides."""
+    kinds = {
+        a.name: a.data_type
+        for a in obj.data.attributes
+        if a.domain == "POINT" and not a.name.startswith(".") and a.data_type in COPIED
+    }
+    return [(name, kind, stored_values(obj, name)) for name, kind in kinds.items()]
+
+
+def replace_gaussians(obj: bpy.types.Object, scene: Scene):
+    """Gives the splat other Gaussians. Object, materials and properties stay. Objects that share its data
+    keep the former Gaussians."""
+    old, name = obj.data, obj.data.name
+    new = _mesh(name, scene) if obj.type == "MESH" else _point_cloud(name, scene)
+    for material in old.materials:
+        new.materials.append(material)
+    for key in set(old.keys()) - set(new.keys()):
+        new[key] = old[key]
+    obj.data = new
+    if not old.users:
+        bpy.data.batch_remove([old])
+        new.name = name
+
+
+def copy_with(obj: bpy.types.Object, name: str, scene: Scene) -> bpy.types.Object:
+    """A copy of the splat with other Gaussians, in the same collection: with its place, modifiers and
+    constraints, not its properties."""
+    copy = obj.copy()
+    copy.name = name
+    for key in [key for key in copy.keys() if key.startswith("svrgs_") and key != Y_DOWN]:
+        del copy[key]
+    obj.users_collection[0].objects.link(copy)
+    replace_gaussians(copy, scene)
+    return copy
+
+
+def delete(obj: bpy.types.Object):
+    """Deletes the object and its data from the file."""
+    data = obj.data
+    bpy.data.objects.remove(obj)
+    if not data.users:
+        bpy.data.batch_remove([data])
+
+
+def write_gaussians(obj: bpy.types.Object, scene: Scene):
+    """Writes the attributes of a splat with as many Gaussians as the scene has."""
+    for attribute, kind, values in to_attributes(scene):
+        _set(obj.data, attribute, kind, values)
+    obj.data.update_tag()
+
+
+def record_positions(obj: bpy.types.Object) -> bool:
+    """Stores where the points of a splat are now, if that was never stored. Returns whether it was stored
+    now."""
+    if _attribute(obj.data, RAW_POSITION):
+        return False
+    _set(obj.data, RAW_POSITION, "FLOAT_VECTOR", stored_values(obj, POSITION))
+    return True
+
+
+def count_moved(obj: bpy.types.Object) -> int:
+    """Number of Gaussians whose points Blender has rotated or scaled without their shapes."""
+    before, after = values(obj, RAW_POSITION), values(obj, POSITION)
+    if before is None or after is None or np.array_equal(before, after):
+        return 0
+    return sum(len(rows) for rows, _ in moved_parts(before, after))
+
+
+def _mesh(name: str, scene: Scene) -> bpy.types.Mesh:
+    """A mesh of points with the attributes of a splat."""
+    mesh = bpy.data.meshes.new(name)
+    mesh.vertices.add(scene.count)
+    for attribute, kind, values in to_attributes(scene):
+        _set(mesh, attribute, kind, values)
+    mesh[NOTES] = notes_of(scene)
+    return mesh
+
+
+def _point_cloud(name: str, scene: Scene) -> bpy.types.PointCloud:
+    """A point cloud with the attributes of a splat; Blender makes one only by converting an object."""
+    made = object_from_scene(name, scene, bpy.context.scene.collection)
+    data = made.data
+    bpy.data.objects.remove(made)
+    return data
+
+
+@contextlib.contextmanager
+def _current_data(obj: bpy.types.Object):
+    """The object's data with all edits: Blender keeps those of a mesh in Edit Mode apart."""
+    if obj.type != "MESH" or obj.mode != "EDIT":
+        yield obj.data
+        return
+    now = bpy.data.meshes.new("svrgs")
+    try:
+        bmesh.from_edit_mesh(obj.data).to_mesh(now)
+        yield now
+    finally:
+        bpy.data.meshes.remove(now)
+
+
+def _to_point_cloud(obj: bpy.types.Object):
+    """Converts the mesh object to a point cloud, in a temporary scene: the user's selection and mode do not
+    change."""
+    mesh, name = obj.data, obj.data.name
+    temp_scene = bpy.data.scenes.new("svrgs")
+    try:
+        temp_scene.collection.objects.link(obj)
+        layer = temp_scene.view_layers[0]
+        layer.objects.active = obj
+        obj.select_set(True, view_layer=layer)
+        override = {
+            "active_object": obj,
+            "object": obj,
+            "selected_objects": [obj],
+            "selected_editable_objects": [obj],
+        }
+        with bpy.context.temp_override(scene=temp_scene, view_layer=layer, **override):
+            bpy.ops.object.convert(target="POINTCLOUD")
+        temp_scene.collection.objects.unlink(obj)
+    finally:
+        bpy.data.scenes.remove(temp_scene)
+    obj.data[NOTES] = mesh[NOTES]
+    bpy.data.meshes.remove(mesh)
+    obj.data.name = name
+    for selection in (".select_vert", ".selection"):
+        if selection in obj.data.attributes:
+            obj.data.attributes.remove(obj.data.attributes[selection])
+    if hasattr(obj.data, "type"):  # Blender 5.3
+        obj.data.type = "GAUSSIAN_SPLAT"
+
+
+def _set(data: bpy.types.Mesh, name: str, kind: str, values: np.ndarray):
+    if name == BASE and "FLOAT4" in bpy.types.Attribute.bl_rna.properties["data_type"].enum_items:
+        kind = "FLOAT4"
+    attribute = data.attributes.get(name) or data.attributes.new(name, kind, "POINT")
+    attribute.data.foreach_set(VALUE.get(kind, "value"), np.ascontiguousarray(values).reshape(-1))
+
+
+def _get(data, name: str) -> np.ndarray | None:
+    """(N,) or (N, width) values of an attribute; None if there is none."""
+    attribute = _attribute(data, name)
+    if attribute is None:
+        return None
+    kind = attribute.data_type
+    width = WIDTH.get(kind, 1)
+    values: np.ndarray = np.empty(len(attribute.data) * width, _dtype(kind))
+    attribute.data.foreach_get(VALUE.get(kind, "value"), values)
+    return values.reshape(-1, width) if width > 1 else values
+
+
+def _dtype(kind: str) -> type:
+    """The type of an attribute's values. With another type, foreach_get takes a thousand times as long."""
+    return bool if kind == "BOOLEAN" else np.int32 if kind.startswith("INT") else np.float32
+
+
+def _ones(data, name: str) -> np.ndarray | None:
+    """As _get, with one row of 1."""
+    attribute = _attribute(data, name)
+    if attribute is None:
+        return None
+    width = WIDTH.get(attribute.data_type, 1)
+    return np.ones((1, width) if width > 1 else 1, _dtype(attribute.data_type))
+
+
+def _attribute(data, name: str):
+    attribute = data.attributes.get(name)
+    return attribute if attribute is not None and attribute.domain == "POINT" else None
+
+
+# --- places
+
+
+def between(source: bpy.types.Object, target: bpy.types.Object) -> np.ndarray:
+    """(4, 4) float64 from the local coordinates of one object to those of another. Objects in the same place
+    give exactly the identity."""
+    return _relative(target.matrix_world, source.matrix_world)
+
+
+def to_file(obj: bpy.types.Object, matrix: Matrix) -> np.ndarray:
+    """(4, 4) float64 from local coordinates to those of the file that the splat was imported from, or of its
+    dataset.
+
+    matrix: from local coordinates to Blender's world. Whatever the user has moved since is part of the
+    result; if nothing was moved, it is exactly the identity.
+    """
+    root = root_of(obj)
+    return _relative(
+        root.matrix_world if root is not None else AXES if obj.get(Y_DOWN, True) else Matrix(), matrix
+    )
+
+
+def move_below(obj: bpy.types.Object, root: bpy.types.Object | None):
+    """Puts a splat below a root, or below nothing, where its file's coordinates are those of the root, or y
+    down as after an import."""
+    place = Matrix(to_file(obj, obj.matrix_world))
+    if root is not None:
+        parent_to_root(obj, root)
+        obj.matrix_basis = place
+    else:
+        obj.parent = None
+        obj.matrix_world = (AXES if obj.get(Y_DOWN, True) else Matrix()) @ place
+
+
+def to_world(matrix: Matrix, y_down: bool) -> np.ndarray:
+    """(4, 4) float64 from local coordinates to Blender's world, or to the same world with y down. matrix:
+    from them to Blender's world."""
+    return _relative(AXES if y_down else Matrix(), matrix)
+
+
+def in_local(obj: bpy.types.Object, matrix: Matrix) -> np.ndarray:
+    """(4, 4) float64 from the coordinates of an instance of the object to those of the object. matrix: from
+    them to Blender's world."""
+    return _relative(obj.matrix_world, matrix)
+
+
+def _relative(target: Matrix, source: Matrix) -> np.ndarray:
+    """target⁻¹ · source; the identity where only rounding is between them."""
+    matrix = np.linalg.solve(np.array(target, np.float64), np.array(source, np.float64))
+    return (
+        np.eye(4)
+        if np.abs(matrix - np.eye(4)).max() < SAME_PLACE * max(1.0, np.abs(matrix[:3, 3]).max())
+        else matrix
+    )
+
+
+# --- roots: empties whose children share the coordinates of the files
+
+
+def points_object(
+    name: str, points: np.ndarray, colors: np.ndarray, collection: bpy.types.Collection
+) -> bpy.types.Object:
+    """A mesh of points (P, 3) float32 with colours (P, 3) uint8, display sRGB."""
+    mesh = bpy.data.meshes.new(name)
+    mesh.vertices.add(len(points))
+    mesh.vertices.foreach_set("co", points.reshape(-1))
+    rgba = np.concatenate([colors / np.float32(255), np.ones((len(colors), 1), np.float32)], axis=1)
+    mesh.attributes.new("Color", "BYTE_COLOR", "POINT").data.foreach_set("color_srgb", rgba.reshape(-1))
+    obj = bpy.data.objects.new(name, mesh)
+    collection.objects.link(obj)
+    return obj
+
+
+def root_of(obj: bpy.types.Object | None) -> bpy.types.Object | None:
+    """The root above the object, or the object itself if it is one; None if there is none."""
+    while obj is not None and ROOT not in obj:
+        obj = obj.parent
+    return obj
+
+
+def new_root(name: str, collection: bpy.types.Collection, matrix: Matrix = AXES) -> bpy.types.Object:
+    """matrix: from the coordinates of the files to Blender's world."""
+    root = bpy.data.objects.new(name, None)
+    root[ROOT] = True
+    root.matrix_world = matrix
+    collection.objects.link(root)
+    return root
+
+
+def parent_to_root(obj: bpy.types.Object, root: bpy.types.Object):
+    """Makes the object a child of the root, in the coordinates of the files."""
+    obj.parent = root
+    obj.matrix_parent_inverse.identity()
+    obj.matrix_basis.identity()

@@ -1,0 +1,60 @@
+"""The size of the file that a splat would have, from its own columns: a splat without normals, or with
+further columns, has another size."""
+
+from __future__ import annotations
+
+import bpy
+from bpy.app.translations import pgettext_iface as tr
+
+from ...svrgs_addon.files.registry import FORMATS, foreseen_size, sampled_size
+from ...svrgs_addon.files.splat_format import SplatFormat
+from ...svrgs_addon.system.errors import SplatError
+from . import splat_object
+
+MOST_READ = 1_000_000  # Gaussians of a splat that is read to foresee the size
+
+
+def size_of(obj: bpy.types.Object, count: int) -> int:
+    """Bytes of a file with this many of the splat's Gaussians."""
+    size = foreseen_size(splat_object.sample_scene(obj), count)
+    assert size is not None
+    return size
+
+
+def size_text(obj: bpy.types.Object, count: int) -> str:
+    """size_of as text."""
+    size = size_of(obj, count)
+    return f"{size / 1e6:.1f} MB" if size >= 1e5 else f"{size / 1e3:.1f} kB"
+
+
+def count_in(obj: bpy.types.Object, size: float) -> int:
+    """How many of the splat's Gaussians fit into a file of this many bytes; at least 0."""
+    header = size_of(obj, 0)
+    return max(0, int((size - header) / (size_of(obj, 1) - header)))
+
+
+def size_in(obj: bpy.types.Object, count: int, kind: str, quantise: float = 1.0) -> str:
+    """What an export says on the size of `count` Gaussians of the splat in the format of this name; '' for a
+    large splat whose values decide. quantise: as of write_scene(), for formats that take it."""
+    splat_format = next(one for one in FORMATS if one.name == kind)
+    key = (obj.session_uid, kind, count, quantise if splat_format.quantises else 1.0)
+    if key not in _said:
+        _said.clear()
+        _said[key] = _size_in(obj, count, splat_format, key[-1])
+    return _said[key]
+
+
+def _size_in(obj: bpy.types.Object, count: int, splat_format: SplatFormat, quantise: float) -> str:
+    size = foreseen_size(splat_object.sample_scene(obj), count, splat_format)
+    if size is None and count > MOST_READ:
+        return ""
+    try:
+        size = size or sampled_size(
+            splat_object.scene_from_object(obj), splat_format, quantise
+        ) * count // max(1, splat_object.count(obj))
+    except SplatError:
+        return ""
+    return tr("{count:,} Gaussians, about {size:.1f} MB").format(count=count, size=size / 1e6)
+
+
+_said: dict[tuple[int, str, int, float], str] = {}  # at most one: by splat, format, number and quantise

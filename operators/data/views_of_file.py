@@ -1,0 +1,104 @@
+"""Cameras of the .blend as views of a pruning job: the scene's camera over all frames, if it moves, and the
+other cameras."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import bpy
+import numpy as np
+from bpy.app.translations import pgettext_iface as tr
+
+from ...svrgs_addon.scene.affine import UNIFORM, stretch
+from ...svrgs_addon.scene.camera import Camera
+from ...svrgs_addon.system.errors import SceneError
+from . import camera_object
+
+ITEMS = [  # the numbers are stored in .blend files
+    ("PLACED", "Placed", "Cameras are placed where they see the whole splat", "NONE", 0),
+    ("ALSO", "Also This File's", "Cameras are placed, and those of this file count too", "NONE", 1),
+    (
+        "ONLY",
+        "Only This File's",
+        "Count only what the cameras of this file see. What they never see may be removed",
+        "NONE",
+        2,
+    ),
+]
+PLACED = "svrgs_placed"  # property of a camera's data: placed for a splat, its parent
+FRAMES = 64  # of a moving camera, evenly spread over the frames of the scene
+
+
+def views(context, splat: bpy.types.Object) -> list[Camera]:
+    """The views in the coordinates of the splat. Raises SceneError."""
+    scene, matrix = context.scene, np.array(splat.matrix_world, np.float64)
+    if not np.linalg.det(matrix[:3, :3]) > 0 or stretch(matrix) - 1 > UNIFORM:
+        raise SceneError(
+            tr(
+                "'{name}' is mirrored or scaled unevenly, which cameras cannot be: apply its scale first"
+                " (Ctrl A)"
+            ).format(name=splat.name)
+        )
+    found = [camera.moved(matrix) for camera in (*_of_frames(scene), *_standing(scene))]
+    if not found:
+        raise SceneError(
+            tr("this file has no camera whose views could count: add one, or choose placed cameras")
+        )
+    return [
+        Camera(c.viewmat, c.K, c.width, c.height, f"{number:04}", c.orthographic)
+        for number, c in enumerate(found)
+    ]
+
+
+def placed(splat: bpy.types.Object) -> list[bpy.types.Object]:
+    """The cameras that were placed for a splat and are still in the file."""
+    return [
+        obj for obj in splat.children if obj.type == "CAMERA" and PLACED in obj.data and obj.users_collection
+    ]
+
+
+def place(splat: bpy.types.Object, cameras: list[Camera], collection: bpy.types.Collection):
+    """Adds cameras below the splat, in its coordinates, in place of those that were placed before."""
+    for obj in placed(splat):
+        bpy.data.cameras.remove(obj.data)
+    middle = np.mean([camera.position for camera in cameras], axis=0)
+    extent = max(float(np.linalg.norm(camera.position - middle)) for camera in cameras)
+    for camera in cameras:
+        obj = camera_object.new_camera(camera, extent or 1.0, collection)
+        obj.parent, obj.data[PLACED] = splat, True
+
+
+def _of_frames(scene: bpy.types.Scene) -> Iterator[Camera]:
+    """The scene's camera in some frames; once if it does not move. Markers may bind other cameras to
+    frames."""
+    if scene.camera is None:
+        return
+    now, seen = scene.frame_current, set[bytes]()
+    first, last = scene.frame_start, scene.frame_end
+    frames = [
+        now,
+        *np.unique(np.linspace(first, last, min(FRAMES, last - first + 1)).round().astype(int)).tolist(),
+    ]
+    try:
+        for frame in frames:
+            scene.frame_set(frame)
+            graph = bpy.context.evaluated_depsgraph_get()
+            camera = camera_object.camera_from_object(scene.camera.evaluated_get(graph), scene)
+            if camera.key not in seen:
+                seen.add(camera.key)
+                yield camera
+    finally:
+        scene.frame_set(now)
+
+
+def _standing(scene: bpy.types.Scene) -> Iterator[Camera]:
+    """The other cameras of the scene, as they are now: those that were placed too, those of photographs
+    not."""
+    for obj in sorted(scene.objects, key=lambda obj: obj.name):
+        if (
+            obj.type == "CAMERA"
+            and obj != scene.camera
+            and obj.data.type in ("PERSP", "ORTHO")
+            and (PLACED in obj.data or camera_object.SIZE not in obj.data)
+        ):
+            yield camera_object.camera_from_object(obj, scene)

@@ -1,0 +1,159 @@
+"""Blender's dependency graph -> the Gaussians of all splats, and cameras.
+
+One splat alone is drawn in its own coordinates, by a camera that is moved there. Several splats, or one that
+is stretched or mirrored, are transformed into world coordinates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import bpy
+import numpy as np
+from bpy.app.translations import pgettext_iface as tr
+from mathutils import Matrix
+
+from ...svrgs_addon.render.meshes import Surface, Triangles, surface
+from ...svrgs_addon.render.thinning import Thinning
+from ...svrgs_addon.scene.affine import UNIFORM, stretch, transformed
+from ...svrgs_addon.scene.camera import Camera
+from ...svrgs_addon.scene.gaussians import Scene
+from ...svrgs_addon.scene.merge import merged
+from ...svrgs_addon.system.errors import SceneError
+from ...svrgs_addon.views.lens import camera_of_projection
+from . import camera_object, quick_order, splat_object
+
+REMOVED = "removed"  # attribute: marks Gaussians that pruning would remove; they are not drawn
+HIDE_MODIFIER = "SVR-GS Removed"  # the modifier that hides marked Gaussians, and its node group
+
+Read = Callable[[bpy.types.Object], Scene]
+
+
+@dataclass(frozen=True)
+class PlacedScene:
+    """The Gaussians of one picture, and where they are in Blender's world."""
+
+    scene: Scene
+    matrix: Matrix  # from the scene's coordinates to Blender's world: no shear, no mirroring
+
+    @cached_property
+    def thinning(self) -> Thinning:
+        """What coarse pictures draw. For the thread that draws."""
+        return Thinning(self.scene)
+
+    @property
+    def unit(self) -> float:
+        """Length of one unit of the scene in Blender's world."""
+        return abs(self.matrix.to_3x3().determinant()) ** (1 / 3)
+
+    def seen_by(self, camera: Camera) -> Camera:
+        """The camera, given in Blender's world, in the scene's coordinates."""
+        return camera.moved(self.matrix)
+
+    def hidden_by(self, triangles: Triangles, camera: Camera) -> Surface | None:
+        """The triangles as the camera (in Blender's world) sees them; depths in units of the scene. None if
+        there are none."""
+        found = surface(triangles, camera)
+        return found and found.scaled(1 / self.unit)
+
+
+def visible_scene(obj: bpy.types.Object) -> Scene:
+    """The Gaussians of a splat that are not marked as removed; of a quick result, those that the slider Keep
+    shows."""
+    return quick_order.shown(obj.original) or splat_object.scene_from_object(obj).select(visible_rows(obj))
+
+
+def visible_rows(obj: bpy.types.Object) -> np.ndarray:
+    """Rows of the Gaussians that are not marked as removed."""
+    removed = splat_object.values(obj, REMOVED)
+    return np.flatnonzero(removed == 0) if removed is not None else np.arange(splat_object.count(obj))
+
+
+def splats(depsgraph: bpy.types.Depsgraph, read: Read = visible_scene) -> PlacedScene | None:
+    """All splats that the graph shows, with modifiers applied; None if there is none.
+
+    read: from an evaluated object to its Gaussians. Raises SceneError.
+    """
+    found = [(read(obj), matrix) for obj, matrix in placed_splats(depsgraph)]
+    return placed(found) if found else None
+
+
+def placed_splats(depsgraph: bpy.types.Depsgraph) -> Iterator[tuple[bpy.types.Object, Matrix]]:
+    """Every evaluated splat that the graph shows, with its matrix. Blender frees these objects soon: use them
+    at once."""
+    return (
+        (i.object, i.matrix_world.copy()) for i in _instances(depsgraph) if splat_object.is_splat(i.object)
+    )
+
+
+def shown_by(depsgraph: bpy.types.Depsgraph, obj: bpy.types.Object) -> list[tuple[Scene, Matrix]]:
+    """What the graph shows of a splat: it and its instances, with modifiers and without removed Gaussians,
+    and their matrices to the world."""
+    mine = (
+        i
+        for i in _instances(depsgraph)
+        if obj in (i.object.original, i.parent.original if i.is_instance and i.parent else None)
+    )
+    return [(visible_scene(i.object), i.matrix_world.copy()) for i in mine if splat_object.is_splat(i.object)]
+
+
+def splats_in_view(context: bpy.types.Context) -> Iterator[tuple[bpy.types.Object, Matrix]]:
+    """Every evaluated splat that a viewport shows, with its matrix; also instances. Blender frees these
+    objects soon: use them at once."""
+    graph, space = context.view_layer.depsgraph, context.space_data
+    for obj in context.view_layer.objects:
+        if splat_object.is_splat(obj) and obj.visible_get(viewport=space):
+            evaluated = obj.evaluated_get(graph)
+            if splat_object.is_splat(evaluated):  # nodes may have made instances of it, and left nothing else
+                yield evaluated, obj.matrix_world.copy()
+    if any(_may_instance(obj) for obj in bpy.data.objects):  # the loop over all instances is slow
+        for i in graph.object_instances:
+            if (
+                i.is_instance
+                and i.show_self
+                and splat_object.is_splat(i.object)
+                and i.parent.original.visible_get(viewport=space)
+            ):
+                yield i.object, i.matrix_world.copy()
+
+
+def _may_instance(obj: bpy.types.Object) -> bool:
+    """Whether the object can show other objects or geometry in several places."""
+    return obj.instance_type != "NONE" or any(
+        modifier.type == "NODES" and modifier.name != HIDE_MODIFIER for modifier in obj.modifiers
+    )
+
+
+def placed(scenes: list[tuple[Scene, Matrix]]) -> PlacedScene:
+    """One picture of scenes with their matrices to Blender's world; see the top of this file. Raises
+    SceneError."""
+    scene, matrix = scenes[0]
+    if len(scenes) == 1 and matrix.determinant() > 0 and stretch(matrix) - 1 <= UNIFORM:
+        return PlacedScene(scene, matrix)
+    return PlacedScene(merged([transformed(scene, np.array(matrix)) for scene, matrix in scenes]), Matrix())
+
+
+def camera(depsgraph: bpy.types.Depsgraph, override: bpy.types.Object | None = None) -> bpy.types.Object:
+    """The evaluated camera of the render. Raises SceneError."""
+    obj = override or depsgraph.scene.camera
+    if obj is None:
+        raise SceneError(
+            tr("the scene has no camera: add one, or make one the scene's camera (Ctrl Numpad 0)")
+        )
+    return obj.evaluated_get(depsgraph)
+
+
+def region_camera(region: bpy.types.Region, view: bpy.types.RegionView3D) -> Camera:
+    """The view of a 3D viewport, in Blender's world."""
+    return camera_of_projection(
+        view.window_matrix,
+        camera_object.FLIP @ np.array(view.view_matrix, np.float64),
+        region.width,
+        region.height,
+    )
+
+
+def _instances(depsgraph: bpy.types.Depsgraph) -> Iterator:
+    return (instance for instance in depsgraph.object_instances if instance.show_self)

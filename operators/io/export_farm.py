@@ -1,0 +1,147 @@
+"""Export Farm Job: the selected splats and the settings of step 2 as a folder, whose tasks the machines of a
+farm do (`svrgs farm`)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import bpy
+from bpy.app.translations import pgettext_iface as tr
+from bpy.props import BoolProperty, StringProperty
+
+from ...svrgs_addon.files.registry import FORMATS, write_scene
+from ...svrgs_addon.jobs.farm.farm_job import (
+    CAPTURES,
+    OWN,
+    FarmJob,
+    Task,
+    common_folder,
+    refuse_folder,
+    refuse_same_names,
+    relative,
+)
+from ...svrgs_addon.jobs.job_folder import CAMERAS
+from ...svrgs_addon.system import subprocess_python
+from ...svrgs_addon.system.errors import SceneError
+from ...svrgs_addon.system.memory import size_text
+from ...svrgs_addon.views.cameras_json import write_cameras_json
+from ..data import splat_object
+from ..data.child_work import ChildWork, redraw_panels
+from ..data.native_check import native_problem
+from ..data.reporting import ReportingOperator
+from ..jobs import depths, goals
+from ..jobs.job import given_views, options_of
+from .export_space import selected_splats
+
+_lines: list[str] = []  # what the panel says on the last export
+_answers: list[tuple[Path, int, dict]] = []  # folder, exit status and result of `svrgs farm files`
+
+
+def lines() -> list[str]:
+    """The lines of the panel on the last export."""
+    return list(_lines)
+
+
+class SVRGS_OT_export_farm_job(ReportingOperator):
+    bl_idname = "svrgs.export_farm_job"
+    bl_label = "Export Farm Job"
+    bl_description = (
+        "Write the selected splats and the settings of step 2 into a folder, as a job for a farm: for Open"
+        " Job Description, Deadline Cloud and Flamenco. Photographs stay where they are"
+    )
+    bl_options = {"REGISTER"}
+
+    directory: StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE"})
+    filter_folder: BoolProperty(default=True, options={"HIDDEN"})
+
+    @classmethod
+    def poll(cls, context):
+        problem = native_problem() or depths.problem(context) or goals.problem(context.scene.svrgs_prune)
+        problem = problem or ("" if selected_splats(context) else tr("Select a Gaussian splat first"))
+        if problem:
+            cls.poll_message_set(problem)
+        return not problem
+
+    def invoke(self, context, event):
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def work(self, context) -> str:
+        folder = Path(bpy.path.abspath(self.directory))
+        refuse_folder(folder)
+        if context.scene.svrgs_prune.use_time:
+            raise SceneError(
+                tr("A time limit is for one machine: switch it off under Advanced, and set the steps")
+            )
+        # before one is written over another
+        refuse_same_names([bpy.path.clean_name(obj.name) for obj in selected_splats(context)])
+        tasks = [_task(context, obj, folder / CAPTURES) for obj in selected_splats(context)]
+        _job(folder, tasks).write()
+        _lines[:] = [tr("Exporting a farm job to {folder} …").format(folder=folder)]
+        _child_work.start(_complete, folder)
+        redraw_panels()
+        return "; ".join(_lines)
+
+
+def _task(context, obj: bpy.types.Object, captures: Path) -> Task:
+    """Writes the splat, and the cameras of the file that count, into the folder. Returns the task that prunes
+    it."""
+    name, cameras = bpy.path.clean_name(obj.name), given_views(context, obj)
+    options = {key: value for key, value in options_of(context, obj).items() if key != "threads"}
+    splat, beside = (f"{name}{end}" for end in (FORMATS[0].suffixes[0], f"_{CAMERAS}"))
+    write_scene(captures / splat, splat_object.scene_from_object(obj))
+    if cameras:
+        write_cameras_json(captures / beside, cameras)
+        options["cameras"] = f"{OWN}{CAPTURES}/{beside}"
+    return Task(name, f"{OWN}{CAPTURES}/{splat}", options)
+
+
+def _job(folder: Path, tasks: list[Task]) -> FarmJob:
+    """The job, with datasets relative to the folder that holds all of them: that of a worker may have another
+    name."""
+    root = (
+        common_folder([Path(task.options["colmap"]) for task in tasks if task.options.get("colmap")])
+        or folder / CAPTURES
+    )
+    return FarmJob(folder, root, tuple(replace(task, options=_within(root, task.options)) for task in tasks))
+
+
+def _within(root: Path, options: dict[str, Any]) -> dict[str, Any]:
+    return options | {"colmap": relative(root, Path(options["colmap"]))} if options.get("colmap") else options
+
+
+def _complete(folder: Path):
+    """In a thread, which must not use bpy. The child process reads the datasets, to know what a task
+    needs."""
+    _answers.append((folder, *subprocess_python.run(["farm", "files", str(folder), "--json"])))
+
+
+def _finished():
+    while _answers:
+        folder, status, result = _answers.pop()
+        failed = result.get("error") or tr("the export ended with status {status}").format(status=status)
+        done = tr("Tasks: {count:,}. Memory of each: up to {memory}. Folder: {folder}")
+        _lines[:] = [
+            (
+                failed
+                if status
+                else done.format(count=result["tasks"], memory=size_text(result["memory"]), folder=folder)
+            )
+        ]
+    redraw_panels()
+
+
+_child_work = ChildWork(done=_finished)
+
+
+def register():
+    bpy.utils.register_class(SVRGS_OT_export_farm_job)
+
+
+def unregister():
+    bpy.utils.unregister_class(SVRGS_OT_export_farm_job)
+    _child_work.close()
+    _lines.clear()
+    _answers.clear()

@@ -1,0 +1,146 @@
+"""File > Export: writes the active splat into a file: what is seen of it, or all that is stored.
+
+A splat that was neither edited nor moved since its import is exported byte for byte.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+from bpy.app.translations import pgettext_iface as tr
+from bpy.props import EnumProperty, FloatProperty, StringProperty
+from bpy_extras.io_utils import ExportHelper
+
+from ...svrgs_addon.files.registry import (
+    FORMATS,
+    format_to_write,
+    left_out,
+    menu_label,
+    split_name,
+    suffixes,
+    write_scene,
+)
+from ...svrgs_addon.files.splat_format import SplatFormat
+from ...svrgs_addon.system.errors import SplatError
+from ..data import splat_object
+from ..data.splat_size import size_in
+from ..jobs import job_result
+from .export_space import KINDS, ExportSpace
+
+
+class SVRGS_OT_export_ply(bpy.types.Operator, ExportHelper, ExportSpace):
+    bl_idname = "svrgs.export_ply"
+    bl_label = "Export 3D Gaussian Splat"
+    bl_description = "Write the active splat into a 3DGS file, as it is seen"
+    bl_options = {"REGISTER", "PRESET"}
+
+    filename_ext = suffixes(written=True)[0]
+    kind: EnumProperty(
+        name="Format", description="Format of the file. It gives the name its suffix", items=KINDS
+    )
+    version: EnumProperty(
+        name="Version",
+        description="Version of the format",
+        items=[
+            ("4", "4", "The newest version"),
+            ("3", "3", "For programs that do not read version 4 yet"),
+            ("2", "2", "For programs that do not read version 3 yet"),
+        ],
+    )
+    quantise: FloatProperty(
+        name="SH Error",
+        description=(
+            "Factor on the error in colours that depend on the view. Above 1 for smaller files, below 1 for"
+            " more exact ones"
+        ),
+        default=1.0,
+        min=0.1,
+        max=10.0,
+    )
+    filter_glob: StringProperty(
+        default=";".join(f"*{suffix}" for suffix in suffixes(written=True)), options={"HIDDEN"}
+    )
+
+    @classmethod
+    def poll(cls, context):
+        if splat_object.is_splat(context.object):
+            return True
+        cls.poll_message_set(tr("Select a Gaussian splat first"))
+        return False
+
+    def invoke(self, context, event):
+        if not self.properties.is_property_set("filepath"):
+            self.filepath = str(default_path(context.object))
+        self.check(context)
+        return super().invoke(context, event)
+
+    def check(self, context):
+        """Gives the name the suffix of the format. Returns whether it had another one."""
+        wanted = _format(self.kind).suffixes[0]
+        path = Path(self.filepath)
+        name, suffix = split_name(path)
+        if suffix.lower() == wanted:
+            return False
+        self.filepath = str(path.with_name((name if suffix.lower() in suffixes() else path.name) + wanted))
+        return True
+
+    def draw(self, context):
+        self.layout.use_property_split = True
+        self.layout.prop(self, "kind")
+        obj = context.object
+        hidden = job_result.marked_count(obj) if self.what == "SEEN" else 0
+        splat_format = _format(self.kind)
+        if splat_format.versions:
+            self.layout.prop(self, "version")
+        if splat_format.quantises and splat_object.sh_degree(obj):
+            self.layout.prop(self, "quantise")
+        if foreseen := size_in(obj, splat_object.count(obj) - hidden, self.kind, self.quantise):
+            self.layout.label(text=foreseen)
+        self.draw_space(self.layout)
+
+    def execute(self, context):
+        obj, path = context.object, Path(bpy.path.abspath(self.filepath))
+        try:
+            scene, dropped = self.chosen(context, obj)
+            splat_format = format_to_write(path)
+            version, quantise = (
+                int(self.version) if splat_format.versions else 0,
+                self.quantise if splat_format.quantises else 1.0,
+            )
+            write_scene(path, scene, version, quantise)
+        except SplatError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        texts = [
+            tr("Exported {count:,} Gaussians to {file}, {size:.1f} MB").format(
+                count=scene.count, file=path.name, size=path.stat().st_size / 1e6
+            )
+        ]
+        lost = left_out(scene, splat_format)
+        self.report({"WARNING" if lost else "INFO"}, "; ".join([*texts, *self.left_out(obj, dropped), *lost]))
+        return {"FINISHED"}
+
+
+def _format(kind: str) -> SplatFormat:
+    return next(one for one in FORMATS if one.name == kind)
+
+
+def default_path(obj: bpy.types.Object) -> Path:
+    """A file beside the .blend file, with the name of the splat."""
+    folder = Path(bpy.data.filepath).parent if bpy.data.filepath else Path()
+    return folder / (bpy.path.clean_name(obj.name) + suffixes(written=True)[0])
+
+
+def menu(self, context):
+    self.layout.operator(SVRGS_OT_export_ply.bl_idname, text=menu_label(written=True))
+
+
+def register():
+    bpy.utils.register_class(SVRGS_OT_export_ply)
+    bpy.types.TOPBAR_MT_file_export.append(menu)
+
+
+def unregister():
+    bpy.types.TOPBAR_MT_file_export.remove(menu)
+    bpy.utils.unregister_class(SVRGS_OT_export_ply)

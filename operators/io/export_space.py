@@ -1,0 +1,141 @@
+"""What an export writes of a splat, and in which coordinates: properties that the operators of export
+share."""
+
+from __future__ import annotations
+
+import bpy
+from bpy.app.translations import pgettext_iface as tr
+from bpy.props import BoolProperty, EnumProperty
+
+from ...svrgs_addon.files.registry import FORMATS
+from ...svrgs_addon.files.repair import drop_nonfinite
+from ...svrgs_addon.scene.affine import UNIFORM, stretch, transformed
+from ...svrgs_addon.scene.gaussians import Scene
+from ...svrgs_addon.scene.merge import joined
+from ...svrgs_addon.system.errors import SceneError
+from ..data import splat_object, visible_splats
+from ..jobs import job_result
+from ..scene.splat_transforms import stretch_warning
+from ..translation import OWN
+
+WHAT_FOR = {  # by the names of the formats
+    "ply": "Every value as it is. All programs read it",
+    "compressed-ply": "A quarter of the size. Read by SuperSplat, PlayCanvas and Brush",
+    "spz": "A tenth of the size. Read by many programs and by web viewers",
+    "glb": "Every value as it is, in a scene file. Read by glTF programs that know splats",
+    "glb-spz": "A tenth of the size, in a scene file. A draft of a standard, which few programs read yet",
+    "usd": (
+        "Every value as it is, in a stage. Read by Blender 5.3, Omniverse and other programs that know splats"
+    ),
+    "sog": "A fifteenth of the size. Read by SuperSplat and PlayCanvas",
+    "streamed-sog": "A folder for each splat with all levels, which web viewers load as they need them",
+    "splat": "Colours that do not depend on the view. Read by web viewers",
+}
+KINDS = [(one.name, one.label, WHAT_FOR[one.name]) for one in FORMATS if one.write and one.suffixes]
+
+
+def selected_splats(context) -> list[bpy.types.Object]:
+    return [obj for obj in context.selected_objects if splat_object.is_splat(obj)]
+
+
+class ExportSpace:
+    """Base class of the operators that export splats: the choice of the Gaussians and of the coordinates."""
+
+    what: EnumProperty(
+        name="Gaussians",
+        description="Gaussians to write",
+        items=[
+            (
+                "SEEN",
+                "As Seen",
+                (
+                    "What the viewport shows of the splat: with its modifiers and instances, without"
+                    " Gaussians that are hidden as removed"
+                ),
+            ),
+            (
+                "STORED",
+                "All Stored",
+                "All Gaussians of the splat, also those hidden as removed, without modifiers",
+            ),
+        ],
+    )
+    space: EnumProperty(
+        name="Coordinates",
+        translation_context=OWN,
+        description="Coordinates of the file",
+        items=[
+            (
+                "FILE",
+                "Imported File",
+                (
+                    "Those of the imported file or of the dataset. What was moved, rotated or scaled since"
+                    " then is moved in the file"
+                ),
+            ),
+            ("LOCAL", "Local", "Those of the object. Its location, rotation and scale are left out"),
+            ("WORLD", "World", "Those of Blender's world"),
+        ],
+    )
+    y_down: BoolProperty(
+        name="Y-Down File",
+        default=True,
+        description="World coordinates with y down, as in 3DGS files. Off: z up, as in Blender",
+    )
+
+    def draw_space(self, layout):
+        layout.prop(self, "what")
+        layout.prop(self, "space")
+        row = layout.row()
+        row.active = self.space == "WORLD"
+        row.prop(self, "y_down")
+
+    def chosen(self, context, obj: bpy.types.Object) -> tuple[Scene, int]:
+        """The Gaussians in the coordinates of the file, and how many with values that are not finite were
+        left out. Raises SplatError."""
+        parts = gaussians(context, obj, self.what == "SEEN")
+        matrices = [self.to_space(obj, matrix) for _, matrix in parts]
+        if any(stretch(matrix) - 1 > 10 * UNIFORM for matrix in matrices):
+            self.report({"WARNING"}, stretch_warning(obj))  # type: ignore[attr-defined]  # of the operator
+        placed = [transformed(scene, matrix) for (scene, _), matrix in zip(parts, matrices, strict=True)]
+        return drop_nonfinite(joined(placed) if len(placed) > 1 else placed[0])
+
+    def to_space(self, obj: bpy.types.Object, matrix):
+        """(4, 4) from the object's coordinates to those of the file. matrix: from them to Blender's world."""
+        if self.space == "FILE":
+            return splat_object.to_file(obj, matrix)
+        return (
+            splat_object.to_world(matrix, self.y_down)
+            if self.space == "WORLD"
+            else splat_object.in_local(obj, matrix)
+        )
+
+    def left_out(self, obj: bpy.types.Object, dropped: int) -> list[str]:
+        """What the file does not hold, in words."""
+        hidden = job_result.marked_count(obj) if self.what == "SEEN" else 0
+        texts = [tr("without {count:,} hidden as removed").format(count=hidden)] if hidden else []
+        return (
+            [*texts, tr("without {count:,} with values that are not finite").format(count=dropped)]
+            if dropped
+            else texts
+        )
+
+
+def gaussians(context, obj: bpy.types.Object, seen: bool) -> list:
+    """[(Scene, matrix to Blender's world)] of a splat: what the viewport shows of it, or all that is stored.
+    Raises SceneError."""
+    if not seen:
+        return [(splat_object.scene_from_object(obj), obj.matrix_world)]
+    parts = visible_splats.shown_by(context.evaluated_depsgraph_get(), obj) if obj.mode != "EDIT" else []
+    if parts:
+        return parts
+    if any(
+        modifier.show_viewport and modifier.name != visible_splats.HIDE_MODIFIER for modifier in obj.modifiers
+    ):
+        text = tr(
+            "Blender does not apply the modifiers of '{name}' in Edit Mode or while it is hidden: show it, or"
+            " export All Stored"
+        )
+        raise SceneError(text.format(name=obj.name))
+    scene = splat_object.scene_from_object(obj) if obj.mode == "EDIT" else visible_splats.visible_scene(obj)
+    return [(scene, obj.matrix_world)]

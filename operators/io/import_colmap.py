@@ -1,0 +1,213 @@
+"""File > Import > Cameras and Photographs: cameras with their photographs, and the sparse points.
+
+Cameras and points become children of an empty, the root, together with the splat that is active. The root
+takes the place of the splat, so moving the root moves all. It is turned until the photographs stand upright;
+the numbers of splat and cameras stay.
+
+A camera stores the size and the pixel aspect of its photograph and gives them to the scene when it becomes
+the scene's camera (active_camera.py).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+from bpy.app.translations import pgettext_iface as tr
+from bpy.props import BoolProperty, StringProperty
+
+from ...svrgs_addon.system.errors import SplatError
+from ...svrgs_addon.views.posed_photos import PosedPhotos, read_in_child
+from ..data import camera_object, splat_object
+from ..data.framing import level
+from ..data.select import select
+from ..scene import dataset_paths
+from ..scene.frame import frame
+from ..translation import OWN
+from . import undistort
+
+
+class SVRGS_OT_import_colmap(bpy.types.Operator):
+    bl_idname = "svrgs.import_colmap"
+    bl_label = "Import Cameras"
+    bl_description = (
+        "Import the cameras, photographs and sparse points of a dataset of COLMAP or transforms.json. They"
+        " are placed with the active splat"
+    )
+    bl_options = {"REGISTER", "UNDO", "PRESET"}
+
+    directory: StringProperty(
+        name="Dataset",
+        subtype="DIR_PATH",
+        description="Folder of the dataset. It holds the photographs, and a COLMAP model or transforms.json",
+    )
+    filter_folder: BoolProperty(default=True, options={"HIDDEN", "SKIP_SAVE"})
+    images: StringProperty(
+        name="Images", description="Name of the image folder in the dataset, such as images_4. Empty: images"
+    )
+    photographs: BoolProperty(
+        name="Photographs", default=True, description="Show each photograph as the background of its camera"
+    )
+    undistorted: StringProperty(
+        name="Undistorted",
+        description=(
+            "Folder for undistorted copies of photographs with lens distortion. Empty: images_undistorted in"
+            " the dataset"
+        ),
+    )
+    points: BoolProperty(
+        name="Sparse Points",
+        default=True,
+        description="Import the sparse points as a mesh. It is hidden at first",
+    )
+    level: BoolProperty(
+        name="Level",
+        translation_context=OWN,
+        default=True,
+        description=(
+            "Turn cameras and splat upright, as the photographs say. What you have moved already stays as"
+            " it is"
+        ),
+    )
+    frame: BoolProperty(
+        name="Frame",
+        translation_context=OWN,
+        default=True,
+        description="Turn the 3D viewports to the splat, or to the cameras if there is none",
+    )
+
+    def execute(self, context):
+        folder = Path(bpy.path.abspath(self.directory))
+        try:
+            photos = read_in_child(folder, self.images)
+        except SplatError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        active = context.object if splat_object.is_splat(context.object) else None
+        root, cameras = self.add_objects(context, folder.absolute(), photos)
+        levelled = level(root, photos.cameras) if self.level else ""
+        splat = active if splat_object.root_of(active) == root else None
+        select(context, [splat or root])
+        if self.frame:
+            frame(context, [splat or root])
+        undistort.begin(photos.warnings, root)
+        if self.photographs:
+            self.show_photographs(folder, cameras, photos)
+        if problems := undistort.problems():
+            self.report({"WARNING"}, problems)
+        self.report(
+            {"INFO"},
+            "; ".join(filter(None, [*self.done(context, cameras, photos), joined(active, splat), levelled])),
+        )
+        return {"FINISHED"}
+
+    def done(self, context, cameras: list[bpy.types.Object], photos: PosedPhotos) -> list[str]:
+        """What was imported, in words."""
+        shown, (done, total) = sum(bool(obj.data.background_images) for obj in cameras), undistort.progress()
+        parts = [
+            tr("Imported {cameras:,} cameras and {photographs:,} photographs").format(
+                cameras=len(cameras), photographs=shown
+            )
+        ]
+        parts += (
+            [tr("{count:,} photographs are being undistorted first").format(count=total - done)]
+            if total > done
+            else []
+        )
+        parts += (
+            [tr("{count:,} sparse points, hidden").format(count=len(photos.points))] if self.points else []
+        )
+        render, text = context.scene.render, tr("the scene's camera is now '{name}', {width} x {height}")
+        return [
+            *parts,
+            text.format(
+                name=context.scene.camera.name, width=render.resolution_x, height=render.resolution_y
+            ),
+        ]
+
+    def show_photographs(self, folder: Path, cameras: list[bpy.types.Object], photos: PosedPhotos):
+        """Gives cameras their photographs as backgrounds; starts undistorting where that is needed."""
+        for obj, file in zip(cameras, photos.files, strict=True):
+            undistort.show(obj, file)
+        if photos.distorted:
+            undistorted = (
+                Path(bpy.path.abspath(self.undistorted))
+                if self.undistorted
+                else folder / dataset_paths.UNDISTORTED
+            )
+            undistort.start(cameras, folder, self.images, undistorted, photos.distorted)
+
+    def add_objects(
+        self, context, folder: Path, photos: PosedPhotos
+    ) -> tuple[bpy.types.Object, list[bpy.types.Object]]:
+        """Adds points and cameras below a root. Returns root and cameras; the first becomes the scene's
+        camera."""
+        name = folder.name
+        collection = bpy.data.collections.new(name)
+        context.collection.children.link(collection)
+        root, points = root_for(context.object, folder, collection), []
+        root[splat_object.DATASET], root[splat_object.IMAGES] = dataset_paths.stored(str(folder)), self.images
+        root[splat_object.POINTS] = len(photos.points)
+        if self.points and len(photos.points):
+            points.append(
+                splat_object.points_object(f"{name} points", photos.points, photos.point_colors, collection)
+            )
+        cameras = [
+            camera_object.new_camera(camera, photos.extent or 1.0, collection) for camera in photos.cameras
+        ]
+        for obj in points + cameras:
+            obj.parent = root
+        context.scene.camera = cameras[0]
+        camera_object.apply_camera_size(context.scene)
+        context.view_layer.update()
+        for obj in points:
+            obj.hide_set(True)  # they would cover the splat, and without one they are black
+        return root, cameras
+
+    def invoke(self, context, event):
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+
+def joined(active: bpy.types.Object | None, splat: bpy.types.Object | None) -> str:
+    """What became of the active splat, in words. splat: the one that the cameras were joined to."""
+    if splat is not None:
+        return tr("joined to '{name}'").format(name=splat.name)
+    return (
+        tr("'{name}' keeps the cameras of another dataset").format(name=active.name)
+        if active is not None
+        else ""
+    )
+
+
+def root_for(
+    obj: bpy.types.Object | None, folder: Path, collection: bpy.types.Collection
+) -> bpy.types.Object:
+    """The root above the object, if it has no cameras of another dataset; a new root in its place if it is a
+    splat without one; else a new root with z up."""
+    root = splat_object.root_of(obj)
+    if root is not None and dataset_paths.dataset_of_root(root) in ("", dataset_paths.absolute(str(folder))):
+        return root
+    if root is not None or obj is None or not splat_object.is_splat(obj):
+        return splat_object.new_root(folder.name, collection)
+    root = splat_object.new_root(folder.name, collection, obj.matrix_world)
+    splat_object.parent_to_root(obj, root)
+    return root
+
+
+def menu(self, context):
+    self.layout.operator(
+        SVRGS_OT_import_colmap.bl_idname, text="Cameras and Photographs (COLMAP, transforms.json)"
+    )
+
+
+def register():
+    undistort.register()
+    bpy.utils.register_class(SVRGS_OT_import_colmap)
+    bpy.types.TOPBAR_MT_file_import.append(menu)
+
+
+def unregister():
+    bpy.types.TOPBAR_MT_file_import.remove(menu)
+    bpy.utils.unregister_class(SVRGS_OT_import_colmap)
+    undistort.unregister()

@@ -1,0 +1,144 @@
+"""File > Import: splat files, also by drag and drop. Each file becomes an object."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+from bpy.app.translations import pgettext_iface as tr
+from bpy.props import BoolProperty, CollectionProperty, StringProperty
+from bpy_extras.io_utils import ImportHelper
+from mathutils import Matrix
+
+from ...svrgs_addon.files.registry import (
+    INDEXES,
+    check_readable,
+    menu_label,
+    read_scene,
+    split_name,
+    suffixes,
+)
+from ...svrgs_addon.files.repair import bake_filter, drop_nonfinite
+from ...svrgs_addon.system.errors import SplatError
+from ..data import splat_object
+from ..data.select import select
+from ..scene.frame import frame
+from ..translation import OWN
+
+
+class SVRGS_OT_import_ply(bpy.types.Operator, ImportHelper):
+    bl_idname = "svrgs.import_ply"
+    bl_label = "Import 3D Gaussian Splat"
+    bl_description = "Import splat files. Each becomes an object of points that keeps every value of its file"
+    bl_options = {"REGISTER", "UNDO", "PRESET"}
+
+    filename_ext = suffixes()[0]
+    filter_glob: StringProperty(
+        default=";".join([*(f"*{suffix}" for suffix in suffixes()), *INDEXES]), options={"HIDDEN"}
+    )
+    directory: StringProperty(subtype="DIR_PATH", options={"HIDDEN", "SKIP_SAVE"})
+    files: CollectionProperty(type=bpy.types.OperatorFileListElement, options={"HIDDEN", "SKIP_SAVE"})
+    y_down: BoolProperty(
+        name="Turn Upright (Y-Down File)",
+        default=True,
+        description="The file's y axis points down, as in 3DGS files. The object is turned upright",
+    )
+    frame: BoolProperty(
+        name="Frame",
+        translation_context=OWN,
+        default=True,
+        description="Turn the 3D viewports to the splat. Gaussians far outside are not counted",
+    )
+
+    def execute(self, context):
+        paths, texts, objects = self.paths(), [], []
+        for path in paths:
+            try:
+                scene, filtered = bake_filter(read_scene(path))
+                scene, dropped = drop_nonfinite(scene)
+            except SplatError as error:
+                self.report({"ERROR" if len(paths) == 1 else "WARNING"}, str(error))
+                continue
+            objects.append(self.add(context, split_name(path)[0], scene))
+            root = splat_object.root_of(objects[-1])
+            texts.append(
+                tr("{file}: {count:,} Gaussians").format(file="".join(split_name(path)), count=scene.count)
+            )
+            texts += (
+                [tr("{count:,} with values that are not finite were left out").format(count=dropped)]
+                if dropped
+                else []
+            )
+            texts += [tr("3D filter of Mip-Splatting baked in")] if filtered else []
+            texts += (
+                [tr("joined to the cameras of '{name}'").format(name=root.name)] if root is not None else []
+            )
+        if not objects:
+            return {"CANCELLED"}
+        select(context, objects)
+        if self.frame:
+            frame(context, objects)
+        self.report({"INFO"}, tr("Imported {splats}").format(splats="; ".join(texts)))
+        return {"FINISHED"}
+
+    def add(self, context, name, scene) -> bpy.types.Object:
+        """Adds the splat as an object; with the cameras below one root if the active object belongs to a
+        dataset."""
+        obj = splat_object.object_from_scene(
+            name, scene, context.collection, splat_object.AXES if self.y_down else Matrix()
+        )
+        obj[splat_object.Y_DOWN] = self.y_down
+        root = splat_object.root_of(context.object)
+        if root is not None and self.y_down:
+            splat_object.parent_to_root(obj, root)
+        return obj
+
+    def paths(self) -> list[Path]:
+        folder = Path(bpy.path.abspath(self.directory))
+        return [folder / file.name for file in self.files if file.name] or [
+            Path(bpy.path.abspath(self.filepath))
+        ]
+
+    def invoke(self, context, event):
+        """Opens the file browser; for dropped files a dialog, or an error if one of them is not a splat."""
+        if self.properties.is_property_set("filepath"):
+            try:
+                for path in self.paths():
+                    check_readable(path)
+            except SplatError as error:
+                self.report({"ERROR"}, str(error))
+                return {"CANCELLED"}
+        return self.invoke_popup(context)
+
+
+class SVRGS_FH_ply(bpy.types.FileHandler):
+    """Drag and drop. Blender has a handler for .ply of its own, so it asks whether to import a mesh or a
+    splat."""
+
+    bl_idname = "SVRGS_FH_ply"
+    bl_label = "3D Gaussian Splat"
+    bl_import_operator = SVRGS_OT_import_ply.bl_idname
+    bl_file_extensions = ";".join(suffixes())
+
+    @classmethod
+    def poll_drop(cls, context):
+        return context.area is not None and context.area.type in {"VIEW_3D", "OUTLINER"}
+
+
+def menu(self, context):
+    self.layout.operator(SVRGS_OT_import_ply.bl_idname, text=menu_label())
+
+
+CLASSES = (SVRGS_OT_import_ply, SVRGS_FH_ply)
+
+
+def register():
+    for cls in CLASSES:
+        bpy.utils.register_class(cls)
+    bpy.types.TOPBAR_MT_file_import.append(menu)
+
+
+def unregister():
+    bpy.types.TOPBAR_MT_file_import.remove(menu)
+    for cls in reversed(CLASSES):
+        bpy.utils.unregister_class(cls)

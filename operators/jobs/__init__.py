@@ -1,0 +1,1 @@
+"""Jobs of pruning and training: settings, start, queue, progress, result."""

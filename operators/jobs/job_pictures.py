@@ -1,0 +1,57 @@
+"""Icons for the panel of a running job: a plot of its metrics, and its newest preview image. They are not
+saved with the file."""
+
+from __future__ import annotations
+
+import bpy
+import bpy.utils.previews
+
+from ...svrgs_addon.jobs import job_plot
+from ...svrgs_addon.jobs.job_folder import JobFolder
+
+_pictures: list = []  # one preview collection, while the extension is enabled
+_drawn: dict[str, tuple] = {}  # by folder: (number of points, total) of the last plot
+_shown: dict[str, str] = {}  # by folder: file of the newest preview image, its key in the collection
+
+
+def redraw(folder: JobFolder):
+    """Updates the plot if there are new metrics, and loads a new preview image."""
+    metrics, total = folder.metrics(), folder.state().get("total", 0)
+    key, plotted = str(folder.path), (len(metrics["iteration"]), total)
+    if plotted[0] and _drawn.get(key) != plotted:
+        preview = _pictures[0][key] if key in _pictures[0] else _pictures[0].new(key)
+        preview.image_size = (job_plot.SIDE, job_plot.SIDE)
+        preview.image_pixels_float.foreach_set(job_plot.draw(metrics, total).reshape(-1))
+        _drawn[key] = plotted
+    newest = folder.newest_preview()
+    if newest is not None and _shown.get(key) != str(newest):
+        if key in _shown:
+            del _pictures[0][_shown[key]]
+        _shown[key] = str(newest)
+        preview = _pictures[0].load(str(newest), str(newest), "IMAGE", force_reload=True)
+        # reads the file now; else Blender would show a waiting symbol first
+        _ = preview.image_size[:], preview.icon_size[:]
+
+
+def plot_icon(folder: JobFolder) -> int:
+    """Icon id of the plot; 0 if there is none yet."""
+    return _icon(str(folder.path))
+
+
+def preview_icon(folder: JobFolder) -> int:
+    """Icon id of the newest preview image; 0 if there is none yet."""
+    return _icon(_shown.get(str(folder.path), ""))
+
+
+def _icon(key: str) -> int:
+    return _pictures[0][key].icon_id if _pictures and key in _pictures[0] else 0
+
+
+def register():
+    _pictures.append(bpy.utils.previews.new())
+
+
+def unregister():
+    bpy.utils.previews.remove(_pictures.pop())
+    _drawn.clear()
+    _shown.clear()

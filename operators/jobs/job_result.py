@@ -1,0 +1,332 @@
+"""The result of a finished job in the scene: the original, with its removed Gaussians marked, and the pruned
+splat beside it.
+
+Both store how the job ranked each Gaussian, so the slider Keep can show fewer or more at once. svrgs.apply
+deletes Gaussians of the pruned splat; only svrgs.discard deletes the original.
+
+Original and pruned splat know each other by object properties. After every change of the scene, the
+properties that name a deleted partner are removed, and the original of a deleted result is shown again. Its
+ranking stays, so an undo can join both again. A copy of either one stands alone.
+"""
+
+from __future__ import annotations
+
+import bpy
+from bpy.app.handlers import persistent
+from bpy.app.translations import pgettext_iface as tr
+
+from ...svrgs_addon.files.registry import read_scene
+from ...svrgs_addon.jobs.job_folder import JobFolder
+from ...svrgs_addon.prune.kept_share import BOUNDARY, lowest, merged, numbered
+from ...svrgs_addon.scene.affine import transformed
+from ...svrgs_addon.scene.gaussians import Scene
+from ...svrgs_addon.scene.moved_points import common_motion
+from ...svrgs_addon.system.errors import SceneError
+from ..data import quick_order, splat_object
+from ..data.pairs import ORIGINAL, PRUNED, join, original_of, pruned_of
+from ..data.visibility import set_hidden
+from ..data.visible_splats import HIDE_MODIFIER, REMOVED
+
+SCORE, ROW, PROBABILITY = "svrgs:score", "svrgs:row", "svrgs:probability"  # attributes, as is REMOVED
+MERGED = "svrgs_merged"  # property of a pruned splat until Apply: it has merged Gaussians, and no ranking
+KEPT = "svrgs_kept"  # property of a pruned splat until Apply: the number of Gaussians that the job kept
+PSNR = "svrgs_psnr"  # property of the pruned splat: dB on the test photographs before and after
+OWN_PSNR = "svrgs_own_psnr"  # property of the pruned splat: dB against pictures of the original
+NOTES = "svrgs_result_notes"  # property of the pruned splat until Apply: sentences on the result, a line each
+
+
+def load(context, obj: bpy.types.Object, folder: JobFolder) -> bpy.types.Object:
+    """Adds the pruned splat beside `obj`, marks in `obj` what the job removed, and hides it. Raises
+    SceneError, FormatError."""
+    recovered, total = read_scene(folder / "pruned.ply"), folder.request()["count"]
+    if splat_object.count(obj) != total:
+        text = tr(
+            "'{name}' has {now:,} Gaussians, but {before:,} when the job began: undo the edit, then load the"
+            " result"
+        )
+        raise SceneError(text.format(name=obj.name, now=splat_object.count(obj), before=total))
+    if folder.merged:
+        return _load_merged(obj, recovered, folder)
+    kept, score = folder.arrays()
+    probability = folder.probability()
+    if recovered.count != kept.sum():
+        raise SceneError(
+            tr("{file}: does not belong to this job's other files").format(file=folder / "pruned.ply")
+        )
+    pruned = _beside(obj, recovered, folder)
+    rows = numbered(len(kept))
+    for target, chosen in ((obj, slice(None)), (pruned, kept)):
+        splat_object.set_values(target, SCORE, "FLOAT", score[chosen])
+        splat_object.set_values(target, ROW, "INT", rows[chosen])
+        if probability is not None:
+            splat_object.set_values(target, PROBABILITY, "FLOAT", probability[chosen])
+        _hide_removed(target)
+    join(obj, pruned)
+    pruned[KEPT] = int(kept.sum())
+    show(pruned, pruned[KEPT])
+    return pruned
+
+
+def _load_merged(obj: bpy.types.Object, recovered: Scene, folder: JobFolder) -> bpy.types.Object:
+    """As load(), of a job that merged Gaussians: they have no place in a ranking of the original's, so
+    nothing is marked in it."""
+    pruned = _beside(obj, recovered, folder)
+    join(obj, pruned)
+    pruned[KEPT], pruned[MERGED], pruned[quick_order.JOB] = recovered.count, True, folder.path.name
+    set_hidden(obj, True)
+    set_hidden(pruned, False)
+    quick_order.read_ahead(folder)
+    return pruned
+
+
+def _beside(obj: bpy.types.Object, recovered: Scene, folder: JobFolder) -> bpy.types.Object:
+    """A copy of `obj` with the recovered Gaussians, moved as its points were since the job began. Raises
+    SceneError."""
+    motion = common_motion(
+        read_scene(folder / "scene.ply").means, splat_object.stored_values(obj, "position")
+    )
+    if motion is None:
+        raise SceneError(
+            tr(
+                "points of '{name}' were moved since the job began: undo the edit, then load the result"
+            ).format(name=obj.name)
+        )
+    recovered = transformed(recovered, motion)
+    _make_room(obj)
+    return splat_object.copy_with(obj, f"{obj.name} pruned", recovered)
+
+
+def _make_room(original: bpy.types.Object):
+    """For a new result: an earlier one that was applied becomes a splat of its own, hidden; any other is
+    deleted."""
+    former = pruned_of(original)
+    if undecided(former):
+        discard_result(original)
+    elif former is not None:
+        former.pop(ORIGINAL, None)
+        original.pop(PRUNED, None)
+        set_hidden(former, True)
+    # earlier versions left it when a result was applied; with it, the original would look undecided
+    original.pop(KEPT, None)
+
+
+def settle(original: bpy.types.Object | None, pruned: bpy.types.Object):
+    """After Apply: both are ordinary splats, and the pruned one is shown."""
+    for obj in filter(None, (original, pruned)):
+        unmark(obj)
+        set_hidden(obj, obj != pruned)
+    for name in (KEPT, PSNR, OWN_PSNR, NOTES, MERGED, quick_order.SHOWN, quick_order.JOB):
+        pruned.pop(name, None)
+
+
+def pair_of(obj: bpy.types.Object | None) -> tuple[bpy.types.Object | None, bpy.types.Object | None]:
+    """(original, pruned) if the object is one of a pair; None for a missing one. If it is one of two pairs:
+    that with an undecided result."""
+    if obj is None:
+        return None, None
+    pruned, original = pruned_of(obj), original_of(obj)
+    if undecided(obj) or (original is not None and not undecided(pruned)):
+        return original, obj
+    return (obj, pruned) if pruned is not None else (None, None)
+
+
+def undecided(pruned: bpy.types.Object | None) -> bool:
+    """Whether the splat is a result that was not applied yet."""
+    return (
+        pruned is not None
+        and KEPT in pruned
+        and (REMOVED in pruned.data.attributes or pruned.get(MERGED, False))
+    )
+
+
+def ranked(pruned: bpy.types.Object) -> bool:
+    """Whether the result has a ranking of the original's Gaussians, so that fewer or more can be shown. One
+    with merged Gaussians has none."""
+    return not pruned.get(MERGED, False)
+
+
+def has_slider(pruned: bpy.types.Object) -> bool:
+    """Whether fewer or more Gaussians can be shown: by a ranking, or by the order of a quick job."""
+    return ranked(pruned) or quick_order.available(pruned)
+
+
+def show(pruned: bpy.types.Object, count: int):
+    """Shows the `count` Gaussians with the highest rank and marks all others. Gaussians that the job had
+    removed look as in the original. A result without a ranking shows so many of its order, or all of its
+    own."""
+    if not ranked(pruned):
+        quick_order.show(pruned, count, pruned[KEPT])
+        return
+    original = original_of(pruned)
+    score = splat_object.stored_values(original or pruned, SCORE)
+    limit = lowest(score, count)
+    splat_object.set_values(pruned, REMOVED, "BOOLEAN", splat_object.stored_values(pruned, SCORE) < limit)
+    if original is None:
+        return
+    splat_object.set_values(original, REMOVED, "BOOLEAN", score < limit)
+    more = bool(limit <= BOUNDARY)
+    for obj, hidden in ((original, not more), (pruned, more)):
+        set_hidden(obj, hidden)
+
+
+def marked_count(obj: bpy.types.Object) -> int:
+    """Number of Gaussians of the splat that are marked as removed."""
+    removed = splat_object.values(obj, REMOVED)
+    return 0 if removed is None else int(removed.sum())
+
+
+def shown_count(pruned: bpy.types.Object) -> int:
+    """Number of Gaussians that Apply would keep."""
+    if not ranked(pruned):
+        return quick_order.count(pruned)
+    original = original_of(pruned)
+    return int((~splat_object.stored_values(original or pruned, REMOVED)).sum())
+
+
+def shown_gaussians(pruned: bpy.types.Object) -> Scene:
+    """The Gaussians that are not marked, in the original's order: recovered, or as in the original if the job
+    had removed them."""
+    if not ranked(pruned):
+        return quick_order.shown(pruned) or splat_object.scene_from_object(pruned)
+    original, scene = original_of(pruned), splat_object.scene_from_object(pruned)
+    left = ~splat_object.stored_values(pruned, REMOVED)
+    rows, scene = splat_object.stored_values(pruned, ROW)[left], scene.select(left)
+    if original is None:
+        return scene
+    back = ~splat_object.stored_values(original, REMOVED) & (
+        splat_object.stored_values(original, SCORE) <= BOUNDARY
+    )
+    if not back.any():
+        return scene
+    returned = transformed(
+        splat_object.scene_from_object(original).select(back), splat_object.between(original, pruned)
+    )
+    return merged(scene, rows, returned, splat_object.stored_values(original, ROW)[back])
+
+
+def unmark(obj: bpy.types.Object):
+    """Makes the object an ordinary splat again, with all its Gaussians shown."""
+    splat_object.remove_values(obj, REMOVED, SCORE, ROW, PROBABILITY)
+    _show_removed(obj)
+
+
+def _show_removed(obj: bpy.types.Object):
+    if HIDE_MODIFIER in obj.modifiers:
+        obj.modifiers.remove(obj.modifiers[HIDE_MODIFIER])
+
+
+def discard_result(original: bpy.types.Object):
+    """Deletes the result. The original is as it was before the job."""
+    pruned = pruned_of(original)
+    unmark(original)
+    set_hidden(original, False)
+    original.pop(PRUNED, None)
+    if pruned is not None:
+        splat_object.delete(pruned)
+
+
+def discard_original(original: bpy.types.Object, pruned: bpy.types.Object):
+    """Deletes the original of an applied result. If it was itself pruned from another splat, that one becomes
+    the original."""
+    first = original_of(original)
+    splat_object.delete(original)
+    if first is not None:
+        first[PRUNED], pruned[ORIGINAL] = pruned, first
+
+
+def _hide_removed(obj: bpy.types.Object):
+    if HIDE_MODIFIER not in obj.modifiers:
+        obj.modifiers.new(HIDE_MODIFIER, "NODES").node_group = (
+            bpy.data.node_groups.get(HIDE_MODIFIER) or _hide_nodes()
+        )
+
+
+def _hide_nodes() -> bpy.types.NodeTree:
+    """A new node group that deletes the points marked as removed."""
+    group = bpy.data.node_groups.new(HIDE_MODIFIER, "GeometryNodeTree")
+    for direction in ("INPUT", "OUTPUT"):
+        group.interface.new_socket("Geometry", in_out=direction, socket_type="NodeSocketGeometry")
+    nodes = group.nodes
+    given, marked, delete, out = (
+        nodes.new(kind)
+        for kind in (
+            "NodeGroupInput",
+            "GeometryNodeInputNamedAttribute",
+            "GeometryNodeDeleteGeometry",
+            "NodeGroupOutput",
+        )
+    )
+    marked.data_type, delete.domain = "BOOLEAN", "POINT"
+    marked.inputs["Name"].default_value = REMOVED
+    attribute = next(socket for socket in marked.outputs if socket.enabled and socket.name == "Attribute")
+    for place, node in enumerate((given, marked, delete, out)):
+        node.location = 200 * place, 0
+    group.links.new(given.outputs[0], delete.inputs["Geometry"])
+    group.links.new(attribute, delete.inputs["Selection"])
+    group.links.new(delete.outputs[0], out.inputs[0])
+    return group
+
+
+# --- after the user deletes, copies or undoes
+
+
+@persistent
+def _after_update(scene, *_):
+    """Checks all pairs: see the top of this file."""
+    for obj in scene.objects:
+        if PRUNED in obj and not obj.library:
+            _check_original(obj)
+        if ORIGINAL in obj and not obj.library:
+            _check_pruned(obj)
+
+
+def _check_original(obj: bpy.types.Object):
+    pruned = pruned_of(obj)
+    owner = original_of(pruned) if pruned is not None else None
+    if pruned is None:
+        _free_original(obj)
+    elif owner is None:
+        pruned[ORIGINAL] = obj
+    elif owner != obj:  # a copy
+        _free_original(obj, owner.data)
+
+
+def _check_pruned(obj: bpy.types.Object):
+    original = original_of(obj)
+    if original is None or pruned_of(original) not in (None, obj):
+        del obj[ORIGINAL]
+    elif undecided(obj) and pruned_of(original) is None:
+        _rejoin(original, obj)
+
+
+def _free_original(original: bpy.types.Object, shared=None):
+    """Makes the original independent and shows it. Its ranking stays, for an undo. shared: data whose marks
+    another object needs."""
+    del original[PRUNED]
+    if original.data != shared:
+        splat_object.remove_values(original, REMOVED)
+    _show_removed(original)
+    set_hidden(original, False)
+
+
+def _rejoin(original: bpy.types.Object, pruned: bpy.types.Object):
+    """Joins a pair again after an undo."""
+    if not ranked(pruned):
+        original[PRUNED] = pruned
+        set_hidden(original, True)
+        return
+    score = splat_object.values(original, SCORE)
+    if score is None or (score > BOUNDARY).sum() != pruned[KEPT]:  # the original has been edited since
+        del pruned[ORIGINAL]
+        return
+    original[PRUNED] = pruned
+    _hide_removed(original)
+    show(pruned, round(pruned.svrgs_share / 100 * splat_object.count(original)))
+
+
+def register():
+    bpy.app.handlers.depsgraph_update_post.append(_after_update)
+
+
+def unregister():
+    bpy.app.handlers.depsgraph_update_post.remove(_after_update)

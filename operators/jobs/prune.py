@@ -1,0 +1,266 @@
+"""The operator svrgs.prune, for scripts: runs `svrgs prune` in a child process and waits for it.
+
+With a window the result appears in the scene. Without one (`blender -b`) it is also written into a file:
+Blender does not save the scene. The button Prune of the panel is svrgs.job_start in job.py, which does not
+wait.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from pathlib import Path
+
+import bpy
+from bpy.app.translations import pgettext_iface as tr
+from bpy.props import BoolProperty, StringProperty
+
+from ...svrgs_addon.cli.batch_list import default_output
+from ...svrgs_addon.files.registry import format_to_write, read_scene, write_scene
+from ...svrgs_addon.system import subprocess_python
+from ...svrgs_addon.system.errors import SplatError
+from ..data import edit_guard, splat_object
+from ..data.option_properties import RELATIVE, method_property, option_property
+from ..data.preferences import threads
+from ..data.select import select
+from ..data.visibility import set_hidden
+from . import job_result
+
+BACKGROUND = bpy.app.background
+
+
+class SVRGS_OT_prune(bpy.types.Operator):
+    bl_idname = "svrgs.prune"
+    bl_label = "Prune Splat"
+    bl_description = (
+        "Remove the Gaussians that the photographs do not need, then recover the quality. Without"
+        " photographs, the splat's own pictures take their place. The original stays, hidden"
+    )
+    bl_options = {"REGISTER", "UNDO"}
+
+    scene: StringProperty(
+        name="Scene",
+        subtype="FILE_PATH",
+        options=RELATIVE,
+        description="Splat file to prune. Empty: the active splat",
+    )
+    colmap: option_property(
+        "colmap",
+        name="Dataset",
+        options=RELATIVE,
+        description=(
+            "Dataset: photographs, and a COLMAP model or transforms.json. Empty: the dataset of the imported"
+            " cameras"
+        ),
+    )
+    images: option_property("images")
+    out: StringProperty(
+        name="Output",
+        subtype="FILE_PATH",
+        options=RELATIVE,
+        description=(
+            "File for the pruned splat, which is also added to the scene. Empty: no file, or NAME_pruned.ply"
+            " in background mode"
+        ),
+    )
+    overwrite: BoolProperty(name="Overwrite", description="Replace the output if it exists")
+    report_folder: StringProperty(
+        name="Report",
+        subtype="DIR_PATH",
+        options=RELATIVE,
+        description="Folder for an HTML report. Empty: no report",
+    )
+    method: method_property()
+    lambda_f: option_property(
+        "lambda_f",
+        name="λ_F",
+        soft_min=1e-5,
+        soft_max=1e-3,
+        precision=5,
+        description="Strength of pruning; a higher λ_F keeps fewer Gaussians. 0: the method's default",
+    )
+    target: option_property(
+        "target", subtype="FACTOR", description="Share of the Gaussians to keep. 0: the method decides"
+    )
+    target_count: option_property(
+        "target_count", min=0, description="Number of Gaussians to keep. 0: the method decides"
+    )
+    max_drop: option_property(
+        "max_drop",
+        precision=2,
+        description="PSNR in dB that may be lost, instead of a target. 0: no such limit",
+    )
+    time: option_property(
+        "time", description="Seconds that the job may take, in place of numbers of steps. 0: no limit"
+    )
+    iterations: option_property("iterations")
+    recovery: option_property("recovery")
+    seed: option_property("seed")
+    quick: option_property(
+        "quick",
+        description=(
+            "Remove and merge within seconds, on the splat's own pictures instead of photographs. It needs a"
+            " target"
+        ),
+    )
+    cameras: option_property(
+        "cameras",
+        subtype="FILE_PATH",
+        options=RELATIVE,
+        description=(
+            "Without photographs, a file of views that matter besides the placed ones: cameras.json of 3DGS,"
+            " or transforms.json"
+        ),
+    )
+    seen_from_only: option_property(
+        "seen_from_only",
+        description="Only what the views of Cameras show counts: what they do not see may be removed",
+    )
+
+    @classmethod
+    def poll(cls, context):
+        if context.mode == "OBJECT":
+            return True
+        cls.poll_message_set(tr("Leave Edit Mode first"))
+        return False
+
+    def execute(self, context):
+        source = None if self.scene else context.object
+        try:
+            with tempfile.TemporaryDirectory(dir=bpy.app.tempdir) as temp_dir:
+                result, pruned = self.prune(source, Path(temp_dir), threads(context))
+        except SplatError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        if source is not None:
+            obj = splat_object.copy_with(source, f"{source.name} pruned", pruned)
+        else:
+            obj = splat_object.object_from_scene(
+                f"{Path(self.scene).stem} pruned", pruned, context.collection
+            )
+        if source is not None:
+            job_result.join(source, obj)
+            set_hidden(source, True)
+            set_hidden(obj, False)
+        select(context, [obj])
+        before, psnr = result["before"], [figures.get("psnr") for figures in (result["before"], result)]
+        texts = [
+            tr("Kept {kept:,} of {count:,} Gaussians").format(kept=result["count"], count=before["count"])
+        ]
+        # null: identical images
+        texts += (
+            [tr("PSNR changed by {difference:+.2f} dB").format(difference=psnr[1] - psnr[0])]
+            if None not in psnr
+            else []
+        )
+        self.report({"INFO"}, ". ".join([*texts, *result["notes"]]))
+        return {"FINISHED"}
+
+    def prune(self, source: bpy.types.Object | None, temp_dir: Path, threads: int):
+        """(the JSON result, the pruned scene). Prints the result as one line, as `svrgs prune --json` does.
+
+        In it, `scene` is the .blend if the active splat was pruned, and `out` is null if no file was written.
+        """
+        scene = origin = absolute(self.scene)
+        if source is not None or not self.scene:
+            gaussians = splat_object.scene_from_object(source)  # raises SceneError if there is no splat
+            if problem := edit_guard.problem(bpy.context, source):
+                raise SplatError(problem)
+            scene, origin = str(temp_dir / "scene.ply"), bpy.data.filepath
+        out = self.output(source)
+        if source is not None:
+            write_scene(scene, gaussians)
+        written = out or temp_dir / "pruned.ply"
+        status, result = subprocess_python.run(
+            ["prune", scene, "--out", str(written), *self.arguments(source), "--threads", str(threads)]
+        )
+        if status or "count" not in result:
+            raise SplatError(
+                result.get("error", tr("pruning ended with status {status}").format(status=status))
+            )
+        print(json.dumps(result | {"scene": origin or None, "out": str(out) if out else None}), flush=True)
+        return result, read_scene(written)
+
+    def output(self, source: bpy.types.Object | None) -> Path | None:
+        """The file to write; None: none. Raises SplatError if there is no place for it, and if it exists and
+        may not be replaced."""
+        if self.out:
+            out = Path(absolute(self.out))
+            if out.is_dir():
+                raise SplatError(tr("{file}: is a folder; give the name of a file").format(file=out))
+            format_to_write(out)
+        elif not BACKGROUND:
+            return None
+        elif source is None:
+            out = default_output(Path(absolute(self.scene)), "out=")
+        elif bpy.data.filepath:
+            out = default_output(Path(bpy.data.filepath).with_name(bpy.path.clean_name(source.name)), "out=")
+        else:
+            raise SplatError(
+                tr(
+                    "name a file for the result with out=: in background mode it lies beside the .blend, and"
+                    " this one has not been saved"
+                )
+            )
+        if out.exists() and not self.overwrite:
+            raise SplatError(
+                tr("{file}: exists; name another output with out=, or replace it with overwrite=True").format(
+                    file=out
+                )
+            )
+        return out
+
+    def arguments(self, source: bpy.types.Object | None) -> list[str]:
+        """The options of `svrgs prune`: those of the operator, and the dataset that was imported with the
+        splat."""
+        root = splat_object.root_of(source) or {}
+        colmap, images = (
+            (self.colmap, self.images)
+            if self.colmap
+            else (root.get(splat_object.DATASET, ""), self.images or root.get(splat_object.IMAGES, ""))
+        )
+        given = {
+            "--colmap": absolute(colmap), "--images": images, "--report": absolute(self.report_folder),
+            "--lambda-f": self.lambda_f, "--target": self.target, "--target-count": self.target_count,
+            "--max-drop": self.max_drop, "--time": self.time, "--cameras": absolute(self.cameras),
+        }  # fmt: skip
+        options = [str(word) for name, value in given.items() if value for word in (name, value)]
+        options += [
+            flag
+            for flag, chosen in (("--quick", self.quick), ("--seen-from-only", self.seen_from_only))
+            if chosen
+        ]
+        more = [
+            name
+            for name in ("iterations", "recovery")
+            if not (self.time or self.quick) or self.properties.is_property_set(name)
+        ]
+        more += ["method"] if colmap or self.properties.is_property_set("method") else []
+        return [
+            *options,
+            *(f"--{name}={getattr(self, name)}" for name in (*more, "seed")),
+            "--quiet",
+            "--json",
+        ]
+
+
+def absolute(path: str) -> str:
+    """The absolute path; empty stays empty. Raises SplatError for a path that begins with // while the .blend
+    is not saved."""
+    if path.startswith("//") and not bpy.data.filepath:
+        raise SplatError(
+            tr(
+                "{path}: begins at the folder of the .blend, which has not been saved; save it, or give the"
+                " whole path"
+            ).format(path=path)
+        )
+    return os.path.abspath(bpy.path.abspath(path)) if path else ""
+
+
+def register():
+    bpy.utils.register_class(SVRGS_OT_prune)
+
+
+def unregister():
+    bpy.utils.unregister_class(SVRGS_OT_prune)

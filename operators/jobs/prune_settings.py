@@ -1,0 +1,162 @@
+"""Settings of the prune panel: scene.svrgs_prune, saved with the scene, and Object.svrgs_share, how much of a
+result is shown."""
+
+from __future__ import annotations
+
+import math
+
+import bpy
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
+
+from ...svrgs_addon.prune.options import MIN_CONTRIBUTION
+from ..data import splat_object, views_of_file
+from ..data.devices import DEVICES
+from ..data.option_properties import (
+    RELATIVE,
+    limited_time_property,
+    method_choice_property,
+    method_property,
+    option_property,
+    time_property,
+)
+from ..translation import OWN
+from . import depths, goals, job_result
+
+WEAKEST, STRONGEST = -5.0, -3.0  # ends of the slider Strength: powers of ten of λ_F
+
+
+def _get_lambda(settings) -> float:
+    return 10**settings.strength
+
+
+def _set_lambda(settings, value: float):
+    settings.strength = math.log10(value)
+
+
+def _get_amount(settings) -> float:
+    return min(1.0, max(0.0, (settings.strength - WEAKEST) / (STRONGEST - WEAKEST)))
+
+
+def _set_amount(settings, value: float):
+    settings.strength = WEAKEST + value * (STRONGEST - WEAKEST)
+
+
+def _strength_changed(settings, context):
+    """Whoever sets λ_F wants it to count: a script need not set the goal."""
+    if settings.goal in goals.PRESETS:
+        settings.goal = "LAMBDA"
+
+
+def _share_changed(obj, context):
+    if job_result.undecided(obj):
+        job_result.show(
+            obj, round(obj.svrgs_share / 100 * splat_object.count(job_result.original_of(obj) or obj))
+        )
+
+
+class SVRGS_PG_prune(bpy.types.PropertyGroup):
+    colmap: option_property(
+        "colmap",
+        name="Dataset",
+        description=(
+            "Dataset: photographs, and a COLMAP model or transforms.json. Empty: the dataset of the imported"
+            " cameras"
+        ),
+    )
+    images: option_property("images")
+    depth: EnumProperty(
+        name="Depth", items=depths.ITEMS, get=depths.number_of, set=depths.choose,
+        description="How thoroughly the splat is pruned. Until you choose: on photographs if the splat has some, else quick",
+    )  # fmt: skip
+    views: EnumProperty(
+        name="Views", items=views_of_file.ITEMS, description="From where the splat's own pictures are taken"
+    )
+    depth_number: IntProperty(options={"HIDDEN"})  # of the item; 0: none was chosen
+    device: EnumProperty(
+        name="Device",
+        items=[(key, device.name, device.source) for key, device in DEVICES.items()],
+        description="Where the splat will be shown",
+    )
+    goal: EnumProperty(
+        name="Goal",
+        translation_context=OWN,
+        items=goals.ITEMS,
+        default="BALANCED",
+        description="What decides how many Gaussians stay",
+    )
+    strength: FloatProperty(
+        name="Power of λ_F", min=-7, max=0, default=-4, update=_strength_changed,
+        description="λ_F as a power of ten: -4 is 1e-4. A higher λ_F keeps fewer Gaussians",
+    )  # fmt: skip
+    amount: FloatProperty(
+        name="Strength", get=_get_amount, set=_set_amount, min=0, max=1, subtype="FACTOR", precision=2,
+        description="How strongly Gaussians are removed. 0 is λ_F = 1e-5, the middle 1e-4, 1 is 1e-3. More keeps fewer Gaussians",
+    )  # fmt: skip
+    lambda_f: FloatProperty(
+        name="Exact λ_F", get=_get_lambda, set=_set_lambda, min=1e-7, max=1, soft_min=1e-5, soft_max=1e-3, precision=6,
+        description="The λ_F of the goal Strength, as a number. A higher λ_F keeps fewer Gaussians",
+    )  # fmt: skip
+    share: FloatProperty(
+        name="Keep",
+        subtype="PERCENTAGE",
+        min=0.1,
+        max=100,
+        default=25,
+        description="Percentage of the Gaussians to keep",
+    )
+    count: IntProperty(name="Keep", min=1, default=100_000, description="Number of Gaussians to keep")
+    size: FloatProperty(
+        name="Size in MB",
+        min=0.001,
+        soft_max=500,
+        default=20,
+        precision=1,
+        description="Size of the pruned file in megabytes",
+    )
+    drop: FloatProperty(
+        name="Loss in dB", min=0.01, soft_max=3, default=0.3, precision=2,
+        description="PSNR in dB that may be lost, measured on some of the photographs that no step trains on. At least 5 % of the Gaussians stay",
+    )  # fmt: skip
+    use_time: limited_time_property()
+    time: time_property(default=60)
+    method: method_property()
+    method_choice: method_choice_property()
+    iterations: option_property("iterations", soft_max=30_000)
+    recovery: option_property("recovery", soft_max=30_000)
+    seed: option_property("seed")
+    holdout: option_property(
+        "holdout", name="Hold Out Every Nth Photo",
+        description="Every N-th photograph is not used for pruning: the quality is measured on it. 0: no photograph is held out",
+    )  # fmt: skip
+    min_contribution: option_property(
+        "min_contribution", name="Drop Below", default=MIN_CONTRIBUTION, precision=3,
+        description="Methods that learn masks first drop the Gaussians that cover less than this share of every pixel in every photograph",
+    )  # fmt: skip
+    visible_mask: option_property("visible_mask", name="Visible Part Only")
+    nested: BoolProperty(
+        name="Train Smaller Sizes",
+        description=(
+            "Also train smaller numbers of Gaussians, down to a tenth of the result, so that the slider Keep"
+            " shows a good picture at every position. The result as a whole loses 0.1 to 0.5 dB"
+        ),
+    )
+    views_by_loss: option_property("views_by_loss", name="Harder Views More Often")
+    folder: StringProperty(
+        name="Job Folder", subtype="DIR_PATH", options=RELATIVE,
+        description="Folder for the files of jobs. Empty: svrgs_jobs next to the .blend file; for an unsaved file, the extension's own folder",
+    )  # fmt: skip
+
+
+def register():
+    bpy.utils.register_class(SVRGS_PG_prune)
+    bpy.types.Scene.svrgs_prune = PointerProperty(type=SVRGS_PG_prune)
+    bpy.types.Object.svrgs_share = FloatProperty(
+        name="Keep", subtype="PERCENTAGE", min=0, max=100, update=_share_changed,
+        description="Percentage of the original's Gaussians that are shown. Apply keeps them",
+    )  # fmt: skip
+
+
+def unregister():
+    del bpy.types.Object.svrgs_share
+    del bpy.types.Scene.svrgs_prune
+    bpy.utils.unregister_class(SVRGS_PG_prune)

@@ -1,0 +1,138 @@
+"""Training of a splat from imported cameras, for a dataset that has none yet: a background job of their root.
+
+Progress, stop and resume are those of every job (job.py); the panel of step 2 shows them. The splat is placed
+below the root (train_result.py).
+"""
+
+from __future__ import annotations
+
+import bpy
+from bpy.app.translations import pgettext_iface as tr
+from bpy.props import IntProperty, PointerProperty, StringProperty
+
+from ...svrgs_addon.jobs.job_folder import JobFolder
+from ...svrgs_addon.jobs.job_process import Job
+from ...svrgs_addon.prune.options import ITERATIONS
+from ..data import camera_object, splat_object
+from ..data.native_check import native_problem
+from ..data.option_properties import limited_time_property, time_property
+from ..data.preferences import threads
+from ..data.reporting import ReportingOperator
+from ..scene import dataset_paths
+from . import job_queue
+from .job import new_folder
+from .job_watch import is_busy, is_resumable, job_of, link, start_timer
+
+QUICK = 7_000  # steps: a usable splat in a quarter of the time
+
+
+def root_to_train(context) -> bpy.types.Object | None:
+    """The root with a dataset that the active object belongs to, or the only one of the scene; None with a
+    splat or an own object active."""
+    if splat_object.is_splat(context.object):
+        return None
+    root = splat_object.root_of(context.object)
+    if root is not None:
+        return root if splat_object.DATASET in root else None
+    roots = [obj for obj in context.scene.objects if splat_object.ROOT in obj and splat_object.DATASET in obj]
+    return roots[0] if len(roots) == 1 else None
+
+
+def problem(context) -> str:
+    """Why no splat can be trained now; empty if it can."""
+    root = root_to_train(context)
+    if root is None:
+        return tr("Import cameras first, and select one of them")
+    job = job_of(root)
+    if job is not None and is_busy(job):
+        return job_queue.waiting_text(job) or tr("A job is running on these cameras")
+    if job is not None and is_resumable(job):
+        return tr("Resume or discard the job of these cameras first")
+    if context.mode != "OBJECT":
+        return tr("Leave Edit Mode first")
+    if root.get(splat_object.POINTS) == 0:
+        return tr(
+            "The dataset has no sparse points to start from: run COLMAP's mapper again, or export the sparse"
+            " points with the cameras"
+        )
+    return dataset_paths.lost(root) or native_problem()
+
+
+class SVRGS_OT_train(ReportingOperator):
+    bl_idname = "svrgs.train"
+    bl_label = "Train Splat"
+    bl_description = (
+        "Train a splat in the background from the photographs and the sparse points of the imported cameras."
+        " It is placed with the cameras"
+    )
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context):
+        found = problem(context)
+        if found:
+            cls.poll_message_set(found)
+        return not found
+
+    def work(self, context) -> str:
+        root, settings = root_to_train(context), context.scene.svrgs_train
+        assert root is not None
+        options = {
+            "colmap": dataset_paths.dataset_of_root(root), "images": root.get(splat_object.IMAGES, ""), "holdout": context.scene.svrgs_prune.holdout,
+            "threads": threads(context), **({"time": settings.time} if settings.use_time else {"iterations": settings.iterations}),
+        }  # fmt: skip
+        folder = JobFolder.create_training(new_folder(context, root.name), options, root.name)
+        link(root, str(folder.path))
+        waits = job_queue.start(Job(folder))
+        start_timer()
+        return waits or tr("Training a splat from the photographs of '{name}' in the background").format(
+            name=root.name
+        )
+
+
+def _about(_) -> str:
+    root = root_to_train(bpy.context)
+    job = job_of(root)
+    if root is None or (job is not None and (is_busy(job) or is_resumable(job))):
+        return ""
+    photographs = sum(
+        obj.type == "CAMERA" and camera_object.SIZE in obj.data for obj in root.children_recursive
+    )
+    points = root.get(splat_object.POINTS)
+    text = (
+        tr("'{name}': {photographs:,} photographs")
+        if points is None
+        else tr("'{name}': {photographs:,} photographs, {points:,} sparse points")
+    )
+    return text.format(name=root.name, photographs=photographs, points=points)
+
+
+def _problem(_) -> str:
+    return problem(bpy.context)
+
+
+class SVRGS_PG_train(bpy.types.PropertyGroup):
+    iterations: IntProperty(
+        name="Iterations", min=1, soft_max=ITERATIONS, default=QUICK,
+        description=f"Number of training steps. {QUICK:,} give a usable splat, {ITERATIONS:,} one as in papers",
+    )  # fmt: skip
+    use_time: limited_time_property()
+    time: time_property(default=600)
+    # what a splat would be trained from; empty if that makes no sense now
+    about: StringProperty(get=_about, options={"HIDDEN"})
+    problem: StringProperty(get=_problem, options={"HIDDEN"})
+
+
+CLASSES = (SVRGS_OT_train, SVRGS_PG_train)
+
+
+def register():
+    for cls in CLASSES:
+        bpy.utils.register_class(cls)
+    bpy.types.Scene.svrgs_train = PointerProperty(type=SVRGS_PG_train)
+
+
+def unregister():
+    del bpy.types.Scene.svrgs_train
+    for cls in reversed(CLASSES):
+        bpy.utils.unregister_class(cls)

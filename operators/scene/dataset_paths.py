@@ -1,0 +1,280 @@
+"""Where the dataset of a splat is, how its path is stored, and how it is found again.
+
+Paths are stored as Blender stores those of images: relative to the .blend file ("//…") where that is
+possible, unless the preference Relative Paths is off. Blender adjusts its own paths when a file is saved in
+another folder, but not properties of add-ons. So this is done here: of the datasets of roots and of the prune
+panel, of job folders, and of the folder that was chosen for new jobs.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+
+import bpy
+from bpy.app.handlers import persistent
+from bpy.app.translations import pgettext_iface as tr
+from bpy.props import BoolProperty, StringProperty
+
+from ...svrgs_addon.system.errors import SplatError
+from ...svrgs_addon.views.sources import find_cameras
+from ..data import camera_object, splat_object
+from ..data.job_paths import FOLDER, folder_of
+from ..data.option_properties import RELATIVE
+
+UNDISTORTED = "images_undistorted"  # folder of undistorted copies in a dataset
+
+# (writes the path, the absolute path, from it and a folder to what is stored)
+Place = tuple[Callable[[str], object], str, Callable[[str, str], str]]
+
+_saved: list[Place] = []  # between save_pre and save_post
+
+
+def dataset_of(context) -> tuple[str, str]:
+    """(dataset, name of its image folder) to prune with: the chosen one, or that of the cameras imported with
+    the splat. Absolute; '': none."""
+    settings, root = context.scene.svrgs_prune, splat_object.root_of(context.object)
+    if settings.colmap:
+        return absolute(settings.colmap), settings.images
+    return (
+        (dataset_of_root(root), settings.images or root.get(splat_object.IMAGES, ""))
+        if root is not None
+        else ("", settings.images)
+    )
+
+
+def dataset_of_job(context, splat: bpy.types.Object | None) -> str:
+    """Where the dataset of the splat's job may be now, if it was moved: that of its cameras, or the chosen
+    one; '' for a job without its splat.
+
+    Not the dataset of the active object, which may be of another scene.
+    """
+    if splat is None:
+        return ""
+    root, chosen = splat_object.root_of(splat), absolute(context.scene.svrgs_prune.colmap)
+    of_cameras = dataset_of_root(root) if root is not None else ""
+    return of_cameras if os.path.exists(of_cameras) else chosen
+
+
+def problem(context) -> str:
+    """Why there is no dataset to prune with, and what to do, in a sentence; '' if there is one."""
+    folder, _ = dataset_of(context)
+    if not folder:
+        return tr("Choose the dataset of the splat's photographs, or import its cameras in step 1")
+    if os.path.exists(folder):
+        return ""
+    return (
+        tr("There is no dataset {folder}: choose it again").format(folder=folder)
+        if context.scene.svrgs_prune.colmap
+        else lost(splat_object.root_of(context.object))
+    )
+
+
+def lost(root: bpy.types.Object | None) -> str:
+    """That the dataset of the imported cameras is not where it was, in a sentence; '' if it is there, or if
+    there is none."""
+    folder = dataset_of_root(root) if root is not None else ""
+    if root is None or not folder or os.path.exists(folder):
+        return ""
+    return tr(
+        "The photographs of '{name}' are not in {folder} any more: press Find Dataset in step 1"
+    ).format(name=root.name, folder=folder)
+
+
+def absolute(path: str, library: bpy.types.Library | None = None) -> str:
+    """The path without '//', '..' and a slash at its end; '' for ''. library: the file to which '//' refers,
+    if not the open one."""
+    return os.path.normpath(bpy.path.abspath(path, library=library)) if path else ""
+
+
+def dataset_of_root(root: bpy.types.Object) -> str:
+    """The dataset of a root; '' if it has none."""
+    return absolute(_text(root.get(splat_object.DATASET)), root.library)
+
+
+def _text(value: object) -> str:
+    return value if isinstance(value, str) else ""
+
+
+def stored(path: str, start: str = "") -> str:
+    """How an absolute path is stored. start: the folder of the .blend file, if not the present one."""
+    start = start or os.path.dirname(bpy.data.filepath)
+    if not start or not bpy.context.preferences.filepaths.use_relative_paths:
+        return path
+    try:
+        return bpy.path.relpath(path, start=start)
+    except ValueError:  # on another drive of Windows
+        return path
+
+
+# --- when the file is saved
+
+
+def _stored_below(path: str, start: str) -> str:
+    """A job's folder: relative only below the .blend file. Others, such as those in the extension's folder,
+    do not move with it."""
+    return stored(path, start) if Path(path).is_relative_to(start) else path
+
+
+def _places() -> Iterator[Place]:
+    """The paths that are stored in the file. In a file without a name, '//' means nothing yet: such paths are
+    left as they are."""
+    return (
+        (write, absolute(path), keep)
+        for write, path, keep in _all_paths()
+        if path and (bpy.data.filepath or not path.startswith("//"))
+    )
+
+
+def _all_paths() -> Iterator[Place]:
+    """As _places(), with the paths as they are stored."""
+    for obj in (obj for obj in bpy.data.objects if not obj.library):
+        yield partial(obj.__setitem__, splat_object.DATASET), _text(obj.get(splat_object.DATASET)), stored
+        yield partial(obj.__setitem__, FOLDER), folder_of(obj), _stored_below
+    for scene in (scene for scene in bpy.data.scenes if not scene.library):
+        settings = scene.svrgs_prune
+        yield partial(setattr, settings, "colmap"), settings.colmap, stored
+        yield (
+            partial(setattr, settings, "folder"),
+            settings.folder if settings.folder.startswith("//") else "",
+            stored,
+        )
+
+
+@persistent
+def _before_save(path: str = "", *_):
+    """Stores all paths relative to the file that is written, which may be another one than before."""
+    _saved[:] = _places()
+    for write, folder, keep in _saved if path else ():
+        write(keep(folder, os.path.dirname(os.path.abspath(path))))
+
+
+@persistent
+def _after_save(*_):
+    """After a copy was saved, or nothing: stores all paths relative to the file that is open."""
+    start = os.path.dirname(bpy.data.filepath)
+    for write, folder, keep in _saved:
+        write(keep(folder, start) if start else folder)
+    _saved.clear()
+
+
+# --- a dataset that was moved
+
+
+class SVRGS_OT_find_dataset(bpy.types.Operator):
+    bl_idname = "svrgs.find_dataset"
+    bl_label = "Find Dataset"
+    bl_description = (
+        "Choose the folder in which the dataset of these cameras is now. Their photographs are found again by"
+        " their file names"
+    )
+    bl_options = {"REGISTER", "UNDO"}
+
+    directory: StringProperty(
+        name="Dataset",
+        subtype="DIR_PATH",
+        description="Folder of the dataset. It holds the photographs and their poses",
+        options=RELATIVE,
+    )
+    filter_folder: BoolProperty(default=True, options={"HIDDEN", "SKIP_SAVE"})
+
+    @classmethod
+    def poll(cls, context):
+        root = splat_object.root_of(context.object)
+        if root is not None and dataset_of_root(root):
+            return True
+        cls.poll_message_set(tr("Select a splat or a camera of the dataset first"))
+        return False
+
+    def execute(self, context):
+        root, folder = splat_object.root_of(context.object), absolute(self.directory)
+        assert root is not None  # see poll
+        try:
+            find_cameras(Path(folder))
+            shown, found = find_photographs(root, folder)
+        except SplatError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        root[splat_object.DATASET] = stored(folder)
+        settings = context.scene.svrgs_prune
+        if settings.colmap and not os.path.exists(absolute(settings.colmap)):
+            settings.colmap = stored(folder)
+        text = tr("Found {found:,} of {count:,} photographs in {folder}")
+        self.report(
+            {"INFO"} if found == shown else {"WARNING"}, text.format(found=found, count=shown, folder=folder)
+        )
+        return {"FINISHED"}
+
+    def invoke(self, context, event):
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+
+def find_photographs(root: bpy.types.Object, folder: str) -> tuple[int, int]:
+    """Gives the cameras below the root the photographs in another folder of the dataset, by their file names.
+
+    Returns the number of photographs and how many were found. Raises SplatError if there are some and none
+    was found.
+    """
+    images = {}  # by image: its new file
+    for camera in (obj for obj in root.children_recursive if obj.type == "CAMERA"):
+        for image in (background.image for background in camera.data.background_images):
+            if image is not None and image.packed_file is None:
+                images[image] = _file_of(image, camera, root, folder)
+    found = {image: file for image, file in images.items() if file}
+    if images and not found:
+        text = tr(
+            "{folder}: holds none of the {count:,} photographs of '{name}'; choose the folder with its"
+            " photographs and their poses"
+        )
+        raise SplatError(text.format(folder=folder, count=len(images), name=root.name))
+    for image, file in found.items():
+        image.filepath = stored(file)
+    return len(images), len(found)
+
+
+def _file_of(image: bpy.types.Image, camera: bpy.types.Object, root: bpy.types.Object, folder: str) -> str:
+    """The file of the image in the folder of the dataset: the first that exists of several; all have the name
+    that it had. '': none."""
+    old, name = absolute(image.filepath), camera.data.get(camera_object.IMAGE, "")
+    tries = [
+        _beside(old, dataset_of_root(root)),
+        f"{root.get(splat_object.IMAGES) or 'images'}/{name}",
+        f"{UNDISTORTED}/{name}.png",
+    ]
+    tries += [
+        os.path.join(os.path.basename(os.path.dirname(old)), os.path.basename(old)),
+        os.path.basename(old),
+    ]
+    files = (
+        os.path.normpath(os.path.join(folder, path))
+        for path in tries
+        if path and os.path.basename(path) == os.path.basename(old)
+    )
+    return next((file for file in files if os.path.isfile(file)), "")
+
+
+def _beside(file: str, dataset: str) -> str:
+    """The place of the file seen from the dataset; '' on another drive."""
+    try:
+        return os.path.relpath(file, dataset)
+    except ValueError:
+        return ""
+
+
+HANDLERS = {"save_pre": _before_save, "save_post": _after_save, "save_post_fail": _after_save}
+
+
+def register():
+    bpy.utils.register_class(SVRGS_OT_find_dataset)
+    for event, handler in HANDLERS.items():
+        getattr(bpy.app.handlers, event).append(handler)
+
+
+def unregister():
+    for event, handler in HANDLERS.items():
+        getattr(bpy.app.handlers, event).remove(handler)
+    bpy.utils.unregister_class(SVRGS_OT_find_dataset)
+    _saved.clear()

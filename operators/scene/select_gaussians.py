@@ -1,0 +1,255 @@
+"""Select Gaussians by a criterion, delete the selected or all others, and clear the selection.
+
+The selection is an attribute of the splat (selection.py), so undo, copies and saved files keep it.
+"""
+
+from __future__ import annotations
+
+import math
+
+import bpy
+from bpy.app.translations import pgettext_iface as tr
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
+
+from ...svrgs_addon.native import library
+from ...svrgs_addon.prune.selection.options import Criteria
+from ...svrgs_addon.system.errors import SceneError
+from ..data import edit_guard, quick_order, selection, splat_object
+from ..data.preferences import threads
+from ..data.reporting import ReportingOperator
+from ..translation import OWN
+from .contribution import cameras_property, chosen_cameras, views
+
+MOST_VIEWS = 64  # views that are rendered, evenly spaced in the list
+CRITERIA = [
+    (
+        "BOX",
+        "Box",
+        "Centres inside the bounding box of an object, turned with it; an empty counts as a cube of its size",
+    ),
+    (
+        "SPHERE",
+        "Sphere",
+        (
+            "Centres inside the sphere or ellipsoid that fills the bounding box of an object; an empty counts"
+            " as a sphere of its size"
+        ),
+    ),
+    ("OPACITY", "Opacity", "Opacity in a range"),
+    ("SIZE", "Size", "Largest standard deviation in a range"),
+    ("CONTRIBUTION", "Contribution", "Those that add least to the images of the cameras"),
+    ("REMOVAL_ERROR", "Removal Error", "Those whose removal would change the images of the cameras least"),
+    ("SEEN", "Seen by Camera", "Those that a camera shows, in front of or through others"),
+    (
+        "FLOATERS",
+        "Floaters",
+        "Small groups apart from all others and, with at least 8 cameras, haze in front of the cameras",
+    ),
+    ("EDIT_MODE", "Edit Mode", "The points that are selected in Edit Mode"),
+]
+MODES = [
+    ("SET", "Set", "Select these only", "SELECT_SET", 0), ("EXTEND", "Extend", "Add these to the selection", "SELECT_EXTEND", 1),
+    ("SUBTRACT", "Subtract", "Remove these from the selection", "SELECT_SUBTRACT", 2),
+    ("INTERSECT", "Intersect", "Keep only these of the selection", "SELECT_INTERSECT", 3),
+]  # fmt: skip
+SHOWN = {  # properties that a criterion uses
+    "BOX": ("volume",), "SPHERE": ("volume",), "OPACITY": ("opacity_low", "opacity_high"), "SIZE": ("size_low", "size_high"),
+    "CONTRIBUTION": ("cameras", "share"), "REMOVAL_ERROR": ("cameras", "share"), "SEEN": ("cameras",), "FLOATERS": ("cameras",), "EDIT_MODE": (),
+}  # fmt: skip
+
+
+class SplatOperator(ReportingOperator):
+    """An operator on the active splat."""
+
+    @classmethod
+    def problem(cls, context) -> str:
+        """What the user must do first; empty if the operator can run on the active splat."""
+        if quick_order.is_shown(context.object):
+            return tr("Apply or discard the result first")
+        return edit_guard.problem(context, context.object)
+
+    @classmethod
+    def poll(cls, context):
+        problem = (
+            cls.problem(context)
+            if splat_object.is_splat(context.object)
+            else tr("Make a splat the active object first")
+        )
+        if problem:
+            cls.poll_message_set(problem)
+        return not problem
+
+
+class SVRGS_OT_select_gaussians(SplatOperator):
+    bl_idname = "svrgs.select_gaussians"
+    bl_label = "Select Gaussians"
+    bl_description = (
+        "Select Gaussians of the active splat by a criterion. The selection is stored as the attribute"
+        " 'svrgs:selected'"
+    )
+    bl_options = {"REGISTER", "UNDO"}
+
+    criterion: EnumProperty(
+        name="Criterion",
+        items=CRITERIA,
+        default="FLOATERS",
+        description="What decides which Gaussians are selected",
+    )
+    mode: EnumProperty(
+        name="Mode",
+        items=MODES,
+        translation_context=OWN,
+        description="What happens with the Gaussians that are selected already",
+    )
+    invert: BoolProperty(name="Invert", description="Take all Gaussians that do not fulfil the criterion")
+    volume: StringProperty(
+        name="Object",
+        description="The object that bounds the box or sphere. Empty: the other selected object",
+    )
+    opacity_low: FloatProperty(name="From", min=0, max=1, subtype="FACTOR", description="Lowest opacity")
+    opacity_high: FloatProperty(
+        name="To", min=0, max=1, default=0.1, subtype="FACTOR", description="Highest opacity"
+    )
+    size_low: FloatProperty(
+        name="From", min=0, default=0.1, precision=4, subtype="DISTANCE", description="Smallest size"
+    )
+    size_high: FloatProperty(
+        name="To", min=0, precision=4, subtype="DISTANCE", description="Largest size. 0: no limit"
+    )
+    share: FloatProperty(
+        name="Lowest",
+        min=0.01,
+        max=100,
+        default=20,
+        subtype="PERCENTAGE",
+        description="Percentage of the Gaussians, those with the lowest values",
+    )
+    cameras: cameras_property()
+
+    def draw(self, context):
+        layout = self.layout
+        layout.use_property_split = True
+        layout.prop(self, "criterion")
+        for name in SHOWN[self.criterion]:
+            if name == "volume":
+                layout.prop_search(self, name, context.scene, "objects")
+            else:
+                layout.prop(self, name)
+        layout.row().prop(self, "mode", expand=True)
+        layout.prop(self, "invert")
+
+    def work(self, context) -> str:
+        obj = context.object
+        library.set_threads(threads(context))
+        if self.criterion == "EDIT_MODE":
+            mask = selection.found_in_edit_mode(obj)
+        else:
+            volume = self.volume_object(context) if self.criterion in ("BOX", "SPHERE") else None
+            mask = selection.find(
+                obj, self.criteria(), lambda placed, named: self.views(context, placed, named), volume
+            )
+        count = selection.change(obj, mask, self.mode, self.invert)
+        show_selection(context, count > 0)
+        return tr("Selected {selected:,} of {count:,} Gaussians").format(
+            selected=count, count=splat_object.count(obj)
+        )
+
+    def criteria(self) -> Criteria:
+        """The criterion with its numbers."""
+        numbers = {
+            "BOX": ("box", selection.UNIT_BOX), "SPHERE": ("sphere", selection.UNIT_SPHERE),
+            "OPACITY": ("opacity", (self.opacity_low, self.opacity_high)), "SIZE": ("size", (self.size_low, self.size_high or math.inf)),
+            "CONTRIBUTION": ("lowest_contribution", self.share / 100), "REMOVAL_ERROR": ("lowest_removal_error", self.share / 100),
+            "SEEN": ("seen_by", "all"), "FLOATERS": ("floaters", True),
+        }  # fmt: skip
+        name, value = numbers[self.criterion]
+        return Criteria(**{name: value})
+
+    def volume_object(self, context) -> bpy.types.Object:
+        """The object that bounds the box or sphere. Raises SceneError if none is chosen."""
+        others = [obj for obj in context.selected_objects if obj != context.object]
+        found = (
+            context.scene.objects.get(self.volume) if self.volume else others[0] if len(others) == 1 else None
+        )
+        if found is None:
+            raise SceneError(
+                tr("choose the object that bounds the box or sphere, such as a cube around the Gaussians")
+            )
+        self.volume = found.name
+        return found
+
+    def views(self, context, placed, named: str) -> list:
+        """The views of the chosen cameras. named: empty if none is needed. Raises SceneError."""
+        cameras = chosen_cameras(context, self.cameras)
+        return (
+            views(context, cameras[:: max(1, -(-len(cameras) // MOST_VIEWS))], placed)
+            if named or cameras
+            else []
+        )
+
+
+class SVRGS_OT_delete_gaussians(SplatOperator):
+    bl_idname = "svrgs.delete_gaussians"
+    bl_label = "Delete Gaussians"
+    bl_description = "Delete the selected Gaussians of the active splat, or all others"
+    bl_options = {"REGISTER", "UNDO"}
+
+    what: EnumProperty(
+        name="What", description="The Gaussians to delete",
+        items=[("SELECTED", "Selected", "Delete the selected Gaussians"), ("OTHERS", "All Others", "Keep only the selected Gaussians")],
+    )  # fmt: skip
+
+    @classmethod
+    def problem(cls, context) -> str:
+        if problem := edit_guard.change_problem(context, [context.object]):
+            return problem
+        return "" if selection.SELECTED in context.object.data.attributes else tr("Select Gaussians first")
+
+    def work(self, context) -> str:
+        obj = context.object
+        before = splat_object.count(obj)
+        selection.delete(obj, self.what == "OTHERS")
+        show_selection(context, False)
+        return tr("Deleted {deleted:,} of {count:,} Gaussians").format(
+            deleted=before - splat_object.count(obj), count=before
+        )
+
+
+class SVRGS_OT_clear_selection(SplatOperator):
+    bl_idname = "svrgs.clear_selection"
+    bl_label = "Clear Selection"
+    bl_description = "Select no Gaussian of the active splat"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def problem(cls, context) -> str:
+        problem = edit_guard.problem(context, context.object)
+        return problem or (
+            "" if selection.SELECTED in context.object.data.attributes else tr("No Gaussian is selected")
+        )
+
+    def work(self, context) -> str:
+        obj = context.object
+        selection.clear(obj)
+        show_selection(context, False)
+        return tr("No Gaussian is selected")
+
+
+def show_selection(context, shown: bool):
+    """Solid viewports show the selection, or the colours again. Other values that they show stay."""
+    looking, colors = context.scene.svrgs_looking, ("COLOR", selection.SELECTED)
+    if looking.overlay_shown in colors:
+        looking.overlay_shown = colors[shown]
+
+
+CLASSES = (SVRGS_OT_select_gaussians, SVRGS_OT_delete_gaussians, SVRGS_OT_clear_selection)
+
+
+def register():
+    for cls in CLASSES:
+        bpy.utils.register_class(cls)
+
+
+def unregister():
+    for cls in reversed(CLASSES):
+        bpy.utils.unregister_class(cls)

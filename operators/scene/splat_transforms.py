@@ -1,0 +1,225 @@
+"""Apply Splat Transforms, Join Splats, and Write Shapes: the points, shapes and colours of splats change
+together.
+
+Blender's own Apply and Join move points only. A splat stores where its points were when its shapes were
+written. So whoever reads it gets shapes and colours that have followed the points
+(svrgs_addon/scene/attribute_layout.py); Write Shapes stores them.
+"""
+
+from __future__ import annotations
+
+import bpy
+from bpy.app.handlers import persistent
+from bpy.app.translations import pgettext_iface as tr
+from bpy.app.translations import pgettext_n as n_
+
+from ...svrgs_addon.scene.affine import UNIFORM, stretch, transformed
+from ...svrgs_addon.scene.merge import joined
+from ...svrgs_addon.system.errors import SceneError
+from ..data import edit_guard, splat_object
+from ..data.reporting import ReportingOperator
+from ..data.select import select
+
+
+def selected_splats(context) -> list[bpy.types.Object]:
+    """The selected splats, the active one first."""
+    splats = [obj for obj in context.selected_objects if splat_object.is_splat(obj)]
+    return sorted(splats, key=lambda obj: obj != context.object)
+
+
+def stretch_warning(obj: bpy.types.Object) -> str:
+    """What is not exact if the splat is written with another scale along each axis."""
+    text = tr(
+        "'{name}' is scaled differently along its axes: view-dependent colours are only rotated, and so not"
+        " exact"
+    )
+    return text.format(name=obj.name)
+
+
+class SplatsOperator(ReportingOperator):
+    """An operator on the selected splats, of which there must be `least`."""
+
+    least, poll_message = 1, n_("Select a Gaussian splat first")
+
+    @classmethod
+    def poll(cls, context):
+        splats = selected_splats(context)
+        problem = (
+            edit_guard.change_problem(context, splats) if len(splats) >= cls.least else tr(cls.poll_message)
+        )
+        if problem:
+            cls.poll_message_set(problem)
+        return not problem
+
+    def warn_if_stretched(self, obj: bpy.types.Object, matrix):
+        if stretch(matrix) - 1 > 10 * UNIFORM:
+            self.report({"WARNING"}, stretch_warning(obj))
+
+
+class SVRGS_OT_apply_transforms(SplatsOperator):
+    bl_idname = "svrgs.apply_transforms"
+    bl_label = "Apply Splat Transforms"
+    bl_description = (
+        "Write location, rotation and scale of the selected splats into positions, shapes and view-dependent"
+        " colours. Nothing seems to move"
+    )
+    bl_options = {"REGISTER", "UNDO"}
+
+    def work(self, context) -> str:
+        splats = selected_splats(context)
+        shared = next((obj for obj in splats if obj.data.users > 1), None)
+        if shared is not None:
+            text = tr(
+                "other objects share the Gaussians of '{name}': make them single-user first (Object >"
+                " Relations > Make Single User)"
+            )
+            raise SceneError(text.format(name=shared.name))
+        for obj in splats:
+            stretch(obj.matrix_world)  # raises SceneError if a scale is zero
+            self.warn_if_stretched(obj, obj.matrix_basis)
+            splat_object.record_positions(obj)
+        with context.temp_override(selected_editable_objects=splats, selected_objects=splats):
+            bpy.ops.object.transform_apply()
+        for obj in splats:
+            splat_object.write_gaussians(obj, splat_object.scene_from_object(obj))
+        return tr("Transforms applied. Splats: {count}").format(count=len(splats))
+
+
+class SVRGS_OT_join_splats(SplatsOperator):
+    bl_idname = "svrgs.join_splats"
+    bl_label = "Join Splats"
+    bl_description = (
+        "Join the selected splats into the active one. Positions, shapes and view-dependent colours keep"
+        " their places in the scene"
+    )
+    bl_options = {"REGISTER", "UNDO"}
+    least, poll_message = 2, n_("Select two Gaussian splats or more")
+
+    def work(self, context) -> str:
+        splats = selected_splats(context)
+        first, *others = splats
+        if len({splat_object.scene_from_object(obj).antialiased for obj in splats}) > 1:
+            raise SceneError(
+                tr(
+                    "some of these splats were trained with antialiasing and some were not: joined, one kind"
+                    " would be drawn wrongly"
+                )
+            )
+        scenes = []
+        for obj in splats:
+            matrix = splat_object.between(obj, first)
+            self.warn_if_stretched(obj, matrix)
+            scenes.append(transformed(splat_object.scene_from_object(obj), matrix))
+        result = joined(scenes)
+        splat_object.replace_gaussians(first, result)
+        for obj in others:
+            splat_object.delete(obj)
+        select(context, [first])
+        return tr("Joined {splats} splats: {count:,} Gaussians").format(
+            splats=len(splats), count=result.count
+        )
+
+
+class SVRGS_OT_write_shapes(SplatsOperator):
+    bl_idname = "svrgs.write_shapes"
+    bl_label = "Write Shapes"
+    bl_description = (
+        "Blender's Apply or Join has moved the points of this splat and not its shapes. SVR-GS draws, prunes"
+        " and exports the right shapes; this stores them, for Geometry Nodes and other add-ons"
+    )
+    bl_options = {"REGISTER", "UNDO"}
+
+    def work(self, context) -> str:
+        splats = selected_splats(context)
+        count = sum(moved_count(obj) for obj in splats)
+        for obj in splats:
+            if splat_object.count_moved(obj):
+                splat_object.write_gaussians(obj, splat_object.scene_from_object(obj))
+        _counts.clear()
+        return tr("Wrote the shapes of {count:,} Gaussians").format(count=count)
+
+
+# --- what Blender has moved
+
+# session_uid of a splat's data -> Gaussians whose points were moved without their shapes
+_counts: dict[int, int] = {}
+
+
+def moved_count(obj: bpy.types.Object | None) -> int:
+    """Number of Gaussians of the splat whose stored shapes do not belong to their points; 0 for other objects
+    and in Edit Mode."""
+    if obj is None or not splat_object.is_splat(obj) or obj.mode == "EDIT":
+        return 0
+    uid = obj.data.session_uid
+    if uid not in _counts:
+        _counts[uid] = splat_object.count_moved(obj)
+    return _counts[uid]
+
+
+@persistent
+def _after_update(scene, depsgraph=None):
+    """Forgets the counts of data that has changed; stores the positions of splats that this extension has not
+    made."""
+    for update in depsgraph.updates if depsgraph is not None else ():
+        if not isinstance(update.id, bpy.types.Object) or update.is_updated_geometry:
+            data = update.id.original.data if isinstance(update.id, bpy.types.Object) else update.id.original
+            _counts.pop(getattr(data, "session_uid", 0), None)
+    _record_positions(scene)
+
+
+def _record_positions(scene: bpy.types.Scene):
+    for obj in scene.objects:
+        if (
+            obj.type in splat_object.TYPES
+            and not obj.library
+            and not obj.data.library
+            and obj.mode != "EDIT"
+            and splat_object.is_splat(obj)
+        ):
+            splat_object.record_positions(obj)
+
+
+@persistent
+def _after_undo(*_):
+    _counts.clear()
+
+
+@persistent
+def _after_load(*_):
+    """Splats that Blender itself has imported have no stored positions."""
+    _counts.clear()
+    for scene in bpy.data.scenes:
+        _record_positions(scene)
+
+
+def object_menu(self, context):
+    if selected_splats(context):
+        self.layout.separator()
+        self.layout.operator(SVRGS_OT_apply_transforms.bl_idname)
+        self.layout.operator(SVRGS_OT_join_splats.bl_idname)
+
+
+CLASSES = (SVRGS_OT_apply_transforms, SVRGS_OT_join_splats, SVRGS_OT_write_shapes)
+HANDLERS = (
+    ("depsgraph_update_post", _after_update),
+    ("load_post", _after_load),
+    ("undo_post", _after_undo),
+    ("redo_post", _after_undo),
+)
+
+
+def register():
+    for cls in CLASSES:
+        bpy.utils.register_class(cls)
+    bpy.types.VIEW3D_MT_object.append(object_menu)
+    for event, handler in HANDLERS:
+        getattr(bpy.app.handlers, event).append(handler)
+
+
+def unregister():
+    for event, handler in HANDLERS:
+        getattr(bpy.app.handlers, event).remove(handler)
+    bpy.types.VIEW3D_MT_object.remove(object_menu)
+    _counts.clear()
+    for cls in reversed(CLASSES):
+        bpy.utils.unregister_class(cls)

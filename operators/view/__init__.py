@@ -1,0 +1,1 @@
+"""Pictures: viewports, the render engine, comparison, the spatial mask."""

@@ -1,0 +1,234 @@
+"""Compares original and pruned splat: images from a camera, and figures against its photograph."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import bpy
+from bpy.app.handlers import persistent
+from bpy.app.translations import pgettext_iface as tr
+
+from ...svrgs_addon.files.registry import file_size
+from ...svrgs_addon.native import library
+from ...svrgs_addon.native.rasterizer import Rasterizer
+from ...svrgs_addon.prune.report.pictures import contact_sheet, difference_image, to_uint8
+from ...svrgs_addon.render.metrics import flip, psnr, ssim
+from ...svrgs_addon.render.metrics.evaluate import picture_options, rounded_to_8_bits
+from ...svrgs_addon.scene.camera import Camera
+from ...svrgs_addon.scene.gaussians import Scene
+from ...svrgs_addon.system.errors import NativeError, SceneError, SplatError
+from ..data import camera_object, image_pixels, splat_object, visible_splats
+from ..data.preferences import threads
+from ..jobs import job_result
+from ..scene.contribution import chosen_cameras
+from . import comparison_images
+from .spatial_mask import show_in_editors
+
+SHEET = "SVR-GS Contact Sheet"
+THUMBNAIL = 320  # pixels on the longer side
+
+
+class ComparedSplats:
+    """The original and the pruned splat of a comparison. Raises SceneError if one is missing."""
+
+    def __init__(self, context: bpy.types.Context):
+        original, pruned = chosen_pair(context)
+        self.scenes = splat_object.scene_from_object(original), shown_scene(pruned)
+        places = (obj.matrix_world.copy() for obj in (original, pruned))
+        self.placed = [visible_splats.placed([part]) for part in zip(self.scenes, places, strict=True)]
+        self.rasterizer = Rasterizer()
+        library.set_threads(threads(context))
+
+    def render(self, camera: Camera, background) -> tuple:
+        """(original, pruned): images (H, W, 3) in display sRGB, rounded to 8 bits; camera: in Blender's
+        world."""
+        views = [(part.scene, part.seen_by(camera)) for part in self.placed]
+        original, pruned = (
+            rounded_to_8_bits(self.rasterizer.forward(scene, view, picture_options(scene, background))["rgb"])
+            for scene, view in views
+        )
+        return original, pruned
+
+
+def chosen_pair(context: bpy.types.Context) -> tuple[bpy.types.Object, bpy.types.Object]:
+    """(original, pruned): those chosen in the panel, or those that belong to the active object. Raises
+    SceneError if one is missing."""
+    settings = context.scene.svrgs_looking
+    original = settings.original or job_result.pair_of(context.object)[0] or context.object
+    if not splat_object.is_splat(original):
+        raise SceneError(
+            tr("there is nothing to compare: choose the original splat, or make it the active object")
+        )
+    return original, settings.pruned or pruned_of(original)
+
+
+def shown_scene(pruned: bpy.types.Object) -> Scene:
+    """Of a job's result: what Apply would keep. Of any other splat: the Gaussians that are not marked as
+    removed."""
+    if job_result.KEPT in pruned and job_result.undecided(pruned):
+        return job_result.shown_gaussians(pruned)
+    return visible_splats.visible_scene(pruned)
+
+
+def pruned_of(original: bpy.types.Object) -> bpy.types.Object:
+    """The pruned splat: a job's result, or the object 'NAME pruned', or the splat itself if some Gaussians
+    are marked. Raises SceneError."""
+    result = job_result.pruned_of(original)
+    if result is not None:
+        return result
+    named = bpy.data.objects.get(f"{original.name} pruned")
+    if splat_object.is_splat(named):
+        return named
+    if splat_object.values(original, visible_splats.REMOVED) is not None:
+        return original
+    raise SceneError(
+        tr("there is nothing to compare '{name}' with: prune it, or choose the pruned splat").format(
+            name=original.name
+        )
+    )
+
+
+class SVRGS_OT_compare(bpy.types.Operator):
+    bl_idname = "svrgs.compare"
+    bl_label = "Compare"
+    bl_description = (
+        "Render original and pruned splat from the camera, side by side. Measure both against its photograph,"
+        " if it has one"
+    )
+    bl_options = {"REGISTER"}
+
+    @classmethod
+    def poll(cls, context):
+        return _has_camera(cls, context)
+
+    def execute(self, context):
+        settings = context.scene.svrgs_looking
+        try:
+            splats = ComparedSplats(context)
+            obj = settings.compare_camera or context.scene.camera
+            camera = camera_object.camera_from_object(obj, context.scene)
+            photo = photograph(obj)
+            if photo is not None:
+                camera = camera.resized(photo.shape[1], photo.shape[0])
+            pictures = original, pruned = splats.render(camera, tuple(settings.background))
+        except (SplatError, NativeError) as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        comparison_images.show(original, pruned, settings.wipe)
+        show_in_editors(context, bpy.data.images[comparison_images.WIPE])
+        rows = [measure(*both, photo) for both in zip(splats.scenes, pictures, strict=True)]
+        settings.compare_result = json.dumps(
+            {"camera": obj.name, "original": rows[0], "pruned": rows[1], "between": psnr(*pictures)}
+        )
+        self.report({"INFO"}, summary(rows, psnr(*pictures)))
+        return {"FINISHED"}
+
+
+class SVRGS_OT_contact_sheet(bpy.types.Operator):
+    bl_idname = "svrgs.contact_sheet"
+    bl_label = "Render All Cameras"
+    bl_description = (
+        "Draw original, pruned splat and their difference from every camera, as small pictures in one image"
+    )
+    bl_options = {"REGISTER"}
+
+    @classmethod
+    def poll(cls, context):
+        return _has_camera(cls, context)
+
+    def execute(self, context):
+        manager, cameras = context.window_manager, chosen_cameras(context)
+        manager.progress_begin(0, len(cameras))
+        try:
+            splats, rows, worst = ComparedSplats(context), [], math.inf
+            for number, obj in enumerate(cameras):
+                camera = camera_object.camera_from_object(obj, context.scene)
+                camera = camera.reduced(max(1, max(camera.width, camera.height) // THUMBNAIL))
+                a, b = splats.render(camera, tuple(context.scene.svrgs_looking.background))
+                rows.append([to_uint8(a), to_uint8(b), difference_image(a, b)])
+                worst = min(worst, psnr(a, b))
+                manager.progress_update(number + 1)
+        except (SplatError, NativeError) as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        finally:
+            manager.progress_end()
+        columns = max(1, round((len(rows) / 3) ** 0.5))
+        show_in_editors(context, image_pixels.write_image(SHEET, contact_sheet(rows, columns)))
+        text = tr(
+            "{count:,} cameras in '{image}': original, pruned, difference; lowest PSNR between them:"
+            " {worst:.1f} dB"
+        )
+        self.report({"INFO"}, text.format(count=len(rows), image=SHEET, worst=worst))
+        return {"FINISHED"}
+
+
+def photograph(obj: bpy.types.Object):
+    """(H, W, 3) display sRGB: the camera's background image; None if it has none."""
+    images = [background.image for background in obj.data.background_images if background.image is not None]
+    return image_pixels.read_image(images[0]) if images else None
+
+
+def measure(scene, picture, photo) -> dict:
+    """Count and bytes of the splat; with a photograph also PSNR, SSIM and FLIP."""
+    row = {"count": scene.count, "bytes": file_size(scene)}
+    return (
+        row
+        if photo is None
+        else row
+        | {
+            "psnr": psnr(picture, photo),
+            "ssim": float(ssim(picture, photo)),
+            "flip": float(flip(picture, photo)),
+        }
+    )
+
+
+def summary(rows: list[dict], between: float) -> str:
+    a, b = rows
+    texts = [
+        tr("{before:,} to {after:,} Gaussians").format(before=a["count"], after=b["count"]),
+        tr("{before:.1f} to {after:.1f} MB").format(before=a["bytes"] / 1e6, after=b["bytes"] / 1e6),
+        tr("between them {psnr:.1f} dB").format(psnr=between),
+    ]
+    if "psnr" in a:
+        texts.append(
+            tr("against the photograph {before:.2f} to {after:.2f} dB").format(
+                before=a["psnr"], after=b["psnr"]
+            )
+        )
+    return "; ".join(texts)
+
+
+def _has_camera(cls, context) -> bool:
+    if context.scene.svrgs_looking.compare_camera is not None or context.scene.camera is not None:
+        return True
+    cls.poll_message_set(tr("There is no camera: add one, or import the cameras of the dataset"))
+    return False
+
+
+@persistent
+def _forget_lost_images(*_):
+    """Images may have been deleted. Their figures are removed, too."""
+    if any(
+        image_pixels.is_lost(name)
+        for name in (comparison_images.ORIGINAL, comparison_images.PRUNED, comparison_images.WIPE)
+    ):
+        for scene in bpy.data.scenes:
+            scene.svrgs_looking.compare_result = ""
+
+
+CLASSES = (SVRGS_OT_compare, SVRGS_OT_contact_sheet)
+
+
+def register():
+    for cls in CLASSES:
+        bpy.utils.register_class(cls)
+    bpy.app.handlers.load_post.append(_forget_lost_images)
+
+
+def unregister():
+    bpy.app.handlers.load_post.remove(_forget_lost_images)
+    for cls in reversed(CLASSES):
+        bpy.utils.unregister_class(cls)

@@ -1,0 +1,109 @@
+"""The Gaussians of the visible splats, kept until Blender reports that the data of an object has changed."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, field
+from typing import Any
+
+import bpy
+from bpy.app.handlers import persistent
+
+from ...svrgs_addon.scene.gaussians import Scene
+from ...svrgs_addon.scene.morton_order import morton_order
+from ..data import quick_order, splat_object, visible_splats
+
+
+@dataclass(frozen=True)
+class Entry:
+    """The visible Gaussians of a splat, or all of them, sorted along a Morton curve."""
+
+    scene: Scene
+    rows: Any  # (N,) the row of each Gaussian in the object; None: it has others
+    data: int  # session_uid of the object's data
+    # (N,) of attributes that were asked for, None if there is none
+    values: dict[str, Any] = field(default_factory=dict)
+    number: int = field(default_factory=itertools.count().__next__)  # every entry has another number
+
+
+# By session_uid of the object, the address of its evaluated data (nodes may show others beside its own), and
+# whether it holds all Gaussians.
+_entries: dict[tuple[int, int, bool], Entry] = {}
+
+
+def read(obj: bpy.types.Object, whole: bool = False) -> Scene:
+    """visible_splats.visible_scene(obj) of an evaluated object, sorted: Gaussians close in space are close in
+    memory.
+
+    whole: all Gaussians of the object instead, without modifiers; it need not be evaluated.
+    """
+    return _entry(obj, whole).scene
+
+
+def number(obj: bpy.types.Object, whole: bool = False) -> int:
+    """A number for keys: it changes when read(obj, whole) returns another scene."""
+    return _entry(obj, whole).number
+
+
+def read_values(obj: bpy.types.Object, name: str):
+    """(N,) values of an attribute in the order of read(obj); None if there is no such attribute."""
+    entry = _entry(obj)
+    if name not in entry.values:
+        values = splat_object.values(obj, name) if entry.rows is not None else None
+        entry.values[name] = None if values is None else values[entry.rows]
+    return entry.values[name]
+
+
+def _entry(obj: bpy.types.Object, whole: bool = False) -> Entry:
+    key = obj.original.session_uid, 0 if whole else obj.data.as_pointer(), whole
+    if key not in _entries and not whole and (shown := quick_order.shown(obj.original)) is not None:
+        _entries[key] = Entry(shown, None, obj.original.data.session_uid)
+    if key not in _entries:
+        obj = obj.original if whole else obj
+        scene, rows = splat_object.scene_from_object(obj), visible_splats.visible_rows(obj)
+        rows = morton_order(scene.means) if whole else rows[morton_order(scene.means[rows])]
+        _entries[key] = Entry(scene.select(rows), rows, obj.original.data.session_uid)
+    return _entries[key]
+
+
+def forget_updated(depsgraph: bpy.types.Depsgraph):
+    """Removes the entries of objects that have changed or are gone."""
+    if not _entries:
+        return
+    there = {obj.session_uid for obj in bpy.data.objects}
+    changed = {
+        update.id.original.session_uid
+        for update in depsgraph.updates
+        if not isinstance(update.id, bpy.types.Object) or update.is_updated_geometry
+    }
+    for key, entry in list(_entries.items()):
+        if key[0] not in there or key[0] in changed or entry.data in changed:
+            del _entries[key]
+
+
+@persistent
+def _after_update(scene, depsgraph=None):
+    if depsgraph is not None:
+        forget_updated(depsgraph)
+
+
+@persistent
+def _forget_all(*_):
+    _entries.clear()
+
+
+HANDLERS = (
+    ("depsgraph_update_post", _after_update), ("frame_change_post", _after_update),
+    ("load_post", _forget_all), ("undo_post", _forget_all), ("redo_post", _forget_all),
+)  # fmt: skip
+
+
+def register():
+    for event, handler in HANDLERS:
+        getattr(bpy.app.handlers, event).append(handler)
+
+
+def unregister():
+    for event, handler in HANDLERS:
+        getattr(bpy.app.handlers, event).remove(handler)
+    _entries.clear()

@@ -1,0 +1,204 @@
+"""Settings of viewing and comparing: scene.svrgs_looking, saved with the scene. The name is stored in .blend
+files and stays."""
+
+from __future__ import annotations
+
+import bpy
+from bpy.app.translations import pgettext_iface as tr
+from bpy.props import (
+    BoolProperty,
+    EnumProperty,
+    FloatProperty,
+    FloatVectorProperty,
+    IntProperty,
+    PointerProperty,
+    StringProperty,
+)
+
+from ...svrgs_addon.render import color_maps
+from ..data import quick_order, selection, splat_object
+from ..io import undistort
+from ..scene import camera_match, splat_layer, splat_transforms
+from . import mask_image, overlay, viewport_wipe
+
+VALUES = "values"
+MAPS = [(name, name.title(), "Colours from low to high") for name in color_maps.NAMES] + [
+    (VALUES, "Values", "The values of F themselves, for use in materials")
+]
+MESHES = [
+    ("SHOW", "Shown", "Meshes are drawn in their base colours, and hide what is behind them"),
+    (
+        "CUT",
+        "Cut Out",
+        "Meshes are holes with alpha 0, as if all were holdouts. For a picture over another render",
+    ),
+    (
+        "SPLIT",
+        "Between",
+        (
+            "Gaussians in front of meshes are the picture, those behind them the pass Behind. Another render"
+            " belongs between the two"
+        ),
+    ),
+]
+SHOWN = [
+    ("COLOR", "Colors", "The colours of the Gaussians"),
+    ("svrgs:selected", "Selection", "The colours of the Gaussians; selected ones are orange"),
+    ("contribution", "Contribution", "What each Gaussian adds to the images of the cameras. Run Show Contribution first"),
+    ("svrgs:probability", "Probability", "Probability of existence, learned by a pruning job with masks"),
+    ("svrgs:score", "Rank", "The order in which a pruning job removed the Gaussians"),
+]  # fmt: skip
+
+
+def _about(_) -> str:
+    obj = bpy.context.object
+    if not splat_object.is_splat(obj):
+        return ""
+    return tr("{count:,} Gaussians, SH degree {degree}").format(
+        count=quick_order.count(obj), degree=splat_object.sh_degree(obj)
+    )
+
+
+def _moved(_) -> int:
+    return splat_transforms.moved_count(bpy.context.object)
+
+
+def _cameras(_) -> str:
+    return camera_match.cameras_of(bpy.context.object)
+
+
+def _roots(_) -> str:
+    return "\n".join(camera_match.roots(bpy.context.scene))
+
+
+def _selected(_) -> int:
+    return selection.selected_count(bpy.context.object) if splat_object.is_splat(bpy.context.object) else 0
+
+
+def _is_splat(
+    _, obj
+) -> bool:  # not a lambda below: Blender evaluates annotations where this module's names are unknown
+    return splat_object.is_splat(obj)
+
+
+def _photographs(_) -> str:
+    return undistort.status()
+
+
+def _wiping(settings) -> bool:
+    return viewport_wipe.pair(settings.id_data) is not None
+
+
+def _not_drawn(settings) -> str:
+    return splat_layer.missing(settings.id_data)
+
+
+class SVRGS_PG_view(bpy.types.PropertyGroup):
+    # one line about the active splat; empty if no splat is active
+    about: StringProperty(get=_about, options={"HIDDEN"})
+    # Gaussians of the active splat whose points were moved without their shapes
+    moved: IntProperty(get=_moved, options={"HIDDEN"})
+    selected: IntProperty(get=_selected, options={"HIDDEN"})  # selected Gaussians of the active splat
+    # the cameras of the active splat in words; empty if it has none
+    cameras: StringProperty(get=_cameras, options={"HIDDEN"})
+    # names of the empties above imported cameras, one a line
+    roots: StringProperty(get=_roots, options={"HIDDEN"})
+    # status of undistorting photographs; mostly empty
+    photographs: StringProperty(get=_photographs, options={"HIDDEN"})
+    background: FloatVectorProperty(
+        name="Background",
+        subtype="COLOR_GAMMA",
+        min=0,
+        max=1,
+        size=3,
+        description="Colour behind the Gaussians. Black, as in training",
+    )
+    meshes: EnumProperty(
+        name="Meshes", items=MESHES, description="What renders of the engine SVR-GS show of meshes"
+    )
+
+    # the scene whose splats this scene renders (splat_layer.py)
+    layer_of: PointerProperty(type=bpy.types.Scene, options={"HIDDEN"})
+    # what keeps renders from showing the splats; empty: nothing
+    not_drawn: StringProperty(get=_not_drawn, options={"HIDDEN"})
+
+    mask_colors: EnumProperty(
+        name="Colors", items=MAPS, update=mask_image.recolor, description="Colours of the spatial mask"
+    )
+    mask_top: FloatProperty(
+        name="Brightest",
+        min=0,
+        update=mask_image.recolor,
+        description="Value of F with the brightest colour. 0: the largest value of the image",
+    )
+    mask_size: IntProperty(
+        name="Size",
+        default=640,
+        min=16,
+        max=8192,
+        subtype="PIXEL",
+        description="Longer side of the image of the spatial mask",
+    )
+    mask_follow: BoolProperty(
+        name="Follow Camera", description="Draw the spatial mask again whenever the camera or a splat changes"
+    )
+    mask_result: StringProperty(options={"HIDDEN"})  # JSON: camera, mean, largest, milliseconds
+
+    original: PointerProperty(
+        name="Original",
+        type=bpy.types.Object,
+        poll=_is_splat,
+        description="The original splat. Empty: the active splat",
+    )
+    pruned: PointerProperty(
+        name="Pruned", type=bpy.types.Object, poll=_is_splat,
+        description="The pruned splat. Empty: the result of the original's job, or the object 'NAME pruned'",
+    )  # fmt: skip
+    compare_camera: PointerProperty(
+        name="Camera",
+        type=bpy.types.Object,
+        poll=lambda _, obj: obj.type == "CAMERA",
+        description="Camera to compare from. Empty: the scene's camera",
+    )
+    wipe: FloatProperty(
+        name="Wipe",
+        min=0,
+        max=1,
+        default=0.5,
+        subtype="FACTOR",
+        update=viewport_wipe.moved,
+        description="Original on the left, pruned on the right",
+    )
+    wiping: BoolProperty(get=_wiping, options={"HIDDEN"})  # whether Wipe in Viewport is on
+    compare_result: StringProperty(options={"HIDDEN"})  # JSON: camera, original, pruned, between
+
+    overlay: BoolProperty(
+        name="Draw Splats",
+        default=True,
+        update=overlay.switch,
+        description="Draw splats in Solid and Material Preview viewports",
+    )
+    overlay_shown: EnumProperty(
+        name="Show",
+        items=SHOWN,
+        update=overlay.changed,
+        description="What the colours of splats show in Solid and Material Preview viewports",
+    )
+    overlay_moving: IntProperty(
+        name="While Moving",
+        default=200_000,
+        min=1000,
+        soft_max=2_000_000,
+        update=overlay.changed,
+        description="Number of Gaussians that are drawn while the view moves",
+    )
+
+
+def register():
+    bpy.utils.register_class(SVRGS_PG_view)
+    bpy.types.Scene.svrgs_looking = PointerProperty(type=SVRGS_PG_view)
+
+
+def unregister():
+    del bpy.types.Scene.svrgs_looking
+    bpy.utils.unregister_class(SVRGS_PG_view)

@@ -1,0 +1,185 @@
+"""The Rendered viewport of the engine SVR-GS.
+
+A thread draws the newest view with the native library: first every 4th pixel, then all pixels
+(svrgs_addon/render/live_view.py). The main thread draws the newest finished picture as a texture and never
+waits.
+"""
+
+from __future__ import annotations
+
+import weakref
+from dataclasses import dataclass
+
+import bpy
+import gpu
+from bpy.app.translations import pgettext_iface as tr
+
+from ...svrgs_addon.native import library
+from ...svrgs_addon.render.composite import composite
+from ...svrgs_addon.render.live_view import LiveView, Picture
+from ...svrgs_addon.render.meshes import Triangles
+from ...svrgs_addon.render.passes import linear_rgba
+from ...svrgs_addon.scene.camera import Camera
+from ...svrgs_addon.system.errors import NativeError, SplatError
+from ..data import gpu_drawing, mesh_triangles, visible_splats
+from ..data.image_pixels import working_space
+from ..data.preferences import threads
+from . import scene_cache, viewport_wipe
+
+REFRESH = 0.05  # seconds between two redraws while a better picture is on its way
+
+_open: weakref.WeakSet[Viewport] = weakref.WeakSet()
+
+
+@dataclass(frozen=True)
+class DrawRequest:
+    """One view. The thread that draws it must not use bpy."""
+
+    placed: visible_splats.PlacedScene
+    triangles: Triangles
+    camera: Camera  # in Blender's world
+    background: tuple[float, float, float]
+    transparent: bool
+    working_space: list
+
+
+def draw_view(rasterizer, request: DrawRequest, reduction: int):
+    """(H, W, 4) float32 times alpha, in the file's working colour space."""
+    camera, placed = request.camera.reduced(reduction), request.placed
+    background = (0.0, 0.0, 0.0) if request.transparent else request.background
+    scene = placed.thinning.draws() if reduction > 1 else placed.scene
+    picture = composite(
+        rasterizer,
+        scene,
+        placed.seen_by(camera),
+        background,
+        placed.hidden_by(request.triangles, camera),
+        passes=(),
+    )
+    placed.thinning.drew(scene, rasterizer)
+    return linear_rgba(picture, request.transparent, request.working_space)
+
+
+class Pane:
+    """A part of a viewport: all of it, or one side of the wipe."""
+
+    def __init__(self):
+        self.live = LiveView(draw_view)
+        self.key: tuple = ()
+        self.placed: visible_splats.PlacedScene | None = None
+        self.texture: tuple[Picture, gpu.types.GPUTexture] | None = None
+
+    def place(self, side: viewport_wipe.Side) -> visible_splats.PlacedScene:
+        """The splats of the side as one scene; the last one if nothing has changed. Raises SceneError."""
+        if self.placed is None or self.key != side.key:
+            self.key, self.placed = (
+                side.key,
+                visible_splats.placed([(part.scene, part.matrix) for part in side.shown]),
+            )
+        return self.placed
+
+    def draw(self, region: bpy.types.Region, columns: tuple[float, float]):
+        """Draws the newest picture, if there is one without an error."""
+        picture = self.live.picture()
+        if picture is None or picture.error is not None:
+            return
+        if self.texture is None or self.texture[0] is not picture:
+            self.texture = picture, gpu_drawing.picture_texture(picture.result)
+        gpu_drawing.draw_linear(self.texture[1], region.width, region.height, columns)
+
+
+class Viewport:
+    """One Rendered viewport: its scene, and the pictures that it shows."""
+
+    def __init__(self):
+        self.panes: dict[str, Pane] = {}  # by name of the side
+        self.shown: list[viewport_wipe.Shown] = []
+        self.triangles: Triangles | None = None
+        self.problem = ""
+        self.version = 0  # raised by every change of the scene
+        _open.add(self)
+
+    def __del__(self):
+        for pane in self.panes.values():
+            pane.live.close()
+
+    @property
+    def busy(self) -> bool:
+        """Whether a better picture is on its way."""
+        return any(pane.live.busy for pane in self.panes.values())
+
+    def update(self, depsgraph: bpy.types.Depsgraph):
+        """Reads the scene after a change."""
+        scene_cache.forget_updated(depsgraph)
+        self.version += 1
+        try:
+            self.shown, self.problem = (
+                [
+                    part
+                    for found in visible_splats.placed_splats(depsgraph)
+                    for part in viewport_wipe.shown([found])
+                ],
+                "",
+            )
+            self.triangles = mesh_triangles.triangles(depsgraph)
+        except SplatError as error:
+            self.shown, self.problem = [], str(error)
+
+    def draw(self, context: bpy.types.Context, scene: bpy.types.Scene) -> str:
+        """Draws the newest pictures, and asks for better ones. Returns a line for the user."""
+        if not self.shown or self.triangles is None:
+            return self.problem or tr("there is no visible splat: import one")
+        try:
+            library.set_threads(threads(context))
+            sides = viewport_wipe.sides(context.scene, self.shown)
+            for closed in self.panes.keys() - {side.name for side in sides}:
+                self.panes.pop(closed).live.close()
+            texts = [self._draw_side(context, scene, side) for side in sides]
+        except (SplatError, NativeError) as error:
+            return str(error)
+        if self.busy and not bpy.app.timers.is_registered(_refresh):
+            bpy.app.timers.register(_refresh, first_interval=REFRESH)
+        return " | ".join(texts)
+
+    def _draw_side(self, context: bpy.types.Context, scene: bpy.types.Scene, side: viewport_wipe.Side) -> str:
+        if side.name not in self.panes:
+            self.panes[side.name] = Pane()
+        pane = self.panes[side.name]
+        assert self.triangles is not None  # see draw()
+        placed, camera = pane.place(side), visible_splats.region_camera(context.region, context.region_data)
+        background, transparent = tuple(scene.svrgs_looking.background), scene.render.film_transparent
+        key = self.version, side.key, camera.key, background, transparent
+        pane.live.request(
+            key, DrawRequest(placed, self.triangles, camera, background, transparent, working_space())
+        )
+        pane.draw(context.region, side.columns)
+        picture = pane.live.picture()
+        if picture is None:
+            return tr("Drawing")
+        if picture.error is not None:
+            return str(picture.error)
+        return (
+            tr("{count:,} Gaussians, coarse") if picture.reduction > 1 else tr("{count:,} Gaussians")
+        ).format(count=placed.scene.count)
+
+
+def redraw(shading: set[str]):
+    """Redraws every 3D viewport whose shading type is in `shading`."""
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "VIEW_3D" and area.spaces.active.shading.type in shading:
+                area.tag_redraw()
+
+
+def _refresh() -> float | None:
+    redraw({"RENDERED"})
+    return REFRESH if any(viewport.busy for viewport in _open) else None
+
+
+def register():
+    pass
+
+
+def unregister():
+    if bpy.app.timers.is_registered(_refresh):
+        bpy.app.timers.unregister(_refresh)
