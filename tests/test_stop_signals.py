@@ -53,9 +53,20 @@ def words_for(tiny, out: Path, iterations: int, recovery: int) -> list[str]:
     return [str(word) for word in words]
 
 
+def heard():
+    """The stop signals as a terminal sets them: nohup and a shell's & let their children ignore some."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
+
+
 def start(*command: str) -> subprocess.Popen:
     return subprocess.Popen(
-        [sys.executable, *command], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [sys.executable, *command],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=heard,
     )
 
 
