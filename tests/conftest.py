@@ -18,7 +18,10 @@ SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 def pytest_configure():
     """A worker of pytest-xdist and its children keep to one core each: the native library, torch and numpy
-    then run one thread unless they are told another number."""
+    then run one thread unless they are told another number. Ctrl-C is heard also where a shell's & let it be
+    ignored."""
+    if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     worker = WORKER.fullmatch(os.environ.get("PYTEST_XDIST_WORKER", ""))
     if worker and hasattr(os, "sched_setaffinity"):
         allowed = sorted(os.sched_getaffinity(0))

@@ -91,6 +91,7 @@ def test_batch_of_a_folder(scenes):
     check_batch([sys.executable, BATCH, "--"], scenes)
 
 
+@pytest.mark.slow
 def test_prune_of_a_folder(scenes):
     check_batch(
         (
@@ -102,6 +103,7 @@ def test_prune_of_a_folder(scenes):
     )
 
 
+@pytest.mark.slow
 def test_a_batch_without_failures_exits_0_and_overwrites_when_told(tiny, tmp_path):
     scene = add_scene(tiny, tmp_path / "one")
     command = (sys.executable, BATCH, "--", "prune", scene.parent, *SHORT)
@@ -223,6 +225,7 @@ def test_a_stopped_batch_can_be_resumed(tiny, tmp_path, number, entry, everyone)
 # --- inside Blender
 
 
+@pytest.mark.slow
 def test_batch_in_the_process_of_the_bpy_module(scenes):
     if importlib.util.find_spec("bpy") is None:
         pytest.skip("bpy is not installed")

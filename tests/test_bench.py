@@ -62,6 +62,7 @@ def ignore(_sentence: str):
 # --- the command
 
 
+@pytest.mark.slow
 def test_quick(svrgs):
     result = svrgs("bench", "--quick", "--repeat", 1, "--json").json
     machine, cases = result["machine"], result["cases"]

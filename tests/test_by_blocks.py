@@ -70,6 +70,7 @@ def test_a_quick_job_goes_over_to_blocks_where_memory_is_short(svrgs, short, sou
     assert [path.name for path in tmp_path.iterdir()] == ["o.spz"], "the blocks are removed"
 
 
+@pytest.mark.slow
 def test_advice_that_is_followed_is_not_given(svrgs, monkeypatch, source, tmp_path):
     monkeypatch.setattr(memory, "reading", lambda _: 10**15)
     note = svrgs("prune", source, "--quick", "--target", 0.25, "--out", tmp_path / "o.ply", "--json").json[
@@ -105,16 +106,19 @@ def test_outputs_are_checked_before_cameras_are_placed(svrgs, monkeypatch, sourc
     )
 
 
+@pytest.mark.slow
 def test_the_text_of_the_result_has_no_time_per_frame(svrgs, short, source, tmp_path):
     said = svrgs("prune", source, "--quick", "--target", 0.25, "--out", tmp_path / "o.ply").out
     assert "PSNR" in said and "ms per frame" not in said and "by blocks" in said
 
 
+@pytest.mark.slow
 def test_a_merge_without_photographs_goes_over_to_blocks_too(svrgs, short, source, tmp_path):
     result = svrgs("prune", source, "--target-count", 700, "--out", tmp_path / "o.ply", "--json").json
     assert result["count"] == 700 and result["views"] > by_blocks.QUICK_VIEWS
 
 
+@pytest.mark.slow
 def test_the_share_that_is_done_is_that_of_the_whole_job(short, source, tmp_path):
     told: list[tuple[str, float]] = []
     options = PruneOptions(
@@ -138,6 +142,7 @@ def test_the_share_that_is_done_is_that_of_the_whole_job(short, source, tmp_path
     }
 
 
+@pytest.mark.slow
 def test_a_file_with_more_gaussians_than_are_read_as_a_whole_is_pruned_by_blocks(
     svrgs, monkeypatch, source, tmp_path
 ):
@@ -174,6 +179,7 @@ def test_the_cameras_of_a_dataset_are_taken_for_a_quick_job(svrgs, short, tiny, 
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".ply", ".spz"])
 def test_a_drop_is_held(svrgs, short, source, tmp_path, suffix):
     out = tmp_path / f"o{suffix}"
@@ -207,6 +213,7 @@ def test_a_drop_that_the_format_alone_exceeds_is_refused_before_views_are_scored
     assert done.status == 2 and "the format alone loses" in done.err and not any(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_levels_are_files_of_their_own(svrgs, short, source, tmp_path):
     result = svrgs(
         "prune",
@@ -234,6 +241,7 @@ def test_levels_are_files_of_their_own(svrgs, short, source, tmp_path):
         )
 
 
+@pytest.mark.slow
 def test_without_a_number_the_result_is_the_whole_scene(svrgs, short, monkeypatch, source, tmp_path):
     monkeypatch.setattr(
         "svrgs_addon.prune.recipes.by_blocks.tune",
@@ -249,6 +257,7 @@ def test_without_a_number_the_result_is_the_whole_scene(svrgs, short, monkeypatc
     )
 
 
+@pytest.mark.slow
 def test_levels_of_a_streamed_sog_are_in_it(svrgs, short, source, tmp_path):
     out = tmp_path / "web/lod-meta.json"
     result = svrgs(
@@ -281,6 +290,7 @@ def test_a_full_disk_is_told_before_views_are_scored(svrgs, short, monkeypatch, 
     )
 
 
+@pytest.mark.slow
 def test_a_format_that_loses_more_than_pruning_is_told(svrgs, source, tmp_path):
     scene = load_scene(source).scene
     scene.sh[:] += np.random.default_rng(0).normal(0, 0.2, scene.sh.shape)
@@ -333,6 +343,7 @@ def test_a_stop_leaves_nothing_behind(svrgs, short, stop_at, source, tmp_path):
     assert done.status == 130 and "nothing was written" in done.err and not any(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_a_stop_between_levels_leaves_the_first_one(svrgs, short, stop_at, source, tmp_path):
     stop_at("measure")
     done = svrgs("prune", source, "--quick", "--target", 0.5, "--levels", "0.5", "--out", tmp_path / "o.ply")

@@ -175,6 +175,7 @@ def test_an_engine_runs_the_whole_job(job, alone):
     assert digests(job) == alone and (job / "report/index.html").is_file()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="a script of sh")
 def test_a_task_that_is_killed_and_tried_again_ends_with_the_same_bytes(captures, tmp_path):
     words = ["--out", str(tmp_path / "job"), "--targets", "0.5", "--iterations", "4000", "--recovery", "200"]
@@ -196,6 +197,7 @@ def test_a_task_that_is_killed_and_tried_again_ends_with_the_same_bytes(captures
     assert digests(job) == expected
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="a script of sh")
 def test_an_engine_prunes_a_large_scene_as_one_machine_does(tiny, tmp_path, capsys):
     from svrgs_addon.views.cameras_json import write_cameras_json
@@ -242,6 +244,7 @@ def test_an_engine_prunes_a_large_scene_as_one_machine_does(tiny, tmp_path, caps
     assert len(json.loads((tmp_path / "work/blocks.json").read_text())["blocks"]) == 8
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="a script of sh")
 def test_an_engine_lets_a_method_decide_on_a_large_scene_as_one_machine_does(tiny, tmp_path):
     words = [

@@ -429,6 +429,7 @@ def test_a_divided_scene_that_is_damaged_is_one_sentence(source, cameras, tmp_pa
     assert divided.count == COUNT
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="signal 9")
 def test_steps_that_are_killed_and_done_again_give_the_same_bytes(source, cameras, tmp_path, svrgs):
     write_cameras_json(

@@ -130,6 +130,7 @@ def test_sensitivities_are_those_of_the_reference(level, view):
     assert worst < (1e-12 if level == "float64" else 2e-4)
 
 
+@pytest.mark.slow
 def test_pup_ranks_by_the_determinant_over_all_views():
     scene = small_scene(np.float64)
     scene.means[7] = (0, 0, -50)  # behind every camera

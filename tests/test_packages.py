@@ -276,6 +276,7 @@ def prune(python: list, batch: Path, tiny, out: Path) -> list:
     ]
 
 
+@pytest.mark.slow
 def test_two_batches_at_once_need_numpy_and_wheels_alone(bare, tiny, tmp_path):
     batch = ROOT / "svrgs_addon/batch.py"
     both = [

@@ -113,6 +113,7 @@ def test_what_a_zip_will_hold(tmp_path):
 # --- the wheel for pip
 
 
+@pytest.mark.slow
 def test_an_installed_wheel_needs_no_compiler(tmp_path):
     """Built here by the compiler of this machine, installed into an empty environment, used from another
     folder."""

@@ -111,6 +111,7 @@ def test_more_steps_give_a_better_result(splat):
     assert prune(splat, recovery=150)["psnr"] > prune(splat, recovery=5)["psnr"] + 0.5
 
 
+@pytest.mark.slow
 def test_the_same_job_gives_the_same_bytes_on_any_number_of_threads_and_after_a_stop(splat, default_threads):
     prune(splat, out=splat.with_name("a.ply"))
     prune(splat, out=splat.with_name("b.ply"), threads=1)
@@ -178,6 +179,7 @@ def test_the_time_of_the_quick_way_is_foreseen(splat):
         estimate(PruneOptions(scene=splat, quick=True))
 
 
+@pytest.mark.slow
 def test_a_job_folder_holds_a_job_without_photographs(splat, tmp_path, jobs):
     """Quick and fine-tuned: the result has merged Gaussians, so there is no ranking of the original's."""
     for name, options in (
