@@ -110,7 +110,8 @@ def data(tiny, tmp_path_factory) -> Path:
     for name, cameras in {"tiny": tiny.cameras, "varied": sorted(views, key=lambda view: view.name)}.items():
         np.savez(
             folder / f"{name}.npz", viewmats=[c.viewmat for c in cameras], Ks=[c.K for c in cameras],
-            sizes=[(c.width, c.height) for c in cameras], names=[c.name for c in cameras], points=tiny.truth.means,
+            sizes=[(c.width, c.height) for c in cameras], names=[c.name for c in cameras],
+            points=tiny.truth.means,
         )  # fmt: skip
     return folder
 

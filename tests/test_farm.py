@@ -320,9 +320,16 @@ def test_a_failed_task_is_told_to_the_engine(job, captures, capsys):
 AUTHOR = """
 const tasks = [];
 function made(kind, name, type) {
-  return { name, type, commands: [], after: [], addCommand(one) { this.commands.push(one); }, addDependency(one) { this.after.push(one.name); } };
+  return {
+    name, type, commands: [], after: [],
+    addCommand(one) { this.commands.push(one); },
+    addDependency(one) { this.after.push(one.name); },
+  };
 }
-const author = { Task: (name, type) => made("task", name, type), Command: (name, parameters) => ({ name, parameters }) };
+const author = {
+  Task: (name, type) => made("task", name, type),
+  Command: (name, parameters) => ({ name, parameters }),
+};
 function graph(settings) {
   tasks.length = 0;
   compileJob({ settings, addTask: (one) => tasks.push(one) });

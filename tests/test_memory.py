@@ -402,7 +402,8 @@ before = proc_bytes("self/status", "VmRSS")
 densify.densify(model, statistics, Densify(), 1.0, np.random.default_rng(0))
 grown = peak() - before
 count, file_bytes = scene.count, int(sys.argv[2])
-print(read / memory.reading(file_bytes), drawn / (memory.reading(file_bytes) + memory.rendering(count, 640, 480)),
+print(read / memory.reading(file_bytes),
+      drawn / (memory.reading(file_bytes) + memory.rendering(count, 640, 480)),
       tuned / (memory.reading(file_bytes) + memory.tuning(count, 16, [camera], 0)),
       grown / memory.growing(count, model.count - count, 16, [camera]))
 """
