@@ -99,6 +99,7 @@ def check_case(case: dict):
     )
 
 
+@pytest.mark.slow
 def test_a_given_scene(svrgs, tmp_path):
     write_ply(tmp_path / "room.ply", room(2000, 1))
     outcome = svrgs("bench", "--scene", tmp_path / "room.ply", "--quick", "--threads", 1, "--json")

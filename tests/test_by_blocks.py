@@ -50,6 +50,7 @@ def few_views(monkeypatch):
     monkeypatch.setattr(place, "USUAL", 20)
 
 
+@pytest.mark.slow
 def test_a_quick_job_goes_over_to_blocks_where_memory_is_short(svrgs, short, source, tmp_path, caplog):
     result = svrgs("prune", source, "--quick", "--target", 0.25, "--out", tmp_path / "o.spz", "--json").json
     assert (
@@ -151,6 +152,7 @@ def test_a_file_with_more_gaussians_than_are_read_as_a_whole_is_pruned_by_blocks
     assert result["count"] == COUNT // 2 and "more than the limit" in result["notes"][0]
 
 
+@pytest.mark.slow
 def test_given_cameras_alone_count_where_that_is_asked_for(svrgs, short, source, tmp_path):
     rig = place_rig(load_scene(source).scene, views=6)
     write_cameras_json(tmp_path / "views.json", rig.cameras)
@@ -203,6 +205,7 @@ def test_a_drop_is_held(svrgs, short, source, tmp_path, suffix):
     assert wide["count"] < result["count"] and result["drop"] < wide["drop"] <= 1.5
 
 
+@pytest.mark.slow
 def test_a_drop_that_the_format_alone_exceeds_is_refused_before_views_are_scored(
     svrgs, short, monkeypatch, source, tmp_path
 ):
@@ -353,6 +356,7 @@ def test_a_stop_between_levels_leaves_the_first_one(svrgs, short, stop_at, sourc
     ).count == COUNT // 2
 
 
+@pytest.mark.slow
 def test_a_room_whose_inside_no_placed_camera_sees_is_refused(source, tmp_path):
     write_scene(tmp_path / "room.ply", room(COUNT, 0))
     scene, _ = sample_of(tmp_path / "room.ply")

@@ -191,6 +191,7 @@ def test_model_is_a_plain_pinhole_dataset(dataset, model):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SCENES)
 def test_every_scene_has_the_format_it_says(made, name):
     """And pictures that show something: neither dark nor burnt out, no area of one colour."""

@@ -125,6 +125,7 @@ def test_the_report_has_all_tasks_and_means_over_the_scenes(job, capsys):
     )
 
 
+@pytest.mark.slow
 def test_results_have_the_format_that_is_asked_for(captures, tmp_path):
     words = ["--out", str(tmp_path / "job"), "--to", "spz", "--quick", "--targets", "0.4", "--no-photographs"]
     assert main(["farm", "export", str(captures / "one/scene.ply"), *words]) == 0

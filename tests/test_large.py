@@ -481,6 +481,7 @@ def test_steps_that_are_killed_and_done_again_give_the_same_bytes(source, camera
     )
 
 
+@pytest.mark.slow
 def test_a_block_that_no_view_sees_stays_as_it_was_cut(source, tmp_path):
     wide = orbit_camera(160, 120, 0.1)
     K = wide.K.copy()

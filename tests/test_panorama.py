@@ -116,6 +116,7 @@ def test_a_picture_of_all_directions_is_found_again(panorama):
         np.testing.assert_allclose(picture.depth[inside], 3 if coverage else FAR, rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_pixels_are_those_of_perspective_views_in_their_direction():
     """Each pixel against the middle of a view of 50 degrees in float64; in levels of 255."""
     scene, r64, rng = room(60_000), Rasterizer("float64"), np.random.default_rng(0)
