@@ -1,7 +1,7 @@
 # make setup   virtual environment in .venv, pinned packages, native core; then .venv/bin/svrgs is ready.
 #              Installs Debian packages where something is missing: tools/setup.sh names them.
 # make demo    renders a scene with Blender, trains it, prunes it, writes a report
-# make test    all tests
+# make test    quick tests, and a short run of each slow kind;  make test-slow  the rest: Blender, sanitizers, kills, fuzz
 # make lint    style and types;  make format  formats the sources
 # make zip     the Blender extension for this platform and this Python, in dist/
 # make package the extension for all platforms and Blenders, wheels for pip, a static extension repository, in dist/
@@ -12,7 +12,7 @@ VENV := .venv
 PY := $(VENV)/bin/python
 DEMO := build/demo
 
-.PHONY: setup native wheels demo test test-blender lint format sanitize fuzz zip package clean
+.PHONY: setup native wheels demo test test-slow test-blender lint format sanitize fuzz zip package clean
 
 setup: $(VENV)/.ready native
 	@$(PY) -m compileall -q svrgs_addon
@@ -30,8 +30,8 @@ demo: setup
 	$(VENV)/bin/svrgs prune $(DEMO)/trained.ply --colmap $(DEMO)/scene --recovery 2500 \
 	  --out $(DEMO)/pruned.ply --report $(DEMO)/report
 	@echo "report: $(DEMO)/report/index.html"
-test: setup wheels
-	$(PY) -m pytest
+test: setup wheels; $(PY) -m pytest -n auto --dist loadfile -m "not slow"
+test-slow: setup wheels; $(PY) -m pytest -n auto --dist worksteal -m slow
 test-blender: setup wheels
 	@tools/test_blenders.sh $(VENV)
 lint: $(VENV)/.ready

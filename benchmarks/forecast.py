@@ -1,11 +1,10 @@
 """How near the quality that Estimate foresees comes to what runs reach: adds rows to
 docs/results/forecast.jsonl, or makes docs/forecast.md of them.
 
-    .venv/bin/python benchmarks/forecast.py --scene demo=DIR --scene lund=DIR ... [--shrink 2]    # first: benchmarks/methods.py
-                                                                                                  --study
-                                                                                                  pareto
+    .venv/bin/python benchmarks/forecast.py --scene demo=DIR --scene lund=DIR ... [--shrink 2]
+                                                       # first: benchmarks/methods.py --study pareto
     .venv/bin/python benchmarks/forecast.py --scene demo=DIR --trained FILE.ply --only strengths
-    .venv/bin/python benchmarks/forecast.py --show docs/forecast.md                               # from the rows; runs nothing
+    .venv/bin/python benchmarks/forecast.py --show docs/forecast.md   # from the rows; runs nothing
 
     targets    the methods of METHODS at the counts of benchmarks/methods.py --study pareto; what the runs
                reached is taken from its rows
@@ -39,7 +38,8 @@ STEPS = {"removal": ("0.08", (0.1, 0.3, 1.0)), "svr": ("0.17", (0.1, 1.0))}
 ESTIMATE = """
 import sys
 from svrgs_addon.system.exit_status import answer
-from svrgs_addon.jobs import estimate, expected_count, quality_forecast
+from svrgs_addon.jobs import estimate
+from svrgs_addon.prune import expected_count, quality_forecast
 expected_count.VIEW_SECONDS = quality_forecast.SECONDS = 600
 sys.exit(answer(estimate._estimate_request))
 """

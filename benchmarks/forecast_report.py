@@ -61,14 +61,15 @@ The goals of the panel, with the default method. Forecast and run have the same 
 
 Changes of PSNR in dB, foreseen and reached.
 
-{targets}"""
+{targets}"""  # noqa: E501
 
 
 def page(rows: list[dict]) -> str:
     """The page as Markdown."""
     parts = {kind: [row for row in rows if row["kind"] == kind] for kind in ("targets", "strengths", "steps")}
     return PAGE.format(
-        fitted=" and ".join(FITTED), fit=fit_table(parts["targets"]), strengths=run_table(parts["strengths"]), steps=run_table(parts["steps"]),
+        fitted=" and ".join(FITTED), fit=fit_table(parts["targets"]),
+        strengths=run_table(parts["strengths"]), steps=run_table(parts["steps"]),
         targets=target_table(parts["targets"]),
     )  # fmt: skip
 

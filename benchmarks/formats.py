@@ -58,7 +58,8 @@ def rows(scene: Scene, original: Scene, folder: Path, factors: list[float]) -> l
         reading = seconds(lambda path=path: load_scene(path))
         found, size = measures(load_scene(path).scene, original, cameras), path.stat().st_size
         quality = f"{found[0]:.2f} | {found[1]:.4f} | {found[2]:.4f}" if found[0] < 100 else "equal | 1 | 0"
-        name = f"{suffix}{f' version {version}' if version else ''}{f' --quantise {factor:g}' if factors else ''}"
+        name = suffix + (f" version {version}" if version else "")
+        name += f" --quantise {factor:g}" if factors else ""
         lines.append(
             f"| {name} | {size / scene.count:.1f} | {size / 1e6:.2f} | {quality} | {writing:.2f} |"
             f" {reading:.2f} |"

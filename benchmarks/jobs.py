@@ -117,7 +117,7 @@ def compared(options: argparse.Namespace, kind: str, variants: dict, out: Path, 
         psnr = [result["psnr"] for result in results]
         rows.append({
             "variant": name,
-            "seconds": statistics.fmean(result["iterations"] / result["iterations_per_second"] for result in results),
+            "seconds": statistics.fmean(one["iterations"] / one["iterations_per_second"] for one in results),
             "psnr": statistics.fmean(psnr),
             "psnr_spread": max(psnr) - min(psnr),
             "count": statistics.fmean(result["count"] for result in results),

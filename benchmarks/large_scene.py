@@ -148,10 +148,8 @@ def main() -> int:
         )
         print(f"|{'---:|' * (len(STEPS) + 7)}", flush=True)
         for blocks in words.blocks:
-            print(
-                f"| {' | '.join(measure(source, folder, math.ceil(words.count / blocks), words.target, words.to))} |",
-                flush=True,
-            )
+            row = measure(source, folder, math.ceil(words.count / blocks), words.target, words.to)
+            print(f"| {' | '.join(row)} |", flush=True)
     return 0
 
 

@@ -137,7 +137,8 @@ def pruning(rows: list[dict], charts: Path) -> str:
     lines, pictures = [], []
     for those in groups(pruned(rows, "pareto"), "scene", "schedule", "shrink", "trained", "start").values():
         first, before = those[0], max(those, key=lambda row: row["seeds"])["before"]
-        name = f"pareto-{first['scene']}-{first['shrink']}-{first['schedule']:g}-{first['start']}-{first['trained']:g}"
+        name = f"pareto-{first['scene']}-{first['shrink']}-{first['schedule']:g}"
+        name += f"-{first['start']}-{first['trained']:g}"
         curves = {
             method: sorted((row["count"], row["psnr"]) for row in group)
             for (method,), group in groups(those, "method").items()

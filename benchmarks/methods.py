@@ -3,10 +3,10 @@
     .venv/bin/python benchmarks/methods.py --scene NAME=DIR ... [--study NAME ...] [--schedule 0.1] [--shrink
     2] [--seeds 1]
     .venv/bin/python benchmarks/methods.py --scene demo=build/demo/scene            # a folder that exists
-    .venv/bin/python benchmarks/methods.py --scene demo --scene room --scene portrait --scene row   # the generated scenes, made
-                                                                                                    if missing
-    .venv/bin/python benchmarks/methods.py --show docs                              # writes docs/results.md and
-                                                                                    its charts from the rows
+    .venv/bin/python benchmarks/methods.py --scene demo --scene room --scene portrait --scene row
+                                                       # the generated scenes, made if missing
+    .venv/bin/python benchmarks/methods.py --show docs
+                                                       # writes docs/results.md and its charts from the rows
 
 Rows are added to --rows (default docs/results/rows.jsonl), one JSON object per line. A run whose row exists
 is not run again, so a stopped experiment can be continued. --work (default build/methods) holds the scenes
@@ -151,8 +151,10 @@ def requests(options: argparse.Namespace) -> Iterator[dict]:
                     ):
                         continue
                     yield {
-                        "study": study, "scene": scene.partition("=")[0], "run": label, "flags": flags, "seed": seed,
-                        "schedule": 1.0 if study == "time" else options.schedule, "trained": options.trained or options.schedule,
+                        "study": study, "scene": scene.partition("=")[0], "run": label, "flags": flags,
+                        "seed": seed,
+                        "schedule": 1.0 if study == "time" else options.schedule,
+                        "trained": options.trained or options.schedule,
                         "start": options.start, "shrink": options.shrink,
                     }  # fmt: skip
 

@@ -1,9 +1,7 @@
 """The figures of docs/rendering.md: errors, steps and time of panoramas, and time of meshes. Prints Markdown.
 
-    .venv/bin/python benchmarks/rendering.py                                          # a generated room of 150,000
-                                                                                      Gaussians
-    .venv/bin/python benchmarks/rendering.py --scene SPLAT --colmap DATASET --view 10 # a splat, from one of
-    its cameras
+    .venv/bin/python benchmarks/rendering.py            # a generated room of 150,000 Gaussians
+    .venv/bin/python benchmarks/rendering.py --scene SPLAT --colmap DATASET --view 10   # from one camera
 
 error   |rgb - reference| in levels of 255 at 400 pixels; reference: the middle of a view of 50 degrees in
 that direction, in float64 step    change of a pixel, in levels, if it is drawn with the shares that the views

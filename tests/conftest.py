@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import sys
 from dataclasses import dataclass
@@ -11,7 +12,20 @@ from pathlib import Path
 
 import pytest
 
+WORKER = re.compile("gw([0-9]+)")  # how pytest-xdist calls its workers
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+def pytest_configure():
+    """A worker of pytest-xdist and its children keep to one core each: the native library, torch and numpy
+    then run one thread unless they are told another number. Ctrl-C is heard also where a shell's & let it be
+    ignored."""
+    if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    worker = WORKER.fullmatch(os.environ.get("PYTEST_XDIST_WORKER", ""))
+    if worker and hasattr(os, "sched_setaffinity"):
+        allowed = sorted(os.sched_getaffinity(0))
+        os.sched_setaffinity(0, {allowed[int(worker[1]) % len(allowed)]})
 
 
 @pytest.fixture(scope="session")

@@ -91,6 +91,7 @@ def test_batch_of_a_folder(scenes):
     check_batch([sys.executable, BATCH, "--"], scenes)
 
 
+@pytest.mark.slow
 def test_prune_of_a_folder(scenes):
     check_batch(
         (
@@ -102,6 +103,7 @@ def test_prune_of_a_folder(scenes):
     )
 
 
+@pytest.mark.slow
 def test_a_batch_without_failures_exits_0_and_overwrites_when_told(tiny, tmp_path):
     scene = add_scene(tiny, tmp_path / "one")
     command = (sys.executable, BATCH, "--", "prune", scene.parent, *SHORT)
@@ -113,6 +115,7 @@ def test_a_batch_without_failures_exits_0_and_overwrites_when_told(tiny, tmp_pat
     assert lines(third)[0]["count"] == lines(first)[0]["count"]
 
 
+@pytest.mark.slow
 def test_a_batch_into_the_folder_of_its_scenes_keeps_them_and_says_so(tiny, tmp_path):
     scenes = [add_scene(tiny, tmp_path / name).rename(tmp_path / f"{name}.ply") for name in ("a", "b")]
     done = run(
@@ -139,6 +142,7 @@ def test_a_scene_that_does_not_exist_is_named(tmp_path):
     assert done.returncode == 2 and "missing.ply: there is no such file" in done.stderr
 
 
+@pytest.mark.slow
 def test_reports_lie_in_a_folder_a_scene(tiny, tmp_path):
     for name in ("a", "b"):
         add_scene(tiny, tmp_path / name)
@@ -223,6 +227,7 @@ def test_a_stopped_batch_can_be_resumed(tiny, tmp_path, number, entry, everyone)
 # --- inside Blender
 
 
+@pytest.mark.slow
 def test_batch_in_the_process_of_the_bpy_module(scenes):
     if importlib.util.find_spec("bpy") is None:
         pytest.skip("bpy is not installed")

@@ -62,6 +62,7 @@ def ignore(_sentence: str):
 # --- the command
 
 
+@pytest.mark.slow
 def test_quick(svrgs):
     result = svrgs("bench", "--quick", "--repeat", 1, "--json").json
     machine, cases = result["machine"], result["cases"]
@@ -98,6 +99,7 @@ def check_case(case: dict):
     )
 
 
+@pytest.mark.slow
 def test_a_given_scene(svrgs, tmp_path):
     write_ply(tmp_path / "room.ply", room(2000, 1))
     outcome = svrgs("bench", "--scene", tmp_path / "room.ply", "--quick", "--threads", 1, "--json")

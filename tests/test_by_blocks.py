@@ -50,6 +50,7 @@ def few_views(monkeypatch):
     monkeypatch.setattr(place, "USUAL", 20)
 
 
+@pytest.mark.slow
 def test_a_quick_job_goes_over_to_blocks_where_memory_is_short(svrgs, short, source, tmp_path, caplog):
     result = svrgs("prune", source, "--quick", "--target", 0.25, "--out", tmp_path / "o.spz", "--json").json
     assert (
@@ -70,6 +71,7 @@ def test_a_quick_job_goes_over_to_blocks_where_memory_is_short(svrgs, short, sou
     assert [path.name for path in tmp_path.iterdir()] == ["o.spz"], "the blocks are removed"
 
 
+@pytest.mark.slow
 def test_advice_that_is_followed_is_not_given(svrgs, monkeypatch, source, tmp_path):
     monkeypatch.setattr(memory, "reading", lambda _: 10**15)
     note = svrgs("prune", source, "--quick", "--target", 0.25, "--out", tmp_path / "o.ply", "--json").json[
@@ -105,16 +107,19 @@ def test_outputs_are_checked_before_cameras_are_placed(svrgs, monkeypatch, sourc
     )
 
 
+@pytest.mark.slow
 def test_the_text_of_the_result_has_no_time_per_frame(svrgs, short, source, tmp_path):
     said = svrgs("prune", source, "--quick", "--target", 0.25, "--out", tmp_path / "o.ply").out
     assert "PSNR" in said and "ms per frame" not in said and "by blocks" in said
 
 
+@pytest.mark.slow
 def test_a_merge_without_photographs_goes_over_to_blocks_too(svrgs, short, source, tmp_path):
     result = svrgs("prune", source, "--target-count", 700, "--out", tmp_path / "o.ply", "--json").json
     assert result["count"] == 700 and result["views"] > by_blocks.QUICK_VIEWS
 
 
+@pytest.mark.slow
 def test_the_share_that_is_done_is_that_of_the_whole_job(short, source, tmp_path):
     told: list[tuple[str, float]] = []
     options = PruneOptions(
@@ -138,6 +143,7 @@ def test_the_share_that_is_done_is_that_of_the_whole_job(short, source, tmp_path
     }
 
 
+@pytest.mark.slow
 def test_a_file_with_more_gaussians_than_are_read_as_a_whole_is_pruned_by_blocks(
     svrgs, monkeypatch, source, tmp_path
 ):
@@ -146,6 +152,7 @@ def test_a_file_with_more_gaussians_than_are_read_as_a_whole_is_pruned_by_blocks
     assert result["count"] == COUNT // 2 and "more than the limit" in result["notes"][0]
 
 
+@pytest.mark.slow
 def test_given_cameras_alone_count_where_that_is_asked_for(svrgs, short, source, tmp_path):
     rig = place_rig(load_scene(source).scene, views=6)
     write_cameras_json(tmp_path / "views.json", rig.cameras)
@@ -174,6 +181,7 @@ def test_the_cameras_of_a_dataset_are_taken_for_a_quick_job(svrgs, short, tiny, 
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".ply", ".spz"])
 def test_a_drop_is_held(svrgs, short, source, tmp_path, suffix):
     out = tmp_path / f"o{suffix}"
@@ -197,6 +205,7 @@ def test_a_drop_is_held(svrgs, short, source, tmp_path, suffix):
     assert wide["count"] < result["count"] and result["drop"] < wide["drop"] <= 1.5
 
 
+@pytest.mark.slow
 def test_a_drop_that_the_format_alone_exceeds_is_refused_before_views_are_scored(
     svrgs, short, monkeypatch, source, tmp_path
 ):
@@ -207,6 +216,7 @@ def test_a_drop_that_the_format_alone_exceeds_is_refused_before_views_are_scored
     assert done.status == 2 and "the format alone loses" in done.err and not any(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_levels_are_files_of_their_own(svrgs, short, source, tmp_path):
     result = svrgs(
         "prune",
@@ -234,6 +244,7 @@ def test_levels_are_files_of_their_own(svrgs, short, source, tmp_path):
         )
 
 
+@pytest.mark.slow
 def test_without_a_number_the_result_is_the_whole_scene(svrgs, short, monkeypatch, source, tmp_path):
     monkeypatch.setattr(
         "svrgs_addon.prune.recipes.by_blocks.tune",
@@ -249,6 +260,7 @@ def test_without_a_number_the_result_is_the_whole_scene(svrgs, short, monkeypatc
     )
 
 
+@pytest.mark.slow
 def test_levels_of_a_streamed_sog_are_in_it(svrgs, short, source, tmp_path):
     out = tmp_path / "web/lod-meta.json"
     result = svrgs(
@@ -281,6 +293,7 @@ def test_a_full_disk_is_told_before_views_are_scored(svrgs, short, monkeypatch, 
     )
 
 
+@pytest.mark.slow
 def test_a_format_that_loses_more_than_pruning_is_told(svrgs, source, tmp_path):
     scene = load_scene(source).scene
     scene.sh[:] += np.random.default_rng(0).normal(0, 0.2, scene.sh.shape)
@@ -333,6 +346,7 @@ def test_a_stop_leaves_nothing_behind(svrgs, short, stop_at, source, tmp_path):
     assert done.status == 130 and "nothing was written" in done.err and not any(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_a_stop_between_levels_leaves_the_first_one(svrgs, short, stop_at, source, tmp_path):
     stop_at("measure")
     done = svrgs("prune", source, "--quick", "--target", 0.5, "--levels", "0.5", "--out", tmp_path / "o.ply")
@@ -342,6 +356,7 @@ def test_a_stop_between_levels_leaves_the_first_one(svrgs, short, stop_at, sourc
     ).count == COUNT // 2
 
 
+@pytest.mark.slow
 def test_a_room_whose_inside_no_placed_camera_sees_is_refused(source, tmp_path):
     write_scene(tmp_path / "room.ply", room(COUNT, 0))
     scene, _ = sample_of(tmp_path / "room.ply")

@@ -64,9 +64,12 @@ def test_what_is_written_is_read_again(tmp_path):
 @pytest.mark.parametrize(
     "key, value",
     [
-        ("img_name", "../a"), ("img_name", "a\0"), ("img_name", "a\ud800"), ("width", 0), ("width", 10**6), ("height", 48.5), ("fx", -1), ("fx", None),
-        ("fy", float("nan")), ("position", [1, 2]), ("position", [1, 2, float("inf")]), ("position", [10**400, 0, 0]), ("position", [1e38, 0, 0]), ("fx", 1e30),
-        ("rotation", [[1, 0, 0]] * 3), ("rotation", [[1, 0], [0, 1]]), ("rotation", [[1, 0, 0], [0, 1, 0], [0, 0, -1]]),
+        ("img_name", "../a"), ("img_name", "a\0"), ("img_name", "a\ud800"), ("width", 0), ("width", 10**6),
+        ("height", 48.5), ("fx", -1), ("fx", None),
+        ("fy", float("nan")), ("position", [1, 2]), ("position", [1, 2, float("inf")]),
+        ("position", [10**400, 0, 0]), ("position", [1e38, 0, 0]), ("fx", 1e30),
+        ("rotation", [[1, 0, 0]] * 3), ("rotation", [[1, 0], [0, 1]]),
+        ("rotation", [[1, 0, 0], [0, 1, 0], [0, 0, -1]]),
     ],
 )  # fmt: skip
 def test_unusable_cameras_json_entries(tmp_path, key, value):

@@ -88,7 +88,8 @@ def test_a_damaged_file_among_several_is_said_and_the_others_are_converted(splat
 def test_crop_scale_rotation_and_move_come_in_this_order(splat, tmp_path, capsys):
     scene = read_scene(splat)
     (line,) = convert(
-        capsys, splat, tmp_path / "b.ply", "--box", "-1,-1,-1,1,1,1", "--scale", "2", "--rotate", "90,0,90", "--move", "0,0,5", "--sh-degree", "1"
+        capsys, splat, tmp_path / "b.ply", "--box", "-1,-1,-1,1,1,1", "--scale", "2", "--rotate", "90,0,90",
+        "--move", "0,0,5", "--sh-degree", "1"
     )  # fmt: skip
     inside = (np.abs(scene.means) <= 1).all(axis=1)
     x, y, z = 2 * scene.means[inside].T

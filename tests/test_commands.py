@@ -322,6 +322,7 @@ def test_cameras_that_do_not_suit_a_comparison_are_refused(tiny, svrgs, tmp_path
         assert refused.status == 2 and sentence in refused.err and not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_views_of_a_comparison_are_placed(tiny, svrgs, tmp_path):
     write_ply(tmp_path / "ball.ply", scenes.ball(1_000))
     write_ply(tmp_path / "half.ply", scenes.ball(500))

@@ -104,6 +104,7 @@ def test_same_request_gives_same_bytes(dataset, tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["again"], "leftovers beside it"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SMALL)
 def test_every_scene_has_the_same_bytes_again(made, tmp_path, name):
     done = generate(tmp_path / "again", *SMALL[name])
@@ -113,6 +114,7 @@ def test_every_scene_has_the_same_bytes_again(made, tmp_path, name):
     assert stamp["request"]["scene"] == name
 
 
+@pytest.mark.slow
 def test_another_scene_replaces_a_dataset(made, tmp_path):
     out = tmp_path / "scene"
     shutil.copytree(made("plaza"), out)
@@ -189,6 +191,7 @@ def test_model_is_a_plain_pinhole_dataset(dataset, model):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SCENES)
 def test_every_scene_has_the_format_it_says(made, name):
     """And pictures that show something: neither dark nor burnt out, no area of one colour."""
@@ -264,6 +267,7 @@ def linear(srgb: np.ndarray) -> np.ndarray:
     return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
 
 
+@pytest.mark.slow
 def test_pictures_of_the_portrait_drift_as_the_stamp_says(made, tmp_path):
     """Against the same pictures taken without drift."""
     code = (

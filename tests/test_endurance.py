@@ -33,11 +33,13 @@ def test_a_scene_that_takes_more_than_it_may():
     assert done.returncode == 1 and "MemoryError" in done.stderr and "generate failed" in done.stderr
 
 
+@pytest.mark.slow
 def test_renders_take_no_more_memory():
     done = run("-m", "tests.soak", "--renders", "700")
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+@pytest.mark.slow
 def test_a_leak_is_seen():
     """Of every picture."""
     code = (

@@ -19,6 +19,7 @@ import sysconfig
 import tomllib
 import venv
 import zipfile
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -31,6 +32,9 @@ import platforms
 ROOT = Path(__file__).resolve().parents[1]
 MANIFEST = tomllib.loads((ROOT / "blender_manifest.toml").read_text(encoding="utf-8"))
 PYTHONS = [sys.executable, *filter(None, os.environ.get("SVRGS_BLENDER_PYTHONS", "").split(":"))]
+BLENDER_TESTS = ROOT / "tests/blender"
+PARTS = 6  # Blenders that share all tests
+SHORT = ("test_manners.py", "test_formats.py", "-k", "not 50_times")  # what `make test` runs of them
 ASK_PYTHON = "import sys; print('python tag: cp%d%d' % sys.version_info[:2])"
 
 
@@ -106,7 +110,8 @@ def data(tiny, tmp_path_factory) -> Path:
     for name, cameras in {"tiny": tiny.cameras, "varied": sorted(views, key=lambda view: view.name)}.items():
         np.savez(
             folder / f"{name}.npz", viewmats=[c.viewmat for c in cameras], Ks=[c.K for c in cameras],
-            sizes=[(c.width, c.height) for c in cameras], names=[c.name for c in cameras], points=tiny.truth.means,
+            sizes=[(c.width, c.height) for c in cameras], names=[c.name for c in cameras],
+            points=tiny.truth.means,
         )  # fmt: skip
     return folder
 
@@ -175,19 +180,39 @@ def test_versions_agree_and_only_files_are_asked_for():
     assert list(MANIFEST["permissions"]) == ["files"] and MANIFEST["license"] == ["SPDX:GPL-3.0-or-later"]
 
 
+def in_folder(words: Iterable[str]) -> list[str]:
+    return [str(BLENDER_TESTS / word) if word.endswith(".py") else word for word in words]
+
+
+def chosen_tests() -> list[list[str]]:
+    """The tests of tests/blender in lists for one Blender each; with SVRGS_BLENDER_TESTS, these alone."""
+    if words := shlex.split(os.environ.get("SVRGS_BLENDER_TESTS", "")):
+        return [in_folder(words)]
+    files = sorted(map(str, BLENDER_TESTS.glob("test_*.py")))
+    return [files[part::PARTS] for part in range(PARTS)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("chosen", chosen_tests(), ids=lambda _: "part")
 @pytest.mark.parametrize("python", PYTHONS)
-def test_inside_blender(python, extension_zip, data, tmp_path):
-    folder = ROOT / "tests/blender"
-    chosen = [
-        str(folder / word) if word.endswith(".py") else word
-        for word in shlex.split(os.environ.get("SVRGS_BLENDER_TESTS", ""))
-    ] or [str(folder)]
+def test_inside_blender(python, chosen, extension_zip, data, tmp_path):
     run_in_blender(python, extension_zip(python, "-c"), data, tmp_path, chosen)
 
 
+def test_inside_blender_in_short(extension_zip, data, tmp_path):
+    run_in_blender(
+        sys.executable,
+        extension_zip(sys.executable, "-c"),
+        data,
+        tmp_path,
+        in_folder(SHORT),
+    )
+
+
+@pytest.mark.slow
 def test_inside_a_blender_without_pycolmap_by_the_zip_without_wheels(any_python_zip, data, tmp_path):
     python = python_without(["pycolmap", "torch"], tmp_path / "python")
-    run_in_blender(python, any_python_zip, data, tmp_path, [str(ROOT / "tests/blender/without_pycolmap.py")])
+    run_in_blender(python, any_python_zip, data, tmp_path, in_folder(["without_pycolmap.py"]))
 
 
 def python_without(packages: list[str], folder: Path) -> str:
@@ -216,6 +241,8 @@ def run_in_blender(python: str, extension: Path, data: Path, folder: Path, chose
         "--durations=8",
         "-p",
         "no:cacheprovider",
+        "-p",
+        "no:randomly",
         "--rootdir",
         ROOT / "tests/blender",
         "-c",

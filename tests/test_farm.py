@@ -125,6 +125,7 @@ def test_the_report_has_all_tasks_and_means_over_the_scenes(job, capsys):
     )
 
 
+@pytest.mark.slow
 def test_results_have_the_format_that_is_asked_for(captures, tmp_path):
     words = ["--out", str(tmp_path / "job"), "--to", "spz", "--quick", "--targets", "0.4", "--no-photographs"]
     assert main(["farm", "export", str(captures / "one/scene.ply"), *words]) == 0
@@ -175,6 +176,7 @@ def test_an_engine_runs_the_whole_job(job, alone):
     assert digests(job) == alone and (job / "report/index.html").is_file()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="a script of sh")
 def test_a_task_that_is_killed_and_tried_again_ends_with_the_same_bytes(captures, tmp_path):
     words = ["--out", str(tmp_path / "job"), "--targets", "0.5", "--iterations", "4000", "--recovery", "200"]
@@ -196,6 +198,7 @@ def test_a_task_that_is_killed_and_tried_again_ends_with_the_same_bytes(captures
     assert digests(job) == expected
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="a script of sh")
 def test_an_engine_prunes_a_large_scene_as_one_machine_does(tiny, tmp_path, capsys):
     from svrgs_addon.views.cameras_json import write_cameras_json
@@ -242,6 +245,7 @@ def test_an_engine_prunes_a_large_scene_as_one_machine_does(tiny, tmp_path, caps
     assert len(json.loads((tmp_path / "work/blocks.json").read_text())["blocks"]) == 8
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="a script of sh")
 def test_an_engine_lets_a_method_decide_on_a_large_scene_as_one_machine_does(tiny, tmp_path):
     words = [
@@ -317,9 +321,16 @@ def test_a_failed_task_is_told_to_the_engine(job, captures, capsys):
 AUTHOR = """
 const tasks = [];
 function made(kind, name, type) {
-  return { name, type, commands: [], after: [], addCommand(one) { this.commands.push(one); }, addDependency(one) { this.after.push(one.name); } };
+  return {
+    name, type, commands: [], after: [],
+    addCommand(one) { this.commands.push(one); },
+    addDependency(one) { this.after.push(one.name); },
+  };
 }
-const author = { Task: (name, type) => made("task", name, type), Command: (name, parameters) => ({ name, parameters }) };
+const author = {
+  Task: (name, type) => made("task", name, type),
+  Command: (name, parameters) => ({ name, parameters }),
+};
 function graph(settings) {
   tasks.length = 0;
   compileJob({ settings, addTask: (one) => tasks.push(one) });

@@ -35,7 +35,11 @@ SETTINGS = replace(prune_settings("svr", 30, 10, prune_every=15, lambda_f=1e-3),
 # --- killed
 
 
-@pytest.mark.parametrize("target", ["run", "blocks", *WRITERS])
+SHORT = "scene.ply"  # the one that `make test` kills
+LONG = [name for name in ("run", "blocks", *WRITERS) if name != SHORT]
+
+
+@pytest.mark.parametrize("target", [SHORT, *(pytest.param(name, marks=pytest.mark.slow) for name in LONG)])
 def test_killed_at_random_moments(target, tmp_path):
     """A few here; `python -m tests.faults` for 200 each."""
     environment = os.environ | {"PYTHONPATH": f"{ROOT}:{ROOT / 'tests'}", "TMPDIR": str(tmp_path)}

@@ -71,6 +71,7 @@ def test_the_quality_is_that_of_the_file(tmp_path):
     assert psnr(*images) == pytest.approx(packed["psnr"], abs=4)
 
 
+@pytest.mark.slow
 def test_a_fine_tuned_job_measures_what_it_wrote(tmp_path):
     path = tmp_path / "ball.ply"
     write_scene(path, ball(1_000))
@@ -82,6 +83,7 @@ def test_a_fine_tuned_job_measures_what_it_wrote(tmp_path):
     assert packed["after"]["bytes"] == 32 * packed["count"]
 
 
+@pytest.mark.slow
 def test_levels_are_written_in_the_format_of_the_output_and_a_nested_result_needs_its_order(tmp_path):
     path = tmp_path / "ball.ply"
     write_scene(path, ball(1_000))

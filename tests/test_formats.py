@@ -262,7 +262,7 @@ def test_the_kind_of_a_ply_is_told_by_its_header(tmp_path):
 
 
 @pytest.mark.parametrize("suffix", WRITTEN)
-@pytest.mark.parametrize("count", (1, 255, 257, 2**16 + 1))
+@pytest.mark.parametrize("count", (1, 255, 257, pytest.param(2**16 + 1, marks=pytest.mark.slow)))
 def test_any_number_of_gaussians_is_written(tmp_path, suffix, count):
     scene = like_trained(1, count)
     write_scene(tmp_path / f"a{suffix}", scene)

@@ -9,6 +9,7 @@ import pytest
 import instruction_counts as ic
 
 
+@pytest.mark.slow
 def test_no_call_needs_more_instructions(tmp_path):
     if reason := ic.missing():
         pytest.skip(reason)

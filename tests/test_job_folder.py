@@ -24,10 +24,13 @@ from svrgs_addon.system.errors import FormatError, SceneError
 
 GOOD = {"schema": 1, "kind": "prune", "name": "a", "count": 3, "options": {"colmap": "somewhere"}}
 HOSTILE = [
-    b"", b"{", b"[]", b"null", b"[" * 100_000, json.dumps(GOOD | {"schema": 99}).encode(), json.dumps(GOOD | {"count": -1}).encode(),
-    json.dumps(GOOD | {"count": True}).encode(), json.dumps(GOOD | {"name": 3}).encode(), json.dumps(GOOD | {"options": []}).encode(),
+    b"", b"{", b"[]", b"null", b"[" * 100_000, json.dumps(GOOD | {"schema": 99}).encode(),
+    json.dumps(GOOD | {"count": -1}).encode(),
+    json.dumps(GOOD | {"count": True}).encode(), json.dumps(GOOD | {"name": 3}).encode(),
+    json.dumps(GOOD | {"options": []}).encode(),
     *(json.dumps(GOOD | {"options": {"colmap": "x", **bad}}).encode() for bad in (
-        {"out": "/etc/passwd"}, {"report": "/tmp/x"}, {"lpips_weights": "x"}, {"iterations": "3"}, {"iterations": 1.5}, {"seed": True},
+        {"out": "/etc/passwd"}, {"report": "/tmp/x"}, {"lpips_weights": "x"}, {"iterations": "3"},
+        {"iterations": 1.5}, {"seed": True},
         {"lambda_f": "nan"}, {"images": "a\nb"}, {"visible_mask": 1},
     )),
     json.dumps(GOOD | {"padding": "x" * folders.LARGEST_JSON}).encode(),

@@ -190,6 +190,7 @@ def undisturbed(tiny, tmp_path_factory) -> list[bytes]:
     return result_bytes(job)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stops", [1, 3])
 def test_stopped_jobs_end_as_if_they_had_not_been(undisturbed, tiny, tmp_path, jobs, stops):
     job = Job(create(tmp_path / "job", tiny, **MEDIUM))
@@ -207,6 +208,7 @@ def test_stopped_jobs_end_as_if_they_had_not_been(undisturbed, tiny, tmp_path, j
     assert result_bytes(job) == undisturbed
 
 
+@pytest.mark.slow
 def test_a_killed_job_is_interrupted_and_goes_on_to_the_same_bytes(undisturbed, tiny, tmp_path, jobs):
     job = Job(create(tmp_path / "job", tiny, **MEDIUM))
     jobs.append(job)

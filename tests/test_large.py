@@ -429,6 +429,7 @@ def test_a_divided_scene_that_is_damaged_is_one_sentence(source, cameras, tmp_pa
     assert divided.count == COUNT
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="signal 9")
 def test_steps_that_are_killed_and_done_again_give_the_same_bytes(source, cameras, tmp_path, svrgs):
     write_cameras_json(
@@ -480,6 +481,7 @@ def test_steps_that_are_killed_and_done_again_give_the_same_bytes(source, camera
     )
 
 
+@pytest.mark.slow
 def test_a_block_that_no_view_sees_stays_as_it_was_cut(source, tmp_path):
     wide = orbit_camera(160, 120, 0.1)
     K = wide.K.copy()

@@ -53,7 +53,8 @@ def test_an_orthographic_lens_shows_its_scale_on_the_fitted_side(fit, side):
 def frustum(left, right, bottom, top, near, far) -> np.ndarray:
     """OpenGL's projection matrix, from its definition."""
     return np.array([
-        [2 * near / (right - left), 0, (right + left) / (right - left), 0], [0, 2 * near / (top - bottom), (top + bottom) / (top - bottom), 0],
+        [2 * near / (right - left), 0, (right + left) / (right - left), 0],
+        [0, 2 * near / (top - bottom), (top + bottom) / (top - bottom), 0],
         [0, 0, -(far + near) / (far - near), -2 * far * near / (far - near)], [0, 0, -1, 0],
     ])  # fmt: skip
 

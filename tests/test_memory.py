@@ -198,7 +198,7 @@ def test_too_few_addresses_give_one_sentence(tiny, tmp_path, command):
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems do not hold ulimit -v")
 def test_the_addresses_that_are_left_are_available():
-    code = LIMITED.format(2_000_000_000, "from svrgs_addon import memory; print(memory.available())")
+    code = LIMITED.format(2_000_000_000, "from svrgs_addon.system import memory; print(memory.available())")
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert 1_000_000_000 < int(done.stdout) < 2_000_000_000
 
@@ -264,6 +264,7 @@ print(peak())
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="the peak is read from /proc")
 def test_reading_in_parts_needs_what_is_foreseen(tmp_path):
     """Of an SPZ, whose streams are unpacked as a whole. Seen: 96 % of the estimate with 2,000,000 Gaussians;
@@ -303,12 +304,15 @@ def test_files_with_more_gaussians_than_are_read_as_a_whole_are_converted(svrgs,
 
 METRICS = """
 import numpy as np
-from svrgs_addon import metrics, native
+from svrgs_addon.native import library
+from svrgs_addon.render.metrics.flip import flip
+from svrgs_addon.render.metrics.psnr import psnr
+from svrgs_addon.render.metrics.ssim import ssim
 from svrgs_addon.system.memory_limits import peak, proc_bytes
-native.set_threads(2)
+library.set_threads(2)
 a, b = np.random.default_rng(0).random((2, 1500, 2000, 3), np.float32)
 start = proc_bytes("self/status", "VmRSS")
-metrics.psnr(a, b), metrics.ssim(a, b), metrics.flip(a, b)
+psnr(a, b), ssim(a, b), flip(a, b)
 print((peak() - start) / 1500 / 2000)
 """
 
@@ -373,7 +377,8 @@ def test_growth_held_back_is_remembered_by_checkpoints(tiny, monkeypatch, tmp_pa
 GROWTH = """
 import sys
 import numpy as np
-from svrgs_addon import memory, native
+from svrgs_addon.native import rasterizer as native
+from svrgs_addon.system import memory
 from svrgs_bench.cases import Case
 from svrgs_bench.scenes import orbit_camera
 from svrgs_bench.trial import Trial
@@ -397,7 +402,8 @@ before = proc_bytes("self/status", "VmRSS")
 densify.densify(model, statistics, Densify(), 1.0, np.random.default_rng(0))
 grown = peak() - before
 count, file_bytes = scene.count, int(sys.argv[2])
-print(read / memory.reading(file_bytes), drawn / (memory.reading(file_bytes) + memory.rendering(count, 640, 480)),
+print(read / memory.reading(file_bytes),
+      drawn / (memory.reading(file_bytes) + memory.rendering(count, 640, 480)),
       tuned / (memory.reading(file_bytes) + memory.tuning(count, 16, [camera], 0)),
       grown / memory.growing(count, model.count - count, 16, [camera]))
 """

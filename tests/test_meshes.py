@@ -293,7 +293,8 @@ def test_levels_are_linear_means_and_large_pictures_are_reduced():
 def test_wrong_triangles_are_refused():
     good = square(np.zeros((2, 2, 3), np.uint8), CORNERS)
     for change in (
-        {"normals": good.normals[:1]}, {"uvs": good.uvs[..., :1]}, {"texture": good.texture.astype(np.int64)}, {"holdout": good.holdout[:1]},
+        {"normals": good.normals[:1]}, {"uvs": good.uvs[..., :1]}, {"texture": good.texture.astype(np.int64)},
+        {"holdout": good.holdout[:1]},
         {"corners": good.corners.astype(float)}, {"colors": good.colors[:, ::-1]},
         {"textures": (replace(good.textures[0], texels=good.textures[0].texels[1:]),)},
     ):  # fmt: skip

@@ -112,7 +112,9 @@ def sensitivities(scene, camera) -> np.ndarray:
 
 
 @pytest.mark.parametrize("level", LEVELS)
-@pytest.mark.parametrize("view", VIEWS)
+@pytest.mark.parametrize(
+    "view", ["front", *(pytest.param(name, marks=pytest.mark.slow) for name in ("rolled", "inside"))]
+)
 def test_sensitivities_are_those_of_the_reference(level, view):
     """Worst seen, of each matrix's largest value: 3.9e-14 in float64, 2.5e-5 in float32."""
     r, camera = rasterizer(level), VIEWS[view]
@@ -130,6 +132,7 @@ def test_sensitivities_are_those_of_the_reference(level, view):
     assert worst < (1e-12 if level == "float64" else 2e-4)
 
 
+@pytest.mark.slow
 def test_pup_ranks_by_the_determinant_over_all_views():
     scene = small_scene(np.float64)
     scene.means[7] = (0, 0, -50)  # behind every camera

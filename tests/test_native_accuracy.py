@@ -264,7 +264,8 @@ def test_even_scales_the_mask_gradient_of_f_to_one_footprint(level):
             render(level, scene, camera, masks, mask_kind=kind)
             grads[kind, name] = backward(level, parts, 60, ("masks",))["masks"]
     splats = ref.project(
-        **scenes.leaves(scene, requires_grad=False), viewmat=torch.as_tensor(camera.viewmat), K=torch.as_tensor(camera.K),
+        **scenes.leaves(scene, requires_grad=False), viewmat=torch.as_tensor(camera.viewmat),
+        K=torch.as_tensor(camera.K),
         width=camera.width, height=camera.height, degree=3, antialiased=False,
     )  # fmt: skip
     xx, xy, yy = splats.conic.T

@@ -26,7 +26,8 @@ def mixed() -> Scene:
     """Gaussians of a fraction of a pixel up to such as cover the picture, some of which are needles, or lie
     at its borders."""
     parts = [
-        scenes.random_scene(600, 1, 1, scale=0.02), scenes.random_scene(80, 2, 1, scale=0.3), scenes.random_scene(6, 3, 1, scale=3.0, opacity=-2.0),
+        scenes.random_scene(600, 1, 1, scale=0.02), scenes.random_scene(80, 2, 1, scale=0.3),
+        scenes.random_scene(6, 3, 1, scale=3.0, opacity=-2.0),
         scenes.needles(30, 4, 1), scenes.near_camera(20, 5, 1),
     ]  # fmt: skip
     joined = {

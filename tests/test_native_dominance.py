@@ -3,6 +3,8 @@ against the float64 reference."""
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 import pytest
 
@@ -16,19 +18,36 @@ COUNT = 40
 CAMERA = scenes.camera(37, 29)
 
 
+@functools.cache
+def sloped(masked: bool, antialiased: bool) -> tuple:
+    """A scene with opaque Gaussians among others, its masks, and the slopes of the reference."""
+    scene, _ = scenes.away_from_thresholds(
+        scenes.random_scene(COUNT, 5, 1, scale=0.3), CAMERA, np.ones(COUNT)
+    )
+    scene.opacity_logits[:6] = 9.0
+    masks = scenes.random_masks(scene.count, 3) if masked else np.ones(scene.count)
+    return scene, masks, expected_slopes(scene, masks, CAMERA, antialiased)
+
+
+@functools.cache
+def dominated(masked: bool) -> tuple:
+    """A scene, its masks, and how many pixels each Gaussian dominates in the reference."""
+    scene, _ = scenes.away_from_thresholds(
+        scenes.random_scene(COUNT, 6, 1, scale=0.3), CAMERA, np.ones(COUNT)
+    )
+    masks = scenes.random_masks(scene.count, 3) if masked else np.ones(scene.count)
+    return scene, masks, expected_dominance(scene, masks, CAMERA)
+
+
 @pytest.mark.parametrize("level", LEVELS)
 @pytest.mark.parametrize("masked", [False, True])
 @pytest.mark.parametrize("antialiased", [False, True])
 def test_slopes_are_those_of_the_reference(level, masked, antialiased):
     """Opaque Gaussians among them, whose alpha is clamped. Worst seen, of the largest: 1e-15 in float64, 7e-7
     in float32."""
-    scene, _ = scenes.away_from_thresholds(
-        scenes.random_scene(COUNT, 5, 1, scale=0.3), CAMERA, np.ones(COUNT)
-    )
-    scene.opacity_logits[:6] = 9.0
-    masks = scenes.random_masks(scene.count, 3) if masked else np.ones(scene.count)
+    scene, masks, expected = sloped(masked, antialiased)
     render(level, scene, CAMERA, masks, ("rgb",), antialiased=antialiased)
-    found, expected = np.zeros(scene.count), expected_slopes(scene, masks, CAMERA, antialiased)
+    found = np.zeros(scene.count)
     rasterizer(level).add_slopes(found)
     assert (expected > 0).sum() > 10 and (parts(scene, CAMERA)[1] == reference.ALPHA_MAX).any()
     np.testing.assert_allclose(
@@ -39,12 +58,9 @@ def test_slopes_are_those_of_the_reference(level, masked, antialiased):
 @pytest.mark.parametrize("level", LEVELS)
 @pytest.mark.parametrize("masked", [False, True])
 def test_each_pixel_is_dominated_by_its_largest_weight(level, masked):
-    scene, _ = scenes.away_from_thresholds(
-        scenes.random_scene(COUNT, 6, 1, scale=0.3), CAMERA, np.ones(COUNT)
-    )
-    masks = scenes.random_masks(scene.count, 3) if masked else np.ones(scene.count)
+    scene, masks, expected = dominated(masked)
     alpha = render(level, scene, CAMERA, masks, ("alpha",))["alpha"]
-    found, expected = np.zeros(scene.count), expected_dominance(scene, masks, CAMERA)
+    found = np.zeros(scene.count)
     rasterizer(level).add_dominance(found)
     assert found.sum() == (alpha > 0).sum() and 5 < (found > 0).sum() < scene.count
     np.testing.assert_array_equal(found, expected)

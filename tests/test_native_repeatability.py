@@ -116,8 +116,10 @@ def test_views_with_a_depth_limit_are_for_looking_at():
     r.forward(typed(scene, r.dtype), CAMERA, depth_limit=np.ones((27, 40), r.dtype))
     n, residuals = np.zeros(20), np.zeros((27, 40, 3), r.dtype)
     calls = (
-        lambda: r.backward({"rgb": residuals}), lambda: r.add_scores(n, np.zeros(20, np.float32), np.zeros(20, np.int64)), r.moments,
-        lambda: r.add_removal(n, residuals), lambda: r.add_slopes(n), lambda: r.add_dominance(n), lambda: r.work(count_pixels=True),
+        lambda: r.backward({"rgb": residuals}),
+        lambda: r.add_scores(n, np.zeros(20, np.float32), np.zeros(20, np.int64)), r.moments,
+        lambda: r.add_removal(n, residuals), lambda: r.add_slopes(n), lambda: r.add_dominance(n),
+        lambda: r.work(count_pixels=True),
     )  # fmt: skip
     for call in calls:
         with pytest.raises(NativeError, match="a view with a depth limit has no gradients and no statistics"):

@@ -277,6 +277,7 @@ def prune(python: list, batch: Path, tiny, out: Path) -> list:
     ]
 
 
+@pytest.mark.slow
 def test_two_batches_at_once_need_numpy_and_wheels_alone(bare, tiny, tmp_path):
     batch = ROOT / "svrgs_addon/batch.py"
     both = [
@@ -309,6 +310,7 @@ def test_a_checkout_without_wheels_or_library_says_what_to_do(bare, tiny, checko
     ), err
 
 
+@pytest.mark.slow
 def test_blender_lends_what_a_checkout_lacks(bare, tiny, checkout, tmp_path):
     """Wheels and library of the installed extension, which is not enabled; OpenImageIO of Blender as a
     module."""

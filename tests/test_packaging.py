@@ -20,7 +20,8 @@ from svrgs_bench import variants
 ROOT = Path(__file__).resolve().parents[1]
 DIST = ROOT / "dist"
 NAMES = {
-    "pycolmap==4.2.1": "pycolmap-4.2.1-{0}-{0}-{1}.whl", "openimageio==3.0.21.0": "openimageio-3.0.21.0-{0}-{0}-{1}.whl",
+    "pycolmap==4.2.1": "pycolmap-4.2.1-{0}-{0}-{1}.whl",
+    "openimageio==3.0.21.0": "openimageio-3.0.21.0-{0}-{0}-{1}.whl",
     "openimageio==3.2.2.0": "openimageio-3.2.2.0-{0}-{0}-{1}.whl",
 }  # fmt: skip
 LIMIT = 60e6  # bytes of a zip
@@ -113,6 +114,7 @@ def test_what_a_zip_will_hold(tmp_path):
 # --- the wheel for pip
 
 
+@pytest.mark.slow
 def test_an_installed_wheel_needs_no_compiler(tmp_path):
     """Built here by the compiler of this machine, installed into an empty environment, used from another
     folder."""

@@ -116,6 +116,7 @@ def test_a_picture_of_all_directions_is_found_again(panorama):
         np.testing.assert_allclose(picture.depth[inside], 3 if coverage else FAR, rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_pixels_are_those_of_perspective_views_in_their_direction():
     """Each pixel against the middle of a view of 50 degrees in float64; in levels of 255."""
     scene, r64, rng = room(60_000), Rasterizer("float64"), np.random.default_rng(0)
@@ -130,7 +131,8 @@ def test_pixels_are_those_of_perspective_views_in_their_direction():
     errors = []
     for row, column in zip(rows, columns, strict=True):
         one = replace(
-            panorama, width=1, height=1, latitude=(panorama.latitudes[row] - 1e-3, panorama.latitudes[row] + 1e-3),
+            panorama, width=1, height=1,
+            latitude=(panorama.latitudes[row] - 1e-3, panorama.latitudes[row] + 1e-3),
             longitude=(panorama.longitudes[column] - 1e-3, panorama.longitudes[column] + 1e-3),
         )  # fmt: skip
         forward = all_directions(one)[0, 0]
@@ -217,12 +219,14 @@ def test_wrong_views_are_refused():
         np.zeros(4),
     )
     good = {
-        "image": image, "turn": np.eye(3), "K": np.eye(3), "along": 1, "sums": sums, "latitudes": rows, "longitudes": columns,
+        "image": image, "turn": np.eye(3), "K": np.eye(3), "along": 1, "sums": sums, "latitudes": rows,
+        "longitudes": columns,
         "row_weights": rows, "column_weights": columns,
     }  # fmt: skip
     add_view(**good)
     for change in (
-        {"image": image.astype(float)}, {"image": image[:, ::-1]}, {"sums": sums[..., :1]}, {"sums": sums.astype(float)}, {"latitudes": columns},
+        {"image": image.astype(float)}, {"image": image[:, ::-1]}, {"sums": sums[..., :1]},
+        {"sums": sums.astype(float)}, {"latitudes": columns},
         {"column_weights": columns.astype(np.float32)},
     ):  # fmt: skip
         with pytest.raises(TypeError):

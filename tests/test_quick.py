@@ -174,6 +174,7 @@ def test_options_that_it_does_not_have_are_refused(splat, more, words):
     assert not splat.with_name("small.ply").exists()
 
 
+@pytest.mark.slow
 def test_several_splats_in_one_command(svrgs, splat, tmp_path):
     write_ply(tmp_path / "second.ply", ball(1_000, seed=1))
     done = svrgs(

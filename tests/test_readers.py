@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 import scenes
 from fuzz import NAMES
 from fuzz.mutate import mutated
-from fuzz.seeds import camera_entries, ply_seeds
+from fuzz.seeds import camera_entries, ply_seeds, target
 from fuzz.targets import Checkpoint, cameras_json, ply
 from svrgs_addon.files.ply import read_ply, write_ply
 from svrgs_addon.files.registry import FORMATS, describe, load_scene
@@ -256,6 +256,16 @@ def test_a_checkpoint_changed_anywhere_is_none(tmp_path):
 # --- in processes of their own: a reader in C++ could take the tests down with it
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_what_the_search_starts_from_is_valid(name, tmp_path):
+    if name.startswith("colmap"):
+        pytest.importorskip("pycolmap")
+        pytest.importorskip("OpenImageIO")
+    check, found = target(name, tmp_path)
+    assert found and all(map(check, found))
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("target", sorted({*NAMES, *(splat_format.name for splat_format in FORMATS)}))
 def test_a_short_run_of_changed_files(target, tmp_path):
     if target.startswith("colmap"):

@@ -148,6 +148,7 @@ def run(line: str, variables: dict[str, str], folder: Path) -> str:
     return done.stdout
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("line", RUNS)
 def test_command(line, tools, inputs, tmp_path, request):
     if line.startswith("blender"):

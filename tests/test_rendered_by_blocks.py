@@ -207,8 +207,8 @@ def all_mapped() -> str:
 def test_a_stop_leaves_no_blocks_behind(source, cameras, tmp_path):
     (tmp_path / "temporary").mkdir()
     code = (
-        "from svrgs_addon import memory; from svrgs_addon.cli.main import main; memory.reading = lambda _:"
-        " 10**15; "
+        "from svrgs_addon.system import memory; from svrgs_addon.cli.main import main;"
+        " memory.reading = lambda _: 10**15; "
     )
     code += (
         "import svrgs_addon.prune.blocks.block_rasterizer as o, time, sys; o.seen = lambda *a, **k:"

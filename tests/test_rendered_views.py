@@ -101,16 +101,19 @@ def test_methods_of_every_kind_prune_on_them(splat, method):
     assert any("the splat's own pictures take their place" in note for note in result["notes"])
 
 
+@pytest.mark.slow
 def test_to_a_number_merging_is_the_default_and_better_than_a_cut(splat):
     merged, cut = prune(splat), prune(splat, method="opacity")
     assert merged["method"] == "merge" and merged["psnr"] > cut["psnr"] + 1
     assert prune(splat, target=None, iterations=40)["method"] == "removal"
 
 
+@pytest.mark.slow
 def test_more_steps_give_a_better_result(splat):
     assert prune(splat, recovery=150)["psnr"] > prune(splat, recovery=5)["psnr"] + 0.5
 
 
+@pytest.mark.slow
 def test_the_same_job_gives_the_same_bytes_on_any_number_of_threads_and_after_a_stop(splat, default_threads):
     prune(splat, out=splat.with_name("a.ply"))
     prune(splat, out=splat.with_name("b.ply"), threads=1)
@@ -134,6 +137,7 @@ def test_a_stopped_job_of_another_splat_does_not_go_on(splat):
     assert list(dataset.inputs()) != before
 
 
+@pytest.mark.slow
 def test_columns_that_merging_loses_are_named(splat):
     scene = ball(1_000)
     write_ply(
@@ -144,6 +148,7 @@ def test_columns_that_merging_loses_are_named(splat):
     assert not any("columns" in note for note in prune(splat, method="opacity")["notes"])
 
 
+@pytest.mark.slow
 def test_a_larger_allowed_drop_keeps_fewer(splat):
     """The drop is that of a splat with 30 dB on its photographs."""
     results = [prune(splat, target=None, max_drop=drop, iterations=60) for drop in (0.2, 2.0)]
@@ -178,6 +183,7 @@ def test_the_time_of_the_quick_way_is_foreseen(splat):
         estimate(PruneOptions(scene=splat, quick=True))
 
 
+@pytest.mark.slow
 def test_a_job_folder_holds_a_job_without_photographs(splat, tmp_path, jobs):
     """Quick and fine-tuned: the result has merged Gaussians, so there is no ranking of the original's."""
     for name, options in (

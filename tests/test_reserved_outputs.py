@@ -59,6 +59,7 @@ def test_a_link_and_its_target_are_one_output(tmp_path):
         pass
 
 
+@pytest.mark.slow
 def test_a_second_job_on_the_same_output_is_refused_and_the_first_goes_on(tiny, tmp_path):
     command = [
         sys.executable,

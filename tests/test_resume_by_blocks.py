@@ -125,7 +125,8 @@ GOALS = {"target": ["--target", 0.5], "drop": ["--max-drop", 2.0]}
 
 
 @pytest.mark.parametrize("goal, step, at", [
-    ("target", "decide", 3.7 / 6), ("target", "recover", 4.7 / 6), ("target", "recover", 0.0), ("target", "measure", 0.0), ("drop", "decide", 4.7 / 7),
+    ("target", "decide", 3.7 / 6), ("target", "recover", 4.7 / 6), ("target", "recover", 0.0),
+    ("target", "measure", 0.0), ("drop", "decide", 4.7 / 7),
 ])  # fmt: skip
 def test_a_job_that_was_stopped_goes_on_with_resume(
     svrgs, short, stop_at, tiny, tmp_path, steps, goal, step, at

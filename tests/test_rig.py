@@ -79,6 +79,7 @@ def test_a_room_is_looked_at_from_inside():
     assert rig.inside_out and within_the_room(rig).all()
 
 
+@pytest.mark.slow
 def test_a_room_whose_walls_show_from_outside_is_looked_at_from_there_too():
     rig = place_rig(room(), held_out=8)
     outside = ~within_the_room(rig)
@@ -90,6 +91,7 @@ def test_a_room_whose_walls_show_from_outside_is_looked_at_from_there_too():
     assert (np.linalg.norm(eyes(rig)[outside], axis=1) > 3 * 3**0.5).all(), "a camera is in a wall"
 
 
+@pytest.mark.slow
 def test_what_hides_behind_the_walls_of_a_room_is_looked_at_from_inside_alone():
     """A room full of small things, with walls that let nothing through."""
     walls, things = room(), solid(30_000, 1.5)
@@ -103,6 +105,7 @@ def test_what_hides_behind_the_walls_of_a_room_is_looked_at_from_inside_alone():
     assert rig.inside_out and within_the_room(rig).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", (dense(), room()), ids=("object", "room"))
 def test_nearly_all_is_seen_by_three_views(scene):
     """As the rig says of itself, and as its pictures show."""
@@ -145,6 +148,7 @@ def test_held_out_views_are_not_those_of_the_rig():
     assert len({camera.name for camera in (*rig.cameras, *rig.held_out)}) == len(rig.cameras) + 8
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_rig_on_any_number_of_threads(default_threads):
     rigs = []
     for threads in (1, 3):

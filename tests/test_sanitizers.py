@@ -66,6 +66,7 @@ def program(out: Path, library: Path, *words: str):
     subprocess.run(command, check=True)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not runtime(), reason="the compiler has no thread sanitizer")
 def test_no_data_races(tmp_path):
     folder = ROOT / "build" / "sanitize" / "tsan"  # kept: built anew only after a change
@@ -80,6 +81,7 @@ def test_no_data_races(tmp_path):
     assert (done.returncode, done.stdout) == (0, "clean\n"), done.stderr[-3000:]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(variants.missing_tools() != "", reason="there is no compiler")
 def test_no_warnings(tmp_path):
     done = compiled(tmp_path, "objects", "-O3 -Werror -fsyntax-only")

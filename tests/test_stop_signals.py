@@ -53,9 +53,20 @@ def words_for(tiny, out: Path, iterations: int, recovery: int) -> list[str]:
     return [str(word) for word in words]
 
 
+def heard():
+    """The stop signals as a terminal sets them: nohup and a shell's & let their children ignore some."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
+
+
 def start(*command: str) -> subprocess.Popen:
     return subprocess.Popen(
-        [sys.executable, *command], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [sys.executable, *command],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=heard,
     )
 
 
@@ -79,6 +90,7 @@ def whole_command(tiny, tmp_path_factory) -> bytes:
     return out.read_bytes()
 
 
+@pytest.mark.slow
 def test_kill_and_resume(tiny, whole_command, tmp_path):
     """kill -9 at random moments, among them within the writing of a checkpoint, in both phases."""
     out, chance = tmp_path / "o.ply", random.Random(8)
@@ -110,6 +122,7 @@ def test_stop_signals_finish_the_step(tiny, tmp_path, number):
     assert manifest["iteration"] == int(checkpoint) < ENDLESS
 
 
+@pytest.mark.slow
 def test_a_job_under_nohup_outlives_its_terminal(tiny, tmp_path):
     process = start(
         "-c",
@@ -152,7 +165,7 @@ def test_a_stop_request_hears_both_signals():
 
 def test_a_second_ctrl_c_ends_at_once(tiny, tmp_path):
     busy = "lambda *_: (print('ready', file=sys.stderr, flush=True), time.sleep(60))"
-    code = RUN.format(change=f"fine_tuned.FineTuned.tune = {busy}")
+    code = RUN.format(change=f"fine_tuned.fine_tune = {busy}")
     process = start("-c", code, *words_for(tiny, tmp_path / "o.ply", 10, 0))
     assert process.stderr.readline() == "ready\n"
     process.send_signal(signal.SIGINT)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -26,12 +27,21 @@ def levels_of(count: int = 6000, degree: int = 1) -> list[Scene]:
     return [scene, scene.select(np.arange(0, count, 2)), scene.select(np.arange(0, count, 8))]
 
 
+@pytest.fixture(scope="module")
+def town_written(tmp_path_factory) -> Path:
+    """Three levels in leaves of at most 1,000 Gaussians; for reading only."""
+    folder = tmp_path_factory.mktemp("written") / "town"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(streamed_sog, "CHUNK", 1000)
+        write_levels(folder / "lod-meta.json", levels_of())
+    return folder
+
+
 @pytest.fixture
-def town(tmp_path, monkeypatch) -> Path:
-    """Three levels in leaves of at most 1,000 Gaussians."""
+def town(town_written, tmp_path, monkeypatch) -> Path:
+    """A copy of it."""
     monkeypatch.setattr(streamed_sog, "CHUNK", 1000)
-    write_levels(tmp_path / "town" / "lod-meta.json", levels_of())
-    return tmp_path / "town" / "lod-meta.json"
+    return Path(shutil.copytree(town_written, tmp_path / "town")) / "lod-meta.json"
 
 
 def test_more_than_are_read_as_a_whole_are_read_in_parts(town):

@@ -108,6 +108,7 @@ def test_masks_alone_come_near_the_target(tiny, data, method, target):
     assert run.controller.reached == pytest.approx(target, rel=0.03, abs=3)
 
 
+@pytest.mark.slow
 def test_the_drop_asked_for_is_used_up_and_not_exceeded(tiny, data):
     """In most runs: one Gaussian of this tiny scene can be worth tenths of a dB, and now and then a run loses
     several or next to nothing. Of 21 seeds two lost more than asked; the median was 0.66 dB."""

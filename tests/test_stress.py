@@ -40,6 +40,7 @@ def test_every_row_draws_something():
         assert 0 < entry["image_max"] and 0 < entry["grad_rel_l2"], entry["row"]
 
 
+@pytest.mark.slow
 def test_the_command_tells_worst_errors_and_draws_them(svrgs, tmp_path):
     result = svrgs("bench", "--stress", "--plots", tmp_path, "--json").json
     entries = {entry["row"]: entry for entry in result["stress"]}

@@ -289,6 +289,7 @@ def job(tiny, out, stop_after: int = 0, **more) -> dict:
     return prune_scene(options, adapt)
 
 
+@pytest.mark.slow
 def test_a_resumed_job_goes_on_with_its_plan_on_a_faster_machine(tiny, slow, tmp_path, monkeypatch):
     planned = job(tiny, tmp_path / "whole.ply")["time"]
     with pytest.raises(Cancelled):

@@ -53,6 +53,7 @@ def test_a_job_trains_and_leaves_its_splat(done, tiny, svrgs, tmp_path):
     assert not (job.folder / "recovered.ply").exists() and not (job.folder / "recovered.ply.job").exists()
 
 
+@pytest.mark.slow
 def test_a_stopped_job_goes_on_to_the_same_bytes(tiny, tmp_path, jobs):
     found = []
     for name in ("whole", "stopped"):

@@ -28,13 +28,13 @@ from .trial import Trial
 
 
 class Child:
-    """The parent's side. It starts the process with the given library (None: the installed one) and sends
+    """The parent's side. It starts the process with the library `built` (None: the installed one) and sends
     requests."""
 
-    def __init__(self, case: Case, library: Path | None = None):
+    def __init__(self, case: Case, built: Path | None = None):
         variables = subprocess_python.environment()
-        if library:
-            variables[LIBRARY_VARIABLE] = str(library)
+        if built:
+            variables[LIBRARY_VARIABLE] = str(built)
         facts = [case.facts[name] for name in ("count", "sh_degree", "width", "height")]
         command = [sys.executable, "-m", "svrgs_bench.child", *map(str, (library.threads(), *facts))]
         process = ChildProcess(

@@ -99,8 +99,8 @@ class _Bench:
     def entry(self, setting: Setting) -> dict:
         """The figures of one setting. Raises NativeError if its build fails."""
         if setting.macro:
-            library = variants.build(setting.macro, self.folder)
-            with Child(self.case, library) as child:
+            built = variants.build(setting.macro, self.folder)
+            with Child(self.case, built) as child:
                 return self._compared(setting, child)
         return self._compared(setting, self.standard)
 

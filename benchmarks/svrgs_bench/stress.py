@@ -39,9 +39,8 @@ def measure_stress(
             )
         )
         tell(
-            "{title}: image error {image_max:.1e}, gradient error {grad_rel_l2:.1e}, not finite {nonfinite}".format(
-                **entries[-1]
-            )
+            "{title}: image error {image_max:.1e}, gradient error {grad_rel_l2:.1e},"
+            " not finite {nonfinite}".format(**entries[-1])
         )
     if drift_steps:
         tell(f"{max(drift_steps)} fine-tuning steps in float32 and in float64")
@@ -68,7 +67,8 @@ def _label(value) -> str:
 def _entry(name: str, title: str, quantity: str, points: list[dict], row: Row | None = None) -> dict:
     worst = {key: max(point[key] for point in points) for key in ("image_max", "grad_rel_l2", "crossed")}
     return {
-        "row": name, "title": title, "quantity": quantity, **worst, "nonfinite": sum(point["nonfinite"] for point in points),
+        "row": name, "title": title, "quantity": quantity, **worst,
+        "nonfinite": sum(point["nonfinite"] for point in points),
         "logarithmic": row is None or row.logarithmic, "points": points,
     }  # fmt: skip
 
@@ -113,7 +113,8 @@ class _Tuned:
     def step(self, number: int):
         masks, slope = sample_masks(self.model.mask_logits.astype(np.float32), 0, number)
         step = Step(
-            self.camera, self.target, number, Rates().at(number, EXTENT), RenderOptions(mask_kind="svr"), masks=masks,
+            self.camera, self.target, number, Rates().at(number, EXTENT), RenderOptions(mask_kind="svr"),
+            masks=masks,
             slope=slope.astype(self.model.dtype), lambda_f=1e-3,
         )  # fmt: skip
         self.engine.step(self.model, step)

@@ -127,8 +127,10 @@ def recipe_of(options: PruneOptions, job: JobContext, reason: str) -> MergedByBl
     goal = Goal(options.target_count or 0, options.target or 0.0, options.max_drop or 0.0, options.levels)
     more: dict[str, Any] = {"reason": memory.without_advice(reason)}
 
+    scene = options.scene
+
     def views_of() -> tuple[list[Camera], list[Camera], list[str]]:
-        train, test, notes = _views(options, *sample_of(options.scene))
+        train, test, notes = _views(options, *sample_of(scene))
         return train, test or train, notes
 
     if _learns(options):

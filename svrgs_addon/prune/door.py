@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from pathlib import Path
+from typing import Any
 
 from ..files.atomic import check_writable
 from ..files.registry import format_to_read, format_to_write, refuse_input
@@ -28,7 +29,7 @@ def check_files(scene: Path | None, outs: Sequence[Path], further: Sequence[Path
         format_to_read(scene)
 
 
-def check_options(options: object, takes: Collection[str], way: str):
+def check_options(options: Any, takes: Collection[str], way: str):
     """Raises SceneError for an option that is given, but is not one of those that this way takes. options: of a
     dataclass of prune/options.py."""
     fields = type(options).__dataclass_fields__
@@ -37,7 +38,7 @@ def check_options(options: object, takes: Collection[str], way: str):
         raise SceneError(f"{way} takes no --{others[0].replace('_', '-')}: leave it out, or leave {way} out")
 
 
-def given(options: object) -> list[str]:
+def given(options: Any) -> list[str]:
     """The names of the options that differ from their defaults."""
     cls = type(options)
     return [name for name in cls.__dataclass_fields__ if getattr(options, name) != default_of(cls, name)]

@@ -140,19 +140,19 @@ def _nested(options: PruneOptions) -> float:
     return smallest
 
 
-def context_of(options: TuningOptions) -> JobContext:
+def context_of(options: TrainOptions | PruneOptions) -> JobContext:
     """Where a job writes, what it reads, and its progress on stderr."""
     assert options.out is not None
     lpips, missing = load_lpips(options.lpips_weights)
     reporter = Reporter(options.quiet)
-    prunes = isinstance(options, PruneOptions)
+    prunes = options if isinstance(options, PruneOptions) else None
     return JobContext(
         options.out,
-        options.report if prunes else None,
+        prunes.report if prunes else None,
         options.resume,
         options.engine,
-        scene=options.scene if prunes else None,
-        levels=options.levels if prunes else (),
+        scene=prunes.scene if prunes else None,
+        levels=prunes.levels if prunes else (),
         lpips=lpips,
         lpips_missing=missing,
         observe=reporter,

@@ -41,9 +41,8 @@ def smallest_file(
             refuse_loss(out, loss, allowed)
         elif loss >= allowed:
             break
-        count = fewest_within(
-            order, least, lambda some, factor=factor: tried_with(some, factor)[0], ASSUMED - allowed
-        )  # type: ignore[misc]
+        psnr_of_count = lambda some, factor=factor: tried_with(some, factor)[0]
+        count = fewest_within(order, least, psnr_of_count, ASSUMED - allowed)
         size = tried_with(count, factor)[1]
         if size >= smallest:
             break

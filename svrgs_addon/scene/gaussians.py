@@ -56,12 +56,8 @@ class Scene:
     @classmethod
     def of(cls, means, log_scales, quats, opacity_logits, sh) -> Scene:
         """From arrays of any real type and memory layout. Raises SceneError for other shapes."""
-        return cls(
-            *(
-                np.ascontiguousarray(array, np.float32)
-                for array in (means, log_scales, quats, opacity_logits, sh)
-            )
-        )  # type: ignore[arg-type]
+        arrays = (means, log_scales, quats, opacity_logits, sh)
+        return cls(*(np.ascontiguousarray(array, np.float32) for array in arrays))  # type: ignore[arg-type]
 
     @property
     def count(self) -> int:

@@ -54,6 +54,12 @@ CANNOT_REACH = "method '{}' cannot reach a target without iterations in which it
 class Tuned:
     """What training and fine-tuning have in common: the steps, the result, and what is told of them."""
 
+    dataset: Dataset  # from views() on
+    model: Model  # between select() and tune()
+    source: Scene  # between open() and select()
+    scene: Scene  # from tune() on
+    run: Run
+
     def __init__(self, plan: Plan, job: JobContext, seconds: float = 0.0):
         """seconds: that the job may take; 0: no limit."""
         self.plan, self.job, self.seconds = plan, job, seconds

@@ -138,7 +138,7 @@ class Quick:
             "invisible": self.source.count - self.scene.count,
             "hidden": self.hidden,
         }
-        before = {"count": self.source.count, "bytes": size_on_disk(options.scene)}
+        before = {"count": self.source.count, "bytes": size_on_disk(options.scene or "")}
         after, *levels = (
             _measured(scaled(one.scene, self.factor), self.enlarged, self.test, self.rasterizer, options)
             | {"bytes": one.bytes, "out": str(one.path)}
