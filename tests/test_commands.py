@@ -141,8 +141,9 @@ def test_render_png_and_exr(tiny, svrgs, tmp_path):
 def cameras_json(tiny, folder: Path, names: list[str] | None = None) -> Path:
     entries = [
         {
-            "img_name": name, "width": camera.width, "height": camera.height, "position": camera.position.tolist(),
-            "rotation": camera.viewmat[:3, :3].T.tolist(), "fx": camera.K[0, 0], "fy": camera.K[1, 1],
+            "img_name": name, "width": camera.width, "height": camera.height,
+            "position": camera.position.tolist(), "rotation": camera.viewmat[:3, :3].T.tolist(),
+            "fx": camera.K[0, 0], "fy": camera.K[1, 1],
         }
         for name, camera in zip(names or [camera.name for camera in tiny.cameras], tiny.cameras, strict=False)
     ]  # fmt: skip

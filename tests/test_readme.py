@@ -1,5 +1,5 @@
-"""Every command of README.md and of the pages that it names first, run as it stands in a folder that holds the files it names. A new line must be
-added here.
+"""Every command of README.md and of the pages that it names first, run as it stands in a folder that holds
+the files it names. A new line must be added here.
 
 `blender` is Blender as a Python module behind run_as_blender.py, or the Blender that SVRGS_BLENDER names (a
 command that takes Blender's arguments).
@@ -63,9 +63,10 @@ RUNS: dict[str, tuple[str, ...]] = {  # command: what it writes
     ),
     "svrgs compare trained.ply pruned.ply --data DATASET --out comparison": ("comparison/index.html",),
     "blender --command svrgs prune trained.ply --data DATASET --out pruned.ply": ("pruned.ply",),
-    """blender -b FILE.blend --python-expr "import bpy; bpy.ops.svrgs.prune(colmap='DATASET', target=0.25)\"""": (
-        "scene_pruned.ply",
-    ),
+    (
+        "blender -b FILE.blend --python-expr"
+        """ "import bpy; bpy.ops.svrgs.prune(colmap='DATASET', target=0.25)\""""
+    ): ("scene_pruned.ply",),
     "blender -b --python svrgs_addon/batch.py -- prune FOLDER --out PRUNED": ("PRUNED/one.ply",),
 }
 SHORTER = {  # added, since 30,000 steps take minutes

@@ -7,8 +7,9 @@ and at the end of the run (after):
     after = now + left * (removed - now),      left = 1 / (1 + steps / HALVED)
 
 The removed Gaussians leave an error; those that stay take over nearly all of it. HALVED, Method.halved, the
-only fitted number of a method, is the number of steps that win back half of it. Without a removal nothing changes: that
-steps may still train the scene, and that fewer Gaussians may fit few photographs less closely, is left out.
+only fitted number of a method, is the number of steps that win back half of it. Without a removal nothing
+changes: that steps may still train the scene, and that fewer Gaussians may fit few photographs less closely,
+is left out.
 benchmarks/forecast.py fits and tests it; docs/forecast.md says how near it is.
 """
 

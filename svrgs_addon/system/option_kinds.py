@@ -105,9 +105,13 @@ COLOUR = Kind(
     maximum=1,
 )
 SHARES = Kind(
-    tuple, "shares above 0 and below 1 with commas between, each once",
-    lambda parts: len({f"{100 * part:g}" for part in parts}) == len(parts) and all(0 < part < 1 for part in parts), _numbers,
-)  # fmt: skip
+    tuple,
+    "shares above 0 and below 1 with commas between, each once",
+    lambda parts: (
+        len({f"{100 * part:g}" for part in parts}) == len(parts) and all(0 < part < 1 for part in parts)
+    ),
+    _numbers,
+)
 RANGE = Kind(
     tuple,
     "two numbers with a comma between, the lower one first; either may be left out",
@@ -126,8 +130,11 @@ POINT = ANGLES = Kind(
 POSITIVE_FLOAT = Kind(float, "a number above 0", lambda value: 0 < value < math.inf)
 SPZ_VERSION = Kind(int, "a version from 2 to 4", choices=(2, 3, 4))
 SPHERE = Kind(
-    tuple, "four numbers with commas between, the last one 0 or more", lambda numbers: len(numbers) == 4 and _finite(numbers) and numbers[3] >= 0, _numbers
-)  # fmt: skip
+    tuple,
+    "four numbers with commas between, the last one 0 or more",
+    lambda numbers: len(numbers) == 4 and _finite(numbers) and numbers[3] >= 0,
+    _numbers,
+)
 
 
 @dataclass(frozen=True)
