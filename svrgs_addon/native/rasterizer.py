@@ -49,31 +49,11 @@ from .library_path import LIBRARY_VARIABLE
 from .outputs import OUTPUTS
 
 __all__ = [
-    "COUNTS",
-    "GRADS",
-    "IMAGES",
-    "INTERFACE_VERSION",
-    "LIBRARY_VARIABLE",
-    "LOSS_IMAGES",
-    "MOMENTS",
-    "PARAMETERS",
-    "Rasterizer",
-    "RenderOptions",
-    "Thresholds",
-    "VISIBILITY",
-    "best_level",
-    "levels",
-    "mask_kinds",
-    "moments_like",
-    "peaks",
-    "sample_masks",
-    "set_threads",
-    "skips",
-    "stages",
-    "supported_levels",
-    "threads",
-    "thresholds",
-]
+    "COUNTS", "GRADS", "IMAGES", "INTERFACE_VERSION", "LIBRARY_VARIABLE", "LOSS_IMAGES", "MOMENTS",
+    "PARAMETERS", "Rasterizer", "RenderOptions", "Thresholds", "VISIBILITY", "best_level", "levels",
+    "mask_kinds", "moments_like", "peaks", "sample_masks", "set_threads", "skips", "stages",
+    "supported_levels", "threads", "thresholds",
+]  # fmt: skip
 
 # trailing channels, 0: none
 IMAGES = {output.name: output.channels for output in OUTPUTS.values() if not output.integer}
