@@ -17,7 +17,6 @@ from .jobs import (
     prune,
     prune_again,
     prune_settings,
-    prune_state,
     train,
 )
 from .scene import (
@@ -69,7 +68,6 @@ MODULES = (
     job_list,
     orphan_jobs,
     camera_match,
-    prune_state,
     active_camera,
     command_line,
     scene_cache,

@@ -1,4 +1,4 @@
-"""What the user sees: one file per panel. Panels know operators and properties only by their names."""
+"""What the user sees: one file per panel. Panels ask functions of operators/ what to show."""
 
 from . import (
     compare,

@@ -6,6 +6,7 @@ import json
 import bpy
 from bpy.app.translations import pgettext_iface as tr
 
+from ..operators.view import viewport_wipe
 from .spatial_mask import draw_image
 from .wrapped_label import native_library_works, wrapped_label
 
@@ -21,7 +22,8 @@ class ComparePanel:  # the base of Panel classes, which have a layout
 
     def draw(self, context):
         layout, settings = self.layout, context.scene.svrgs_looking
-        if not native_library_works(layout, context):
+        wiping = viewport_wipe.pair(context.scene) is not None
+        if not native_library_works(layout):
             return
         column = layout.column()
         column.use_property_split = True
@@ -29,17 +31,17 @@ class ComparePanel:  # the base of Panel classes, which have a layout
         for name in ("original", "pruned", "compare_camera"):
             column.prop(settings, name)
         column = layout.column(align=True)
-        column.operator("svrgs.viewport_wipe", icon="ARROW_LEFTRIGHT", depress=settings.wiping)
+        column.operator("svrgs.viewport_wipe", icon="ARROW_LEFTRIGHT", depress=wiping)
         row = column.row(align=True)
         row.operator("svrgs.compare", icon="IMAGE_ALPHA")
         row.operator("svrgs.contact_sheet", icon="RENDERLAYERS", text="All Cameras")
         image = bpy.data.images.get(WIPE) if settings.compare_result else None
-        if image is not None or settings.wiping:
+        if image is not None or wiping:
             layout.prop(settings, "wipe", slider=True)
         if image is None:
             wrapped_label(layout, tr("Renders original and pruned side by side"), "INFO")
             return
-        if not settings.wiping:
+        if not wiping:
             draw_image(layout, image)
             layout.operator("svrgs.open_image", icon="WINDOW").name = WIPE
         table(layout, json.loads(settings.compare_result))

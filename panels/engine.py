@@ -23,7 +23,7 @@ class SVRGS_PT_engine(bpy.types.Panel):
 
     def draw(self, context):
         layout = self.layout
-        if not native_library_works(layout, context):
+        if not native_library_works(layout):
             return
         layout.use_property_split = True
         layout.prop(context.scene.svrgs_looking, "background")

@@ -3,7 +3,10 @@
 import bpy
 from bpy.app.translations import pgettext_iface as tr
 
+from ..operators.data.splat_object import is_splat
 from ..operators.io import export_farm, export_levels
+from ..operators.jobs.job_result import marked_count
+from ..operators.jobs.prune_state import size
 from .wrapped_label import wrapped_label
 
 
@@ -15,16 +18,16 @@ class SVRGS_PT_export(bpy.types.Panel):
     bl_order = 4
 
     def draw(self, context):
-        layout, state = self.layout, context.window_manager.svrgs_prune_state
-        if not state.size:
+        layout, obj = self.layout, context.object
+        if not is_splat(obj):
             layout.label(text="Select the splat to export", icon="INFO")
             return
-        wrapped_label(layout, f"{context.object.name}: {state.size}")
-        if state.marked:
+        wrapped_label(layout, f"{obj.name}: {size(obj)}")
+        if marked := marked_count(obj):
             wrapped_label(
                 layout,
                 tr("{count:,} hidden Gaussians stay out of the file. Apply deletes them").format(
-                    count=state.marked
+                    count=marked
                 ),
                 "INFO",
             )

@@ -1,10 +1,9 @@
 """All jobs that this Blender knows, below step 2: with or without a splat in the file, running, waiting,
 stopped or finished."""
 
-import json
-
 import bpy
 
+from ..operators.jobs import job_list
 from .wrapped_label import wrapped_label
 
 BUTTONS = {  # name of a button -> operator, icon
@@ -24,14 +23,13 @@ class SVRGS_PT_jobs(bpy.types.Panel):
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
-        layout, jobs = self.layout, context.window_manager.svrgs_job_list
-        rows = json.loads(jobs.rows)
+        layout, rows = self.layout, job_list.rows(context)
         if not rows:
             layout.label(text="There are no jobs", icon="INFO")
         for row in rows:
             draw_job(layout.box().column(align=True), row)
-        if jobs.finished:
-            layout.operator("svrgs.delete_finished_jobs", icon="TRASH", text=jobs.finished)
+        if text := job_list.finished_text(context):
+            layout.operator("svrgs.delete_finished_jobs", icon="TRASH", text=text)
 
 
 def draw_job(column, job: dict):

@@ -18,7 +18,7 @@ class SVRGS_PT_overlay(bpy.types.Panel):
 
     def draw(self, context):
         layout, settings = self.layout, context.scene.svrgs_looking
-        if not native_library_works(layout, context):
+        if not native_library_works(layout):
             return
         layout.use_property_split = True
         layout.use_property_decorate = False

@@ -5,6 +5,9 @@ from __future__ import annotations
 
 import bpy
 
+from ..operators.data import quick_order
+from ..operators.jobs import depths, goals, job_pictures, job_result, job_watch, orphan_jobs, prune_state
+from ..operators.scene.dataset_paths import dataset_of
 from .wrapped_label import wrapped_label
 
 PAPER_VALUES = (1e-4, 1.25e-4, 1.6e-4, 2e-4)  # values of λ_F in the paper
@@ -26,23 +29,28 @@ class SVRGS_PT_prune(bpy.types.Panel):
     bl_order = 2
 
     def draw(self, context):
-        state = context.window_manager.svrgs_prune_state
-        stage = state.stage
-        if stage not in ("BROKEN", "NOTHING", "READY"):
-            self.layout.label(text=state.subject, icon="OUTLINER_OB_POINTCLOUD", translate=False)
-        draw = {"READY": draw_settings, "BUSY": draw_progress, "RESULT": draw_share}.get(stage)
-        if draw is not None:
-            draw(self.layout, context, state)
+        layout, stage, subject = self.layout, prune_state.stage(context), prune_state.subject(context)
+        found = job_watch.current(context)
+        job = found[1] if found is not None else None
+        if subject is not None and stage not in ("BROKEN", "NOTHING", "READY"):
+            layout.label(text=subject.name, icon="OUTLINER_OB_POINTCLOUD", translate=False)
+        if stage == "READY":
+            draw_settings(layout, context)
+        elif stage == "BUSY" and job is not None:
+            layout.progress(factor=job.progress, text=prune_state.time_left(job))
+        elif stage == "RESULT" and job_result.has_slider(subject):
+            layout.prop(subject, "svrgs_share", slider=True)
         icon = ICONS.get(stage, "NONE")
-        for sentence in state.sentences.splitlines():
-            wrapped_label(self.layout, sentence, icon)
+        for sentence in prune_state.sentences(context):
+            wrapped_label(layout, sentence, icon)
             icon = "NONE"
-        if stage in ("BUSY", "WAITING") and state.plot:
-            row = self.layout.row()
-            for picture in filter(None, (state.plot, state.preview)):
+        if stage in ("BUSY", "WAITING") and job is not None and job_pictures.plot_icon(job.folder):
+            row = layout.row()
+            pictures = job_pictures.plot_icon(job.folder), job_pictures.preview_icon(job.folder)
+            for picture in filter(None, pictures):
                 row.template_icon(icon_value=picture, scale=6)
-            self.layout.label(text="Blue: Gaussians. Orange: PSNR")
-        draw_buttons(self.layout, stage, state)
+            layout.label(text="Blue: Gaussians. Orange: PSNR")
+        draw_buttons(layout, context, stage, job)
 
 
 class SVRGS_PT_prune_advanced(bpy.types.Panel):
@@ -55,7 +63,7 @@ class SVRGS_PT_prune_advanced(bpy.types.Panel):
 
     @classmethod
     def poll(cls, context):
-        return context.window_manager.svrgs_prune_state.stage == "READY"
+        return prune_state.stage(context) == "READY"
 
     def draw(self, context):
         column = self.layout.column()
@@ -67,39 +75,35 @@ class SVRGS_PT_prune_advanced(bpy.types.Panel):
             row.prop(context.scene.svrgs_prune, name)
 
 
-def draw_settings(layout, context, state):
+def draw_settings(layout, context):
     settings = context.scene.svrgs_prune
     column = layout.column()
     column.use_property_split, column.use_property_decorate = True, False
     column.prop(settings, "depth")
     if settings.depth == "PHOTOGRAPHS":
-        column.prop(settings, "colmap", placeholder=state.dataset)
+        column.prop(settings, "colmap", placeholder=dataset_of(context)[0])
     if settings.depth == "TUNED":
         column.prop(settings, "views")
         column.operator("svrgs.place_cameras", icon="OUTLINER_OB_CAMERA")
     if settings.depth != "QUICK":
         column.prop(settings, "method_choice")
-    wrapped_label(column, state.method_help)
+    wrapped_label(column, prune_state.method_sentence(context))
     column.prop(settings, "goal")
     if settings.goal in GOALS:
         column.prop(settings, GOALS[settings.goal])
-    elif settings.goal == "LAMBDA" and state.strength_help:
+    elif settings.goal == "LAMBDA" and (strength := goals.strength_sentence(settings)):
         draw_strength(column.column(align=True), settings)
-        wrapped_label(column, state.strength_help)
-    wrapped_label(column, state.goal_help)
+        wrapped_label(column, strength)
+    wrapped_label(column, goals.sentence(settings, depths.merges(context)))
     if settings.depth != "QUICK":
-        draw_training(column, settings, state)
+        if not depths.merges(context):
+            column.prop(settings, "nested")
+        column.prop(settings, "use_time")
+        if settings.use_time:
+            column.prop(settings, "time")
     row = layout.row(align=True)
     row.operator("svrgs.estimate", icon="VIEWZOOM")
     row.operator("svrgs.job_start", icon="PLAY")
-
-
-def draw_training(column, settings, state):
-    if not state.merges:
-        column.prop(settings, "nested")
-    column.prop(settings, "use_time")
-    if settings.use_time:
-        column.prop(settings, "time")
 
 
 def draw_strength(column, settings):
@@ -110,21 +114,13 @@ def draw_strength(column, settings):
             row.operator("svrgs.set_lambda", text=f"{value * 1e4:g}e-4").value = value
 
 
-def draw_progress(layout, _, state):
-    layout.progress(factor=state.progress, text=state.time_left)
-
-
-def draw_share(layout, _, state):
-    if state.slider:
-        layout.prop(bpy.data.objects[state.subject], "svrgs_share", slider=True)
-
-
-def draw_buttons(layout, stage: str, state):
+def draw_buttons(layout, context, stage: str, job):
+    original, pruned = job_result.pair_of(context.object)
     row = layout.row(align=True)
     if stage == "BUSY":
         row.operator(
-            "svrgs.job_stop", icon="PAUSE", text="Stop Now" if state.stopping else "Stop"
-        ).now = state.stopping
+            "svrgs.job_stop", icon="PAUSE", text="Stop Now" if job.stopping else "Stop"
+        ).now = job.stopping
     elif stage == "WAITING":
         row.operator("svrgs.job_resume", icon="PLAY")
         row.operator("svrgs.job_discard", icon="TRASH")
@@ -132,15 +128,15 @@ def draw_buttons(layout, stage: str, state):
         row.operator("svrgs.job_load", icon="IMPORT")
         row.operator("svrgs.job_discard", icon="TRASH")
     elif stage == "RESULT":
-        if state.untuned:
+        if quick_order.is_shown(pruned):
             row.operator("svrgs.prune_again", icon="PLAY")
             row = layout.row(align=True)
         row.operator("svrgs.apply", icon="CHECKMARK")
         row.operator("svrgs.discard", text="Discard Result", icon="TRASH").what = "RESULT"
     elif stage == "READY":
-        if state.orphan:
+        if orphan_jobs.sentence(context):
             row.operator("svrgs.adopt_job", icon="LINKED")
-        if state.original:
+        if original is not None and not job_result.undecided(pruned):
             row.operator("svrgs.discard", text="Discard Original", icon="TRASH").what = "ORIGINAL"
 
 

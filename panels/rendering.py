@@ -4,6 +4,7 @@ editor."""
 import bpy
 from bpy.app.translations import pgettext_iface as tr
 
+from ..operators.scene import splat_layer
 from .wrapped_label import wrapped_label
 
 
@@ -26,7 +27,7 @@ class SVRGS_PT_not_drawn(bpy.types.Panel):
 
     @classmethod
     def poll(cls, context):
-        return bool(context.scene.svrgs_looking.not_drawn)
+        return bool(splat_layer.missing(context.scene))
 
     def draw(self, context):
         draw_rendering(self.layout, context)
@@ -35,8 +36,8 @@ class SVRGS_PT_not_drawn(bpy.types.Panel):
 def draw_rendering(layout, context):
     """What is missing, and the buttons that mend it."""
     scene = context.scene
-    if scene.svrgs_looking.not_drawn:
-        wrapped_label(layout, scene.svrgs_looking.not_drawn, "ERROR")
+    if missing := splat_layer.missing(scene):
+        wrapped_label(layout, missing, "ERROR")
     column = layout.column(align=True)
     column.operator("svrgs.set_up_rendering", icon="SCENE")
     column.operator("svrgs.set_up_compositing", icon="NODE_COMPOSITING")

@@ -3,6 +3,10 @@
 import bpy
 from bpy.app.translations import pgettext_iface as tr
 
+from ..operators.data.splat_object import is_splat, root_of
+from ..operators.data.splat_size import about
+from ..operators.io import undistort
+from ..operators.scene import camera_match, dataset_paths, splat_transforms
 from .wrapped_label import wrapped_label
 
 ROOTS = 3  # sets of cameras that are offered
@@ -19,24 +23,23 @@ class SVRGS_PT_scene(bpy.types.Panel):
         column = layout.column(align=True)
         column.operator("svrgs.import_ply", icon="IMPORT", text="Import Splat")
         column.operator("svrgs.import_colmap", icon="OUTLINER_OB_CAMERA", text="Import Cameras")
-        if context.scene.svrgs_looking.photographs:
-            wrapped_label(layout, context.scene.svrgs_looking.photographs, "INFO")
-        lost = context.window_manager.svrgs_prune_state.lost_dataset
+        if photographs := undistort.status():
+            wrapped_label(layout, photographs, "INFO")
+        lost = dataset_paths.lost(root_of(context.object))
         if lost:
             wrapped_label(layout, lost, "ERROR")
             layout.operator("svrgs.find_dataset", icon="FILE_FOLDER", text="Find Dataset…")
-        about = context.scene.svrgs_looking.about
         row = layout.row()
-        if about:
+        if is_splat(context.object):
             row.label(text=context.object.name, icon="OUTLINER_OB_POINTCLOUD", translate=False)
-            layout.label(text=about, translate=False)
+            layout.label(text=about(context.object), translate=False)
         else:
             row.label(text="Select a splat, or import one", icon="INFO")
         row.operator("svrgs.frame", text="", icon="ZOOM_SELECTED")
-        if not about:
+        if not is_splat(context.object):
             return
-        draw_cameras(layout, context.scene.svrgs_looking)
-        moved = context.scene.svrgs_looking.moved
+        draw_cameras(layout, context)
+        moved = splat_transforms.moved_count(context.object)
         if moved:
             text = tr(
                 "Blender has moved {count:,} points without their shapes. SVR-GS shows and exports the right"
@@ -46,14 +49,14 @@ class SVRGS_PT_scene(bpy.types.Panel):
             layout.operator("svrgs.write_shapes", icon="CHECKMARK")
 
 
-def draw_cameras(layout, looking):
+def draw_cameras(layout, context):
     """The cameras of the splat, with a button to part from them; or buttons to use those that there are."""
-    if looking.cameras:
+    if cameras := camera_match.cameras_of(context.object):
         row = layout.row()
-        row.label(text=looking.cameras, icon="OUTLINER_OB_CAMERA", translate=False)
+        row.label(text=cameras, icon="OUTLINER_OB_CAMERA", translate=False)
         row.operator("svrgs.part_from_cameras", text="", icon="X")
         return
-    for name in looking.roots.splitlines()[:ROOTS]:
+    for name in camera_match.roots(context.scene)[:ROOTS]:
         layout.operator(
             "svrgs.use_cameras",
             text=tr("Use Cameras of '{name}'").format(name=name),

@@ -3,6 +3,8 @@
 import bpy
 from bpy.app.translations import pgettext_iface as tr
 
+from ..operators.data import selection
+from ..operators.data.splat_object import is_splat
 from .wrapped_label import native_library_works
 
 
@@ -16,11 +18,11 @@ class SVRGS_PT_select(bpy.types.Panel):
 
     @classmethod
     def poll(cls, context):
-        return bool(context.scene.svrgs_looking.about)
+        return is_splat(context.object)
 
     def draw(self, context):
-        layout, selected = self.layout, context.scene.svrgs_looking.selected
-        if not native_library_works(layout, context):
+        layout, selected = self.layout, selection.selected_count(context.object)
+        if not native_library_works(layout):
             return
         layout.operator_menu_enum(
             "svrgs.select_gaussians", "criterion", text="Select", icon="RESTRICT_SELECT_OFF"

@@ -5,6 +5,7 @@ import json
 import bpy
 from bpy.app.translations import pgettext_iface as tr
 
+from ..operators.data.native_check import native_problem
 from .wrapped_label import native_library_works, sidebar_units, wrapped_label
 
 IMAGE = "SVR-GS Spatial Mask"
@@ -19,7 +20,7 @@ class SpatialMaskPanel:  # the base of Panel classes, which have a layout
 
     def draw(self, context):
         layout, settings = self.layout, context.scene.svrgs_looking
-        if not native_library_works(layout, context):
+        if not native_library_works(layout):
             return
         row = layout.row(align=True)
         row.operator("svrgs.spatial_mask", icon="FILE_REFRESH", text="Refresh")
@@ -50,7 +51,7 @@ class SVRGS_PT_spatial_mask(SpatialMaskPanel, bpy.types.Panel):
 
     def draw(self, context):
         SpatialMaskPanel.draw(self, context)
-        if not context.window_manager.svrgs_prune_state.native_problem:
+        if not native_problem():
             self.layout.operator("svrgs.contribution", icon="MOD_VERTEX_WEIGHT")
 
 

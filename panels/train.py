@@ -2,6 +2,7 @@
 
 import bpy
 
+from ..operators.jobs import train
 from .wrapped_label import wrapped_label
 
 
@@ -14,18 +15,18 @@ class SVRGS_PT_train(bpy.types.Panel):
 
     @classmethod
     def poll(cls, context):
-        return bool(context.scene.svrgs_train.about)
+        return bool(train.about(context))
 
     def draw(self, context):
         layout, settings = self.layout, context.scene.svrgs_train
-        wrapped_label(layout, settings.about, "OUTLINER_OB_CAMERA")
+        wrapped_label(layout, train.about(context), "OUTLINER_OB_CAMERA")
         column = layout.column()
         column.use_property_split, column.use_property_decorate = True, False
         column.prop(settings, "use_time")
         column.prop(settings, "time" if settings.use_time else "iterations")
         column.operator("svrgs.train", icon="PLAY", text="Train Splat from Photographs")
-        if settings.problem:
-            wrapped_label(layout, settings.problem, "INFO")
+        if problem := train.problem(context):
+            wrapped_label(layout, problem, "INFO")
 
 
 def register():

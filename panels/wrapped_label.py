@@ -5,6 +5,8 @@ import unicodedata
 
 import bpy
 
+from ..operators.data.native_check import native_problem
+
 CHARACTER_WIDTH = 6.8  # pixels, on average
 SIDEBAR_WIDTH = 300  # pixels, if there is no window to ask
 MARGINS, BUTTON_HEIGHT = 50, 20  # pixels: of the sidebar's tabs and panels; of one row
@@ -31,9 +33,9 @@ def _width(text: str) -> int:
     return sum(2 if unicodedata.east_asian_width(character) in "WF" else 1 for character in text)
 
 
-def native_library_works(layout, context) -> bool:
+def native_library_works(layout) -> bool:
     """Whether the native library works. If not, a line in the panel says what to do."""
-    problem = context.window_manager.svrgs_prune_state.native_problem
+    problem = native_problem()
     if problem:
         wrapped_label(layout, problem, "ERROR")
     return not problem

@@ -9,9 +9,16 @@ from bpy.app.translations import pgettext_iface as tr
 from ...svrgs_addon.files.registry import FORMATS, foreseen_size, sampled_size
 from ...svrgs_addon.files.splat_format import SplatFormat
 from ...svrgs_addon.system.errors import SplatError
-from . import splat_object
+from . import quick_order, splat_object
 
 MOST_READ = 1_000_000  # Gaussians of a splat that is read to foresee the size
+
+
+def about(obj: bpy.types.Object) -> str:
+    """Number of Gaussians and SH degree of a splat."""
+    return tr("{count:,} Gaussians, SH degree {degree}").format(
+        count=quick_order.count(obj), degree=splat_object.sh_degree(obj)
+    )
 
 
 def size_of(obj: bpy.types.Object, count: int) -> int:

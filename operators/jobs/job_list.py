@@ -5,14 +5,12 @@ The owner of a job is the splat that it prunes, or the root of the cameras from 
 without its owner in the file is an orphan. It can be stopped, continued and opened like the others
 (orphan_jobs.py: if its splat comes back).
 
-The folders are read again every SCAN_EVERY seconds while a panel asks. Panels know
-window_manager.svrgs_job_list by name.
+The folders are read again every SCAN_EVERY seconds while a panel asks.
 """
 
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import time
 
@@ -20,7 +18,7 @@ import bpy
 from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_iface as tr
 from bpy.app.translations import pgettext_n as n_
-from bpy.props import PointerProperty, StringProperty
+from bpy.props import StringProperty
 
 from ...svrgs_addon.files.registry import read_scene
 from ...svrgs_addon.jobs.job_folder import TRAIN, JobFolder
@@ -287,45 +285,32 @@ def finished_jobs(context) -> tuple[list[Job], int]:
     return found, sum(_sizes.get(str(job.folder.path), 0) for job in found)
 
 
-# --- for the panels
-
-
-def _rows(_) -> str:
+def rows(context) -> list[dict]:
+    """What the panel shows: a row() of each job."""
     known = owners()
-    return json.dumps([row(job, known.get(str(job.folder.path))) for job in all_jobs(bpy.context)])
+    return [row(job, known.get(str(job.folder.path))) for job in all_jobs(context)]
 
 
-def _finished(_) -> str:
-    found, size = finished_jobs(bpy.context)
-    return (
-        tr("Delete {count:,} Finished, {size}").format(count=len(found), size=size_text(size))
-        if found
-        else ""
-    )
-
-
-class SVRGS_PG_job_list(bpy.types.PropertyGroup):
-    rows: StringProperty(get=_rows)  # JSON: a list of row()
-    # text of the button that deletes the finished jobs; empty: there are none
-    finished: StringProperty(get=_finished)
+def finished_text(context) -> str:
+    """The text of the button that deletes the finished jobs; empty: there are none."""
+    found, size = finished_jobs(context)
+    text = tr("Delete {count:,} Finished, {size}")
+    return text.format(count=len(found), size=size_text(size)) if found else ""
 
 
 CLASSES = (
     SVRGS_OT_listed_job_stop, SVRGS_OT_listed_job_resume, SVRGS_OT_listed_job_open, SVRGS_OT_listed_job_delete, SVRGS_OT_delete_finished_jobs,
-    SVRGS_PG_job_list,
 )  # fmt: skip
 
 
 def register():
     for cls in CLASSES:
         bpy.utils.register_class(cls)
-    bpy.types.WindowManager.svrgs_job_list = PointerProperty(type=SVRGS_PG_job_list)
     bpy.app.handlers.load_post.append(_after_load)
 
 
 def unregister():
     bpy.app.handlers.load_post.remove(_after_load)
-    del bpy.types.WindowManager.svrgs_job_list
     for cls in reversed(CLASSES):
         bpy.utils.unregister_class(cls)
     _read.clear()

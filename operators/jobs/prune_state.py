@@ -1,25 +1,20 @@
-"""What the prune panel shows: window_manager.svrgs_prune_state, which the panels know by name.
-
-All properties are read-only. They are worked out whenever a panel is drawn, and nothing is stored.
-"""
+"""What the prune panel says. It is worked out whenever a panel is drawn; nothing is stored."""
 
 from __future__ import annotations
 
 import bpy
 from bpy.app.translations import pgettext_iface as tr
 from bpy.app.translations import pgettext_n as n_
-from bpy.props import BoolProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
 from ...svrgs_addon.finetune.methods import METHODS
-from ...svrgs_addon.finetune.methods.base import Method
 from ...svrgs_addon.jobs.job_process import Job
 from ...svrgs_addon.system.errors import SplatError
-from ..data import edit_guard, quick_order, splat_object
+from ..data import edit_guard, option_properties, quick_order, splat_object
 from ..data.native_check import native_problem
-from ..data.option_properties import CHOICES, method_sentence
+from ..data.option_properties import CHOICES
 from ..data.splat_size import size_text
-from ..scene import camera_match, dataset_paths, place_cameras
-from . import depths, estimate, goals, job_pictures, job_queue, job_result, orphan_jobs
+from ..scene import camera_match, place_cameras
+from . import depths, estimate, goals, job_queue, job_result, orphan_jobs
 from .job import resume_sentence
 from .job_watch import current, is_busy, is_resumable
 
@@ -48,6 +43,13 @@ def stage(context) -> str:
 
 def sentences(context) -> list[str]:
     """What the panel says at this stage."""
+    try:
+        return _sentences(context)
+    except SplatError as error:  # an attribute of the result was deleted
+        return [str(error)]
+
+
+def _sentences(context) -> list[str]:
     if problem := native_problem():
         return [problem]
     if (found := current(context)) is not None:
@@ -195,7 +197,8 @@ def _planned(facts: dict) -> list[str]:
     ]
 
 
-def _time_left_text(job: Job) -> str:
+def time_left(job: Job) -> str:
+    """How far the job is, and how long it will take."""
     if job_queue.is_queued(job):
         return tr("Waiting")
     if not job.knows_progress:
@@ -209,140 +212,22 @@ def _time_left_text(job: Job) -> str:
     return text.format(share=job.progress, minutes=left / 60, seconds=left)
 
 
-# --- getters of the properties
+def subject(context) -> bpy.types.Object | None:
+    """The splat, or the root of cameras, that the panel is about."""
+    found = current(context)
+    _, pruned = job_result.pair_of(context.object)
+    return found[0] if found is not None else pruned if job_result.undecided(pruned) else context.object
 
 
-def _from_job(value, default):
-    """A getter of value(job); of `default` where there is no job."""
-
-    def get(_):
-        found = current(bpy.context)
-        return value(found[1]) if found is not None else default
-
-    return get
+def method_sentence(context) -> str:
+    """What the chosen method does; of one that the short menu does not name, after its name."""
+    method = METHODS["merge" if depths.merges(context) else context.scene.svrgs_prune.method]
+    sentence = tr(option_properties.method_sentence(method))
+    named = depths.merges(context) or method.name in CHOICES.values()
+    return sentence if named else f"{tr(method.label)}: {sentence}"
 
 
-_progress = _from_job(lambda job: job.progress, 0.0)
-_time_left = _from_job(_time_left_text, "")
-_stopping = _from_job(lambda job: job.stopping, False)
-_plot = _from_job(lambda job: job_pictures.plot_icon(job.folder), 0)
-_preview = _from_job(lambda job: job_pictures.preview_icon(job.folder), 0)
-
-
-def _native_problem(_) -> str:
-    return native_problem()
-
-
-def _stage(_) -> str:
-    return stage(bpy.context)
-
-
-def _sentences(_) -> str:
-    try:
-        return "\n".join(sentences(bpy.context))
-    except SplatError as error:  # an attribute of the result was deleted
-        return str(error)
-
-
-def _dataset(_) -> str:
-    return dataset_paths.dataset_of(bpy.context)[0]
-
-
-def _lost_dataset(_) -> str:
-    return dataset_paths.lost(splat_object.root_of(bpy.context.object))
-
-
-def _orphan(_) -> str:
-    return orphan_jobs.sentence(bpy.context) if stage(bpy.context) == "READY" else ""
-
-
-def _merges(_) -> bool:
-    return depths.merges(bpy.context)
-
-
-def _slider(_) -> bool:
-    _, pruned = job_result.pair_of(bpy.context.object)
-    return pruned is not None and job_result.has_slider(pruned)
-
-
-def _untuned(_) -> bool:
-    _, pruned = job_result.pair_of(bpy.context.object)
-    return pruned is not None and quick_order.is_shown(pruned)
-
-
-def _original(_) -> str:
-    original, pruned = job_result.pair_of(bpy.context.object)
-    return original.name if original is not None and not job_result.undecided(pruned) else ""
-
-
-def _method() -> Method:
-    return METHODS[bpy.context.scene.svrgs_prune.method]
-
-
-def _method_help(_) -> str:
-    if depths.merges(bpy.context):
-        return tr(method_sentence(METHODS["merge"]))
-    method, sentence = _method(), tr(method_sentence(_method()))
-    return sentence if method.name in CHOICES.values() else f"{tr(method.label)}: {sentence}"
-
-
-def _goal_help(_) -> str:
-    return goals.sentence(bpy.context.scene.svrgs_prune, depths.merges(bpy.context))
-
-
-def _strength_help(_) -> str:
-    return goals.strength_sentence(bpy.context.scene.svrgs_prune)
-
-
-def _subject(_) -> str:
-    found = current(bpy.context)
-    _, pruned = job_result.pair_of(bpy.context.object)
-    obj = found[0] if found is not None else pruned if job_result.undecided(pruned) else bpy.context.object
-    return obj.name if obj is not None else ""
-
-
-def _size(_) -> str:
-    obj = bpy.context.object
-    if not splat_object.is_splat(obj):
-        return ""
+def size(obj: bpy.types.Object) -> str:
+    """The number of Gaussians of the splat, and the size of its file."""
     count = quick_order.count(obj)
     return tr("{kept:,} Gaussians, {size}").format(kept=count, size=size_text(obj, count))
-
-
-def _marked(_) -> int:
-    return job_result.marked_count(bpy.context.object) if splat_object.is_splat(bpy.context.object) else 0
-
-
-class SVRGS_PG_prune_state(bpy.types.PropertyGroup):
-    native_problem: StringProperty(get=_native_problem)
-    stage: StringProperty(get=_stage)
-    sentences: StringProperty(get=_sentences)  # one a line
-    subject: StringProperty(get=_subject)  # name of the splat that the panel is about
-    progress: FloatProperty(get=_progress)  # 0..1
-    time_left: StringProperty(get=_time_left)
-    plot: IntProperty(get=_plot)  # icon
-    preview: IntProperty(get=_preview)  # icon
-    stopping: BoolProperty(get=_stopping)  # the job was asked to stop and has not ended yet
-    dataset: StringProperty(get=_dataset)
-    # that the dataset of the imported cameras is not where it was; else empty
-    lost_dataset: StringProperty(get=_lost_dataset)
-    orphan: StringProperty(get=_orphan)  # that a job of the active splat was found; else empty
-    original: StringProperty(get=_original)  # name of the original of an applied result; empty: none
-    merges: BoolProperty(get=_merges)  # Gaussians will be merged
-    slider: BoolProperty(get=_slider)  # fewer or more Gaussians than those of the result can be shown
-    untuned: BoolProperty(get=_untuned)  # the number that is shown was not fine-tuned
-    method_help: StringProperty(get=_method_help)
-    goal_help: StringProperty(get=_goal_help)
-    strength_help: StringProperty(get=_strength_help)  # empty: the method has no λ_F
-    size: StringProperty(get=_size)
-    marked: IntProperty(get=_marked)  # Gaussians of the active splat that are marked as removed
-
-
-def register():
-    bpy.utils.register_class(SVRGS_PG_prune_state)
-    bpy.types.WindowManager.svrgs_prune_state = PointerProperty(type=SVRGS_PG_prune_state)
-
-
-def unregister():
-    del bpy.types.WindowManager.svrgs_prune_state
-    bpy.utils.unregister_class(SVRGS_PG_prune_state)

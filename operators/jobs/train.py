@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import bpy
 from bpy.app.translations import pgettext_iface as tr
-from bpy.props import IntProperty, PointerProperty, StringProperty
+from bpy.props import IntProperty, PointerProperty
 
 from ...svrgs_addon.jobs.job_folder import JobFolder
 from ...svrgs_addon.jobs.job_process import Job
@@ -90,8 +90,9 @@ class SVRGS_OT_train(ReportingOperator):
         )
 
 
-def _about(_) -> str:
-    root = root_to_train(bpy.context)
+def about(context) -> str:
+    """What a splat would be trained from; empty if that makes no sense now."""
+    root = root_to_train(context)
     job = job_of(root)
     if root is None or (job is not None and (is_busy(job) or is_resumable(job))):
         return ""
@@ -107,10 +108,6 @@ def _about(_) -> str:
     return text.format(name=root.name, photographs=photographs, points=points)
 
 
-def _problem(_) -> str:
-    return problem(bpy.context)
-
-
 class SVRGS_PG_train(bpy.types.PropertyGroup):
     iterations: IntProperty(
         name="Iterations", min=1, soft_max=ITERATIONS, default=QUICK,
@@ -118,9 +115,6 @@ class SVRGS_PG_train(bpy.types.PropertyGroup):
     )  # fmt: skip
     use_time: limited_time_property()
     time: time_property(default=600)
-    # what a splat would be trained from; empty if that makes no sense now
-    about: StringProperty(get=_about, options={"HIDDEN"})
-    problem: StringProperty(get=_problem, options={"HIDDEN"})
 
 
 CLASSES = (SVRGS_OT_train, SVRGS_PG_train)

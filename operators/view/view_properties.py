@@ -4,7 +4,6 @@ files and stays."""
 from __future__ import annotations
 
 import bpy
-from bpy.app.translations import pgettext_iface as tr
 from bpy.props import (
     BoolProperty,
     EnumProperty,
@@ -16,9 +15,7 @@ from bpy.props import (
 )
 
 from ...svrgs_addon.render import color_maps
-from ..data import quick_order, selection, splat_object
-from ..io import undistort
-from ..scene import camera_match, splat_layer, splat_transforms
+from ..data import splat_object
 from . import mask_image, overlay, viewport_wipe
 
 VALUES = "values"
@@ -50,61 +47,13 @@ SHOWN = [
 ]  # fmt: skip
 
 
-def _about(_) -> str:
-    obj = bpy.context.object
-    if not splat_object.is_splat(obj):
-        return ""
-    return tr("{count:,} Gaussians, SH degree {degree}").format(
-        count=quick_order.count(obj), degree=splat_object.sh_degree(obj)
-    )
-
-
-def _moved(_) -> int:
-    return splat_transforms.moved_count(bpy.context.object)
-
-
-def _cameras(_) -> str:
-    return camera_match.cameras_of(bpy.context.object)
-
-
-def _roots(_) -> str:
-    return "\n".join(camera_match.roots(bpy.context.scene))
-
-
-def _selected(_) -> int:
-    return selection.selected_count(bpy.context.object) if splat_object.is_splat(bpy.context.object) else 0
-
-
 def _is_splat(
     _, obj
 ) -> bool:  # not a lambda below: Blender evaluates annotations where this module's names are unknown
     return splat_object.is_splat(obj)
 
 
-def _photographs(_) -> str:
-    return undistort.status()
-
-
-def _wiping(settings) -> bool:
-    return viewport_wipe.pair(settings.id_data) is not None
-
-
-def _not_drawn(settings) -> str:
-    return splat_layer.missing(settings.id_data)
-
-
 class SVRGS_PG_view(bpy.types.PropertyGroup):
-    # one line about the active splat; empty if no splat is active
-    about: StringProperty(get=_about, options={"HIDDEN"})
-    # Gaussians of the active splat whose points were moved without their shapes
-    moved: IntProperty(get=_moved, options={"HIDDEN"})
-    selected: IntProperty(get=_selected, options={"HIDDEN"})  # selected Gaussians of the active splat
-    # the cameras of the active splat in words; empty if it has none
-    cameras: StringProperty(get=_cameras, options={"HIDDEN"})
-    # names of the empties above imported cameras, one a line
-    roots: StringProperty(get=_roots, options={"HIDDEN"})
-    # status of undistorting photographs; mostly empty
-    photographs: StringProperty(get=_photographs, options={"HIDDEN"})
     background: FloatVectorProperty(
         name="Background",
         subtype="COLOR_GAMMA",
@@ -119,8 +68,6 @@ class SVRGS_PG_view(bpy.types.PropertyGroup):
 
     # the scene whose splats this scene renders (splat_layer.py)
     layer_of: PointerProperty(type=bpy.types.Scene, options={"HIDDEN"})
-    # what keeps renders from showing the splats; empty: nothing
-    not_drawn: StringProperty(get=_not_drawn, options={"HIDDEN"})
 
     mask_colors: EnumProperty(
         name="Colors", items=MAPS, update=mask_image.recolor, description="Colours of the spatial mask"
@@ -169,7 +116,6 @@ class SVRGS_PG_view(bpy.types.PropertyGroup):
         update=viewport_wipe.moved,
         description="Original on the left, pruned on the right",
     )
-    wiping: BoolProperty(get=_wiping, options={"HIDDEN"})  # whether Wipe in Viewport is on
     compare_result: StringProperty(options={"HIDDEN"})  # JSON: camera, original, pruned, between
 
     overlay: BoolProperty(

@@ -86,3 +86,8 @@ def drawn(panel: str) -> str:
     cls = getattr(part(f"panels.{panel}"), f"SVRGS_PT_{panel}")
     cls.draw(SimpleNamespace(layout=layout), bpy.context)
     return layout.text
+
+
+def said() -> str:
+    """What the prune panel says, one sentence a line."""
+    return "\n".join(part("operators.jobs.prune_state").sentences(bpy.context))

@@ -257,7 +257,7 @@ def follow(undistort, seconds: float = 60):
 
 def test_cameras_are_there_before_their_photographs_are_undistorted(tmp_path, monkeypatch, capfd):
     """In a window. One camera is deleted meanwhile."""
-    undistort, looking = part("operators.io.undistort"), bpy.context.scene.svrgs_looking
+    undistort = part("operators.io.undistort")
     monkeypatch.setattr(undistort, "WAIT", False)
     bpy.ops.svrgs.import_colmap(directory=str(DATA / "distorted"), undistorted=str(tmp_path))
     said = capfd.readouterr().out
@@ -268,10 +268,12 @@ def test_cameras_are_there_before_their_photographs_are_undistorted(tmp_path, mo
             " points, hidden" in said
         )
         assert "; the scene's camera is now '00.png', 60 x 44" in said
-        assert looking.photographs in [f"Undistorting photographs: {done} of 2" for done in range(3)]
+        assert part("operators.io.undistort").status() in [
+            f"Undistorting photographs: {done} of 2" for done in range(3)
+        ]
         (thread,) = undistort._threads
         thread.join()
-        assert looking.photographs == "Undistorting photographs: 2 of 2"
+        assert part("operators.io.undistort").status() == "Undistorting photographs: 2 of 2"
         bpy.data.objects.remove(cameras()[0])
         follow(undistort)
     finally:
@@ -279,7 +281,7 @@ def test_cameras_are_there_before_their_photographs_are_undistorted(tmp_path, mo
     (left,) = cameras()
     assert (
         Path(bpy.path.abspath(left.data.background_images[0].image.filepath)).resolve().parent == tmp_path
-        and not looking.photographs
+        and not part("operators.io.undistort").status()
     )
 
 
@@ -288,9 +290,9 @@ def test_photographs_that_cannot_be_undistorted_are_missed_and_it_is_said(tmp_pa
     bpy.ops.svrgs.import_colmap(directory=str(DATA / "distorted"), undistorted=str(tmp_path / "file"))
     assert len(cameras()) == 2 and not any(obj.data.background_images for obj in cameras())
     sentence = "the photographs of lenses with distortion are not shown"
-    assert sentence in capfd.readouterr().out and sentence in bpy.context.scene.svrgs_looking.photographs
+    assert sentence in capfd.readouterr().out and sentence in part("operators.io.undistort").status()
     bpy.ops.svrgs.import_colmap(directory=str(DATA / "distorted"), undistorted=str(tmp_path / "folder"))
-    assert not bpy.context.scene.svrgs_looking.photographs
+    assert not part("operators.io.undistort").status()
 
 
 def test_cameras_come_without_photographs_and_say_so(tmp_path, capfd):
@@ -318,13 +320,11 @@ def test_missing_photographs_are_said_and_the_others_shown(tmp_path, capfd):
     assert len(cameras()) == 10 and all(obj.data.background_images for obj in cameras())
     out = capfd.readouterr().out
     assert sentence in out and "Imported 10 cameras and 10 photographs" in out
-    assert sentence in bpy.context.scene.svrgs_looking.photographs and "photographs are missing" in drawn(
-        "scene"
-    )
+    assert sentence in part("operators.io.undistort").status() and "photographs are missing" in drawn("scene")
     bpy.data.batch_remove([obj for obj in bpy.data.objects if obj.type == "EMPTY"])
-    assert not bpy.context.scene.svrgs_looking.photographs, "what was said is about cameras that are gone"
+    assert not part("operators.io.undistort").status(), "what was said is about cameras that are gone"
     bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
-    assert not bpy.context.scene.svrgs_looking.photographs, "what was said is about the import before"
+    assert not part("operators.io.undistort").status(), "what was said is about the import before"
 
 
 def test_one_damaged_photograph_does_not_hide_the_others(tmp_path):
@@ -333,7 +333,7 @@ def test_one_damaged_photograph_does_not_hide_the_others(tmp_path):
     (folder / "images/00.png").write_bytes(data[: len(data) // 2])
     bpy.ops.svrgs.import_colmap(directory=str(folder))
     assert [len(obj.data.background_images) for obj in cameras()] == [0, 1]
-    assert "00.png: cannot be read as an image" in bpy.context.scene.svrgs_looking.photographs
+    assert "00.png: cannot be read as an image" in part("operators.io.undistort").status()
 
 
 def test_each_photograph_finds_its_camera_if_others_vanish_meanwhile(tmp_path, monkeypatch):

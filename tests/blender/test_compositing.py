@@ -106,7 +106,7 @@ def test_one_click_sets_engine_colours_and_resolution(stage, tmp_path):
     size = stage.render.resolution_x, stage.render.resolution_y
     stage.render.engine, stage.render.resolution_x = "CYCLES", 17
     stage.view_settings.view_transform, stage.view_settings.exposure = "AgX", 1.0
-    assert "does not draw splats" in stage.svrgs_looking.not_drawn
+    assert "does not draw splats" in part("operators.scene.splat_layer").missing(stage)
     assert bpy.ops.svrgs.set_up_rendering() == {"FINISHED"}
     assert (stage.render.engine, stage.view_settings.view_transform, stage.view_settings.exposure) == (
         "SVRGS",
@@ -114,7 +114,7 @@ def test_one_click_sets_engine_colours_and_resolution(stage, tmp_path):
         0,
     )
     assert (stage.render.resolution_x, stage.render.resolution_y) == size
-    assert stage.svrgs_looking.not_drawn == ""
+    assert part("operators.scene.splat_layer").missing(stage) == ""
     words = part("operators.scene.set_up_rendering").camera_words(stage)
     assert (
         f"'{stage.camera.name}'" in words
@@ -151,7 +151,7 @@ def test_the_panels_say_what_is_missing(stage, room):
         "SVRGS_PT_rendering"
     )
     bpy.data.objects.remove(room)
-    assert stage.svrgs_looking.not_drawn == ""
+    assert part("operators.scene.splat_layer").missing(stage) == ""
     with pytest.raises(RuntimeError, match="no splat"):
         bpy.ops.svrgs.set_up_compositing()
 
@@ -164,7 +164,7 @@ def test_splats_and_meshes_are_put_together_by_depth(tmp_path, cycles, gaussians
     them."""
     glow(wall(camera, 1.5))
     bpy.ops.svrgs.set_up_compositing()
-    assert cycles.svrgs_looking.not_drawn == ""
+    assert part("operators.scene.splat_layer").missing(cycles) == ""
     before, _ = parts(gaussians, cycles, room, camera, 1.5)
     front = rgba(raw(before, camera, room.matrix_world))
     np.testing.assert_allclose(
@@ -303,9 +303,9 @@ def test_later_splats_and_meshes_are_in_the_picture(tmp_path, cycles, bridge, ga
     bridge.object_from_scene(
         "later", gaussians, cycles.collection, bridge.AXES @ Matrix.Translation((0.3, 0.2, 0))
     )
-    assert "'later' as grey dots" in cycles.svrgs_looking.not_drawn
+    assert "'later' as grey dots" in part("operators.scene.splat_layer").missing(cycles)
     bpy.ops.svrgs.set_up_compositing()
-    assert cycles.svrgs_looking.not_drawn == ""
+    assert part("operators.scene.splat_layer").missing(cycles) == ""
     assert np.abs(f12(tmp_path / "later.png") - without).mean() > 0.01
 
 
@@ -321,9 +321,11 @@ def test_a_second_click_changes_nothing(cycles, room, camera):
     assert (len(bpy.data.scenes), len(tree.nodes), wires()) == once
     tree.nodes["SVR-GS Splats"].mute = True
     tree.nodes.remove(tree.nodes["SVR-GS Around Render"])
-    assert "not complete" in cycles.svrgs_looking.not_drawn
+    assert "not complete" in part("operators.scene.splat_layer").missing(cycles)
     bpy.ops.svrgs.set_up_compositing()
-    assert (len(bpy.data.scenes), len(tree.nodes), wires()) == once and cycles.svrgs_looking.not_drawn == ""
+    assert (len(bpy.data.scenes), len(tree.nodes), wires()) == once and part(
+        "operators.scene.splat_layer"
+    ).missing(cycles) == ""
 
 
 def test_nodes_of_the_user_stay_and_get_the_whole_picture(tmp_path, cycles, room, camera):
@@ -363,7 +365,7 @@ def test_the_layers_own_scene_refuses_the_buttons(cycles, room, camera):
     with bpy.context.temp_override(scene=layer, view_layer=layer.view_layers[0]):
         for ask in (bpy.ops.svrgs.set_up_rendering, bpy.ops.svrgs.set_up_compositing):
             assert not ask.poll()
-    assert layer.svrgs_looking.not_drawn == ""
+    assert part("operators.scene.splat_layer").missing(layer) == ""
 
 
 def test_from_the_engine_svr_gs_it_goes_to_eevee(stage, room, camera, cycles):

@@ -18,7 +18,7 @@ def splat(splat):
 
 
 def said() -> str:
-    return bpy.context.window_manager.svrgs_prune_state.sentences
+    return "\n".join(part("operators.jobs.prune_state").sentences(bpy.context))
 
 
 def run(watch) -> bpy.types.Object:

@@ -12,7 +12,7 @@ from job_helpers import LONG, drawn, follow, set_up
 
 
 def said() -> str:
-    return bpy.context.window_manager.svrgs_prune_state.sentences
+    return "\n".join(part("operators.jobs.prune_state").sentences(bpy.context))
 
 
 def test_an_estimate_is_shown_only_beside_what_it_was_made_for(bridge):

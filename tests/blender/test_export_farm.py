@@ -25,7 +25,7 @@ def export(folder, **words):
 
 
 def lines() -> str:
-    return bpy.context.window_manager.svrgs_prune_state.exported
+    return "\n".join(part("operators.io.export_farm").lines())
 
 
 def run(folder, *words: str) -> int:

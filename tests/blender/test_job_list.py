@@ -3,7 +3,6 @@ of finished jobs."""
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import bpy
@@ -21,7 +20,7 @@ def listed(watch):
 
     def rows() -> dict[str, dict]:
         module.forget()
-        return {row["name"]: row for row in json.loads(bpy.context.window_manager.svrgs_job_list.rows)}
+        return {row["name"]: row for row in part("operators.jobs.job_list").rows(bpy.context)}
 
     yield rows
     for parent in module.job_folders(bpy.context):
@@ -225,7 +224,7 @@ def test_finished_jobs_are_deleted_together_but_not_what_is_still_to_be_loaded(t
     bpy.ops.object.mode_set(mode="OBJECT")
     assert results.pruned_of(splat) and not results.pruned_of(other)
     listed()
-    assert bpy.context.window_manager.svrgs_job_list.finished.startswith("Delete 1 Finished, ")
+    assert part("operators.jobs.job_list").finished_text(bpy.context).startswith("Delete 1 Finished, ")
     bpy.ops.svrgs.delete_finished_jobs()
     assert not first.folder.path.exists() and second.folder.path.exists() and set(listed()) == {"other"}
 
@@ -311,7 +310,7 @@ def test_the_files_of_an_applied_job_go_when_the_file_is_saved(pruned, watch, li
     bpy.ops.svrgs.apply()
     assert job.folder.path.exists(), "a crash now would lose the result"
     assert listed()["scene"]["state"] == "Finished: its files are deleted when the file is saved"
-    assert not bpy.context.window_manager.svrgs_job_list.finished
+    assert not part("operators.jobs.job_list").finished_text(bpy.context)
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "copy.blend"), copy=True)
     assert job.folder.path.exists(), "the result is not in this file yet"
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "work.blend"))

@@ -31,7 +31,7 @@ def result(splat, watch):
 
 
 def said() -> str:
-    return bpy.context.window_manager.svrgs_prune_state.sentences
+    return "\n".join(part("operators.jobs.prune_state").sentences(bpy.context))
 
 
 def shown():

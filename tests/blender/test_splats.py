@@ -287,11 +287,10 @@ def test_a_splat_that_is_a_mesh_stays_one(splat, bridge):
 def test_the_panel_says_what_an_export_would_hold(make_scene, bridge, degree):
     obj = bridge.object_from_scene("some", make_scene(1234, degree), bpy.context.scene.collection)
     bpy.context.view_layer.objects.active = obj
-    assert bpy.context.scene.svrgs_looking.about == f"1,234 Gaussians, SH degree {degree}"
+    about = part("operators.data.splat_size").about
+    assert about(obj) == f"1,234 Gaussians, SH degree {degree}"
     if degree:
         obj.data.attributes.remove(obj.data.attributes["radiance:sh_1"])  # of the first band
-        assert bridge.scene_from_object(obj).sh.shape[
-            1
-        ] == 1 and bpy.context.scene.svrgs_looking.about.endswith("SH degree 0")
+        assert bridge.scene_from_object(obj).sh.shape[1] == 1 and about(obj).endswith("SH degree 0")
     obj.data.attributes.remove(obj.data.attributes["rotation"])
-    assert bpy.context.scene.svrgs_looking.about == ""
+    assert not bridge.is_splat(obj)

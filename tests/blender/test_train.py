@@ -5,8 +5,8 @@ from __future__ import annotations
 import bpy
 import numpy as np
 import pytest
-from extension import DATA
-from job_helpers import drawn, follow
+from extension import DATA, part
+from job_helpers import drawn, follow, said
 
 
 def splats(bridge) -> list[bpy.types.Object]:
@@ -26,10 +26,10 @@ def test_a_splat_is_trained_and_placed_with_its_cameras(root, watch, bridge):
     assert root[bridge.POINTS] == 120 and "12 photographs, 120 sparse points" in drawn("train")
     bpy.ops.svrgs.train()
     (job,) = watch.jobs.values()
-    assert job.folder.kind == "train" and not bpy.context.scene.svrgs_train.about
+    assert job.folder.kind == "train" and not part("operators.jobs.train").about(bpy.context)
     assert (
-        bpy.context.window_manager.svrgs_prune_state.stage == "BUSY"
-        and bpy.context.window_manager.svrgs_prune_state.subject == root.name
+        part("operators.jobs.prune_state").stage(bpy.context) == "BUSY"
+        and part("operators.jobs.prune_state").subject(bpy.context).name == root.name
     )
     follow(watch, lambda: splats(bridge))
     (splat,) = splats(bridge)
@@ -37,7 +37,7 @@ def test_a_splat_is_trained_and_placed_with_its_cameras(root, watch, bridge):
     bpy.context.view_layer.update()
     np.testing.assert_array_equal(splat.matrix_world, root.matrix_world)
     assert bridge.count(splat) == job.folder.result()["count"] and bridge.sh_degree(splat) == 3
-    assert watch.job_of(root) is None and bpy.context.window_manager.svrgs_prune_state.stage == "READY", (
+    assert watch.job_of(root) is None and part("operators.jobs.prune_state").stage(bpy.context) == "READY", (
         "the splat can be pruned"
     )
     assert bpy.ops.svrgs.job_start.poll()
@@ -51,7 +51,7 @@ def test_it_is_stopped_and_resumed_like_any_job(root, watch, bridge):
     assert not bpy.ops.svrgs.train.poll()
     bpy.ops.svrgs.job_stop()
     follow(watch, lambda: not job.running)
-    assert job.state == "stopped" and "Stopped" in bpy.context.window_manager.svrgs_prune_state.sentences
+    assert job.state == "stopped" and "Stopped" in said()
     with pytest.raises(RuntimeError, match="Resume or discard the job of these cameras first"):
         bpy.ops.svrgs.train()
     bpy.ops.svrgs.job_resume()
@@ -84,7 +84,7 @@ def test_a_finished_job_is_loaded_by_hand_if_it_could_not_be_at_once(root, watch
     assert not splats(bridge)
     bpy.ops.object.mode_set(mode="OBJECT")
     bpy.context.view_layer.objects.active = root
-    assert "A finished job was found" in bpy.context.window_manager.svrgs_prune_state.sentences
+    assert "A finished job was found" in said()
     bpy.ops.svrgs.job_load()
     assert [obj.parent for obj in splats(bridge)] == [root]
 
@@ -96,10 +96,7 @@ def test_it_waits_for_other_jobs_and_its_files_go_when_the_file_is_saved(root, w
     bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
     bpy.ops.svrgs.train()
     second = watch.job_of(bpy.context.object)
-    assert (
-        f"Waiting for '{root.name}'" in bpy.context.window_manager.svrgs_prune_state.sentences
-        and not second.running
-    )
+    assert f"Waiting for '{root.name}'" in said() and not second.running
     follow(watch, lambda: len(splats(bridge)) == 2)
     assert watch.job_of(root) is None and first.folder.path.exists() and second.folder.path.exists()
     assert drawn("jobs").count("its files are deleted when the file is saved".split()[-1]) == 2
@@ -133,15 +130,16 @@ def test_discarding_leaves_the_cameras(root, watch):
 
 
 def test_it_is_offered_only_where_it_makes_sense(root, bridge):
-    settings = bpy.context.scene.svrgs_train
     bpy.context.view_layer.objects.active = next(obj for obj in root.children if obj.type == "CAMERA")
-    assert settings.about and bpy.ops.svrgs.train.poll()
+    assert part("operators.jobs.train").about(bpy.context) and bpy.ops.svrgs.train.poll()
     bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
-    assert not settings.about and not bpy.ops.svrgs.train.poll(), "a splat is active"
+    assert not part("operators.jobs.train").about(bpy.context) and not bpy.ops.svrgs.train.poll(), (
+        "a splat is active"
+    )
     bpy.context.view_layer.objects.active = root
     root[bridge.POINTS] = 0
     assert "has no sparse points to start from" in drawn("train") and not bpy.ops.svrgs.train.poll()
 
 
 def test_without_cameras_there_is_nothing_to_train_from():
-    assert not bpy.context.scene.svrgs_train.about and not bpy.ops.svrgs.train.poll()
+    assert not part("operators.jobs.train").about(bpy.context) and not bpy.ops.svrgs.train.poll()

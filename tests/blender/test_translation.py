@@ -189,7 +189,7 @@ def test_panels_and_reports_show_translated_texts(drawn, splat, room, camera, ca
 
 
 def check_panels(drawn, stage: str):
-    assert bpy.context.window_manager.svrgs_prune_state.stage == stage
+    assert part("operators.jobs.prune_state").stage(bpy.context) == stage
     for panel in ("prune", "jobs"):
         assert "⟦" in drawn(panel) and not untranslated(drawn(panel)), (panel, stage)
 

@@ -41,7 +41,7 @@ def test_without_the_wipe_there_is_one_side(pruned, wipe):
 
 def test_the_original_is_left_of_the_line_and_the_pruned_splat_right_of_it(pruned, wipe, bridge):
     bpy.ops.svrgs.viewport_wipe()
-    assert bpy.context.scene.svrgs_looking.wiping and counts(wipe) == [[COUNT], [125]]
+    assert wipe.pair(bpy.context.scene) and counts(wipe) == [[COUNT], [125]]
     left, right = sides(wipe)
     assert (left.columns, right.columns) == ((0, 0.5), (0.5, 1))
     expected = [bridge.scene_from_object(obj).means for obj in pruned]
@@ -51,7 +51,7 @@ def test_the_original_is_left_of_the_line_and_the_pruned_splat_right_of_it(prune
     bpy.context.scene.svrgs_looking.wipe = 0.25
     assert [side.columns for side in sides(wipe)] == [(0, 0.25), (0.25, 1)]
     bpy.ops.svrgs.viewport_wipe()
-    assert not bpy.context.scene.svrgs_looking.wiping and counts(wipe) == [[125]]
+    assert wipe.pair(bpy.context.scene) is None and counts(wipe) == [[125]]
 
 
 def test_the_right_side_is_what_apply_would_keep(pruned, wipe):
@@ -85,7 +85,7 @@ def test_it_does_not_depend_on_what_is_active(pruned, wipe, camera):
 def test_it_ends_with_its_splats_or_the_file(pruned, wipe):
     bpy.ops.svrgs.viewport_wipe()
     bpy.ops.svrgs.discard(what="RESULT")
-    assert not bpy.context.scene.svrgs_looking.wiping and counts(wipe) == [[COUNT]]
+    assert wipe.pair(bpy.context.scene) is None and counts(wipe) == [[COUNT]]
     with pytest.raises(RuntimeError, match="there is nothing to compare"):
         bpy.ops.svrgs.viewport_wipe()
     wipe._pair[:] = [1, 2]

@@ -3,6 +3,7 @@ OUT/seen.json."""
 
 from __future__ import annotations
 
+import importlib
 import json
 import sys
 from pathlib import Path
@@ -20,12 +21,11 @@ PACKAGE = "bl_ext.user_default.svrgs"
 def said() -> list[str]:
     """The label of a panel and of an operator, a sentence with figures, and what the goal of the panel Prune
     means."""
-    scene, state = bpy.context.scene.svrgs_looking, bpy.context.window_manager.svrgs_prune_state
     return [
         pgettext_iface("Spatial Mask"),
         pgettext_iface("Estimate", "Operator"),
-        scene.about,
-        state.goal_help,
+        importlib.import_module(f"{PACKAGE}.operators.data.splat_size").about(bpy.context.object),
+        importlib.import_module(f"{PACKAGE}.operators.jobs.goals").sentence(bpy.context.scene.svrgs_prune),
     ]
 
 

@@ -164,7 +164,7 @@ def see_wipe(space: bpy.types.SpaceView3D, seen: dict):
         part("operators.view.viewport"),
     )
     yield from click(LEFT, driver.header_height("Compare") + WIPE)
-    yield from until(lambda: looking.wiping, "the wipe")
+    yield from until(lambda: wipe.pair(bpy.context.scene), "the wipe")
     panes = lambda: [pane.live for view in viewport._open for pane in view.panes.values()]
     yield from until(lambda: len(panes()) == 2, "two sides")
     yield from rest(panes)
@@ -183,7 +183,7 @@ def see_wipe(space: bpy.types.SpaceView3D, seen: dict):
     seen["moved"] = [looking.wipe * region.width + area_3d.x, x - 200]
     shot("wipe")
     yield from click(LEFT, driver.header_height("Compare") + WIPE)
-    yield from until(lambda: not looking.wiping, "the end of the wipe")
+    yield from until(lambda: wipe.pair(bpy.context.scene) is None, "the end of the wipe")
     yield from until(lambda: len(overlay_views()) == 1, "one side")
     bpy.ops.svrgs.open_image(name="SVR-GS Wipe")
     yield 0.5

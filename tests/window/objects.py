@@ -95,20 +95,23 @@ def apply_and_join(a, b, seen: dict):
 
 def cameras_of_another_capture(seen: dict):
     """The tiny splat fits its cameras; a room does not."""
-    state = bpy.context.window_manager.svrgs_prune_state
+
+    def said():
+        return "\n".join(part("operators.jobs.prune_state").sentences(bpy.context))
+
     a = next(obj for obj in bpy.context.scene.objects if obj.type == "POINTCLOUD")
     activate(a)
     bpy.ops.svrgs.import_colmap(directory=str(DATA))
     activate(a)
     match = part("operators.scene.camera_match")
-    yield from until(lambda: state.sentences is not None and match._found, "the check of the cameras", 60)
-    seen["own"] = state.sentences
+    yield from until(lambda: said() is not None and match._found, "the check of the cameras", 60)
+    seen["own"] = said()
     bridge, scene = part("operators.data.splat_object"), part("svrgs_bench.scenes").room(2000)
     other = bridge.object_from_scene("other", scene, bpy.context.scene.collection)
     activate(other)
     root = next(obj for obj in bpy.context.scene.objects if bridge.ROOT in obj)
     bpy.ops.svrgs.use_cameras(root=root.name)
-    yield from until(lambda: "another capture" in state.sentences, "the sentence on other cameras", 60)
+    yield from until(lambda: "another capture" in said(), "the sentence on other cameras", 60)
     yield 0.5
     shot("other-cameras")
     bpy.ops.svrgs.part_from_cameras()
@@ -138,7 +141,7 @@ def save_move_and_reload(seen: dict):
     seen["reloaded"] = {
         "photo": list(photo.size),
         "mask": max(mask.pixels[:4000]),
-        "dataset": bpy.context.window_manager.svrgs_prune_state.dataset,
+        "dataset": part("operators.scene.dataset_paths").dataset_of(bpy.context)[0],
     }
     shot("reloaded")
 
