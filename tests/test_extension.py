@@ -233,6 +233,7 @@ def run_in_blender(python: str, extension: Path, data: Path, folder: Path, chose
         "SVRGS_TEST_ZIP": str(extension),
         "SVRGS_TEST_DATA": str(data),
         "BLENDER_USER_RESOURCES": str(folder),
+        "PYTHONPATH": os.pathsep.join((str(ROOT), str(ROOT / "benchmarks"))),  # generated scenes
     }
     words = [
         "-m",

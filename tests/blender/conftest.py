@@ -14,6 +14,8 @@ import pytest
 from extension import DATA, PACKAGE, part
 from job_helpers import SHORT, follow, set_up
 
+from svrgs_bench import scenes
+
 KINDS = ("objects", "meshes", "pointclouds", "cameras", "images", "collections")
 
 
@@ -140,7 +142,7 @@ def stage():
 
 @pytest.fixture
 def gaussians():
-    return part("svrgs_bench.scenes").room(3000)
+    return scenes.room(3000)
 
 
 @pytest.fixture

@@ -12,6 +12,8 @@ import pytest
 from extension import part
 from mathutils import Matrix
 
+from svrgs_bench import scenes
+
 SIDE = 64
 
 
@@ -66,7 +68,7 @@ def quads_picture(shaders, scene, camera, hidden=1.0, reduction: int = 1) -> np.
 @pytest.mark.parametrize("antialiased", [False, True])
 def test_all_quads_are_the_rasterizers_picture(shaders, antialiased, orthographic):
     """To the 11 bits of the half floats they are blended in."""
-    scenes, native = part("svrgs_bench.scenes"), part("svrgs_addon.native.rasterizer")
+    native = part("svrgs_addon.native.rasterizer")
     scene, camera = replace(scenes.room(2000), antialiased=antialiased), scenes.orbit_camera(SIDE, SIDE // 2)
     if orthographic:
         camera = replace(camera, K=camera.K @ np.diag([0.15, 0.15, 1]), orthographic=True)
@@ -81,7 +83,6 @@ def test_all_quads_are_the_rasterizers_picture(shaders, antialiased, orthographi
 
 
 def test_what_is_in_front_hides_them(shaders):
-    scenes = part("svrgs_bench.scenes")
     scene, camera = scenes.room(500), scenes.orbit_camera(SIDE, SIDE // 2)
     assert (
         quads_picture(shaders, scene, camera).any()
@@ -90,7 +91,6 @@ def test_what_is_in_front_hides_them(shaders):
 
 
 def test_fewer_pixels_show_the_same_picture(shaders):
-    scenes = part("svrgs_bench.scenes")
     scene, camera = scenes.room(2000), scenes.orbit_camera(4 * SIDE, 2 * SIDE)
     whole, small = quads_picture(shaders, scene, camera), quads_picture(shaders, scene, camera, reduction=2)
     blocks = whole.reshape(SIDE, 2, 2 * SIDE, 2, 4).mean(axis=(1, 3))
@@ -99,7 +99,6 @@ def test_fewer_pixels_show_the_same_picture(shaders):
 
 def test_a_thin_line_in_front_leaves_no_dots_in_a_smaller_picture(shaders):
     """The lines of the grid and of bounds are in the viewport's depth buffer."""
-    scenes = part("svrgs_bench.scenes")
     scene, camera = scenes.room(2000), scenes.orbit_camera(4 * SIDE, 2 * SIDE)
     line = np.ones((2 * SIDE, 4 * SIDE), np.float32)
     line[np.arange(2 * SIDE), np.arange(2 * SIDE)] = 0.0

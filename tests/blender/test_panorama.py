@@ -12,6 +12,8 @@ from mathutils import Matrix, Vector
 from mesh_objects import material
 from view_helpers import f12
 
+from svrgs_bench import scenes
+
 pytestmark = pytest.mark.usefixtures("stage")
 SPOTS = {
     (0, 3, 0): (1, 0, 0),
@@ -95,7 +97,7 @@ def test_what_cycles_shows_is_at_the_same_place(tmp_path, stage, panorama, spots
 
 def test_a_splat_is_where_its_gaussians_are(tmp_path, stage, bridge, panorama):
     """Some small white Gaussians around the camera."""
-    scene = part("svrgs_bench.scenes").room(5)
+    scene = scenes.room(5)
     means = np.array([[3, 0, 0.5], [-1, 2, 1], [0, -2, -2], [1, 1, 3], [-3, -1, -1]], np.float32)
     white = np.full((5, 1, 3), 1.7, np.float32)
     scene = type(scene)(

@@ -11,12 +11,15 @@ import time
 from collections.abc import Generator
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parent))
+ROOT = Path(__file__).parents[2]
+sys.path[:0] = map(str, (Path(__file__).parent, ROOT, ROOT / "benchmarks"))
 
 import bpy
 import driver
 from driver import OUT, area, shot
 from mathutils import Quaternion
+
+from svrgs_bench import scenes
 
 PACKAGE = "bl_ext.user_default.svrgs"
 SIZES = (196_000, 1_500_000)  # Gaussians
@@ -32,7 +35,7 @@ def add(count: int) -> bpy.types.Object:
     for obj in list(bpy.data.objects):
         bpy.data.objects.remove(obj)
     obj = part("operators.data.splat_object").object_from_scene(
-        "room", part("svrgs_bench.scenes").room(count), bpy.context.scene.collection
+        "room", scenes.room(count), bpy.context.scene.collection
     )
     view = area("VIEW_3D").spaces.active.region_3d
     view.view_perspective, view.view_distance, view.view_location = "PERSP", 6, (0, 0, 0)

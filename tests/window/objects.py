@@ -12,12 +12,15 @@ import shutil
 import sys
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parent))
+ROOT = Path(__file__).parents[2]
+sys.path[:0] = map(str, (Path(__file__).parent, ROOT, ROOT / "benchmarks"))
 
 import bpy
 import driver
 from driver import DATA, OUT, key, shot, until
 from mathutils import Euler, Matrix
+
+from svrgs_bench import scenes
 
 PACKAGE = "bl_ext.user_default.svrgs"
 VIEW = (400, 600)  # somewhere in the 3D view
@@ -106,7 +109,7 @@ def cameras_of_another_capture(seen: dict):
     match = part("operators.scene.camera_match")
     yield from until(lambda: said() is not None and match._found, "the check of the cameras", 60)
     seen["own"] = said()
-    bridge, scene = part("operators.data.splat_object"), part("svrgs_bench.scenes").room(2000)
+    bridge, scene = part("operators.data.splat_object"), scenes.room(2000)
     other = bridge.object_from_scene("other", scene, bpy.context.scene.collection)
     activate(other)
     root = next(obj for obj in bpy.context.scene.objects if bridge.ROOT in obj)
