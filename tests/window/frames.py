@@ -11,8 +11,9 @@ import time
 from collections.abc import Generator
 from pathlib import Path
 
-ROOT = Path(__file__).parents[2]
-sys.path[:0] = map(str, (Path(__file__).parent, ROOT, ROOT / "benchmarks"))
+sys.path.insert(0, str(Path(__file__).parents[2]))
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+sys.path.insert(0, str(Path(__file__).parent))
 
 import bpy
 import driver
