@@ -1,7 +1,7 @@
-"""What the user can do, in rooms by topic. A room imports only those before it: data, scene, jobs, io, view."""
+"""What the user can do, in rooms by topic: data, scene, jobs, io, view. Each imports only those before it."""
 
 from . import translation
-from .data import materials, quick_order
+from .data import known, materials, quick_order
 from .io import export_farm, export_levels, export_ply, import_colmap, import_ply, usd_stage
 from .jobs import (
     applied_jobs,
@@ -46,6 +46,7 @@ from .view import (
 
 MODULES = (
     translation,
+    known,
     import_ply,
     import_colmap,
     export_ply,

@@ -12,23 +12,24 @@ import os
 import bpy
 from bpy.app.handlers import persistent
 
+from ..data import known
 from . import job_result
 from .job_queue import jobs
-from .job_watch import delete_job, in_file, job_of, owner_of, unlink
+from .job_watch import delete_job, job_of, owner_of, unlink
 
 
 def note(original: bpy.types.Object | None, pruned: bpy.types.Object):
     """After Apply: the original has no job any more. The files go when the file is saved."""
     job = job_of(original)
     if original is not None and job is not None and job.state == "done":
-        in_file[pruned.session_uid] = str(job.folder.path)
+        known.of(pruned).result_of = str(job.folder.path)
         unlink(original)
 
 
 def is_applied(folder: str) -> bool:
     """Whether the result of the job in this folder is in the file, and its files are deleted when that is
     saved."""
-    return any(in_file.get(obj.session_uid) == folder for obj in _applied())
+    return any(known.of(obj).result_of == folder for obj in _applied())
 
 
 def _applied() -> list[bpy.types.Object]:
@@ -36,7 +37,7 @@ def _applied() -> list[bpy.types.Object]:
     return [
         obj
         for obj in bpy.data.objects
-        if obj.session_uid in in_file and obj.users_collection and not job_result.undecided(obj)
+        if known.of(obj).result_of and obj.users_collection and not job_result.undecided(obj)
     ]
 
 
@@ -44,7 +45,7 @@ def _applied() -> list[bpy.types.Object]:
 def _after_undo(*_):
     """After a redo, what had the job does not have it again."""
     for obj in _applied():
-        owner = owner_of(in_file[obj.session_uid])
+        owner = owner_of(known.of(obj).result_of)
         if owner is not None:
             unlink(owner)
 
@@ -55,7 +56,8 @@ def _after_save(path: str = "", *_):
     if not bpy.data.filepath or (path and os.path.abspath(path) != os.path.abspath(bpy.data.filepath)):
         return
     for obj in _applied():
-        job = jobs.get(in_file.pop(obj.session_uid))
+        job = jobs.get(known.of(obj).result_of)
+        known.of(obj).result_of = ""
         if job is not None and job.state == "done":
             try:
                 delete_job(job)

@@ -12,15 +12,13 @@ from bpy.app.translations import pgettext_iface as tr
 from ...svrgs_addon.files.registry import write_scene
 from ...svrgs_addon.system import subprocess_python
 from ...svrgs_addon.system.errors import SplatError
-from ..data import splat_object
+from ..data import known, splat_object
 from ..data.child_work import ChildWork, redraw_panels
 from ..data.reporting import ReportingOperator
 from ..data.splat_size import size_text
 from .job import given_views, options_of, start_problem
 
 MODULE = "svrgs_addon.jobs.estimate"
-_found: dict[int, dict] = {}  # by session_uid of the splat: the estimate; {"busy": True} until it is there
-_inputs: dict[int, dict] = {}  # by session_uid of the splat: the inputs of its last estimate
 _child_work = ChildWork(done=redraw_panels)
 
 
@@ -32,8 +30,8 @@ def of(obj: bpy.types.Object | None) -> dict:
     """
     if obj is None or not splat_object.is_splat(obj):
         return {}
-    found = _found.get(obj.session_uid, {})
-    return found if "busy" in found or (found and _inputs[obj.session_uid] == _inputs_now(obj)) else {}
+    found, made_of = known.of(obj).estimate, known.of(obj).estimated
+    return found if "busy" in found or (found and made_of == _inputs_now(obj)) else {}
 
 
 def _inputs_now(obj: bpy.types.Object) -> dict:
@@ -129,7 +127,7 @@ class SVRGS_OT_estimate(ReportingOperator):
 
             write_cameras_json(Path(temp_dir.name) / "cameras.json", cameras)
             options["cameras"] = str(Path(temp_dir.name) / "cameras.json")
-        _found[obj.session_uid], _inputs[obj.session_uid] = {"busy": True}, _inputs_now(obj)
+        known.of(obj).estimate, known.of(obj).estimated = {"busy": True}, _inputs_now(obj)
         _child_work.start(
             _work,
             obj.session_uid,
@@ -147,7 +145,9 @@ class SVRGS_OT_estimate(ReportingOperator):
 def _work(key: int, request: dict, temp_dir: tempfile.TemporaryDirectory):
     with temp_dir:
         status, result = subprocess_python.run([], MODULE, request)
-    _found[key] = result if "kept" in result else {"error": result.get("error", ""), "status": status}
+    known.of_uid(key).estimate = (
+        result if "kept" in result else {"error": result.get("error", ""), "status": status}
+    )
 
 
 def register():
@@ -157,5 +157,3 @@ def register():
 def unregister():
     bpy.utils.unregister_class(SVRGS_OT_estimate)
     _child_work.close()
-    _found.clear()
-    _inputs.clear()

@@ -1,8 +1,9 @@
 """Which job belongs to which splat, and a timer that follows the jobs that run.
 
 The .blend file stores only the path of a job's folder, as a property of its splat. Undo may remove this
-property, and a copy of the splat has it too. So `links` remembers which splat has which folder: after an undo
-the property is put back, and it is removed from a copy. Undo takes no job away; a copy of a splat has no job.
+property, and a copy of the splat has it too. So data/known.py remembers which splat has which folder: after
+an undo the property is put back, and it is removed from a copy. Undo takes no job away; a copy of a splat has
+no job.
 
 An error with one job fails that job alone; the timer goes on with the others.
 """
@@ -18,7 +19,7 @@ from bpy.app.translations import pgettext_iface as tr
 from ...svrgs_addon.jobs.job_folder import TRAIN, JobFolder
 from ...svrgs_addon.jobs.job_process import Job
 from ...svrgs_addon.system.errors import FormatError, SplatError
-from ..data import edit_guard, splat_object
+from ..data import edit_guard, known, splat_object
 from ..data.child_work import redraw_panels
 from ..data.job_paths import FOLDER, folder_of
 from ..data.select import in_view_layer
@@ -29,10 +30,6 @@ INTERVAL = 0.2  # seconds between two calls of the timer
 # states in which a job can be resumed, unless it is in the queue
 RESUMABLE = ("queued", "stopped", "interrupted", "failed")
 BUSY = ("new", "starting", "running")
-
-links: dict[int, str] = {}  # by session_uid of a splat, which undo does not change: the folder of its job
-# by session_uid of a splat: the folder of the finished job whose result it is; see applied_jobs.py
-in_file: dict[int, str] = {}
 
 
 # --- the job of a splat
@@ -96,13 +93,13 @@ def current(context) -> tuple[bpy.types.Object, Job] | None:
 
 def link(obj: bpy.types.Object, folder: str):
     """Gives the splat the job in this folder."""
-    obj[FOLDER] = links[obj.session_uid] = folder
+    obj[FOLDER] = known.of(obj).job = folder
 
 
 def unlink(obj: bpy.types.Object):
     """Takes the splat's job away."""
     obj.pop(FOLDER, None)
-    links.pop(obj.session_uid, None)
+    known.of(obj).job = ""
 
 
 def delete_job(job: Job):
@@ -121,8 +118,8 @@ def delete_job(job: Job):
 def _after_undo(*_):
     """Gives splats back the jobs that they had before the undo."""
     for obj in bpy.data.objects:
-        folder = links.get(obj.session_uid)
-        if folder is not None and folder_of(obj) != folder:
+        folder = known.of(obj).job
+        if folder and folder_of(obj) != folder:
             obj[FOLDER] = folder
 
 
@@ -132,17 +129,17 @@ def _after_update(scene, *_):
     it."""
     for obj in scene.objects:
         folder = folder_of(obj)
-        if folder and not obj.library and links.get(obj.session_uid) != folder:
+        if folder and not obj.library and known.of(obj).job != folder:
             if owner_of(folder) is not None:
                 del obj[FOLDER]
             else:
-                links[obj.session_uid] = folder
+                known.of(obj).job = folder
 
 
 def owner_of(folder: str) -> bpy.types.Object | None:
     """The splat in the file that is known to have the job in this folder."""
     return next(
-        (obj for obj in bpy.data.objects if links.get(obj.session_uid) == folder and obj.users_collection),
+        (obj for obj in bpy.data.objects if known.of(obj).job == folder and obj.users_collection),
         None,
     )
 
@@ -195,7 +192,7 @@ def load_result(context, obj: bpy.types.Object, job: Job) -> bpy.types.Object:
     cameras that a splat was trained from."""
     if job.folder.kind == TRAIN:
         trained = train_result.load(context, obj, job.folder)
-        in_file[trained.session_uid] = str(job.folder.path)
+        known.of(trained).result_of = str(job.folder.path)
         unlink(obj)
         return trained
     pruned = job_result.load(context, obj, job.folder)
@@ -217,10 +214,7 @@ def load_result(context, obj: bpy.types.Object, job: Job) -> bpy.types.Object:
 
 @persistent
 def _after_load(*_):
-    """Another file has been opened: only the jobs that run or wait in this Blender stay. All links go,
-    because the splats are others."""
-    links.clear()
-    in_file.clear()
+    """Another file has been opened: only the jobs that run or wait in this Blender stay."""
     job_queue.forget_ended()
 
 
@@ -245,5 +239,3 @@ def unregister():
     if bpy.app.timers.is_registered(tick):
         bpy.app.timers.unregister(tick)
     job_queue.forget_all()
-    links.clear()
-    in_file.clear()

@@ -14,7 +14,7 @@ from bpy.app.translations import pgettext_iface as tr
 from ...svrgs_addon.jobs.job_folder import digest_of
 from ...svrgs_addon.jobs.job_process import Job
 from ...svrgs_addon.system.errors import FormatError, SplatError
-from ..data import splat_object
+from ..data import known, splat_object
 from ..data.reporting import ReportingOperator
 from . import applied_jobs
 from .job_list import all_jobs, owners, state_text
@@ -22,7 +22,6 @@ from .job_queue import jobs
 from .job_watch import job_of, link, start_timer
 
 _requests: dict[str, tuple[int, str]] = {}  # by folder: of _made_of()
-_digests: dict[int, str] = {}  # by session_uid of a splat's data: its digest
 
 
 def orphan_of(context, obj: bpy.types.Object | None) -> Job | None:
@@ -61,27 +60,14 @@ def _made_of(job: Job) -> tuple[int, str]:
 
 def _digest(obj: bpy.types.Object) -> str:
     """The digest of the splat, kept until its data changes."""
-    uid = obj.data.session_uid
-    if uid not in _digests:
-        _digests[uid] = digest_of(splat_object.scene_from_object(obj))
-    return _digests[uid]
-
-
-@persistent
-def _after_update(scene, depsgraph=None):
-    """Forgets the digests of data that has changed."""
-    for update in depsgraph.updates if depsgraph is not None and _digests else ():
-        changed = update.id.original
-        if isinstance(changed, bpy.types.Object):
-            changed = changed.data if update.is_updated_geometry else None
-        if changed is not None:
-            _digests.pop(changed.session_uid, None)
+    points = known.of_data(obj)
+    points.digest = points.digest or digest_of(splat_object.scene_from_object(obj))
+    return points.digest
 
 
 @persistent
 def _forget_all(*_):
     """After an undo, or with another file."""
-    _digests.clear()
     _requests.clear()
 
 
@@ -103,7 +89,7 @@ class SVRGS_OT_adopt_job(ReportingOperator):
 
     def work(self, context) -> str:
         obj = context.object
-        _digests.pop(obj.data.session_uid, None)
+        known.of_data(obj).digest = ""
         job = orphan_of(context, obj)
         if job is None:
             raise SplatError(tr("No job of this splat was found"))
@@ -114,7 +100,6 @@ class SVRGS_OT_adopt_job(ReportingOperator):
 
 
 HANDLERS = {
-    "depsgraph_update_post": _after_update,
     "undo_post": _forget_all,
     "redo_post": _forget_all,
     "load_post": _forget_all,

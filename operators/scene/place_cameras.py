@@ -16,20 +16,16 @@ from ...svrgs_addon.files.registry import write_scene
 from ...svrgs_addon.system import subprocess_python
 from ...svrgs_addon.system.errors import SplatError
 from ...svrgs_addon.views.camera_files import load_cameras
-from ..data import edit_guard, splat_object, views_of_file, visible_splats
+from ..data import edit_guard, known, splat_object, views_of_file, visible_splats
 from ..data.child_work import ChildWork, redraw_panels
 from ..data.native_check import native_problem
 from ..data.preferences import threads
 from ..data.reporting import ReportingOperator
 
-# by session_uid of the splat: the result of `svrgs rig` with its cameras; None until it is there
-_answers: dict[int, dict | None] = {}
-_problems: dict[int, str] = {}  # by session_uid of the splat: why no cameras were placed
-
 
 def sentence(obj: bpy.types.Object) -> str:
     """What the panel says on it; mostly empty."""
-    return tr("Placing cameras …") if obj.session_uid in _answers else _problems.get(obj.session_uid, "")
+    return tr("Placing cameras …") if known.of(obj).placing else known.of(obj).problem
 
 
 class SVRGS_OT_place_cameras(ReportingOperator):
@@ -49,7 +45,7 @@ class SVRGS_OT_place_cameras(ReportingOperator):
             if splat_object.is_splat(context.object)
             else tr("Select a Gaussian splat first")
         )
-        if not problem and context.object.session_uid in _answers:
+        if not problem and known.of(context.object).placing:
             problem = tr("Placing cameras …")
         if problem:
             cls.poll_message_set(problem)
@@ -59,13 +55,12 @@ class SVRGS_OT_place_cameras(ReportingOperator):
         obj, folder = context.object, tempfile.TemporaryDirectory(dir=bpy.app.tempdir)
         write_scene(Path(folder.name) / "scene.ply", visible_splats.visible_scene(obj))
         words = ["--seed", str(context.scene.svrgs_prune.seed), "--threads", str(threads(context)), "--json"]
-        _problems.pop(obj.session_uid, None)
-        _answers[obj.session_uid] = None
+        known.of(obj).placing, known.of(obj).problem = True, ""
         _child_work.start(_place, obj.session_uid, folder, words)
         if not bpy.app.background:
             return tr("Placing cameras …")
-        if obj.session_uid in _problems:
-            raise SplatError(_problems[obj.session_uid])
+        if known.of(obj).problem:
+            raise SplatError(known.of(obj).problem)
         return tr("Placed {count:,} cameras").format(count=len(views_of_file.placed(obj)))
 
 
@@ -77,24 +72,26 @@ def _place(uid: int, folder: tempfile.TemporaryDirectory, words: list[str]):
             ["rig", str(Path(folder.name) / "scene.ply"), "--out", str(out), *words]
         )
         try:
-            _answers[uid] = (
+            known.of_uid(uid).placed = (
                 {"error": result.get("error", ""), "status": status}
                 if status
                 else {"cameras": load_cameras(out)}
             )
         except SplatError as error:
-            _answers[uid] = {"error": str(error)}
+            known.of_uid(uid).placed = {"error": str(error)}
 
 
 def _finished():
     """Adds the cameras that have been found since."""
-    for uid, answer in [(uid, answer) for uid, answer in _answers.items() if answer is not None]:
-        del _answers[uid]
+    for uid, splat in list(known.objects.items()):
+        answer, splat.placed = splat.placed, None
+        if answer is None:
+            continue
+        splat.placing = False
         obj = next((obj for obj in bpy.data.objects if obj.session_uid == uid and obj.users_collection), None)
         if "error" in answer:
-            _problems[uid] = answer["error"] or tr("placing cameras ended with status {status}").format(
-                **answer
-            )
+            text = tr("placing cameras ended with status {status}")
+            splat.problem = answer["error"] or text.format(**answer)
         elif obj is not None:
             _add(obj, answer["cameras"])
     redraw_panels()
@@ -121,5 +118,3 @@ def register():
 def unregister():
     bpy.utils.unregister_class(SVRGS_OT_place_cameras)
     _child_work.close()
-    _answers.clear()
-    _problems.clear()

@@ -16,7 +16,7 @@ from bpy.app.translations import pgettext_n as n_
 from ...svrgs_addon.scene.affine import UNIFORM, stretch, transformed
 from ...svrgs_addon.scene.merge import joined
 from ...svrgs_addon.system.errors import SceneError
-from ..data import edit_guard, splat_object
+from ..data import edit_guard, known, splat_object
 from ..data.reporting import ReportingOperator
 from ..data.select import select
 
@@ -135,14 +135,11 @@ class SVRGS_OT_write_shapes(SplatsOperator):
         for obj in splats:
             if splat_object.count_moved(obj):
                 splat_object.write_gaussians(obj, splat_object.scene_from_object(obj))
-        _counts.clear()
+        known.forget_points()
         return tr("Wrote the shapes of {count:,} Gaussians").format(count=count)
 
 
 # --- what Blender has moved
-
-# session_uid of a splat's data -> Gaussians whose points were moved without their shapes
-_counts: dict[int, int] = {}
 
 
 def moved_count(obj: bpy.types.Object | None) -> int:
@@ -150,20 +147,15 @@ def moved_count(obj: bpy.types.Object | None) -> int:
     and in Edit Mode."""
     if obj is None or not splat_object.is_splat(obj) or obj.mode == "EDIT":
         return 0
-    uid = obj.data.session_uid
-    if uid not in _counts:
-        _counts[uid] = splat_object.count_moved(obj)
-    return _counts[uid]
+    points = known.of_data(obj)
+    if points.moved is None:
+        points.moved = splat_object.count_moved(obj)
+    return points.moved
 
 
 @persistent
-def _after_update(scene, depsgraph=None):
-    """Forgets the counts of data that has changed; stores the positions of splats that this extension has not
-    made."""
-    for update in depsgraph.updates if depsgraph is not None else ():
-        if not isinstance(update.id, bpy.types.Object) or update.is_updated_geometry:
-            data = update.id.original.data if isinstance(update.id, bpy.types.Object) else update.id.original
-            _counts.pop(getattr(data, "session_uid", 0), None)
+def _after_update(scene, *_):
+    """Stores the positions of splats that this extension has not made."""
     _record_positions(scene)
 
 
@@ -180,14 +172,8 @@ def _record_positions(scene: bpy.types.Scene):
 
 
 @persistent
-def _after_undo(*_):
-    _counts.clear()
-
-
-@persistent
 def _after_load(*_):
     """Splats that Blender itself has imported have no stored positions."""
-    _counts.clear()
     for scene in bpy.data.scenes:
         _record_positions(scene)
 
@@ -203,8 +189,6 @@ CLASSES = (SVRGS_OT_apply_transforms, SVRGS_OT_join_splats, SVRGS_OT_write_shape
 HANDLERS = (
     ("depsgraph_update_post", _after_update),
     ("load_post", _after_load),
-    ("undo_post", _after_undo),
-    ("redo_post", _after_undo),
 )
 
 
@@ -220,6 +204,5 @@ def unregister():
     for event, handler in HANDLERS:
         getattr(bpy.app.handlers, event).remove(handler)
     bpy.types.VIEW3D_MT_object.remove(object_menu)
-    _counts.clear()
     for cls in reversed(CLASSES):
         bpy.utils.unregister_class(cls)
