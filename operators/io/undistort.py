@@ -6,7 +6,6 @@ status() says what the last import of cameras lacks, and how far undistorting is
 
 from __future__ import annotations
 
-import threading
 from pathlib import Path
 
 import bpy
@@ -16,38 +15,38 @@ from bpy.app.translations import pgettext_iface as tr
 from ...svrgs_addon.system.errors import SplatError
 from ...svrgs_addon.views.posed_photos import PosedPhotos, read_in_child
 from ..data import camera_object
-from ..data.child_work import redraw_panels
+from ..data.child_work import ChildWork, redraw_panels
 from ..scene import dataset_paths
 
 INTERVAL = 0.5  # seconds between two looks whether it is done
-WAIT = bpy.app.background  # without a window there are no timers, so the operator waits
 
 
-class UndistortThread(threading.Thread):
-    """Waits for the child process that undistorts. It ends with Blender; the process then still finishes its
-    files."""
+class Undistorting:
+    """One dataset whose photographs a child process undistorts. It finishes its files also if Blender ends
+    before."""
 
     def __init__(self, cameras: list[bpy.types.Object], folder: Path, images: str, target: Path, total: int):
-        super().__init__(daemon=True)
         self.cameras = {obj.data[camera_object.IMAGE]: obj.session_uid for obj in cameras}  # by image name
         self.request = folder, images, target
         self.photos: PosedPhotos | None = None
-        self.problems: tuple[str, ...] = ()
         self.error = ""  # why nothing was undistorted
         self.progress = 0, total  # photographs
+        self.ended = False
 
     def run(self):
+        """In a thread, which must not use bpy."""
         try:
             self.photos = read_in_child(*self.request, tell=self._tell)
-            self.problems = self.photos.warnings
         except (SplatError, OSError) as error:
             self.error = str(error)
+        finally:
+            self.ended = True
 
     def _tell(self, done: int, total: int):
         self.progress = done, total
 
 
-_threads: list[UndistortThread] = []  # those that run
+_running: list[Undistorting] = []
 _problems: list[str] = []  # of the last import of cameras
 _root: list[int] = []  # session_uid of the empty above those cameras
 
@@ -61,18 +60,13 @@ def start(cameras: list[bpy.types.Object], folder: Path, images: str, target: Pa
     """Undistorts the `total` photographs of the dataset that need it into the folder `target`, then shows
     each as the background of its camera. With a window it returns at once; status() says how far it is and
     what went wrong."""
-    _threads.append(UndistortThread(cameras, folder, images, target, total))
-    _threads[-1].start()
-    if WAIT:
-        _threads[-1].join()
-        _finish_threads()
-    elif not bpy.app.timers.is_registered(_finish_threads):
-        bpy.app.timers.register(_finish_threads, first_interval=INTERVAL, persistent=True)
+    _running.append(Undistorting(cameras, folder, images, target, total))
+    _child_work.start(_running[-1].run)
 
 
 def progress() -> tuple[int, int]:
     """(photographs done, photographs in all) that are being undistorted."""
-    return sum(thread.progress[0] for thread in _threads), sum(thread.progress[1] for thread in _threads)
+    return sum(one.progress[0] for one in _running), sum(one.progress[1] for one in _running)
 
 
 def problems() -> str:
@@ -89,7 +83,7 @@ def status() -> str:
             None,
             [
                 tr("Undistorting photographs: {done:,} of {total:,}").format(done=done, total=total)
-                if _threads
+                if _running
                 else "",
                 problems(),
             ],
@@ -112,35 +106,38 @@ def show(obj: bpy.types.Object, file: Path | None):
 
 def forget():
     """Stops waiting. The threads end by themselves."""
-    if bpy.app.timers.is_registered(_finish_threads):
-        bpy.app.timers.unregister(_finish_threads)
-    _threads.clear()
+    _child_work.close()
+    _running.clear()
     _problems.clear()
 
 
-def _finish_threads() -> float | None:
-    for thread in [thread for thread in _threads if not thread.is_alive()]:
-        _threads.remove(thread)
-        _finish(thread)
-    redraw_panels()
-    return INTERVAL if _threads else None
+def _finished():
+    for one in [one for one in _running if one.ended]:
+        _running.remove(one)
+        _finish(one)
 
 
-def _finish(thread: UndistortThread):
+def _finish(one: Undistorting):
     """Shows the photographs. Cameras that were deleted since, or belong to a closed file, are skipped."""
     objects = {obj.session_uid: obj for obj in bpy.data.objects if obj.type == "CAMERA"}
-    for camera, file in zip(thread.photos.cameras, thread.photos.files, strict=True) if thread.photos else ():
-        obj = objects.get(thread.cameras.get(camera.name))
+    photos = one.photos
+    for camera, file in zip(photos.cameras, photos.files, strict=True) if photos else ():
+        obj = objects.get(one.cameras.get(camera.name))
         if obj is not None:
             show(obj, file)
     failed = (
-        [tr("{error}; the photographs of lenses with distortion are not shown").format(error=thread.error)]
-        if thread.error
+        [tr("{error}; the photographs of lenses with distortion are not shown").format(error=one.error)]
+        if one.error
         else []
     )
-    _problems.extend(problem for problem in (*thread.problems, *failed) if problem not in _problems)
-    if thread.photos and not WAIT:
+    _problems.extend(
+        problem for problem in (*(photos.warnings if photos else ()), *failed) if problem not in _problems
+    )
+    if photos and not _child_work.waits:
         bpy.ops.ed.undo_push(message="Undistort Photographs")
+
+
+_child_work = ChildWork(_finished, redraw_panels, INTERVAL, detached=True)
 
 
 @persistent

@@ -250,7 +250,7 @@ def test_photographs_of_a_distorting_lens_are_shown_as_their_pinholes_see_them(t
 def follow(undistort, seconds: float = 60):
     """Calls the timer's function, as Blender would, until it wants no more."""
     end = time.monotonic() + seconds
-    while undistort._finish_threads() is not None:
+    while undistort._child_work.tick() is not None:
         assert time.monotonic() < end
         time.sleep(0.02)
 
@@ -258,7 +258,7 @@ def follow(undistort, seconds: float = 60):
 def test_cameras_are_there_before_their_photographs_are_undistorted(tmp_path, monkeypatch, capfd):
     """In a window. One camera is deleted meanwhile."""
     undistort = part("operators.io.undistort")
-    monkeypatch.setattr(undistort, "WAIT", False)
+    monkeypatch.setattr(undistort._child_work, "waits", False)
     bpy.ops.svrgs.import_colmap(directory=str(DATA / "distorted"), undistorted=str(tmp_path))
     said = capfd.readouterr().out
     try:
@@ -271,7 +271,7 @@ def test_cameras_are_there_before_their_photographs_are_undistorted(tmp_path, mo
         assert part("operators.io.undistort").status() in [
             f"Undistorting photographs: {done} of 2" for done in range(3)
         ]
-        (thread,) = undistort._threads
+        (thread,) = undistort._child_work._threads
         thread.join()
         assert part("operators.io.undistort").status() == "Undistorting photographs: 2 of 2"
         bpy.data.objects.remove(cameras()[0])
