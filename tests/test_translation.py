@@ -20,12 +20,16 @@ SENTENCE = re.compile(r"[^\W\d_]{2,}[,;:.]? [^\W\d_]{2,}")  # two words
 WORD = re.compile(r"[^\W\d_]{3,}")
 NO_TEXT = {  # in English everywhere
     # names of images, objects, modifiers and sockets: scripts and .blend files know data by name
-    "SVR-GS Contact Sheet", "SVR-GS Spatial Mask", "SVR-GS Wipe", "SVR-GS Removed", "Base Color", "f'SVR-GS {name}'", "f'{name} (former)'",
-    "f'{original.name} pruned'", "f'{source.name} pruned'", "f'{Path(self.scene).stem} pruned'", "f'{obj.name} pruned'", "f'{name} points'",
-    "f'{root.name} splat'", "f'{scene.name} Splats'", "f'{scene.name} Compositing'", "SVR-GS Splats", "SVR-GS Around Render", "In Front",
+    "SVR-GS Contact Sheet", "SVR-GS Spatial Mask", "SVR-GS Wipe", "SVR-GS Removed", "Base Color",
+    "f'SVR-GS {name}'", "f'{name} (former)'",
+    "f'{original.name} pruned'", "f'{source.name} pruned'", "f'{Path(self.scene).stem} pruned'",
+    "f'{obj.name} pruned'", "f'{name} points'",
+    "f'{root.name} splat'", "f'{scene.name} Splats'", "f'{scene.name} Compositing'", "SVR-GS Splats",
+    "SVR-GS Around Render", "In Front",
     "f'SVR-GS: {error}'",  # a line in the console
     # the whole description is in the catalogues
-    "f'. Empty: {option.default_help}'", "f'Number of training steps. {QUICK:,} give a usable splat, {ITERATIONS:,} one as in papers'",
+    "f'. Empty: {option.default_help}'",
+    "f'Number of training steps. {QUICK:,} give a usable splat, {ITERATIONS:,} one as in papers'",
     "f'visible_{kind}'", "f'CompositorNode{kind}'",  # names of Blender
     "Name of the empty above the cameras", "Folder of the job",  # of hidden properties
     "f'{UNDISTORTED}/{name}.png'",  # a file

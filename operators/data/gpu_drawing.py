@@ -41,7 +41,8 @@ void main() {
   vec2 focal = lens.xy, centre = lens.zw;
   float w = parallel ? 1.0 : z;
   vec2 ray = vec2(t.x, -t.y) / w;
-  vec2 limit = parallel ? vec2(0.0) : 0.5 * FRUSTUM_MARGIN * size / focal + max(centre, size - centre) / focal;
+  vec2 limit = parallel ? vec2(0.0) : 0.5 * FRUSTUM_MARGIN * size / focal
+    + max(centre, size - centre) / focal;
   vec2 near_ray = clamp(ray, -limit, limit);
   mat3 W = mat3(modelview);
   mat3 S = mat3(b, vec3(b.y, c.x, c.y), vec3(b.z, c.y, c.z));
@@ -54,12 +55,15 @@ void main() {
   opacity = a.w * (antialiased ? sqrt(max(sharp / (xx * yy - xy * xy), COMPENSATION_FLOOR)) : 1.0);
   if (opacity < ALPHA_CUT) return;
   float middle = 0.5 * (xx + yy), spread = sqrt(max(0.25 * (xx - yy) * (xx - yy) + xy * xy, 1e-12));
-  vec2 axis = abs(xy) < 1e-6 ? (xx >= yy ? vec2(1.0, 0.0) : vec2(0.0, 1.0)) : normalize(vec2(xy, middle + spread - xx));
+  vec2 axis = abs(xy) < 1e-6 ? (xx >= yy ? vec2(1.0, 0.0) : vec2(0.0, 1.0))
+    : normalize(vec2(xy, middle + spread - xx));
   float reach = sqrt(2.0 * log(opacity / ALPHA_CUT));
   corner = reach * pos;
-  vec2 offset = corner.x * sqrt(middle + spread) * axis + corner.y * sqrt(max(middle - spread, 0.0)) * vec2(-axis.y, axis.x);
+  vec2 offset = corner.x * sqrt(middle + spread) * axis
+    + corner.y * sqrt(max(middle - spread, 0.0)) * vec2(-axis.y, axis.x);
   vec2 pixel = centre + focal * ray + offset;
-  gl_Position = vec4(2.0 * pixel.x / size.x - 1.0, 1.0 - 2.0 * pixel.y / size.y, (mode.z * t.z + mode.w) / w, 1.0);
+  gl_Position = vec4(2.0 * pixel.x / size.x - 1.0, 1.0 - 2.0 * pixel.y / size.y,
+    (mode.z * t.z + mode.w) / w, 1.0);
 }
 """
 

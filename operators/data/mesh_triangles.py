@@ -106,7 +106,8 @@ def _triangles(obj: bpy.types.Object, read: _Read) -> Arrays | None:
     slots = np.clip(slots, 0, len(materials) - 1)
     arrays = {
         "corners": points[vertices], "normals": _get(mesh.corner_normals, "vector", 3)[corners],
-        "colors": np.repeat(np.array([material.color for material in materials], np.float32)[slots][:, None], 3, axis=1),
+        "colors": np.repeat(np.array([material.color for material in materials], np.float32)[slots][:, None],
+        3, axis=1),
         "uvs": np.zeros((count, 3, 2), np.float32), "texture": np.full(count, -1, np.int32),
     }  # fmt: skip
     for number, material in enumerate(materials):

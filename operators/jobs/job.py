@@ -41,7 +41,8 @@ def options_of(context, obj: bpy.types.Object) -> dict:
         )
     colmap, images = dataset_paths.dataset_of(context) if depth == depths.PHOTOGRAPHS else ("", "")
     options = {
-        "colmap": colmap, "images": images, "method": "merge" if depths.merges(context) else s.method, "seed": s.seed, "threads": threads(context),
+        "colmap": colmap, "images": images, "method": "merge" if depths.merges(context) else s.method,
+        "seed": s.seed, "threads": threads(context),
         "holdout": s.holdout, "visible_mask": s.visible_mask, "views_by_loss": s.views_by_loss,
     }  # fmt: skip
     options |= {"time": s.time} if s.use_time else {"iterations": s.iterations, "recovery": s.recovery}
@@ -295,7 +296,8 @@ def resume_sentence(job: Job) -> str:
 
 
 CLASSES = (
-    SVRGS_OT_job_start, SVRGS_OT_set_lambda, SVRGS_OT_job_stop, SVRGS_OT_job_resume, SVRGS_OT_job_discard, SVRGS_OT_job_load,
+    SVRGS_OT_job_start, SVRGS_OT_set_lambda, SVRGS_OT_job_stop, SVRGS_OT_job_resume, SVRGS_OT_job_discard,
+    SVRGS_OT_job_load,
 )  # fmt: skip
 
 

@@ -37,9 +37,12 @@ from .job_watch import delete_job, is_busy, is_resumable, load_result
 
 SCAN_EVERY = 3.0  # seconds between two readings of the folders
 STATES = {  # state -> its words, and those with a progress
-    "stopped": (n_("Stopped"), n_("Stopped at {share:.0%}")), "interrupted": (n_("Interrupted"), n_("Interrupted at {share:.0%}")),
-    "failed": (n_("Failed"), n_("Failed at {share:.0%}")), "queued": (n_("Not started yet"), n_("Not started yet")),
-    "running": (n_("Running"), n_("Running at {share:.0%}")), "stopping": (n_("Stopping"), n_("Stopping at {share:.0%}")),
+    "stopped": (n_("Stopped"), n_("Stopped at {share:.0%}")), "interrupted": (n_("Interrupted"),
+    n_("Interrupted at {share:.0%}")),
+    "failed": (n_("Failed"), n_("Failed at {share:.0%}")), "queued": (n_("Not started yet"),
+    n_("Not started yet")),
+    "running": (n_("Running"), n_("Running at {share:.0%}")), "stopping": (n_("Stopping"),
+    n_("Stopping at {share:.0%}")),
 }  # fmt: skip
 UNKNOWN = n_("In an unknown state"), n_("In an unknown state")
 # others: PAUSE, or PLAY while it runs
@@ -299,7 +302,8 @@ def finished_text(context) -> str:
 
 
 CLASSES = (
-    SVRGS_OT_listed_job_stop, SVRGS_OT_listed_job_resume, SVRGS_OT_listed_job_open, SVRGS_OT_listed_job_delete, SVRGS_OT_delete_finished_jobs,
+    SVRGS_OT_listed_job_stop, SVRGS_OT_listed_job_resume, SVRGS_OT_listed_job_open,
+    SVRGS_OT_listed_job_delete, SVRGS_OT_delete_finished_jobs,
 )  # fmt: skip
 
 

@@ -66,7 +66,10 @@ class SVRGS_PG_prune(bpy.types.PropertyGroup):
     images: option_property("images")
     depth: EnumProperty(
         name="Depth", items=depths.ITEMS, get=depths.number_of, set=depths.choose,
-        description="How thoroughly the splat is pruned. Until you choose: on photographs if the splat has some, else quick",
+        description=(
+            "How thoroughly the splat is pruned. Until you choose: on photographs if the splat has"
+            " some, else quick"
+        ),
     )  # fmt: skip
     views: EnumProperty(
         name="Views", items=views_of_file.ITEMS, description="From where the splat's own pictures are taken"
@@ -90,10 +93,14 @@ class SVRGS_PG_prune(bpy.types.PropertyGroup):
     )  # fmt: skip
     amount: FloatProperty(
         name="Strength", get=_get_amount, set=_set_amount, min=0, max=1, subtype="FACTOR", precision=2,
-        description="How strongly Gaussians are removed. 0 is λ_F = 1e-5, the middle 1e-4, 1 is 1e-3. More keeps fewer Gaussians",
+        description=(
+            "How strongly Gaussians are removed. 0 is λ_F = 1e-5, the middle 1e-4, 1 is 1e-3. More"
+            " keeps fewer Gaussians"
+        ),
     )  # fmt: skip
     lambda_f: FloatProperty(
-        name="Exact λ_F", get=_get_lambda, set=_set_lambda, min=1e-7, max=1, soft_min=1e-5, soft_max=1e-3, precision=6,
+        name="Exact λ_F", get=_get_lambda, set=_set_lambda, min=1e-7, max=1, soft_min=1e-5, soft_max=1e-3,
+        precision=6,
         description="The λ_F of the goal Strength, as a number. A higher λ_F keeps fewer Gaussians",
     )  # fmt: skip
     share: FloatProperty(
@@ -115,7 +122,10 @@ class SVRGS_PG_prune(bpy.types.PropertyGroup):
     )
     drop: FloatProperty(
         name="Loss in dB", min=0.01, soft_max=3, default=0.3, precision=2,
-        description="PSNR in dB that may be lost, measured on some of the photographs that no step trains on. At least 5 % of the Gaussians stay",
+        description=(
+            "PSNR in dB that may be lost, measured on some of the photographs that no step trains on."
+            " At least 5 % of the Gaussians stay"
+        ),
     )  # fmt: skip
     use_time: limited_time_property()
     time: time_property(default=60)
@@ -126,11 +136,17 @@ class SVRGS_PG_prune(bpy.types.PropertyGroup):
     seed: option_property("seed")
     holdout: option_property(
         "holdout", name="Hold Out Every Nth Photo",
-        description="Every N-th photograph is not used for pruning: the quality is measured on it. 0: no photograph is held out",
+        description=(
+            "Every N-th photograph is not used for pruning: the quality is measured on it. 0: no"
+            " photograph is held out"
+        ),
     )  # fmt: skip
     min_contribution: option_property(
         "min_contribution", name="Drop Below", default=MIN_CONTRIBUTION, precision=3,
-        description="Methods that learn masks first drop the Gaussians that cover less than this share of every pixel in every photograph",
+        description=(
+            "Methods that learn masks first drop the Gaussians that cover less than this share of"
+            " every pixel in every photograph"
+        ),
     )  # fmt: skip
     visible_mask: option_property("visible_mask", name="Visible Part Only")
     nested: BoolProperty(
@@ -143,7 +159,10 @@ class SVRGS_PG_prune(bpy.types.PropertyGroup):
     views_by_loss: option_property("views_by_loss", name="Harder Views More Often")
     folder: StringProperty(
         name="Job Folder", subtype="DIR_PATH", options=RELATIVE,
-        description="Folder for the files of jobs. Empty: svrgs_jobs next to the .blend file; for an unsaved file, the extension's own folder",
+        description=(
+            "Folder for the files of jobs. Empty: svrgs_jobs next to the .blend file; for an unsaved"
+            " file, the extension's own folder"
+        ),
     )  # fmt: skip
 
 

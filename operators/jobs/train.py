@@ -78,8 +78,10 @@ class SVRGS_OT_train(ReportingOperator):
         root, settings = root_to_train(context), context.scene.svrgs_train
         assert root is not None
         options = {
-            "colmap": dataset_paths.dataset_of_root(root), "images": root.get(splat_object.IMAGES, ""), "holdout": context.scene.svrgs_prune.holdout,
-            "threads": threads(context), **({"time": settings.time} if settings.use_time else {"iterations": settings.iterations}),
+            "colmap": dataset_paths.dataset_of_root(root), "images": root.get(splat_object.IMAGES, ""),
+            "holdout": context.scene.svrgs_prune.holdout,
+            "threads": threads(context),
+            **({"time": settings.time} if settings.use_time else {"iterations": settings.iterations}),
         }  # fmt: skip
         folder = JobFolder.create_training(new_folder(context, root.name), options, root.name)
         link(root, str(folder.path))
@@ -111,7 +113,9 @@ def about(context) -> str:
 class SVRGS_PG_train(bpy.types.PropertyGroup):
     iterations: IntProperty(
         name="Iterations", min=1, soft_max=ITERATIONS, default=QUICK,
-        description=f"Number of training steps. {QUICK:,} give a usable splat, {ITERATIONS:,} one as in papers",
+        description=(
+            f"Number of training steps. {QUICK:,} give a usable splat, {ITERATIONS:,} one as in papers"
+        ),
     )  # fmt: skip
     use_time: limited_time_property()
     time: time_property(default=600)

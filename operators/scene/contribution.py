@@ -25,7 +25,8 @@ def cameras_property():
     return EnumProperty(
         name="Cameras", description="The cameras whose images count",
         items=[
-            ("PHOTOGRAPHS", "Photographs", "All imported cameras; all cameras if none was imported"), ("SELECTED", "Selected", "The selected cameras"),
+            ("PHOTOGRAPHS", "Photographs", "All imported cameras; all cameras if none was imported"),
+            ("SELECTED", "Selected", "The selected cameras"),
             ("ACTIVE", "Scene Camera", "The scene's camera"),
         ],
     )  # fmt: skip

@@ -48,13 +48,16 @@ CRITERIA = [
     ("EDIT_MODE", "Edit Mode", "The points that are selected in Edit Mode"),
 ]
 MODES = [
-    ("SET", "Set", "Select these only", "SELECT_SET", 0), ("EXTEND", "Extend", "Add these to the selection", "SELECT_EXTEND", 1),
+    ("SET", "Set", "Select these only", "SELECT_SET", 0), ("EXTEND", "Extend", "Add these to the selection",
+    "SELECT_EXTEND", 1),
     ("SUBTRACT", "Subtract", "Remove these from the selection", "SELECT_SUBTRACT", 2),
     ("INTERSECT", "Intersect", "Keep only these of the selection", "SELECT_INTERSECT", 3),
 ]  # fmt: skip
 SHOWN = {  # properties that a criterion uses
-    "BOX": ("volume",), "SPHERE": ("volume",), "OPACITY": ("opacity_low", "opacity_high"), "SIZE": ("size_low", "size_high"),
-    "CONTRIBUTION": ("cameras", "share"), "REMOVAL_ERROR": ("cameras", "share"), "SEEN": ("cameras",), "FLOATERS": ("cameras",), "EDIT_MODE": (),
+    "BOX": ("volume",), "SPHERE": ("volume",), "OPACITY": ("opacity_low", "opacity_high"),
+    "SIZE": ("size_low", "size_high"),
+    "CONTRIBUTION": ("cameras", "share"), "REMOVAL_ERROR": ("cameras", "share"), "SEEN": ("cameras",),
+    "FLOATERS": ("cameras",), "EDIT_MODE": (),
 }  # fmt: skip
 
 
@@ -158,8 +161,10 @@ class SVRGS_OT_select_gaussians(SplatOperator):
         """The criterion with its numbers."""
         numbers = {
             "BOX": ("box", selection.UNIT_BOX), "SPHERE": ("sphere", selection.UNIT_SPHERE),
-            "OPACITY": ("opacity", (self.opacity_low, self.opacity_high)), "SIZE": ("size", (self.size_low, self.size_high or math.inf)),
-            "CONTRIBUTION": ("lowest_contribution", self.share / 100), "REMOVAL_ERROR": ("lowest_removal_error", self.share / 100),
+            "OPACITY": ("opacity", (self.opacity_low, self.opacity_high)), "SIZE": ("size", (self.size_low,
+            self.size_high or math.inf)),
+            "CONTRIBUTION": ("lowest_contribution", self.share / 100),
+            "REMOVAL_ERROR": ("lowest_removal_error", self.share / 100),
             "SEEN": ("seen_by", "all"), "FLOATERS": ("floaters", True),
         }  # fmt: skip
         name, value = numbers[self.criterion]
@@ -196,7 +201,8 @@ class SVRGS_OT_delete_gaussians(SplatOperator):
 
     what: EnumProperty(
         name="What", description="The Gaussians to delete",
-        items=[("SELECTED", "Selected", "Delete the selected Gaussians"), ("OTHERS", "All Others", "Keep only the selected Gaussians")],
+        items=[("SELECTED", "Selected", "Delete the selected Gaussians"), ("OTHERS", "All Others",
+        "Keep only the selected Gaussians")],
     )  # fmt: skip
 
     @classmethod

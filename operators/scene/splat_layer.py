@@ -21,7 +21,8 @@ RAYS = tuple(
 # engines without a class
 BUILT_IN = {"BLENDER_EEVEE_NEXT": "EEVEE", "BLENDER_EEVEE": "EEVEE", "BLENDER_WORKBENCH": "Workbench"}
 FOLLOWED = (
-    "resolution_x", "resolution_y", "resolution_percentage", "pixel_aspect_x", "pixel_aspect_y", "use_border", "use_crop_to_border",
+    "resolution_x", "resolution_y", "resolution_percentage", "pixel_aspect_x", "pixel_aspect_y", "use_border",
+    "use_crop_to_border",
     "border_min_x", "border_max_x", "border_min_y", "border_max_y",
 )  # fmt: skip
 

@@ -254,7 +254,8 @@ class Overlay:
             min(cloud.scene.count / count, LARGEST_SCALE**2),
         )
         constants = {
-            "modelview": modelview, "lens": (small.K[0, 0], small.K[1, 1], small.K[0, 2], small.K[1, 2]), "view": (width, height, near, enlarge),
+            "modelview": modelview, "lens": (small.K[0, 0], small.K[1, 1], small.K[0, 2], small.K[1, 2]),
+            "view": (width, height, near, enlarge),
             "mode": (float(camera.orthographic), float(cloud.scene.antialiased), P[2][2], P[2][3]),
         }  # fmt: skip
         lists = {

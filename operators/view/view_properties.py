@@ -41,7 +41,8 @@ MESHES = [
 SHOWN = [
     ("COLOR", "Colors", "The colours of the Gaussians"),
     ("svrgs:selected", "Selection", "The colours of the Gaussians; selected ones are orange"),
-    ("contribution", "Contribution", "What each Gaussian adds to the images of the cameras. Run Show Contribution first"),
+    ("contribution", "Contribution",
+    "What each Gaussian adds to the images of the cameras. Run Show Contribution first"),
     ("svrgs:probability", "Probability", "Probability of existence, learned by a pruning job with masks"),
     ("svrgs:score", "Rank", "The order in which a pruning job removed the Gaussians"),
 ]  # fmt: skip

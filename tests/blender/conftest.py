@@ -83,9 +83,12 @@ def make_scene():
     def make(count: int = 500, degree: int = 3, further: bool = True):
         rng, K = np.random.default_rng(degree), (degree + 1) ** 2
         columns = {
-            "nx": rng.normal(size=count).astype(np.float32), "label": rng.integers(0, 255, count).astype(np.uint8), "t": rng.normal(size=count),
-            "id": rng.integers(0, 2**32, count, dtype=np.uint64).astype(np.uint32), "scale": rng.normal(size=count).astype(np.float32),
-            "small": rng.integers(-128, 127, count).astype(np.int8), "far": rng.integers(-(2**31), 2**31, count).astype(np.int32),
+            "nx": rng.normal(size=count).astype(np.float32), "label": rng.integers(0, 255,
+            count).astype(np.uint8), "t": rng.normal(size=count),
+            "id": rng.integers(0, 2**32, count, dtype=np.uint64).astype(np.uint32),
+            "scale": rng.normal(size=count).astype(np.float32),
+            "small": rng.integers(-128, 127, count).astype(np.int8), "far": rng.integers(-(2**31), 2**31,
+            count).astype(np.int32),
             "x" * 80: rng.integers(-(2**15), 2**15, count).astype(np.int16),
         }  # fmt: skip
         logits = rng.normal(0, 10, count)

@@ -55,9 +55,12 @@ def test_the_plain_goals_are_multiples_of_the_default_strength_or_shares(splat, 
 @pytest.mark.parametrize(
     "method, goal, sentence",
     [
-        ("removal", "BALANCED", "almost no visible loss"), ("svr", "BALANCED", "The default λ_F of this method"),
-        ("svr", "LIGHT", "0.1 times the default λ_F of this method"), ("gns", "BALANCED", "Keeps 25% of the Gaussians"),
-        ("maskgs", "BALANCED", "The method's own weight decides"), ("maskgs", "SMALL", "Keeps 17% of the Gaussians"),
+        ("removal", "BALANCED", "almost no visible loss"), ("svr", "BALANCED",
+        "The default λ_F of this method"),
+        ("svr", "LIGHT", "0.1 times the default λ_F of this method"), ("gns", "BALANCED",
+        "Keeps 25% of the Gaussians"),
+        ("maskgs", "BALANCED", "The method's own weight decides"), ("maskgs", "SMALL",
+        "Keeps 17% of the Gaussians"),
     ],
 )  # fmt: skip
 def test_the_panel_promises_only_what_was_measured(splat, method, goal, sentence):

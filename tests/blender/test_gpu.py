@@ -50,8 +50,10 @@ def quads_picture(shaders, scene, camera, hidden=1.0, reduction: int = 1) -> np.
         else (-(far + near) / (far - near), -2 * far * near / (far - near))
     )
     constants = {
-        "modelview": Matrix(flip @ camera.viewmat), "lens": (small.K[0, 0], small.K[1, 1], small.K[0, 2], small.K[1, 2]),
-        "view": (small.width, small.height, near, 1.0), "mode": (float(camera.orthographic), float(scene.antialiased), scale, shift),
+        "modelview": Matrix(flip @ camera.viewmat), "lens": (small.K[0, 0], small.K[1, 1], small.K[0, 2],
+        small.K[1, 2]),
+        "view": (small.width, small.height, near, 1.0), "mode": (float(camera.orthographic),
+        float(scene.antialiased), scale, shift),
     }  # fmt: skip
     depth = bridge_gpu.depth_texture(
         np.broadcast_to(np.float32(hidden), (camera.height, camera.width)), reduction

@@ -296,7 +296,8 @@ def test_a_loss_in_db_is_held(splat, watch, results, bridge):
 @pytest.mark.parametrize(
     "options, sentence",
     [
-        ({"goal": "DROP", "method": "opacity"}, "'Opacity' cannot prune to a loss"), ({"goal": "DROP", "iterations": 0}, "needs iterations"),
+        ({"goal": "DROP", "method": "opacity"}, "'Opacity' cannot prune to a loss"), ({"goal": "DROP",
+        "iterations": 0}, "needs iterations"),
         ({"goal": "LAMBDA", "method": "pup"}, "'PUP 3D-GS' only ranks the Gaussians"),
     ],
 )  # fmt: skip
@@ -309,7 +310,8 @@ def test_a_goal_that_the_method_cannot_reach_is_said(splat, options, sentence):
 
 @pytest.mark.parametrize(
     "method, said",
-    [("removal", "λ_F = 1e-4, the default"), ("lightgaussian", "Keeps 34%"), ("gns", "Keeps 25%"), ("maskgs", "The method's own weight decides")],
+    [("removal", "λ_F = 1e-4, the default"), ("lightgaussian", "Keeps 34%"), ("gns", "Keeps 25%"), ("maskgs",
+    "The method's own weight decides")],
 )  # fmt: skip
 def test_without_a_target_the_panel_says_what_decides(splat, method, said):
     set_up({"goal": "LAMBDA", "method": method})

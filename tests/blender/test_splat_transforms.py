@@ -208,7 +208,8 @@ def separate(a, b):
 
 
 SAME = (
-    apply_with_blender, apply_with_ours, join_with_blender, join_with_ours, apply_and_join, join_a_copy, apply_then_reload, apply_then_write,
+    apply_with_blender, apply_with_ours, join_with_blender, join_with_ours, apply_and_join, join_a_copy,
+    apply_then_reload, apply_then_write,
     rotate_in_edit_mode_and_back, move_and_duplicate_linked, separate,
 )  # fmt: skip
 
@@ -320,7 +321,8 @@ def cropped(scene, world) -> list:
 
 MODIFIERS = {
     "transform": (transform_nodes, transformed_by_nodes), "crop": (crop_nodes, cropped),
-    "scatter": (scatter_nodes(realized=False), scattered), "scatter_realized": (scatter_nodes(realized=True), scattered),
+    "scatter": (scatter_nodes(realized=False), scattered), "scatter_realized": (scatter_nodes(realized=True),
+    scattered),
 }  # fmt: skip
 
 
