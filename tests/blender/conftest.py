@@ -32,7 +32,10 @@ def installed() -> Path:
 def empty():
     for kind in KINDS:
         bpy.data.batch_remove(list(getattr(bpy.data, kind)))
-    bpy.context.scene.svrgs_prune.property_unset("depth_number")
+    settings = bpy.context.scene.svrgs_prune
+    for name in settings.bl_rna.properties.keys():
+        if name not in ("rna_type", "name", "lambda_f", "amount", "method_choice"):
+            settings.property_unset(name)
 
 
 @pytest.fixture
@@ -192,9 +195,6 @@ def splat(tmp_path):
     """The tiny splat, active, with settings for its dataset and a folder for its jobs."""
     bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
     settings = bpy.context.scene.svrgs_prune
-    for name in settings.bl_rna.properties.keys():
-        if name not in ("rna_type", "name", "lambda_f", "amount", "method_choice"):
-            settings.property_unset(name)
     settings.colmap, settings.folder = str(DATA / "tiny"), str(tmp_path / "jobs")
     return bpy.context.object
 
