@@ -29,7 +29,7 @@ ALL_FILES = [
 NATIVE_FILES = [path for pattern in ("*.h", "*.cc") for path in sorted((ROOT / "native").rglob(pattern))]
 BLENDER = {"bpy", "bmesh", "mathutils", "gpu", "bl_ui"}
 HEAVY = {"torch", "pycolmap", "OpenImageIO", "scipy", "bpy"}
-MAX_FILE, MAX_FUNCTION = 501, 60  # lines
+MAX_FILE, MAX_FUNCTION = 500, 60  # lines
 TABLES = {"benchmarks/svrgs_bench/stress_rows.py: rows"}  # functions that are one long table
 
 
