@@ -165,7 +165,7 @@ def test_a_stop_request_hears_both_signals():
 
 def test_a_second_ctrl_c_ends_at_once(tiny, tmp_path):
     busy = "lambda *_: (print('ready', file=sys.stderr, flush=True), time.sleep(60))"
-    code = RUN.format(change=f"fine_tuned.fine_tune = {busy}")
+    code = RUN.format(change=f"fine_tuned.FineTuned.tune = {busy}")
     process = start("-c", code, *words_for(tiny, tmp_path / "o.ply", 10, 0))
     assert process.stderr.readline() == "ready\n"
     process.send_signal(signal.SIGINT)
