@@ -135,6 +135,7 @@ def test_a_job_under_nohup_outlives_its_terminal(tiny, tmp_path):
     assert process.returncode == 0 and (tmp_path / "o.ply").exists()
 
 
+@pytest.mark.slow
 def test_ctrl_c_then_resume_is_bit_identical(tiny, whole_command, tmp_path):
     """A run slowed down by a checkpoint a step, so that Ctrl-C comes in the middle of it."""
     out = tmp_path / "o.ply"
