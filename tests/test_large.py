@@ -1,5 +1,5 @@
-"""Scenes larger than memory: blocks on the disk give the scores and the files of the undivided scene,
-whatever the number of blocks and of parts."""
+"""Scenes larger than memory: any number of blocks and parts gives the scores and files of the whole."""
+
 from __future__ import annotations
 
 import contextlib

@@ -254,6 +254,7 @@ def test_a_drop_counts_what_the_format_of_the_output_loses(tiny, data, tmp_path)
     source, held = load_scene(tiny.splat).scene, result["before"]["psnr"]
     left = fine_tuned.without_format_loss(source, data, settings, tmp_path / "o.compressed.ply").max_drop
     recipe = fine_tuned.FineTuned(tiny.splat, settings, JobContext(tmp_path / "o.ply"), lambda _: data)
+    recipe.open()
     recipe.views()
     seen = recipe.measured(as_held(source, compressed_ply.FORMAT), tiny.splat)
     assert 2.0 - left == pytest.approx(max(0.0, held - seen["psnr"]), abs=1e-3) and left < 2.0
