@@ -1,7 +1,7 @@
 # make setup   virtual environment in .venv, pinned packages, native core; then .venv/bin/svrgs is ready.
 #              Installs Debian packages where something is missing: tools/setup.sh names them.
 # make demo    renders a scene with Blender, trains it, prunes it, writes a report
-# make test    quick tests, and a short run of each slow kind;  make test-slow  the rest: Blender, sanitizers, kills, fuzz
+# make test    quick tests, and a short run of each slow kind;  make test-slow  the rest: Blender, kills, fuzz, ...
 # make lint    style and types;  make format  formats the sources
 # make zip     the Blender extension for this platform and this Python, in dist/
 # make package the extension for all platforms and Blenders, wheels for pip, a static extension repository, in dist/

@@ -19,10 +19,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from svrgs_addon.files.registry import load_scene
 from svrgs_addon.native.rasterizer import Rasterizer
-from svrgs_addon.prune.by_blocks import prune_large
-from svrgs_addon.prune.context import JobContext
+from svrgs_addon.prune import by_blocks, plans
 from svrgs_addon.prune.options import PruneOptions
-from svrgs_addon.prune.pipeline import prune_scene
+from svrgs_addon.prune.pipeline import prune_scene, run
 from svrgs_addon.render.metrics import psnr
 from svrgs_addon.render.metrics.evaluate import render_options, rounded_to_8_bits
 from svrgs_addon.scene.camera import Camera
@@ -51,7 +50,7 @@ def main():
             options = PruneOptions(scene=splat, out=Path(folder) / "out.ply", quick=True, quiet=True, **goal)
             for way, job in {
                 "in memory": prune_scene,
-                "by blocks": lambda o: prune_large(o, JobContext(o.out), "asked for"),
+                "by blocks": lambda o: run(by_blocks.recipe_of(o, plans.context_of(o), "asked for")),
             }.items():
                 result = job(options)
                 small = load_scene(options.out).scene

@@ -87,6 +87,7 @@ def check_batch(python: list, scenes: Path):
 # --- from a shell
 
 
+@pytest.mark.slow
 def test_batch_of_a_folder(scenes):
     check_batch([sys.executable, BATCH, "--"], scenes)
 

@@ -135,6 +135,7 @@ def test_error_of_the_truth_is_zero(small):
     assert error(small, "float64") == dict.fromkeys(ERROR, 0) | {"grad_cosine": pytest.approx(1)}
 
 
+@pytest.mark.slow
 def test_stages_add_up(small):
     peaks = peaks_of(library.best_level(), [1])
     (case,) = measure(small, peaks, error(small), repeat=5)

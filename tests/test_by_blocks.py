@@ -380,6 +380,7 @@ def test_a_room_whose_inside_no_placed_camera_sees_is_refused(source, tmp_path):
     refuse_hidden(*sample_of(source)[:1], outside, source)
 
 
+@pytest.mark.slow
 def test_cameras_are_placed_for_a_scene_that_is_too_large_too(svrgs, monkeypatch, source, tmp_path, caplog):
     monkeypatch.setattr(ply.read_ply, "__defaults__", (COUNT - 1,))
     result = svrgs(
@@ -420,6 +421,7 @@ def test_a_sample_covers_about_what_all_gaussians_do(monkeypatch, source):
     assert alphas[1] == pytest.approx(alphas[0], rel=0.12)
 
 
+@pytest.mark.slow
 def test_pictures_are_as_fine_as_all_gaussians_need(monkeypatch, source):
     whole = load_scene(source).scene
     small = replace(whole, log_scales=whole.log_scales - 3.5)
@@ -427,6 +429,7 @@ def test_pictures_are_as_fine_as_all_gaussians_need(monkeypatch, source):
     assert sides[0] < sides[1] < sides[2] == 1024
 
 
+@pytest.mark.slow
 def test_placed_views_are_scored_at_the_size_that_they_need(source):
     camera = place_rig(load_scene(source).scene, views=1).cameras[0]
     (scored,) = reduced(finer([camera]))

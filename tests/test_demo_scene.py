@@ -205,6 +205,7 @@ def test_every_scene_has_the_format_it_says(made, name):
         assert (grey > 253).mean() < 0.15 and (grey < 3).mean() < 0.15
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SCENES)
 def test_keypoints_are_the_projections_of_their_points(made, name):
     model = read_model(made(name))
@@ -216,6 +217,7 @@ def test_keypoints_are_the_projections_of_their_points(made, name):
         assert np.abs(project(model, image, xyz) - xy).max() < 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SCENES)
 def test_points_have_the_colours_of_the_pixels_they_fall_on(made, name):
     """Also in views other than the one that lent the colour; not so if the cameras were off."""

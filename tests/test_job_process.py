@@ -114,6 +114,7 @@ def test_stop_while_the_job_is_still_reading(tiny, tmp_path, jobs):
     assert job.state == "stopped" and job.resume_point() == ("Resume starts it from the beginning", {})
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="this system cannot hold a process")
 def test_a_job_that_gives_no_sign_of_life_is_killed_and_says_from_where_it_goes_on(
     tiny, tmp_path, jobs, monkeypatch
@@ -131,6 +132,7 @@ def test_a_job_that_gives_no_sign_of_life_is_killed_and_says_from_where_it_goes_
     assert job.resume_point() == ("Resume starts it from the beginning: no checkpoint was saved", {})
 
 
+@pytest.mark.slow
 def test_a_job_that_is_slow_to_save_is_not_killed(tiny, tmp_path, jobs, monkeypatch):
     """Only one that gives no sign of life is."""
     monkeypatch.setattr("svrgs_addon.jobs.job_process.NO_REACTION", 3.0)
@@ -160,6 +162,7 @@ def test_an_aborted_job_stays_failed_whatever_its_process_wrote_before(tiny, tmp
     assert job.state == "failed" and job.facts["text"] == "its folder is gone"
 
 
+@pytest.mark.slow
 def test_a_job_that_another_process_continued_is_seen(tiny, tmp_path, jobs, monkeypatch):
     monkeypatch.setattr("svrgs_addon.jobs.job_process.REFRESH_EVERY", 0.0)
     job = Job(create(tmp_path / "job", tiny, **SHORT))
@@ -225,6 +228,7 @@ def test_a_killed_job_is_interrupted_and_goes_on_to_the_same_bytes(undisturbed, 
     assert result_bytes(again) == undisturbed
 
 
+@pytest.mark.slow
 def test_a_job_whose_parent_dies_saves_a_checkpoint_and_ends(tiny, tmp_path):
     folder = create(tmp_path / "job", tiny, **LONG)
     code = (

@@ -1,4 +1,4 @@
-"""Scenes larger than memory: blocks on the disk give the scores and files of the undivided scene."""
+"""Scenes larger than memory: any number of blocks and parts gives the scores and files of the whole."""
 
 from __future__ import annotations
 

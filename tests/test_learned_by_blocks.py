@@ -384,7 +384,7 @@ def test_photographs_of_another_capture_are_told(tiny, tmp_path, svrgs, caplog):
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (["--method", "svr"], "--method decides on photographs: add --colmap"),
+        (["--method", "svr"], "--method decides on photographs: add --data"),
         (
             ["--colmap", "DATA", "--method", "maskgs"],
             "'maskgs' needs the scene in memory; by blocks, choose one of removal, svr, ",

@@ -111,10 +111,9 @@ def sensitivities(scene, camera) -> np.ndarray:
     return torch.einsum("pni,pnj->nij", g, g).numpy()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("level", LEVELS)
-@pytest.mark.parametrize(
-    "view", ["front", *(pytest.param(name, marks=pytest.mark.slow) for name in ("rolled", "inside"))]
-)
+@pytest.mark.parametrize("view", VIEWS)
 def test_sensitivities_are_those_of_the_reference(level, view):
     """Worst seen, of each matrix's largest value: 3.9e-14 in float64, 2.5e-5 in float32."""
     r, camera = rasterizer(level), VIEWS[view]

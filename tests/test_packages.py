@@ -20,7 +20,7 @@ import platforms
 from svrgs_addon.native.library_path import LIBRARY_VARIABLE, library_path
 from svrgs_addon.system import wheels
 from svrgs_addon.system.errors import NativeError, SceneError
-from svrgs_addon.system.here import FILE_NAME
+from svrgs_addon.system.here import LIBRARY
 
 ROOT = Path(__file__).resolve().parents[1]
 NAMES = ("OpenImageIO", "pycolmap")
@@ -184,17 +184,17 @@ def test_numpy_is_asked_of_the_system(root, monkeypatch):
 
 def test_the_native_library_may_be_that_of_an_extension(tmp_path, monkeypatch):
     monkeypatch.delenv(LIBRARY_VARIABLE, raising=False)
-    assert library_path([tmp_path]) == ROOT / "svrgs_addon" / FILE_NAME
+    assert library_path([tmp_path]) == ROOT / "svrgs_addon" / LIBRARY
     sentence = (
         r"the native library .*{} is missing: run 'make native' in a checkout, or install the extension's zip"
     )
     monkeypatch.setattr(
         "svrgs_addon.native.library_path.__file__", str(tmp_path / "checkout/native/library_path.py")
     )
-    with pytest.raises(NativeError, match=sentence.format(f"checkout/{FILE_NAME}")):
+    with pytest.raises(NativeError, match=sentence.format(f"checkout/{LIBRARY}")):
         library_path([tmp_path])
-    (tmp_path / FILE_NAME).touch()
-    assert library_path([tmp_path / "none", tmp_path]) == tmp_path / FILE_NAME
+    (tmp_path / LIBRARY).touch()
+    assert library_path([tmp_path / "none", tmp_path]) == tmp_path / LIBRARY
     monkeypatch.setenv(LIBRARY_VARIABLE, str(tmp_path / "gone.so"))
     with pytest.raises(NativeError, match=sentence.format("gone.so")):
         library_path([tmp_path])
@@ -232,7 +232,7 @@ def checkout(tmp_path) -> Path:
     shutil.copytree(
         ROOT / "svrgs_addon",
         tmp_path / "checkout/svrgs_addon",
-        ignore=shutil.ignore_patterns("__pycache__", FILE_NAME),
+        ignore=shutil.ignore_patterns("__pycache__", LIBRARY),
     )
     (tmp_path / "checkout/Makefile").touch()
     return tmp_path / "checkout"

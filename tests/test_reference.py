@@ -46,7 +46,12 @@ def prepared(case: str):
     return scene, masks, camera, options | {"antialiased": scene.antialiased}
 
 
-@pytest.mark.parametrize("case", CASES)
+LONG = {"stopping", "stopping_visible", "orthographic"}  # cases that take seconds
+
+
+@pytest.mark.parametrize(
+    "case", [pytest.param(case, marks=[pytest.mark.slow] if case in LONG else []) for case in CASES]
+)
 def test_every_gradient_is_the_finite_difference(case):
     scene, masks, camera, options = prepared(case)
     params = scenes.leaves(scene) | {"masks": torch.tensor(masks, dtype=torch.float64, requires_grad=True)}

@@ -19,7 +19,8 @@ import tiny_dataset
 from svrgs_addon.files.registry import write_scene
 from svrgs_addon.native.outputs import PICTURES
 from svrgs_addon.native.rasterizer import Rasterizer
-from svrgs_addon.prune.blocks import divided, folder, whole
+from svrgs_addon.prune.blocks import divided, folder
+from svrgs_addon.prune.recipes import by_blocks
 from svrgs_addon.system import memory
 from svrgs_addon.views.cameras_json import write_cameras_json
 from svrgs_bench.scenes import orbit_camera, room
@@ -182,7 +183,7 @@ def test_no_block_is_mapped_where_it_is_removed(svrgs, short, monkeypatch, sourc
     )
     rendered(svrgs, source, cameras, tmp_path / "out")
     assert len(mapped) == 1 and "svrgs-blocks-" not in mapped[0]
-    monkeypatch.setattr(whole, "remove", lambda work: (mapped.append(all_mapped()), folder.remove(work)))
+    monkeypatch.setattr(by_blocks, "remove", lambda work: (mapped.append(all_mapped()), folder.remove(work)))
     done = svrgs(
         "large",
         "prune",

@@ -124,6 +124,7 @@ def test_a_disk_that_is_full_costs_the_checkpoint_alone(tiny, data, tmp_path, mo
 GOALS = {"target": ["--target", 0.5], "drop": ["--max-drop", 2.0]}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("goal, step, at", [
     ("target", "decide", 3.7 / 6), ("target", "recover", 4.7 / 6), ("target", "recover", 0.0),
     ("target", "measure", 0.0), ("drop", "decide", 4.7 / 7),

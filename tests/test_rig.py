@@ -120,6 +120,7 @@ def test_nearly_all_is_seen_by_three_views(scene):
     assert (counts[counts > 0] >= 3).mean() > 0.9
 
 
+@pytest.mark.slow
 def test_a_porous_object_takes_as_many_views_as_there_may_be():
     """Its inner Gaussians are seen through gaps, from few places; the rig says how much it sees."""
     rig = place_rig(solid())
@@ -140,6 +141,7 @@ def test_a_picture_shows_the_cameras_and_hides_those_behind_the_scene():
     )
 
 
+@pytest.mark.slow
 def test_held_out_views_are_not_those_of_the_rig():
     rig = place_rig(solid(), held_out=8)
     own = np.array([camera.position for camera in rig.cameras])

@@ -135,6 +135,7 @@ def test_a_job_under_nohup_outlives_its_terminal(tiny, tmp_path):
     assert process.returncode == 0 and (tmp_path / "o.ply").exists()
 
 
+@pytest.mark.slow
 def test_ctrl_c_then_resume_is_bit_identical(tiny, whole_command, tmp_path):
     """A run slowed down by a checkpoint a step, so that Ctrl-C comes in the middle of it."""
     out = tmp_path / "o.ply"
@@ -165,7 +166,7 @@ def test_a_stop_request_hears_both_signals():
 
 def test_a_second_ctrl_c_ends_at_once(tiny, tmp_path):
     busy = "lambda *_: (print('ready', file=sys.stderr, flush=True), time.sleep(60))"
-    code = RUN.format(change=f"fine_tuned.fine_tune = {busy}")
+    code = RUN.format(change=f"fine_tuned.FineTuned.tune = {busy}")
     process = start("-c", code, *words_for(tiny, tmp_path / "o.ply", 10, 0))
     assert process.stderr.readline() == "ready\n"
     process.send_signal(signal.SIGINT)

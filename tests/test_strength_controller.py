@@ -99,6 +99,7 @@ def to_the_end(run: Run) -> Run:
     return run
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("target", [90, 140])
 @pytest.mark.parametrize("method", ["svr", "maskgs", "compact3dgs"])
 def test_masks_alone_come_near_the_target(tiny, data, method, target):
@@ -120,6 +121,7 @@ def test_the_drop_asked_for_is_used_up_and_not_exceeded(tiny, data):
     assert 0.1 < sorted(drops)[5] <= 1.0 and sum(drop <= 1.0 for drop in drops) >= 7, drops
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "allowed"), [("removal", 0.2), ("removal", 0.4), ("svr", 0.5), ("svr", 1.0), ("gns", 1.0)]
 )
@@ -252,6 +254,7 @@ def test_a_drop_counts_what_the_format_of_the_output_loses(tiny, data, tmp_path)
     source, held = load_scene(tiny.splat).scene, result["before"]["psnr"]
     left = fine_tuned.without_format_loss(source, data, settings, tmp_path / "o.compressed.ply").max_drop
     recipe = fine_tuned.FineTuned(tiny.splat, settings, JobContext(tmp_path / "o.ply"), lambda _: data)
+    recipe.open()
     recipe.views()
     seen = recipe.measured(as_held(source, compressed_ply.FORMAT), tiny.splat)
     assert 2.0 - left == pytest.approx(max(0.0, held - seen["psnr"]), abs=1e-3) and left < 2.0

@@ -68,6 +68,7 @@ COMMANDS = {  # words, and the file whose name is printed
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("encoding", ["utf-8", "ascii"])
 @pytest.mark.parametrize("command", COMMANDS)
 def test_paths_need_not_be_utf_8(place, command, encoding):

@@ -28,6 +28,7 @@ from svrgs_addon.prune.context import JobContext
 from svrgs_addon.prune.duration import Pace, pace_of
 from svrgs_addon.prune.options import PruneOptions, TrainOptions
 from svrgs_addon.prune.pipeline import prune_scene, train_scene
+from svrgs_addon.prune.recipes import fine_tuned
 from svrgs_addon.prune.time_plan import GRID, LEAST, MOST, fitted
 from svrgs_addon.system.errors import Cancelled, FormatError, SceneError
 
@@ -57,7 +58,12 @@ def whole(method: str, **more):
 def slow(monkeypatch):
     """A machine of a known speed."""
     monkeypatch.setattr(planning, "pace_of", lambda *_: SLOW)
-    monkeypatch.setattr(planning, "timed_scene", lambda splat: (read_ply(splat), 0.1))
+    within = fine_tuned.pruning_within
+    monkeypatch.setattr(
+        fine_tuned,
+        "pruning_within",
+        lambda seconds, plan, source, _read, *more: within(seconds, plan, source, 0.1, *more),
+    )
     monkeypatch.setattr(JobContext, "seconds", lambda self: 1.5)
 
 

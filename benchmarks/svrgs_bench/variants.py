@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 from svrgs_addon.system.errors import NativeError
-from svrgs_addon.system.here import FILE_NAME
+from svrgs_addon.system.here import LIBRARY
 
 SOURCES = Path(__file__).parents[2] / "native"
 
@@ -42,4 +42,4 @@ def build(macro: str, folder: Path) -> Path:
                 f"building with -D{macro} failed:"
                 f" {(done.stderr.strip() or done.stdout.strip()).splitlines()[-1]}"
             )
-    return place / FILE_NAME
+    return place / LIBRARY
