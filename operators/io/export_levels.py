@@ -7,6 +7,7 @@ import tempfile
 from pathlib import Path
 
 import bpy
+from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_iface as tr
 from bpy.props import BoolProperty, EnumProperty, StringProperty
 
@@ -162,11 +163,19 @@ def _finished():
 _child_work = ChildWork(done=_finished)
 
 
+@persistent
+def _after_load(*_):
+    """What was said belongs to the file before."""
+    _lines.clear()
+
+
 def register():
     bpy.utils.register_class(SVRGS_OT_export_levels)
+    bpy.app.handlers.load_post.append(_after_load)
 
 
 def unregister():
+    bpy.app.handlers.load_post.remove(_after_load)
     bpy.utils.unregister_class(SVRGS_OT_export_levels)
     _child_work.close()
     for found in (_running, _lines, _answers):

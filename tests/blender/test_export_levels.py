@@ -62,6 +62,14 @@ def test_a_file_that_is_there_is_kept_unless_overwrite_is_set(splat, tmp_path):
     assert path.stat().st_size > 100
 
 
+def test_another_file_does_not_show_what_was_exported_from_this_one(splat, tmp_path):
+    levels = part("operators.io.export_levels")
+    assert export(tmp_path, kind="ply", shares="50") == {"FINISHED"} and levels.lines()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "a.blend"))
+    assert levels.lines() == []
+
+
 @pytest.mark.parametrize("shares", ("0", "100", "50, x", "-3"))
 def test_levels_that_are_none_are_refused(splat, shares, tmp_path):
     with pytest.raises(RuntimeError, match="between 0 and 100"):
