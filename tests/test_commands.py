@@ -391,3 +391,11 @@ def test_every_command_has_help_in_any_encoding(command):
 def test_help_and_version(svrgs):
     assert svrgs("--help").status == svrgs("prune", "--help").status == 0
     assert re.fullmatch(r"\d+\.\d+\.\d+\n", svrgs("--version").out)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes")
+def test_a_pipe_is_not_waited_for(svrgs, tmp_path):
+    os.mkfifo(tmp_path / "pipe.ply")
+    for words in (("info",), ("prune", "--quick", "--target", 0.5)):
+        found = svrgs(words[0], tmp_path / "pipe.ply", *words[1:])
+        assert found.status == 2 and "is a pipe or a device, not a file" in found.err

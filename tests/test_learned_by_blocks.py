@@ -273,6 +273,16 @@ def test_an_allowed_drop_on_photographs_decides_how_many_stay(inside, tmp_path, 
     assert sorted(path.name for path in tmp_path.iterdir()) == ["0.5.ply", "4.ply", "a.ply"]
 
 
+def test_a_job_that_has_begun_its_steps_does_not_begin_again_by_blocks(tiny, tmp_path, svrgs, monkeypatch):
+    def short(*_):
+        raise SHORT
+
+    monkeypatch.setattr(pipeline.FineTuned, "tune", short)
+    words = ["--data", tiny.folder, *STEPS, "--out", tmp_path / "o.ply", "--target", 0.5]
+    result = svrgs("prune", tiny.splat, *words)
+    assert result.status != 0 and "by blocks" not in result.err and not (tmp_path / "o.ply").exists()
+
+
 def test_a_job_on_photographs_goes_over_to_blocks_where_memory_is_short(
     tiny, tmp_path, svrgs, monkeypatch, caplog
 ):

@@ -75,7 +75,8 @@ def variants() -> list[Variant]:
 
 def this_platform() -> str:
     """Blender's name of the platform this runs on."""
-    return f"{SYSTEMS.get(sys.platform, sys.platform)}-{MACHINES.get(platform.machine().lower(), platform.machine())}"
+    machine = MACHINES.get(platform.machine().lower(), platform.machine())
+    return f"{SYSTEMS.get(sys.platform, sys.platform)}-{machine}"
 
 
 def variant_for(python: str) -> Variant:

@@ -191,9 +191,14 @@ def _part(file: BinaryIO, layout: _Layout, start: int, count: int) -> Scene:
         sh[:, 1:] = _SH_VALUES[stored].reshape(count, 3, -1).transpose(0, 2, 1)
     three = (_unpacked(rotation, (10, 10, 10)) - np.float32(0.5)) / HALF_SQRT2
     return Scene(
-        _within(_unpacked(position, POSITION_BITS), ranges[:, 0:3], ranges[:, 3:6]), _within(_unpacked(scale, SCALE_BITS), ranges[:, 6:9], ranges[:, 9:12]),
-        quats_of_three(three, rotation >> 30), logits_of(color & 255), sh, antialiased=is_mip(layout.comments), comments=layout.comments,
-    )  # fmt: skip
+        _within(_unpacked(position, POSITION_BITS), ranges[:, 0:3], ranges[:, 3:6]),
+        _within(_unpacked(scale, SCALE_BITS), ranges[:, 6:9], ranges[:, 9:12]),
+        quats_of_three(three, rotation >> 30),
+        logits_of(color & 255),
+        sh,
+        antialiased=is_mip(layout.comments),
+        comments=layout.comments,
+    )
 
 
 _SH_VALUES = (

@@ -25,8 +25,17 @@ from .repair import bake_filter, clamp_extremes, drop_nonfinite, unusable
 from .splat_format import SplatFormat
 
 FORMATS: tuple[SplatFormat, ...] = (  # the first one is written where no format is named
-    ply.FORMAT, compressed_ply.FORMAT, spz.FORMAT, glb_spz.FORMAT, glb.FORMAT, usd.FORMAT, sog.FORMAT, streamed_sog.FORMAT, dot_splat.FORMAT, ksplat.FORMAT,
-)  # fmt: skip
+    ply.FORMAT,
+    compressed_ply.FORMAT,
+    spz.FORMAT,
+    glb_spz.FORMAT,
+    glb.FORMAT,
+    usd.FORMAT,
+    sog.FORMAT,
+    streamed_sog.FORMAT,
+    dot_splat.FORMAT,
+    ksplat.FORMAT,
+)
 INDEXES = tuple(one.index for one in FORMATS if one.index)
 SAMPLE, CHUNKED = 16_384, 256  # Gaussians of which sizes of files are foreseen
 SNIFFED_BYTES = 65_536  # bytes at the start of a file that decide between formats with the same suffix
@@ -94,6 +103,8 @@ def format_to_read(path: str | Path) -> SplatFormat:
         return found[0]
     if path.is_dir():
         raise SceneError(f"{path}: is a folder, or holds several splats: name the file to use")
+    if not path.is_file():  # a pipe would be waited for
+        raise SceneError(f"{path}: is a pipe or a device, not a file: copy its contents into a file")
     fitting = [splat_format for splat_format in FORMATS if _ends_with(path, splat_format)]
     if not fitting:
         raise FormatError(f"{path}: '{path.suffix}' files are not read; splats are {', '.join(suffixes())}")

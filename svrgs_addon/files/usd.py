@@ -151,9 +151,11 @@ def _fill(prim: Any, scene: Scene):
     values = {
         "positions": (kinds.Point3fArray, Vt.Vec3fArray, scene.means),
         "orientations": (kinds.QuatfArray, Vt.QuatfArray, np.roll(scene.quats / norms, -1, axis=1)),
-        "scales": (kinds.Float3Array, Vt.Vec3fArray, scales), "opacities": (kinds.FloatArray, Vt.FloatArray, opacities),
-        SH: (kinds.Float3Array, Vt.Vec3fArray, scene.sh.reshape(-1, 3)), "extent": (kinds.Float3Array, Vt.Vec3fArray, extent),
-    }  # fmt: skip
+        "scales": (kinds.Float3Array, Vt.Vec3fArray, scales),
+        "opacities": (kinds.FloatArray, Vt.FloatArray, opacities),
+        SH: (kinds.Float3Array, Vt.Vec3fArray, scene.sh.reshape(-1, 3)),
+        "extent": (kinds.Float3Array, Vt.Vec3fArray, extent),
+    }
     for name, (kind, array, rows) in values.items():
         prim.CreateAttribute(name, kind, False).Set(array.FromNumpy(np.ascontiguousarray(rows, np.float32)))
     prim.CreateAttribute(DEGREE, kinds.Int, False, Sdf.VariabilityUniform).Set(scene.sh_degree)

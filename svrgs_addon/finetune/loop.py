@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from ..system.errors import Cancelled, SplatError
 from .run import Run
 
-# points of the curves; least number of steps between two: a point takes as long as one or two steps
 CURVE_VIEWS = 4  # test views on which the PSNR of the curves is measured
+# points of the curves; least number of steps between two: a point takes as long as one or two steps
 CURVE_POINTS, LEAST_BETWEEN = 40, 20
 CHECKPOINT_SECONDS = 120.0  # between two checkpoints
 

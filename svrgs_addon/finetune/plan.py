@@ -86,12 +86,21 @@ def scaled(phases: list[Phase], share: float) -> list[Phase]:
     steps = lambda n: max(1, round(n * share)) if n else 0
     return [
         replace(
-            p, steps=steps(p.steps), prune_every=steps(p.prune_every), sh_every=steps(p.sh_every), coarse_until=steps(p.coarse_until),
+            p,
+            steps=steps(p.steps),
+            prune_every=steps(p.prune_every),
+            sh_every=steps(p.sh_every),
+            coarse_until=steps(p.coarse_until),
             densify=p.densify and _scaled_densify(p.densify, steps),
-            rates=replace(p.rates, position_steps=steps(p.rates.position_steps), decay_every=steps(p.rates.decay_every), mask=p.rates.mask / share),
+            rates=replace(
+                p.rates,
+                position_steps=steps(p.rates.position_steps),
+                decay_every=steps(p.rates.decay_every),
+                mask=p.rates.mask / share,
+            ),
         )
         for p in phases
-    ]  # fmt: skip
+    ]
 
 
 def _scaled_densify(d: Densify, steps) -> Densify:

@@ -92,9 +92,16 @@ class JobRecorder:
             self._points = len(curves.iteration)
             self._preview(progress.iteration)
         self.listener.progress(
-            "finishing" if run.finished else "looping", progress.label, iteration=progress.iteration, total=progress.total, phase=progress.phase,
-            count=count, loss=round(progress.loss, 6), psnr=psnr, seconds_left=round(progress.seconds_left, 1),
-        )  # fmt: skip
+            "finishing" if run.finished else "looping",
+            progress.label,
+            iteration=progress.iteration,
+            total=progress.total,
+            phase=progress.phase,
+            count=count,
+            loss=round(progress.loss, 6),
+            psnr=psnr,
+            seconds_left=round(progress.seconds_left, 1),
+        )
 
     def finish(self, result: dict) -> dict:
         """Writes the files of the result, result.json last. Returns the JSON result."""

@@ -47,9 +47,15 @@ def decimate(
     n, steps = scene.count, max(scene.count - least, 0)  # the library refuses a wrong `least`
     shapes = {name: (n, *getattr(scene, name).shape[1:]) for name in PARAMETERS}
     words = DecimationStruct(
-        n, scene.sh.shape[1], scene.antialiased, *(check(getattr(scene, name), name, shapes[name], np.float32) for name in PARAMETERS),
-        check(visibility, "visibility", (n, len(VISIBILITY)), np.float64), (c.c_double * 3)(*map(float, middle)), unit, least,
-    )  # fmt: skip
+        n,
+        scene.sh.shape[1],
+        scene.antialiased,
+        *(check(getattr(scene, name), name, shapes[name], np.float32) for name in PARAMETERS),
+        check(visibility, "visibility", (n, len(VISIBILITY)), np.float64),
+        (c.c_double * 3)(*map(float, middle)),
+        unit,
+        least,
+    )
     a, b, costs = np.empty(steps, np.uint32), np.empty(steps, np.uint32), np.empty(steps, np.float32)
     results = {name: np.empty((steps, *shape[1:]), np.float32) for name, shape in shapes.items()}
     out = MergesStruct(

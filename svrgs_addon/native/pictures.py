@@ -68,9 +68,16 @@ def _texture(texture) -> c.Structure:
 
 
 def add_view(
-    image: np.ndarray, turn: np.ndarray, K: np.ndarray, along: int, sums: np.ndarray, latitudes: np.ndarray, longitudes: np.ndarray,
-    row_weights: np.ndarray, column_weights: np.ndarray,
-):  # fmt: skip
+    image: np.ndarray,
+    turn: np.ndarray,
+    K: np.ndarray,
+    along: int,
+    sums: np.ndarray,
+    latitudes: np.ndarray,
+    longitudes: np.ndarray,
+    row_weights: np.ndarray,
+    column_weights: np.ndarray,
+):
     """Adds a perspective view, times row and column weights, to the panorama `sums` (H, W, L) float32, by
     cubic interpolation.
 
@@ -85,10 +92,14 @@ def add_view(
         address, width, height, channels, along, (c.c_double * 9)(*turn.flat), K[0, 0], K[0, 2], K[1, 2]
     )
     panorama = PanoramaStruct(
-        check_out(sums, "sums", (rows, columns, channels), np.float32), columns, rows,
-        check(latitudes, "latitudes", (rows,), np.float64), check(row_weights, "row_weights", (rows,), np.float64),
-        check(longitudes, "longitudes", (columns,), np.float64), check(column_weights, "column_weights", (columns,), np.float64),
-    )  # fmt: skip
+        check_out(sums, "sums", (rows, columns, channels), np.float32),
+        columns,
+        rows,
+        check(latitudes, "latitudes", (rows,), np.float64),
+        check(row_weights, "row_weights", (rows,), np.float64),
+        check(longitudes, "longitudes", (columns,), np.float64),
+        check(column_weights, "column_weights", (columns,), np.float64),
+    )
     call_library("svrgs_add_view", c.byref(view), c.byref(panorama))
 
 

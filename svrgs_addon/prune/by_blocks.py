@@ -5,34 +5,53 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import replace
-from typing import Any
 
 from ..finetune.methods import DEFAULT, method_named
 from ..scene.camera import Camera, evenly
 from ..scene.gaussians import Scene
 from ..system import memory
 from ..system.errors import MemoryShort, TooMany
-from ..system.option_kinds import default_of
 from ..views.dataset import load_dataset
 from .blocks.folder import blocks_of
 from .blocks.request import Request, methods, methods_of_drop
 from .blocks.sample import finer, refuse_hidden, sample_of
 from .blocks.tasks import progress
 from .context import JobContext
-from .door import check_views
+from .door import check_views, given
 from .options import MIN_CONTRIBUTION, PruneOptions
 from .recipes.by_blocks import Goal, LearnedByBlocks, MergedByBlocks
 from .rendered_views import LONGEST, MOST, refuse_options, views_of
 
 TAKES = (  # options; with others, the scene must be read as a whole
-    "colmap", "images", "holdout", "cameras", "seen_from_only", "threads", "seed", "target", "target_count", "quiet", "quick", "method", "scene", "out",
+    "colmap",
+    "images",
+    "holdout",
+    "cameras",
+    "seen_from_only",
+    "threads",
+    "seed",
+    "target",
+    "target_count",
+    "quiet",
+    "quick",
+    "method",
+    "scene",
+    "out",
     "resume",
-)  # fmt: skip
+)
 QUICK_VIEWS = 64  # that are placed for a quick job
 OF_QUICK = ("max_drop", "levels")  # options that only a quick job has there
 OF_METHODS = (  # those of methods on photographs
-    "lambda_f", "iterations", "recovery", "schedule", "min_contribution", "background", "image_memory", "visible_mask", "report",
-)  # fmt: skip
+    "lambda_f",
+    "iterations",
+    "recovery",
+    "schedule",
+    "min_contribution",
+    "background",
+    "image_memory",
+    "visible_mask",
+    "report",
+)
 NEEDS_VISIBLE = (
     "with --visible-mask, or with removal to a number or an allowed drop, it would be pruned by blocks"
 )
@@ -81,10 +100,7 @@ def _to_number(options: PruneOptions) -> bool:
 
 def _has_only(options: PruneOptions, names: Collection[str]) -> bool:
     """Whether only the options with these names differ from their defaults."""
-    return all(
-        name in names or getattr(options, name) == default_of(PruneOptions, name)
-        for name in PruneOptions.__dataclass_fields__
-    )
+    return set(given(options)) <= set(names)
 
 
 def with_advice(error: MemoryShort | TooMany, options: PruneOptions) -> MemoryShort | TooMany:
@@ -125,17 +141,15 @@ def recipe_of(options: PruneOptions, job: JobContext, reason: str) -> MergedByBl
     """The recipe of `svrgs prune` by blocks. reason: why, in a sentence. Raises SplatError."""
     assert options.scene is not None
     goal = Goal(options.target_count or 0, options.target or 0.0, options.max_drop or 0.0, options.levels)
-    more: dict[str, Any] = {"reason": memory.without_advice(reason)}
-
-    scene = options.scene
+    scene, reason = options.scene, memory.without_advice(reason)
 
     def views_of() -> tuple[list[Camera], list[Camera], list[str]]:
         train, test, notes = _views(options, *sample_of(scene))
         return train, test or train, notes
 
     if _learns(options):
-        return LearnedByBlocks(options.scene, job, goal, views_of, request=request_of(options), **more)
-    return MergedByBlocks(options.scene, job, goal, views_of, **more)
+        return LearnedByBlocks(scene, job, goal, views_of, request=request_of(options), reason=reason)
+    return MergedByBlocks(scene, job, goal, views_of, reason=reason)
 
 
 def _views(

@@ -12,7 +12,6 @@ from ..render.metrics.evaluate import Renderable, refuse_unseen
 from ..scene.camera import Camera
 from ..system.errors import SceneError
 from ..system.option_kinds import default_of
-from ..views.dataset import Dataset
 
 
 def check_files(scene: Path | None, outs: Sequence[Path], further: Sequence[Path] = ()):
@@ -30,10 +29,9 @@ def check_files(scene: Path | None, outs: Sequence[Path], further: Sequence[Path
 
 
 def check_options(options: Any, takes: Collection[str], way: str):
-    """Raises SceneError for an option that is given, but is not one of those that this way takes. options: of a
-    dataclass of prune/options.py."""
-    fields = type(options).__dataclass_fields__
-    others = [name for name in given(options) if name in fields and name not in takes]
+    """Raises SceneError for an option that is given, but is not one of those that this way takes. options: of
+    a dataclass of prune/options.py."""
+    others = [name for name in given(options) if name not in takes]
     if others:
         raise SceneError(f"{way} takes no --{others[0].replace('_', '-')}: leave it out, or leave {way} out")
 
@@ -45,23 +43,16 @@ def given(options: Any) -> list[str]:
 
 
 def check_views(scene: Renderable, cameras: Sequence[Camera], training: Collection, name: str):
-    """Raises SceneError if no view is left to train or decide on, or if no view sees the scene. training: those
-    views, or their numbers. name: of the scene, for the sentence."""
+    """Raises SceneError if no view is left to train or decide on, or if no view sees the scene. training:
+    those views, or their numbers. name: of the scene, for the sentence."""
     check_training(training)
     refuse_unseen(scene, cameras, name)
 
 
 def check_training(training: Collection):
-    """Raises SceneError if all views are held out for testing. training: the other views, or their numbers."""
+    """Raises SceneError if all views are held out for testing. training: the other views, or their
+    numbers."""
     if not training:
         raise SceneError(
             "all views of the dataset are held out for testing, none is left for training: use --holdout 0"
         )
-
-
-def check_photographs(dataset: Dataset, reason: str):
-    """Raises SceneError unless the dataset has photographs and some are left to train on. reason: for the
-    sentence."""
-    if not dataset.photos:
-        raise SceneError(f"has no photographs, which {reason} needs")
-    check_training(dataset.train_indices)

@@ -1,7 +1,7 @@
 """One way to prune and to train: open, views, check, rank, budget, select, tune, write, measure.
 
-Each step is a method of a recipe (recipes/): fine-tuned in memory, quick, a training, or by blocks on the disk.
-A recipe keeps what one step hands to the next. The door (door.py) is the same for all.
+Each step is a method of a recipe (recipes/): fine-tuned in memory, quick, a training, or by blocks on the
+disk. A recipe keeps what one step hands to the next. The door (door.py) is the same for all.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ Adapt = Callable[[JobContext], JobContext]
 
 
 class Recipe(Protocol):
-    """What each step does. A step raises SplatError; those after check() raise Cancelled, too."""
+    """What each step does. A step raises SplatError; MemoryShort or TooMany, of those up to check(), where
+    memory is too short; those after check() raise Cancelled, too."""
 
     job: JobContext
 
@@ -47,7 +48,8 @@ class Recipe(Protocol):
 
 
 def train_scene(options: TrainOptions, adapt: Adapt = lambda job: job) -> dict[str, Any]:
-    """Runs `svrgs train`. Returns the JSON result. Raises SplatError; Cancelled if stopped, after a checkpoint."""
+    """Runs `svrgs train`. Returns the JSON result. Raises SplatError; Cancelled if stopped, after a
+    checkpoint."""
     library.set_threads(options.threads)
     job, plan = plans.context_of(options), plans.plan_of_training(options)
     return run(
@@ -56,21 +58,26 @@ def train_scene(options: TrainOptions, adapt: Adapt = lambda job: job) -> dict[s
 
 
 def prune_scene(options: PruneOptions, adapt: Adapt = lambda job: job) -> dict[str, Any]:
-    """Runs `svrgs prune` of options.scene. Returns the JSON result. Raises SplatError; Cancelled if stopped."""
+    """Runs `svrgs prune` of options.scene. Returns the JSON result. Raises SplatError; Cancelled if
+    stopped."""
     library.set_threads(options.threads)
-    reason = (
-        f"{options.scene}: its blocks are there from an earlier start" if by_blocks.was_begun(options) else ""
-    )
-    if not reason:
+    with contextlib.ExitStack() as held:
+        return _finished(_begun(options, held), adapt)
+
+
+def _begun(options: PruneOptions, held: contextlib.ExitStack) -> Recipe:
+    """The recipe after its first steps: in memory, or by blocks where these find that memory is too short.
+    held: closes the recipe at the end."""
+    reason = f"{options.scene}: its blocks are there from an earlier start"
+    if not by_blocks.was_begun(options):
         try:
-            return run(in_memory(options), adapt)
+            return held.enter_context(_prepared(in_memory(options)))
         except (MemoryShort, TooMany) as error:
             if not by_blocks.possible(options):
                 raise by_blocks.with_advice(error, options) from None
-            reason = str(
-                error
-            )  # the rest is outside of the except: there, the error holds the scene in memory
-    return run(by_blocks.recipe_of(options, plans.context_of(options), reason), adapt)
+            reason = str(error)
+    # outside of the except, because there the error holds the scene in memory
+    return held.enter_context(_prepared(by_blocks.recipe_of(options, plans.context_of(options), reason)))
 
 
 def in_memory(options: PruneOptions) -> Recipe:
@@ -84,31 +91,36 @@ def in_memory(options: PruneOptions) -> Recipe:
 
 
 def run(recipe: Recipe, adapt: Adapt = lambda job: job) -> dict[str, Any]:
-    """All steps of a recipe, in order. Its outputs are reserved meanwhile. Returns the JSON result."""
-    with _at_the_door(recipe):
-        recipe.open()
-        recipe.views()
-        recipe.check()
-        with StopRequest() as stop:
-            asked = recipe.job.stop
-            recipe.job = adapt(replace(recipe.job, stop=lambda: asked() or stop()))
-            recipe.rank()
-            recipe.budget()
-            recipe.select()
-            recipe.tune()
-            recipe.write()
-            return recipe.measure()
+    """All steps of a recipe, in order. Returns the JSON result. Raises SplatError; Cancelled if stopped."""
+    with _prepared(recipe):
+        return _finished(recipe, adapt)
 
 
 @contextlib.contextmanager
-def _at_the_door(recipe: Recipe) -> Iterator[None]:
-    """What is the same for all recipes before and after the steps."""
+def _prepared(recipe: Recipe) -> Iterator[Recipe]:
+    """The recipe after the door and the steps that only look. Its outputs are reserved as long as the context
+    lasts, and it is closed at the end."""
     job = recipe.job
-    check_files(
-        job.scene, job.outs, [*([job.report / "index.html"] if job.report else []), *recipe.further_files()]
-    )
+    further = [job.report / "index.html"] if job.report else []
+    check_files(job.scene, job.outs, [*further, *recipe.further_files()])
     with contextlib.ExitStack() as held:
         for out in job.outs:
             held.enter_context(reserved(out))
         held.callback(recipe.close)
-        yield
+        recipe.open()
+        recipe.views()
+        recipe.check()
+        yield recipe
+
+
+def _finished(recipe: Recipe, adapt: Adapt) -> dict[str, Any]:
+    """The steps that change and write. Ctrl-C stops them in order."""
+    with StopRequest() as stop:
+        given = recipe.job.stop
+        recipe.job = adapt(replace(recipe.job, stop=lambda: given() or stop()))
+        recipe.rank()
+        recipe.budget()
+        recipe.select()
+        recipe.tune()
+        recipe.write()
+        return recipe.measure()

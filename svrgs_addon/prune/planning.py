@@ -22,7 +22,8 @@ def pruning_within(
     seconds: float, plan: Plan, scene: Scene, read: float, dataset: Dataset, job: JobContext
 ) -> tuple[Plan, JobContext]:
     """The plan of `svrgs prune` that takes at most so many seconds, and the context with it. plan: with the
-    whole schedule. read: seconds of reading the splat. It tells what it expects. Raises SceneError if the time is too short; FormatError."""
+    whole schedule. read: seconds of reading the splat. It tells what it expects. Raises SceneError if the
+    time is too short; FormatError."""
     if found := of_checkpoint(seconds, job.folder) if job.resume else None:
         return _with(found, plan, job, "the job goes on as it was planned")
     pace = pace_of(scene, dataset, plan, job.lpips)

@@ -105,9 +105,13 @@ def dataset_of(options: DatasetOptions, need_points: bool = False) -> Dataset:
     """The dataset of the options. Raises SceneError, FormatError."""
     assert options.colmap is not None
     return load_dataset(
-        options.colmap, options.images or None, holdout=options.holdout, background=options.background, need_points=need_points,
+        options.colmap,
+        options.images or None,
+        holdout=options.holdout,
+        background=options.background,
+        need_points=need_points,
         memory_budget=int(options.image_memory * 1e9),
-    )  # fmt: skip
+    )
 
 
 def _settings(options: TuningOptions) -> dict[str, Any]:
@@ -115,9 +119,14 @@ def _settings(options: TuningOptions) -> dict[str, Any]:
     a number of steps."""
     refuse_time_and_steps(type(options), given(options))
     return {
-        "lambda_f": options.lambda_f, "lambda_m": options.lambda_m, "seed": options.seed, "full": not options.visible_mask,
-        "background": options.background, "views_by_loss": options.views_by_loss, "schedule": options.schedule,
-    }  # fmt: skip
+        "lambda_f": options.lambda_f,
+        "lambda_m": options.lambda_m,
+        "seed": options.seed,
+        "full": not options.visible_mask,
+        "background": options.background,
+        "views_by_loss": options.views_by_loss,
+        "schedule": options.schedule,
+    }
 
 
 def _target(options: PruneOptions, method: Method) -> int:

@@ -24,8 +24,8 @@ OWN = "no photographs: the splat's own pictures take their place"
 
 
 def rendered_dataset(options: PruneOptions, scene: Scene) -> RenderedDataset:
-    """The dataset of options.cameras and of placed cameras; of the first alone with options.seen_from_only. Its
-    pictures are those of the scene, which it keeps. Raises SceneError, FormatError."""
+    """The dataset of options.cameras and of placed cameras; of the first alone with options.seen_from_only.
+    Its pictures are those of the scene, which it keeps. Raises SceneError, FormatError."""
     refuse_options(options)
     if invisible(scene).all():
         raise SceneError(

@@ -52,8 +52,13 @@ class Composite:
 
 
 def composite(
-    rasterizer: Rasterizer, scene: Scene, camera: Camera, background=(0.0, 0.0, 0.0), surface: Surface | None = None, passes: Sequence[str] = PASS_OUTPUTS
-) -> Composite:  # fmt: skip
+    rasterizer: Rasterizer,
+    scene: Scene,
+    camera: Camera,
+    background=(0.0, 0.0, 0.0),
+    surface: Surface | None = None,
+    passes: Sequence[str] = PASS_OUTPUTS,
+) -> Composite:
     """Renders Gaussians over meshes and a background.
 
     background: display sRGB. surface: meshes as the camera sees them; None: there are none. Scene and camera
@@ -91,8 +96,13 @@ def composite(
 
 
 def split(
-    rasterizer: Rasterizer, scene: Scene, camera: Camera, background=None, surface: Surface | None = None, catcher: Surface | None = None
-) -> Composite:  # fmt: skip
+    rasterizer: Rasterizer,
+    scene: Scene,
+    camera: Camera,
+    background=None,
+    surface: Surface | None = None,
+    catcher: Surface | None = None,
+) -> Composite:
     """Renders the Gaussians in front of surfaces, with alpha, and those behind them as Composite.behind.
 
     Another picture of the surfaces, with alpha, belongs between the two: front over surfaces over behind. So

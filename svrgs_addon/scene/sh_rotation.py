@@ -34,8 +34,14 @@ def band(degree: int, directions: np.ndarray) -> np.ndarray:
     if degree == 2:
         return np.stack([x * y, y * z, 2 * zz - xx - yy, x * z, xx - yy], 1) * C2
     polynomials = (
-        y * (3 * xx - yy), x * y * z, y * (4 * zz - xx - yy), z * (2 * zz - 3 * xx - 3 * yy), x * (4 * zz - xx - yy), z * (xx - yy), x * (xx - 3 * yy),
-    )  # fmt: skip
+        y * (3 * xx - yy),
+        x * y * z,
+        y * (4 * zz - xx - yy),
+        z * (2 * zz - 3 * xx - 3 * yy),
+        x * (4 * zz - xx - yy),
+        z * (xx - yy),
+        x * (xx - 3 * yy),
+    )
     return np.stack(polynomials, 1) * C3
 
 

@@ -15,11 +15,20 @@ class VirtualMemory(ctypes.Structure):
     """vm_statistics64: numbers of pages. free includes the speculative ones."""
 
     _fields_ = [
-        ("free", ctypes.c_uint32), ("active", ctypes.c_uint32), ("inactive", ctypes.c_uint32), ("wired", ctypes.c_uint32),
-        ("events", ctypes.c_uint64 * 9), ("purgeable", ctypes.c_uint32), ("speculative", ctypes.c_uint32), ("compressions", ctypes.c_uint64 * 4),
-        ("compressor", ctypes.c_uint32), ("throttled", ctypes.c_uint32), ("external", ctypes.c_uint32), ("internal", ctypes.c_uint32),
+        ("free", ctypes.c_uint32),
+        ("active", ctypes.c_uint32),
+        ("inactive", ctypes.c_uint32),
+        ("wired", ctypes.c_uint32),
+        ("events", ctypes.c_uint64 * 9),
+        ("purgeable", ctypes.c_uint32),
+        ("speculative", ctypes.c_uint32),
+        ("compressions", ctypes.c_uint64 * 4),
+        ("compressor", ctypes.c_uint32),
+        ("throttled", ctypes.c_uint32),
+        ("external", ctypes.c_uint32),
+        ("internal", ctypes.c_uint32),
         ("uncompressed", ctypes.c_uint64),
-    ]  # fmt: skip
+    ]
 
 
 @functools.cache

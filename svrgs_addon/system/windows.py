@@ -29,30 +29,52 @@ class MemoryStatus(ctypes.Structure):
     """MEMORYSTATUSEX, in bytes. page_file: what can still be committed, in memory or in the page file."""
 
     _fields_ = [
-        ("length", ctypes.c_uint32), ("load", ctypes.c_uint32), ("total", ctypes.c_uint64), ("available", ctypes.c_uint64),
-        ("total_page_file", ctypes.c_uint64), ("available_page_file", ctypes.c_uint64), ("total_virtual", ctypes.c_uint64),
-        ("available_virtual", ctypes.c_uint64), ("available_extended", ctypes.c_uint64),
-    ]  # fmt: skip
+        ("length", ctypes.c_uint32),
+        ("load", ctypes.c_uint32),
+        ("total", ctypes.c_uint64),
+        ("available", ctypes.c_uint64),
+        ("total_page_file", ctypes.c_uint64),
+        ("available_page_file", ctypes.c_uint64),
+        ("total_virtual", ctypes.c_uint64),
+        ("available_virtual", ctypes.c_uint64),
+        ("available_extended", ctypes.c_uint64),
+    ]
 
 
 class ProcessMemory(ctypes.Structure):
     """PROCESS_MEMORY_COUNTERS_EX, in bytes. private: what the process has committed."""
 
     _fields_ = [
-        ("length", ctypes.c_uint32), ("faults", ctypes.c_uint32), ("peak_working_set", ctypes.c_size_t), ("working_set", ctypes.c_size_t),
-        ("pools", ctypes.c_size_t * 4), ("page_file", ctypes.c_size_t), ("peak_page_file", ctypes.c_size_t), ("private", ctypes.c_size_t),
-    ]  # fmt: skip
+        ("length", ctypes.c_uint32),
+        ("faults", ctypes.c_uint32),
+        ("peak_working_set", ctypes.c_size_t),
+        ("working_set", ctypes.c_size_t),
+        ("pools", ctypes.c_size_t * 4),
+        ("page_file", ctypes.c_size_t),
+        ("peak_page_file", ctypes.c_size_t),
+        ("private", ctypes.c_size_t),
+    ]
 
 
 class JobLimits(ctypes.Structure):
     """JOBOBJECT_EXTENDED_LIMIT_INFORMATION."""
 
     _fields_ = [
-        ("process_time", ctypes.c_int64), ("job_time", ctypes.c_int64), ("flags", ctypes.c_uint32), ("smallest_working_set", ctypes.c_size_t),
-        ("largest_working_set", ctypes.c_size_t), ("processes", ctypes.c_uint32), ("affinity", ctypes.c_size_t), ("priority", ctypes.c_uint32),
-        ("scheduling", ctypes.c_uint32), ("transfers", ctypes.c_uint64 * 6), ("process_memory", ctypes.c_size_t),
-        ("job_memory", ctypes.c_size_t), ("peak_process_memory", ctypes.c_size_t), ("peak_job_memory", ctypes.c_size_t),
-    ]  # fmt: skip
+        ("process_time", ctypes.c_int64),
+        ("job_time", ctypes.c_int64),
+        ("flags", ctypes.c_uint32),
+        ("smallest_working_set", ctypes.c_size_t),
+        ("largest_working_set", ctypes.c_size_t),
+        ("processes", ctypes.c_uint32),
+        ("affinity", ctypes.c_size_t),
+        ("priority", ctypes.c_uint32),
+        ("scheduling", ctypes.c_uint32),
+        ("transfers", ctypes.c_uint64 * 6),
+        ("process_memory", ctypes.c_size_t),
+        ("job_memory", ctypes.c_size_t),
+        ("peak_process_memory", ctypes.c_size_t),
+        ("peak_job_memory", ctypes.c_size_t),
+    ]
 
 
 @functools.cache

@@ -41,11 +41,19 @@ def write_cameras_json(path: str | os.PathLike, cameras: Sequence[Camera]):
     """Writes the cameras. The file is replaced as a whole. Raises SceneError if it cannot be written."""
     entries = [
         {
-            "id": number, "img_name": camera.name, "width": camera.width, "height": camera.height, "position": camera.position.tolist(),
-            "rotation": camera.viewmat[:3, :3].T.tolist(), "fy": float(camera.K[1, 1]), "fx": float(camera.K[0, 0]),
-        } | ({"orthographic": True} if camera.orthographic else {}) | _shift(camera)
+            "id": number,
+            "img_name": camera.name,
+            "width": camera.width,
+            "height": camera.height,
+            "position": camera.position.tolist(),
+            "rotation": camera.viewmat[:3, :3].T.tolist(),
+            "fy": float(camera.K[1, 1]),
+            "fx": float(camera.K[0, 0]),
+        }
+        | ({"orthographic": True} if camera.orthographic else {})
+        | _shift(camera)
         for number, camera in enumerate(cameras)
-    ]  # fmt: skip
+    ]
     with atomic_write(path) as file:
         file.write(json.dumps(entries, indent=1).encode())
 

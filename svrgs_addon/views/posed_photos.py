@@ -113,10 +113,17 @@ def _pack(path: Path, photos: PosedPhotos):
     """Writes the dataset to an .npz file for the parent process."""
     cameras = photos.cameras
     np.savez(
-        path, viewmats=[c.viewmat for c in cameras], Ks=[c.K for c in cameras], sizes=[(c.width, c.height) for c in cameras],
-        names=[c.name for c in cameras], files=[str(file or "") for file in photos.files],
-        points=photos.points, point_colors=photos.point_colors, distorted=photos.distorted, warnings=photos.warnings,
-    )  # fmt: skip
+        path,
+        viewmats=[c.viewmat for c in cameras],
+        Ks=[c.K for c in cameras],
+        sizes=[(c.width, c.height) for c in cameras],
+        names=[c.name for c in cameras],
+        files=[str(file or "") for file in photos.files],
+        points=photos.points,
+        point_colors=photos.point_colors,
+        distorted=photos.distorted,
+        warnings=photos.warnings,
+    )
 
 
 def _unpack(path: Path) -> PosedPhotos:

@@ -65,9 +65,15 @@ class Method:
         recovery."""
         rates = Rates(position_steps=max(1, min(iterations, Rates.position_steps)))
         train = Phase(
-            "train", iterations, rates, densify, active=self.prunes, sh_every=sh_every(iterations), coarse_until=coarse_until,
+            "train",
+            iterations,
+            rates,
+            densify,
+            active=self.prunes,
+            sh_every=sh_every(iterations),
+            coarse_until=coarse_until,
             label="Training from the photographs",
-        )  # fmt: skip
+        )
         return [train, *_recovery(recovery, rates.at(iterations, 1.0)["means"])]
 
     def prune_phases(self, iterations: int, recovery: int, prune_every: int) -> list[Phase]:

@@ -121,10 +121,9 @@ def _page(rows: list[dict[str, Any]], means: list[dict[str, Any]], missing: list
     cells = ["".join(f"<td>{escape(text(row))}</td>" for text in COLUMNS.values()) for row in rows]
     head = "".join(f"<th>{escape(title)}</th>" for title in COLUMNS)
     lost = f'<p class="note">Not done: {escape(", ".join(missing))}</p>' if missing else ""
-    table = (
-        "<div"
-        f' class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{"".join(f"<tr>{cell}</tr>" for cell in cells)}</tbody></table></div>'
-    )
+    body_rows = "".join(f"<tr>{cell}</tr>" for cell in cells)
+    table = f"<table><thead><tr>{head}</tr></thead><tbody>{body_rows}</tbody></table>"
+    table = f'<div class="scroll">{table}</div>'
     body = (
         f'<h1>{len(rows)} tasks</h1>{lost}<div class="card">{_chart(rows, means)}</div><h2>All tasks</h2><div'
         f' class="card">{table}</div>'

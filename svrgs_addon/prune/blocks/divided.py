@@ -105,11 +105,12 @@ class Divided:
         """Raises FormatError, SceneError."""
         path = folder / INDEX
         try:
-            found = json_object(path, LARGEST_INDEX)
+            found = json_object(path, LARGEST_INDEX) or {}
         except OSError as error:
             raise SceneError(f"{path}: cannot be read ({error.strerror}); divide the scene first") from None
         try:
-            assert found is not None and found["schema"] == SCHEMA
+            if found["schema"] != SCHEMA:
+                raise ValueError
             blocks = tuple(
                 Block(folder, k, int(n), np.array(low), np.array(high), float(size))
                 for k, (n, low, high, size) in enumerate(found["blocks"])
@@ -122,7 +123,7 @@ class Divided:
             return cls(
                 folder, Path(found["source"]), **facts, antialiased=bool(found["antialiased"]), blocks=blocks
             )
-        except (AssertionError, KeyError, TypeError, ValueError):
+        except (KeyError, TypeError, ValueError):
             raise FormatError(
                 f"{path}: is no divided scene of this version; divide the scene again"
             ) from None
@@ -131,9 +132,14 @@ class Divided:
         """The contents of blocks.json."""
         blocks = [[one.count, one.low.tolist(), one.high.tolist(), one.largest] for one in self.blocks]
         return {
-            "schema": SCHEMA, "source": str(self.source), "source_bytes": self.source_bytes, "count": self.count, "coefficients": self.coefficients,
-            "antialiased": self.antialiased, "blocks": blocks,
-        }  # fmt: skip
+            "schema": SCHEMA,
+            "source": str(self.source),
+            "source_bytes": self.source_bytes,
+            "count": self.count,
+            "coefficients": self.coefficients,
+            "antialiased": self.antialiased,
+            "blocks": blocks,
+        }
 
     @property
     def bytes(self) -> int:

@@ -164,12 +164,11 @@ def _merges(block: Block) -> Iterator[Merges]:
 def _reduced(divided: Divided) -> tuple[float, np.ndarray]:
     path = divided.folder / REDUCED
     try:
-        found = json_object(path, 1 << 16)
-        assert found is not None
+        found = json_object(path, 1 << 16) or {}
         return float(found["pixel"]), np.array(found["middle"], np.float64).reshape(3)
     except OSError:
         raise SceneError(f"{path}: is not there; {NEEDED}") from None
-    except (AssertionError, KeyError, TypeError, ValueError):
+    except (KeyError, TypeError, ValueError):
         raise FormatError(f"{path}: is damaged; {NEEDED}") from None
 
 

@@ -14,6 +14,7 @@ from ...finetune.methods.removal import Removal
 from ...finetune.plan import Plan, prune_plan
 from ...system.errors import FormatError, SceneError
 from ...views.dataset import Dataset, load_dataset
+from ..door import check_training
 
 FILE = "request.json"
 
@@ -73,12 +74,15 @@ class Request:
     def dataset(self) -> Dataset:
         """Raises SceneError, FormatError."""
         found = load_dataset(
-            self.colmap, self.images or None, holdout=self.holdout, background=self.background, memory_budget=int(self.image_memory * 1e9)
-        )  # fmt: skip
+            self.colmap,
+            self.images or None,
+            holdout=self.holdout,
+            background=self.background,
+            memory_budget=int(self.image_memory * 1e9),
+        )
         if not found.photos:
             raise SceneError(f"{self.colmap}: has no photographs, which the method '{self.method}' needs")
-        if not found.train_indices:
-            raise SceneError("all views of the dataset are held out for testing: use --holdout 0")
+        check_training(found.train_indices)
         return found
 
     def write(self, folder: Path):
@@ -92,8 +96,7 @@ class Request:
         if not path.exists():
             return None
         try:
-            found = json_object(path, 1 << 20)
-            assert found is not None
+            found = json_object(path, 1 << 20) or {}
             return cls(**found | {"background": tuple(found["background"])})
-        except (OSError, AssertionError, KeyError, TypeError):
+        except (OSError, KeyError, TypeError):
             raise FormatError(f"{path}: is missing or damaged; divide the scene again") from None

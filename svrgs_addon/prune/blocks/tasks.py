@@ -127,9 +127,10 @@ def progress(folder: Path) -> tuple[int, int]:
 def _read(path: Path) -> dict | None:
     """None if there is none, or if it is damaged: then the job begins again."""
     try:
-        found = json_object(path, LARGEST)
-        assert found is not None and isinstance(found["identity"], str) and isinstance(found["total"], int)
-        assert isinstance(found["done"], list) and all(isinstance(name, str) for name in found["done"])
-    except (OSError, FormatError, AssertionError, KeyError):
+        found = json_object(path, LARGEST) or {}
+    except OSError:
         return None
-    return found
+    done = found.get("done")
+    named = isinstance(done, list) and all(isinstance(name, str) for name in done)
+    whole = named and isinstance(found.get("identity"), str) and isinstance(found.get("total"), int)
+    return found if whole else None

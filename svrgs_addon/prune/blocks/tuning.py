@@ -121,10 +121,8 @@ def tune(divided: Divided, number: int, cameras: Sequence[Camera], steps: int, t
 def _error_of(left: Divided) -> float:
     path = left.folder / ERROR
     try:
-        found = json_object(path, 1 << 16)
-        assert found is not None
-        return float(found["error"])
-    except (OSError, AssertionError, KeyError, TypeError, ValueError):
+        return float((json_object(path, 1 << 16) or {})["error"])
+    except (OSError, KeyError, TypeError, ValueError):
         raise FormatError(f"{path}: is missing or damaged; cut the scene again") from None
 
 

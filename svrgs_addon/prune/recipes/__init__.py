@@ -1,1 +1,2 @@
-"""Recipes of the pipeline (prune/pipeline.py): what each of its steps does in memory, in seconds, in a training, or by blocks."""
+"""Recipes of the pipeline (prune/pipeline.py): what each of its steps does in memory, in seconds, in a
+training, or by blocks."""

@@ -1,4 +1,5 @@
-"""By blocks on the disk, for scenes larger than memory: removals and merges, or a method that decides on photographs."""
+"""By blocks on the disk, for scenes larger than memory: removals and merges, or a method that decides on
+photographs."""
 
 from __future__ import annotations
 
@@ -90,9 +91,9 @@ class ByBlocks:
         block: int | None = None,
         reason: str = "",
     ):
-        """views_of: gives the views. work: folder for the blocks; None: beside the output. block: Gaussians of a
-        block, at most; None: as memory allows. reason: why `svrgs prune` goes over to blocks, a sentence; "":
-        blocks were asked for."""
+        """views_of: gives the views. work: folder for the blocks; None: beside the output. block: Gaussians
+        of a block, at most; None: as memory allows. reason: why `svrgs prune` goes over to blocks, a
+        sentence; "": blocks were asked for."""
         self.source, self.goal, self.views_of = source.absolute(), goal, views_of
         self.job = replace(job, scene=source, levels=goal.levels)
         self.work, self.block, self.reason = work or blocks_of(job.out), block, reason
@@ -151,7 +152,8 @@ class MergedByBlocks(ByBlocks):
 
     def left_by_a_stop(self) -> str:
         what = "the files that are there are complete" if self.goal.levels else "nothing was written"
-        return f"stopped; {what}: start it again, or use the steps of svrgs large, each of which can be continued"
+        steps = "the steps of svrgs large, each of which can be continued"
+        return f"stopped; {what}: start it again, or use {steps}"
 
     def rank(self):
         goal, work, self.started = self.goal, self.work, True
@@ -177,7 +179,8 @@ class MergedByBlocks(ByBlocks):
             )
 
     def select(self):
-        """Each level is cut, tuned and written before the next one, as the disk has room for one: by write()."""
+        """Each level is cut, tuned and written before the next one, as the disk has room for one: by
+        write()."""
         self.shares = (1.0, *self.goal.levels)
         self.streamed = bool(self.goal.levels) and holds_levels(self.job.out)
         levels = [self.divided.folder / LEVEL.format(level) for level in range(len(self.shares))]

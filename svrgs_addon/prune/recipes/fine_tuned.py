@@ -1,5 +1,5 @@
-"""Fine-tuning in memory: a method decides what is removed, and the others are trained in between, on photographs or
-on the splat's own pictures."""
+"""Fine-tuning in memory: a method decides what is removed, and the others are trained in between, on
+photographs or on the splat's own pictures."""
 
 from __future__ import annotations
 
@@ -137,8 +137,8 @@ class Tuned:
         }
 
     def time_facts(self) -> dict[str, Any] | None:
-        """Of a job with a time limit: seconds asked for, foreseen and used, the time between a stop and a resume
-        left out, and the schedule that was chosen."""
+        """Of a job with a time limit: seconds asked for, foreseen and used, the time between a stop and a
+        resume left out, and the schedule that was chosen."""
         planned = self.job.planned
         return {**asdict(planned), "used": self.clock.earlier + self.job.seconds()} if planned else None
 
@@ -199,9 +199,10 @@ class FineTuned(Tuned):
         with self.clock.phase("first cut"):
             start = first_cut(source, self.dataset, self.plan)
             self.dataset.notes += tuple(lost_columns(source, start, (*NORMALS, ROW)))
-            shown = (
-                isinstance(self.dataset, RenderedDataset) and start is source
-            )  # whose pictures are trained on
+            # the dataset renders the source, so that the steps must not change its arrays
+            shown = isinstance(self.dataset, RenderedDataset) and np.may_share_memory(
+                start.means, source.means
+            )
             self.model, self.cut = Model.of(start, copy=shown), source.count - start.count
 
     def write(self):

@@ -51,15 +51,29 @@ STEPS, MOST_STEPS = 60, 120  # of fine-tuning, with USUAL of the Gaussians and a
 # least distance of a camera from the scene, in near depths: smaller scenes are measured enlarged
 NEAREST = 20.0
 TAKES = (  # options; others are refused
-    "colmap", "images", "holdout", "background", "threads", "seed", "target", "target_count", "max_drop", "quiet", "quick", "scene", "out", "levels",
-)  # fmt: skip
+    "colmap",
+    "images",
+    "holdout",
+    "background",
+    "threads",
+    "seed",
+    "target",
+    "target_count",
+    "max_drop",
+    "quiet",
+    "quick",
+    "scene",
+    "out",
+    "levels",
+)
 SMALLEST = 0.01  # share of the Gaussians down to which an order is kept
 LIKELY = 0.25  # share of the Gaussians that an allowed drop leaves, to foresee the time
 NOT_FINISHED = "stopped; nothing was written, and a quick job has no checkpoint: start it again"
 
 
 class Quick:
-    """Removes and merges in the order of what it changes in pictures of the scene, and fine-tunes for seconds."""
+    """Removes and merges in the order of what it changes in pictures of the scene, and fine-tunes for
+    seconds."""
 
     def __init__(self, options: PruneOptions, job: JobContext):
         refuse_options(options)
@@ -76,8 +90,8 @@ class Quick:
         self.scene = self.source.select(self.visible)
         if not self.scene.count:
             raise SceneError(
-                f"{self.options.scene}: all of its Gaussians have an opacity below 1/255, so there is nothing to"
-                " keep"
+                f"{self.options.scene}: all of its Gaussians have an opacity below 1/255, so there is nothing"
+                " to keep"
             )
 
     def views(self):

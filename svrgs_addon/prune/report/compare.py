@@ -29,9 +29,9 @@ def compare(
     spatial mask of B.
 
     dataset: if it has no photographs, pictures of A take their place, and 'a' has no figures of quality.
-    opened: opens a scene to render it, as large.opened.opened() does. Returns the JSON result: 'a' and 'b'
-    with the figures of `svrgs eval`, 'report' (the page), 'pictures' (the files), 'notes' of the dataset.
-    Raises SplatError.
+    opened: opens a scene to render it, as blocks.block_rasterizer.opened() does. Returns the JSON result: 'a'
+    and 'b' with the figures of `svrgs eval`, 'report' (the page), 'pictures' (the files), 'notes' of the
+    dataset. Raises SplatError.
     """
     check_writable(out / "index.html")
     lpips, missing = load_lpips(lpips_weights)

@@ -19,8 +19,10 @@ svg { background: #fff; font: 13px system-ui, "Segoe UI", Roboto, Arial, sans-se
 .tick { fill: #62666e; } .grid { stroke: #e3e1dc; } .axis { stroke: #62666e; } .leader { stroke: #a5a8ae; }
 .front { fill: none; stroke: #b5441f; stroke-width: 1.5; stroke-dasharray: 5 4; }
 .dot { fill: #b5441f; } .ring { fill: none; stroke: #b5441f; stroke-width: 2; }
-@media (prefers-color-scheme: dark) { svg { background: #1f2125; } .title, .label { fill: #e8e6e1; } .label { stroke: #1f2125; } .tick { fill: #9fa3ab; }
-.grid { stroke: #34373d; } .axis { stroke: #9fa3ab; } .leader { stroke: #6a6e76; } .front, .ring { stroke: #f19a6b; } .dot { fill: #f19a6b; } }
+@media (prefers-color-scheme: dark) { svg { background: #1f2125; }
+.title, .label { fill: #e8e6e1; } .label { stroke: #1f2125; } .tick { fill: #9fa3ab; }
+.grid { stroke: #34373d; } .axis { stroke: #9fa3ab; } .leader { stroke: #6a6e76; }
+.front, .ring { stroke: #f19a6b; } .dot { fill: #f19a6b; } }
 """
 
 

@@ -62,7 +62,7 @@ def write_prune_report(
 
 def write_report_of_files(folder: Path, dataset: Dataset, result: dict, opened: Opens):
     """write_prune_report() of a job by blocks, from its files; without curves. result: its JSON result.
-    opened: opens a scene to render it, as large.opened.opened() does. Raises SplatError."""
+    opened: opens a scene to render it, as blocks.block_rasterizer.opened() does. Raises SplatError."""
     shown = [dataset.cameras[i] for i in report_indices(dataset)]
     size, pictures = (max(camera.width for camera in shown), max(camera.height for camera in shown)), []
     for path in (result["scene"], result["out"]):
@@ -73,9 +73,17 @@ def write_report_of_files(folder: Path, dataset: Dataset, result: dict, opened: 
             pictures.append(report_pictures(scene, dataset, rasterizer))
     before, after = pictures
     page = Report(
-        scene=Path(result["scene"]).stem, before=result["before"], after=result["after"], method=result["method"], notes=tuple(result["notes"]),
-        seconds=result["seconds"], peak_memory_bytes=peak(), seed=result["seed"], versions=_versions(), views=tuple(report_views(before, after, dataset)),
-    )  # fmt: skip
+        scene=Path(result["scene"]).stem,
+        before=result["before"],
+        after=result["after"],
+        method=result["method"],
+        notes=tuple(result["notes"]),
+        seconds=result["seconds"],
+        peak_memory_bytes=peak(),
+        seed=result["seed"],
+        versions=_versions(),
+        views=tuple(report_views(before, after, dataset)),
+    )
     write_report(folder, page)
 
 

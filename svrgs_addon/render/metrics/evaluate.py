@@ -42,7 +42,8 @@ class Renderable(Protocol):
 
 
 class Renderer(Protocol):
-    """Renders a scene: native.Rasterizer, or large.opened.BlockRasterizer for a divided one."""
+    """Renders a scene: native.rasterizer.Rasterizer, or prune.blocks.block_rasterizer.BlockRasterizer for a
+    divided one."""
 
     @property
     def forward(self) -> Callable[..., dict[str, Any]]: ...

@@ -52,9 +52,13 @@ class Rig:
     def facts(self) -> dict:
         """What a JSON result says about the rig."""
         return {
-            "views": len(self.cameras), "held_out": len(self.held_out), "inside_out": self.inside_out, "seen": self.seen,
-            "width": self.width, "height": self.height,
-        }  # fmt: skip
+            "views": len(self.cameras),
+            "held_out": len(self.held_out),
+            "inside_out": self.inside_out,
+            "seen": self.seen,
+            "width": self.width,
+            "height": self.height,
+        }
 
 
 def place_rig(
