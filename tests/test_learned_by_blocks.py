@@ -280,7 +280,7 @@ def test_a_job_that_has_begun_its_steps_does_not_begin_again_by_blocks(tiny, tmp
     monkeypatch.setattr(pipeline.FineTuned, "tune", short)
     words = ["--data", tiny.folder, *STEPS, "--out", tmp_path / "o.ply", "--target", 0.5]
     result = svrgs("prune", tiny.splat, *words)
-    assert result.status != 0 and "by blocks" not in result.err and not (tmp_path / "o.ply").exists()
+    assert result.status == 2 and str(SHORT) in result.err and not (tmp_path / "o.ply").exists()
 
 
 def test_a_job_on_photographs_goes_over_to_blocks_where_memory_is_short(
