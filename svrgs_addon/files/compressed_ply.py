@@ -23,10 +23,10 @@ from ..scene.gaussians import SH_COEFFICIENTS, Scene
 from ..scene.morton_order import morton_order
 from ..system.errors import FormatError
 from .atomic import atomic_write, check_space
-from .opened import MAX_COUNT, opened, refuse_unpacking, rows_at, size_of
 from .ply_header import MAX_HEADER_BYTES, Header, format_header, parse_header
 from .ply_text import is_mip, written_comments
 from .quantised import alphas_of, colors_of_sh, logits_of, quats_of_three, sh_of_colors, three_of_quats
+from .reading import MAX_COUNT, open_splat, refuse_unpacking, rows_at, size_of
 from .splat_format import SplatFormat
 
 CHUNK = 256  # Gaussians
@@ -69,7 +69,7 @@ def sniff(head: bytes) -> bool:
 
 def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[Scene]:
     """The Gaussians in file order, in parts. Raises FormatError, which names the file."""
-    with opened(path) as file:
+    with open_splat(path) as file:
         layout = _checked(file, max_count)
         for start in range(0, max(layout.count, 1), PART):
             yield _part(file, layout, start, min(PART, layout.count - start))

@@ -14,8 +14,8 @@ import numpy as np
 from ..scene.gaussians import Scene
 from ..system.errors import FormatError
 from .atomic import atomic_write, check_space
-from .opened import MAX_COUNT, opened, refuse_unpacking, rows_at, size_of
 from .quantised import alphas_of, colors_of_sh, logits_of, logs_of, sh_of_colors
+from .reading import MAX_COUNT, open_splat, refuse_unpacking, rows_at, size_of
 from .splat_format import SplatFormat
 
 ROW = np.dtype([("means", "<f4", 3), ("scales", "<f4", 3), ("rgba", "u1", 4), ("quats", "u1", 4)])
@@ -24,7 +24,7 @@ PART = 2**16  # Gaussians that are converted together
 
 def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[Scene]:
     """The Gaussians in file order, in parts. Raises FormatError, which names the file."""
-    with opened(path) as file:
+    with open_splat(path) as file:
         size = size_of(file)
         if size % ROW.itemsize:
             raise FormatError(

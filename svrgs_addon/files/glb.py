@@ -17,18 +17,18 @@ from typing import Any
 import numpy as np
 
 from ..scene.affine import transformed
+from ..scene.concatenate import concatenated
 from ..scene.gaussians import SH_COEFFICIENTS, Scene
-from ..scene.merge import merged
 from ..scene.rotations import rotation_matrices
 from ..system.errors import FormatError, SceneError
 from . import spz
 from .atomic import atomic_write, check_space
 from .axes import AXES, turned_around, turned_over
 from .glb_container import Glb, glb_of
-from .opened import MAX_COUNT, opened, refuse_whole
+from .memory_mapped import rows
 from .quantised import colors_of_sh, logs_of
-from .splat_format import SplatFormat, joined
-from .spooled import rows
+from .reading import MAX_COUNT, open_splat, refuse_whole
+from .splat_format import SplatFormat
 
 EXTENSION = "KHR_gaussian_splatting"
 # names of the draft; the first one is written
@@ -42,7 +42,7 @@ PART = 2**16  # Gaussians that are converted together
 
 def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[Scene]:
     """All Gaussians as one part. Raises FormatError, which names the file."""
-    with opened(path) as file:
+    with open_splat(path) as file:
         glb = Glb.read(file)
         placed = list(_placed(glb))
         if not placed:
@@ -61,7 +61,7 @@ def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[
                 ]
         except SceneError as error:
             raise FormatError(f"has a node that cannot be placed: {error}") from None
-    yield turned_over(merged(scenes) if len(scenes) > 1 else scenes[0])
+    yield turned_over(concatenated(scenes))
 
 
 def write(path: str | os.PathLike, scene: Scene):
@@ -249,7 +249,10 @@ def _unpacked(glb: Glb, numbers: set, max_count: int) -> dict[int, Scene]:
         raise FormatError(
             f"has more than {MOST_PACKED} packed splats, or some that lie in the same bytes; export it again"
         )
-    return {number: joined(list(spz.parts_of(data, max_count))) for number, data in packed.items()}
+    return {
+        number: concatenated(list(spz.parts_of(data, max_count)), columns=True)
+        for number, data in packed.items()
+    }
 
 
 def _count_and_degree(glb: Glb, primitive: dict, unpacked: dict[int, Scene]) -> tuple[int, int]:

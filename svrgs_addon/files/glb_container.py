@@ -11,7 +11,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from ..system.errors import FormatError
-from .opened import size_of
+from .reading import size_of
 
 HEAD, CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
 MAX_JSON = 16_000_000  # bytes

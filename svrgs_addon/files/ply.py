@@ -21,10 +21,10 @@ from ..system import memory
 from ..system.errors import FormatError, SceneError
 from . import compressed_ply
 from .atomic import atomic_write, check_space, start_writeback
-from .opened import MAX_COUNT, opened, refuse_many, size_of
 from .ply_body import MAX_ASCII_BYTES, Body, blocks, empty_arrays, named_columns
 from .ply_header import MAX_HEADER_BYTES, TYPE_NAMES, Element, Header, format_header, parse_header
 from .ply_text import is_mip, written_comments
+from .reading import MAX_COUNT, open_splat, refuse_many, size_of
 from .splat_format import SplatFormat
 
 NORMALS = ("nx", "ny", "nz")  # 3DGS writes these properties; they are always 0
@@ -90,7 +90,7 @@ def _layout(scene: Scene, columns: dict[str, np.ndarray]) -> tuple[bytes, np.dty
 def _opened(path: str | os.PathLike, max_count: int) -> Iterator[Body]:
     """Yields the body of a file whose header was checked. Errors of the header and of the block become
     FormatErrors that name the file."""
-    with opened(path) as file:
+    with open_splat(path) as file:
         yield _checked_body(file, path, max_count)
 
 

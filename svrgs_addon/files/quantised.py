@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..scene.gaussians import SH_C0, Scene
-from .spooled import in_blocks
+from .memory_mapped import in_blocks
 
 LEAST_SCALE = np.float32(1e-30)  # for one of 0
 LARGEST_SHARE = 0.01  # of the Gaussians that count no more than the smallest of them: sky would count alone

@@ -20,7 +20,7 @@ from ..system import memory
 from ..system.errors import FormatError, SceneError
 from ..system.file_names import extended, real
 from . import compressed_ply, dot_splat, glb, glb_spz, ksplat, ply, sog, spz, streamed_sog, usd
-from .opened import MAX_IN_PARTS
+from .reading import MAX_IN_PARTS
 from .repair import bake_filter, clamp_extremes, drop_nonfinite, unusable
 from .splat_format import SplatFormat
 
@@ -263,18 +263,18 @@ def write_scene(path: str | Path, scene: Scene, version: int = 0, quantise: floa
         logging.warning("%s: %s", path, sentence)
 
 
-def stored(path: str | Path, scene: Scene) -> Scene:
+def read_back(path: str | Path, scene: Scene) -> Scene:
     """The scene as the file holds it to which it was just written: itself if the format stores all values as
     they are. Raises FormatError."""
     return scene if format_to_write(path).lossless else read_scene(path)
 
 
-def as_held(scene: Scene, splat_format: SplatFormat) -> Scene:
+def as_stored(scene: Scene, splat_format: SplatFormat) -> Scene:
     """The scene as a file of the format would hold it. Raises SceneError, FormatError."""
-    return scene if splat_format.lossless else tried(scene, splat_format)[0]
+    return scene if splat_format.lossless else round_trip(scene, splat_format)[0]
 
 
-def tried(scene: Scene, splat_format: SplatFormat, quantise: float = 1.0) -> tuple[Scene, int]:
+def round_trip(scene: Scene, splat_format: SplatFormat, quantise: float = 1.0) -> tuple[Scene, int]:
     """The scene as a file of the format would hold it, and the size in bytes. Raises SceneError,
     FormatError."""
     with tempfile.TemporaryDirectory() as folder:
@@ -329,7 +329,7 @@ def sampled_size(scene: Scene, splat_format: SplatFormat, quantise: float = 1.0)
         if scene.count > SAMPLE
         else np.arange(scene.count)
     )
-    return tried(scene.select(around), splat_format, quantise)[1] * scene.count // max(1, len(around))
+    return round_trip(scene.select(around), splat_format, quantise)[1] * scene.count // max(1, len(around))
 
 
 def invisible(scene: Scene) -> np.ndarray:

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .opened import json_object
+from .reading import json_object
 
 VERSION = 2
 META, SUFFIX = "meta.json", ".sog"

@@ -27,7 +27,7 @@ from ..scene.morton_order import morton_order
 from . import zstd
 from .atomic import atomic_write, check_space
 from .axes import turned_over
-from .opened import MAX_COUNT, opened
+from .memory_mapped import array_for
 from .quantised import (
     alphas_of,
     logits_of,
@@ -37,8 +37,8 @@ from .quantised import (
     three_of_quats,
     widest_logs,
 )
+from .reading import MAX_COUNT, open_splat
 from .splat_format import SplatFormat, by_parts
-from .spooled import array_for
 from .spz_container import NEWEST, SMALLEST_THREE, Header, packed, streams
 
 PART = 2**16  # Gaussians that are converted together
@@ -59,7 +59,7 @@ SQRT_HALF = np.float32(0.5**0.5)
 
 def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[Scene]:
     """The Gaussians in file order, in parts. Raises FormatError, which names the file."""
-    with opened(path) as file:
+    with open_splat(path) as file:
         yield from parts_of(file.read(), max_count)
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from ..scene.gaussians import SH_COEFFICIENTS
 from ..system.errors import FormatError, SceneError
 from . import zstd
-from .opened import refuse_unpacking
+from .reading import refuse_unpacking
 
 MAGIC, GZIP = b"NGSP", b"\x1f\x8b"
 NEWEST, SMALLEST_THREE = 4, 3  # versions: the newest one; the first one whose rotations have 32 bits

@@ -28,7 +28,7 @@ from ..scene.rotations import rotation_matrices
 from ..system.errors import FormatError
 from . import images, sog
 from .atomic import atomic_write, check_space
-from .opened import MAX_COUNT, MAX_IN_PARTS, json_object, opened, refuse_many
+from .reading import MAX_COUNT, MAX_IN_PARTS, json_object, open_splat, refuse_many
 from .sog_layout import META, files_of
 from .sog_writer import BYTES, limits, write_in_order
 from .splat_format import SplatFormat
@@ -52,7 +52,7 @@ def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[
 
 def read_level(path: Path, level: int, max_count: int = MAX_COUNT) -> Iterator[Scene]:
     """The Gaussians of a level of detail, in parts. Raises FormatError, which names the file."""
-    with opened(path):
+    with open_splat(path):
         units = _units_of(_checked(path), level, max_count)
     files = [path.parent / name for name in units]
     most, left = max(map(sog.degree_of, files), default=0), max_count
@@ -66,14 +66,14 @@ def read_level(path: Path, level: int, max_count: int = MAX_COUNT) -> Iterator[S
 
 def levels(path: Path) -> int:
     """The number of levels of detail. Raises FormatError, which names the file."""
-    with opened(path):
+    with open_splat(path):
         return _checked(path)["lodLevels"]
 
 
 def parts(path: Path) -> list[Path]:
     """The files of all levels that are there; lod-meta.json alone, if it is damaged."""
     try:
-        with opened(path):
+        with open_splat(path):
             meta = _checked(path)
     except FormatError:
         return [path]
@@ -83,7 +83,7 @@ def parts(path: Path) -> list[Path]:
 
 def level_bytes(path: Path, level: int) -> int:
     """Bytes of the files with Gaussians of the level. Raises FormatError, which names the file."""
-    with opened(path):
+    with open_splat(path):
         units = _units_of(_checked(path), level, MAX_IN_PARTS)
     return sum(file.stat().st_size for unit in units for file in files_of(path.parent / unit))
 

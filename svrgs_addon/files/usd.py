@@ -21,16 +21,16 @@ from typing import Any
 import numpy as np
 
 from ..scene.affine import transformed
+from ..scene.concatenate import concatenated
 from ..scene.gaussians import SH_COEFFICIENTS, Scene
-from ..scene.merge import merged
 from ..system import limited, packages
 from ..system.errors import FormatError, SceneError
 from ..system.processes import ChildProcess
 from . import usd_arrays
 from .atomic import atomic_path, check_space
 from .axes import turned_over
-from .opened import MAX_COUNT, opened, refuse_whole, size_of
 from .quantised import logs_of
+from .reading import MAX_COUNT, open_splat, refuse_whole, size_of
 from .splat_format import SplatFormat
 from .usd_arrays import DEGREE, SH, TYPE
 
@@ -49,7 +49,7 @@ BROKEN = "; export it again"
 def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[Scene]:
     """All Gaussians as one part. Raises FormatError, which names the file, and SceneError if pxr is
     missing."""
-    with opened(path) as file, _arrays_of(Path(path), size_of(file)) as arrays:
+    with open_splat(path) as file, _arrays_of(Path(path), size_of(file)) as arrays:
         number = sum(name.endswith(":positions") for name in arrays)
         if not number:
             raise FormatError(f"holds no splat: no prim of the type {TYPE}")
@@ -68,7 +68,7 @@ def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[
                 ]
         except SceneError as error:
             raise FormatError(f"has a prim that cannot be placed: {error}") from None
-    yield turned_over(merged(scenes) if len(scenes) > 1 else scenes[0])
+    yield turned_over(concatenated(scenes))
 
 
 @contextlib.contextmanager

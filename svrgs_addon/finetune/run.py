@@ -33,7 +33,7 @@ from .quality import quality_views
 from .recovery_pruning import RecoveryPruning
 from .settings import MCMC, Densify, Phase
 from .strength_controller import controller_for
-from .views import Views, as_real, fitting_reduction
+from .view_order import Views, as_real, fitting_reduction
 
 SMOOTHING = 0.05  # weight of the newest loss in the smoothed one
 # opacities recover for 1/3 of the steps between two resets; a reset with fewer steps left in the phase is

@@ -26,7 +26,7 @@ from ..native.rasterizer import Rasterizer, RenderOptions
 from ..scene.camera import Camera
 from ..scene.gaussians import Scene
 from .model import Model
-from .views import fitting_reduction
+from .view_order import fitting_reduction
 
 SHARE = 4e-7  # share of an image that each Gaussian is charged for
 REDUCTION = 2  # views are rendered at half their size: nearly the same ranking in a fraction of the time

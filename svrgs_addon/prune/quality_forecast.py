@@ -17,7 +17,7 @@ import numpy as np
 from ..finetune import scores
 from ..finetune.plan import Plan
 from ..finetune.quality import psnr_after
-from ..finetune.views import as_real
+from ..finetune.view_order import as_real
 from ..native.rasterizer import Rasterizer
 from ..render.metrics.evaluate import picture_options, rounded_to_8_bits
 from ..render.metrics.psnr import psnr

@@ -16,8 +16,8 @@ from ...files.atomic import atomic_write
 from ...files.registry import read_scene, write_scene
 from ...native.library import PARAMETERS
 from ...scene.affine import scaled, transformed
+from ...scene.concatenate import concatenated
 from ...scene.gaussians import Scene
-from ...scene.merge import merged
 from ...scene.morton_order import morton_order
 from ...system.errors import FormatError
 from .order import Order
@@ -71,7 +71,7 @@ def read_order(folder: Path, source: Scene) -> SavedOrder:
     rows, born, gone = _checked(folder / ORDER, source.count + made.count).T.copy()
     most = int((born == 0).sum())
     return SavedOrder(
-        merged([source, made]).select(rows), born, gone, least=most - int(gone.max()) + 1, most=most
+        concatenated([source, made]).select(rows), born, gone, least=most - int(gone.max()) + 1, most=most
     )
 
 

@@ -14,8 +14,8 @@ from ...finetune.decimate.order import MOST_HIDDEN, hidden, looks
 from ...native.rasterizer import Rasterizer
 from ...render.metrics.evaluate import render_options
 from ...scene.camera import Camera
+from ...scene.concatenate import concatenated
 from ...scene.gaussians import Scene
-from ...scene.merge import joined
 from ...system.errors import SceneError
 
 MOST = 500_000  # Gaussians
@@ -29,8 +29,11 @@ def sample_of(source: Path) -> tuple[Scene, float]:
         parts.append(_lighter(part, np.arange(-start % step, part.count, step)))
         start += part.count
         while sum(one.count for one in parts) > MOST:
-            parts, step = [joined(parts).select(np.arange(0, sum(one.count for one in parts), 2))], 2 * step
-    scene = joined(parts)
+            parts, step = (
+                [concatenated(parts, columns=True).select(np.arange(0, sum(one.count for one in parts), 2))],
+                2 * step,
+            )
+    scene = concatenated(parts, columns=True)
     enlarged = step**0.5
     return replace(scene, log_scales=scene.log_scales + np.float32(np.log(enlarged))), enlarged
 

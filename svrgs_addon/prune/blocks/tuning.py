@@ -21,7 +21,7 @@ from statistics import fmean
 import numpy as np
 
 from ...files.atomic import atomic_write
-from ...files.opened import json_object
+from ...files.reading import json_object
 from ...finetune.refit import SHARES, Look, interpolated, middle_scale, pace_for, refit
 from ...finetune.saliency import reduced
 from ...native.library import PARAMETERS

@@ -18,8 +18,8 @@ from ...files.registry import (
     format_to_write,
     invisible,
     load_scene,
+    read_back,
     size_on_disk,
-    stored,
     write_scene,
 )
 from ...finetune import checkpoint, loop, masks, scores
@@ -213,13 +213,13 @@ class FineTuned(Tuned):
                 level = self.scene.select(np.arange(max(1, round(share * self.scene.count))))
                 write_scene(path, level)
                 self.levels.append(
-                    {"share": share, "out": str(path), **self.measured(stored(path, level), path)}
+                    {"share": share, "out": str(path), **self.measured(read_back(path, level), path)}
                 )
 
     def measure(self) -> dict[str, Any]:
         job, dataset = self.job, self.dataset
         with self.clock.phase("evaluate after"):
-            scene = stored(job.out, self.scene)
+            scene = read_back(job.out, self.scene)
             after = self.measured(scene, job.out)
             self.run.drop = self.held - psnr_to_hold(scene, dataset, self.plan) if self.allowed else None
             dataset.notes += tuple(missed_drop(self.run.drop, self.allowed))

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable
 from pathlib import Path
 
-from ...files.registry import as_held, format_to_write
+from ...files.registry import as_stored, format_to_write
 from ...scene.gaussians import Scene
 from ...system.errors import SceneError
 from ...views.rendered import PHOTOGRAPHED
@@ -24,7 +24,7 @@ def format_loss(out: Path, scene: Scene, psnr_of: Callable[[Scene], float], allo
     splat_format = format_to_write(out)
     if splat_format.lossless:
         return 0.0
-    loss = max(0.0, psnr_of(scene) - psnr_of(as_held(scene, splat_format)))
+    loss = max(0.0, psnr_of(scene) - psnr_of(as_stored(scene, splat_format)))
     refuse_loss(out, loss, allowed)
     return loss
 

@@ -22,7 +22,7 @@ LARGE = 1 << 29  # bytes of an array that array_for() puts into a file
 
 
 @contextlib.contextmanager
-def spooled(parts: Iterable[Scene], out: str | os.PathLike) -> Iterator[Scene]:
+def mapped_scene(parts: Iterable[Scene], out: str | os.PathLike) -> Iterator[Scene]:
     """Yields the scene of parts with the same columns, at least one; each is done with before the next one is
     asked for. out: the output, in whose folder there is space. Raises SceneError if there is not."""
     with contextlib.ExitStack() as stack:
