@@ -29,10 +29,8 @@ def sample_of(source: Path) -> tuple[Scene, float]:
         parts.append(_lighter(part, np.arange(-start % step, part.count, step)))
         start += part.count
         while sum(one.count for one in parts) > MOST:
-            parts, step = (
-                [concatenated(parts, columns=True).select(np.arange(0, sum(one.count for one in parts), 2))],
-                2 * step,
-            )
+            whole = concatenated(parts, columns=True)
+            parts, step = [whole.select(np.arange(0, whole.count, 2))], 2 * step
     scene = concatenated(parts, columns=True)
     enlarged = step**0.5
     return replace(scene, log_scales=scene.log_scales + np.float32(np.log(enlarged))), enlarged
