@@ -82,8 +82,8 @@ def test_steps_that_count_are_spread_over_the_last_ones(steps):
 
 def test_a_run_ends_with_the_mean_of_the_recovery():
     run, plain = run_of(), run_of()
-    plain.settings = replace(
-        plain.settings, phases=tuple(replace(phase, averaged=0.0) for phase in plain.settings.phases)
+    plain.plan = replace(
+        plain.plan, phases=tuple(replace(phase, averaged=0.0) for phase in plain.plan.phases)
     )
     seen = []
     while not run.finished:

@@ -90,12 +90,12 @@ def test_a_closed_gate_neither_shows_nor_learns_from_the_image():
         replace(train_settings("compact3dgs", 10, 0), lambda_m=0.0),
         NativeEngine(),
     )
-    run._prepare(run.settings.phases[0], 1)
+    run._prepare(run.plan.phases[0], 1)
     run.model.values[MASK][:5] = compact3dgs.THRESHOLD - 1e-3
     before = {name: run.model.values[name][run.model.origin < 25].copy() for name in (*PARAMETERS, MASK)}
     closed = run.model.values[MASK] < compact3dgs.THRESHOLD
     step = run._step(
-        run.settings.phases[0],
+        run.plan.phases[0],
         1,
         run.dataset.cameras[0],
         np.ascontiguousarray(run.dataset.pictures[0] / 255, np.float32),

@@ -121,7 +121,7 @@ class Noting(Run):
 
     def _into_order(self):
         super()._into_order()
-        assert self.settings.spatial_order == bool((np.diff(morton_codes(self.model.means)) >= 0).all())
+        assert self.plan.spatial_order == bool((np.diff(morton_codes(self.model.means)) >= 0).all())
         self.ordered = [*getattr(self, "ordered", []), self.iteration]
 
 

@@ -113,7 +113,7 @@ def test_smaller_numbers_of_gaussians_look_better_than_without():
     phases = (first, replace(recover, steps=600))
     run = to_the_end(run_of(replace(SETTINGS, phases=phases)))
     plain = to_the_end(run_of(replace(SETTINGS, phases=phases, nested=0.0)))
-    plain.settings = run.settings
+    plain.plan = run.plan
     order = nested_order(plain)
     for count in (20, 10):
         assert picture_of(run, np.arange(count)) > picture_of(plain, order[:count]) + 1

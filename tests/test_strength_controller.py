@@ -226,7 +226,7 @@ def test_an_allowed_drop_keeps_a_twentieth_at_least_and_needs_photographs_that_s
         quality.LEAST * run.model.count
     )
     run.recovery_pruning.before_step(run)
-    black = replace(run.settings, max_drop=60.0)
+    black = replace(run.plan, max_drop=60.0)
     with pytest.raises(SceneError, match="even an empty scene loses less than the 60 dB allowed"):
         RecoveryPruning().before_step(
             Run(Model.of(load_scene(tiny.splat).scene), data, black, NativeEngine())

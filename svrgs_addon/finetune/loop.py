@@ -45,7 +45,7 @@ def run_to_end(
     photograph that can no longer be read, is raised on after a checkpoint, if a step was done and none is
     half done.
     """
-    total, begun, first, counted_from = run.settings.total, time.perf_counter(), run.iteration, run.iteration
+    total, begun, first, counted_from = run.plan.total, time.perf_counter(), run.iteration, run.iteration
     saved = time.monotonic()
     every = max(LEAST_BETWEEN, total // CURVE_POINTS)
     try:

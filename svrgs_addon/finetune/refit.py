@@ -28,7 +28,7 @@ POSITION = 0.025  # rate of position, in median middle scales: Gaussians move by
 
 
 @dataclass(frozen=True)
-class Look:
+class TrainingView:
     """What is shown in a step: a view, its picture, and the window of the view that counts, if not all of it
     does."""
 
@@ -39,7 +39,7 @@ class Look:
 
 def refit(
     scene: Scene,
-    looks: Sequence[Look | None],
+    looks: Sequence[TrainingView | None],
     steps: int,
     pace: float,
     middle: float,

@@ -33,7 +33,7 @@ from .quality import quality_views
 from .recovery_pruning import RecoveryPruning
 from .settings import MCMC, Densify, Phase
 from .strength_controller import controller_for
-from .view_order import Views, as_real, fitting_reduction
+from .view_order import ViewOrder, as_real, fitting_reduction
 
 SMOOTHING = 0.05  # weight of the newest loss in the smoothed one
 # opacities recover for 1/3 of the steps between two resets; a reset with fewer steps left in the phase is
@@ -60,17 +60,17 @@ class Run:
     its state.
     """
 
-    def __init__(self, model: Model, dataset: Dataset, settings: Plan, engine, antialiased: bool = False):
-        self.model, self.dataset, self.settings, self.engine = model, dataset, settings, engine
+    def __init__(self, model: Model, dataset: Dataset, plan: Plan, engine, antialiased: bool = False):
+        self.model, self.dataset, self.plan, self.engine = model, dataset, plan, engine
         self.antialiased = antialiased
-        self.method = copy(settings.method)
-        self.controller = controller_for(settings, self.method.learns_masks, self.method.largest_strength)
-        self.recovery_pruning = RecoveryPruning() if settings.max_drop else None
+        self.method = copy(plan.method)
+        self.controller = controller_for(plan, self.method.learns_masks, self.method.largest_strength)
+        self.recovery_pruning = RecoveryPruning() if plan.max_drop else None
         self.drop: float | None = None  # PSNR lost in dB, set at the end of a run that allows a drop
-        self.target = settings.target  # 0: no target, or a share of a number that is not known yet
+        self.target = plan.target  # 0: no target, or a share of a number that is not known yet
         self.iteration = 0
         self.statistics = densify.Statistics(model.count)
-        self.views = Views(dataset.train_indices, settings.seed, settings.views_by_loss)
+        self.views = ViewOrder(dataset.train_indices, plan.seed, plan.views_by_loss)
         self.initial_count = model.count
         self.unordered = 0  # Gaussians added since the rows were last put in Morton order
         self.average = Average()
@@ -88,11 +88,11 @@ class Run:
 
     @property
     def finished(self) -> bool:
-        return self.iteration >= self.settings.total
+        return self.iteration >= self.plan.total
 
     def phase(self) -> tuple[Phase, int]:
         """The phase of the next iteration, and the number of its step in this phase (from 1)."""
-        return self.settings.at(self.iteration)
+        return self.plan.at(self.iteration)
 
     def advance(self):
         """One iteration: loss and gradients, then densification or the optimiser step, then pruning.
@@ -110,7 +110,7 @@ class Run:
         step = self._step(
             phase, number, self.dataset.cameras[view].reduced(reduction), target, self.dataset.window(view)
         )
-        size = size_of_step(self.settings, phase, self.iteration, self.model.count)
+        size = size_of_step(self.plan, phase, self.iteration, self.model.count)
         result = self.engine.step(self.model.first(size) if size < self.model.count else self.model, step)
         self._record(result, step, view)
         self.iteration += 1
@@ -139,9 +139,9 @@ class Run:
     def _steps_of_epoch(self) -> Iterator[tuple[int, int]]:
         """(view, reduction) of each step that is left in this epoch."""
         for iteration, view in enumerate(self.views.rest(), self.iteration):
-            if iteration == self.settings.total:
+            if iteration == self.plan.total:
                 return
-            phase, number = self.settings.at(iteration)
+            phase, number = self.plan.at(iteration)
             camera = self.dataset.cameras[view]
             yield view, fitting_reduction(phase.reduction(number), camera.width, camera.height)
 
@@ -157,11 +157,11 @@ class Run:
             self.recovery_pruning.before_step(self)
         if not phase.active:
             self.model.remove_extras()
-            if self.settings.nested and phase.name == "recover" and number == 1:
+            if self.plan.nested and phase.name == "recover" and number == 1:
                 self.model.reorder(nested_order(self))
             return
-        if self.settings.share and not self.target and not _densifying(phase, number):
-            self.target = max(1, round(self.settings.share * self.model.count))
+        if self.plan.share and not self.target and not _densifying(phase, number):
+            self.target = max(1, round(self.plan.share * self.model.count))
         self.target = self.target or self.method.budget(self)
         self.method.prepare(self, phase, number)
         if self.controller and not _densifying(phase, number):
@@ -175,7 +175,7 @@ class Run:
         target: np.ndarray,
         window: tuple[slice, slice] | None = None,
     ) -> Step:
-        s = self.settings
+        s = self.plan
         step = Step(
             camera=camera,
             target=target,
@@ -199,7 +199,7 @@ class Run:
         )
 
     def render_options(self, phase: Phase, number: int) -> RenderOptions:
-        s = self.settings
+        s = self.plan
         kind = self.method.mask_kind if phase.active else "none"
         degree = number // phase.sh_every if phase.sh_every else 3
         return RenderOptions(min(degree, 3), self.antialiased, s.full, kind, background=s.background)
@@ -232,9 +232,9 @@ class Run:
 
     @property
     def own(self) -> np.ndarray | None:
-        if self.settings.own is None:
+        if self.plan.own is None:
             return None
-        first, end = self.settings.own
+        first, end = self.plan.own
         return (self.model.origin >= first) & (self.model.origin < end)
 
     @property
@@ -252,7 +252,7 @@ class Run:
     @property
     def score_options(self) -> RenderOptions:
         return RenderOptions(
-            antialiased=self.antialiased, full=self.settings.full, background=self.settings.background
+            antialiased=self.antialiased, full=self.plan.full, background=self.plan.background
         )
 
     @property
@@ -287,7 +287,7 @@ class Run:
                     self.model,
                     rule,
                     step.rates["means"],
-                    np.random.default_rng([self.settings.seed, 4, self.iteration]),
+                    np.random.default_rng([self.plan.seed, 4, self.iteration]),
                 )
         elif (
             rule is not None
@@ -299,7 +299,7 @@ class Run:
 
     def _densify(self, phase: Phase, number: int, rule: Densify):
         before = self.model.count
-        rng = np.random.default_rng([self.settings.seed, 1, self.iteration])
+        rng = np.random.default_rng([self.plan.seed, 1, self.iteration])
         if isinstance(rule, MCMC):
             self.unordered += mcmc.densify(self.model, rule, rng, self._memory_allows)
             keep = np.ones(self.model.count, bool)
@@ -331,7 +331,7 @@ class Run:
     def _into_order(self):
         """Puts the rows in Morton order (scene/morton_order.py). The densification statistics are not
         reordered, so it is called only when they are empty or are reset next."""
-        if self.settings.spatial_order:
+        if self.plan.spatial_order:
             self.model.reorder(morton_order(self.model.means))
         self.unordered = 0
 
@@ -346,7 +346,7 @@ class Run:
         if phase.active and last:
             self._keep(self.method.final_mask(self))
         # a nested order is of the Gaussians before the recovery
-        if self.recovery_pruning and not phase.active and not self.settings.nested:
+        if self.recovery_pruning and not phase.active and not self.plan.nested:
             self._keep(self.recovery_pruning.cut(self, phase, number))
 
     def _average(self, phase: Phase, number: int):
@@ -362,7 +362,7 @@ class Run:
         if keep is None:
             return
         keep = keep if self.protected is None else keep | self.protected
-        masks.refuse_emptying(keep, self.initial_count, self.settings.target)
+        masks.refuse_emptying(keep, self.initial_count, self.plan.target)
         if not keep.all():
             self.model.keep(keep)
             self.statistics = densify.Statistics(self.model.count)

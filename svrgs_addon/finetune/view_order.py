@@ -9,7 +9,7 @@ RECENT = 0.5  # weight of the newest loss in the smoothed loss of a view
 MIN_SIDE = 16  # pixels: no photograph is reduced to a shorter side
 
 
-class Views:
+class ViewOrder:
     """The order of the training views. Each epoch has its own permutation, keyed by (seed, epoch).
 
     by_loss: an epoch leaves out a quarter of the views: those of lowest smoothed loss among the ones that the

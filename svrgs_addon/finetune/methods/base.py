@@ -96,7 +96,7 @@ class Method:
         """Whether settings.lambda_f has an effect in a run with these settings."""
         return self.lambda_f > 0
 
-    def looks(self, settings: Settings, steps: int, share: float) -> list[tuple[float, float]]:
+    def ranking_passes(self, settings: Settings, steps: int, share: float) -> list[tuple[float, float]]:
         """The looks of an active phase that keeps the share `share` of the Gaussians: those times at which
         score() ranks all of them over all training views. (share of the steps before it, roughly the share of
         the Gaussians after it) each. For methods that rank, those of their cut. Empty: Gaussians go

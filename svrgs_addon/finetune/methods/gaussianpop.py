@@ -14,13 +14,13 @@ from ..saliency import removal_errors
 from ..scores import top
 from .ranked import Ranked
 
-LOOKS = 8  # published as C, the number of times that errors are quantified
+PASSES = 8  # published as C, the number of times that errors are quantified
 
 
 class GaussianPOP(Ranked):
-    def looks(self, settings, steps, share):
+    def ranking_passes(self, settings, steps, share):
         # Gaussians that are left out of a rendering take nearly as long
-        return [(0.0, 1.0)] * (LOOKS - 1) + [(0.0, share)]
+        return [(0.0, 1.0)] * (PASSES - 1) + [(0.0, share)]
 
     def score(self, scene, cameras, rasterizer, options):
         return removal_errors(scene, cameras, rasterizer, options)
@@ -28,10 +28,10 @@ class GaussianPOP(Ranked):
     def cut(self, scene, cameras, rasterizer, options, count):
         """The number of Gaussians falls by the same ratio at each look."""
         kept, start = np.ones(scene.count, bool), scene.count
-        for look in range(1, LOOKS + 1):
+        for look in range(1, PASSES + 1):
             errors = removal_errors(scene, cameras, rasterizer, options, kept)
             kept = top(
-                np.where(kept, errors, -1.0), round(start * (min(count, start) / start) ** (look / LOOKS))
+                np.where(kept, errors, -1.0), round(start * (min(count, start) / start) ** (look / PASSES))
             )
         return kept
 

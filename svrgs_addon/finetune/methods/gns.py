@@ -77,7 +77,7 @@ class GNS(Method):
         """With an allowed drop: the number of Gaussians, those of highest saliency, that are needed to hold
         it before any learning."""
         value = saliency(run.model, run.training_cameras, run.rasterizer, run.score_options)
-        return int(fewest_within(run, value, run.psnr_before - run.settings.max_drop).sum())
+        return int(fewest_within(run, value, run.psnr_before - run.plan.max_drop).sum())
 
     def prepare(self, run: RunView, phase: Phase, number: int):
         """Adapts r at every other pressed step. r falls if the opacity at the rank of the budget is below the
@@ -108,7 +108,7 @@ class GNS(Method):
         if not self._presses(phase, number):
             return {}
         early = number <= phase.steps * EASE / STEPS
-        r = run.settings.lambda_m * self.factor
+        r = run.plan.lambda_m * self.factor
         return {"penalty": OpacityPressure(r if early else 3 * r, early)}
 
     def after_step(self, run: RunView, phase: Phase, number: int) -> Keep:
@@ -116,7 +116,7 @@ class GNS(Method):
             return None
         if run.model.count < NEAR * run.target or number == phase.steps:
             self.trimmed = number
-            return drawn_by_opacity(run.model, run.target, [run.settings.seed, 2, run.iteration])
+            return drawn_by_opacity(run.model, run.target, [run.plan.seed, 2, run.iteration])
         if number % self.press_every(phase) or number < phase.steps * EASE / STEPS:
             return None
         return (run.model.opacity_logits >= logit(MIN_OPACITY)) | top(run.model.opacity_logits, run.target)

@@ -15,7 +15,7 @@ from ...native.library import PARAMETERS
 from ...native.rasterizer import Rasterizer, RenderOptions
 from ...scene.camera import Camera, evenly
 from ...scene.gaussians import Scene
-from ..decimate.order import Order, looks, order_of
+from ..decimate.order import Order, order_of, visibility_sums
 from ..model import Model
 from ..refit import FASTER, LAST, POSITION, middle_scale, pace_at
 from ..run_view import Keep, RunView
@@ -98,7 +98,7 @@ def _order(
         if isinstance(scene, Model)
         else scene
     )
-    sums, _ = looks(whole, evenly(cameras, VIEWS), rasterizer, options, pictures=False)
+    sums, _ = visibility_sums(whole, evenly(cameras, VIEWS), rasterizer, options, pictures=False)
     return order_of(whole, sums, least)
 
 

@@ -29,8 +29,8 @@ class POPSpa(Stepwise):
         pull = (admm.pull(run.model, RHO),) if self.count and self._pulls(phase, number) else ()
         return {"penalty": (EffectiveRank(), *pull)} if self.count else {}
 
-    def looks(self, settings: Settings, steps: int, share: float) -> list[tuple[float, float]]:
-        first, last = super().looks(settings, steps, share)
+    def ranking_passes(self, settings: Settings, steps: int, share: float) -> list[tuple[float, float]]:
+        first, last = super().ranking_passes(settings, steps, share)
         pulls = steps // pull_every(steps)
         return [first, *((k / pulls, first[1]) for k in range(pulls)), last]
 

@@ -39,10 +39,10 @@ from ..scores import top
 from ..settings import LARGEST, LARGEST_OF_POSITION, Densify, Phase, Rates, Settings, rates_for
 from .base import REMOVE, Method
 
-LOOKS, FEWEST = 16, 4  # looks in a long phase, and in a short one
+PASSES, FEWEST = 16, 4  # looks in a long phase, and in a short one
 # a look takes as long as 20 to 40 steps: with more looks in a short phase, the same time would leave few
 # steps
-STEPS_PER_LOOK = 36
+STEPS_PER_PASS = 36
 # share of the iterations of `svrgs train` in which Gaussians are removed: the last ones, as in GNS
 SHARE_OF_TRAINING = 8 / 23
 # share of the Gaussians; if fewer are left, the other rates are larger by the root of the ratio, up to
@@ -138,11 +138,10 @@ class Removal(Method):
     def budget(self, run: RunView) -> int:
         """The number of Gaussians with a saliency above lambda_F. Raises SceneError if almost none has. With
         an allowed drop: the fewest that are foreseen to hold it at the end of the run."""
-        if run.settings.max_drop:
+        if run.plan.max_drop:
             return self.budget_of_drop(run)
         stays = (
-            saliency(run.model, run.training_cameras, run.rasterizer, run.score_options)
-            > run.settings.lambda_f
+            saliency(run.model, run.training_cameras, run.rasterizer, run.score_options) > run.plan.lambda_f
         )
         stays = stays if run.protected is None else stays | run.protected
         masks.refuse_emptying(stays, run.initial_count)
@@ -151,7 +150,7 @@ class Removal(Method):
     def budget_of_drop(self, run: RunView) -> int:
         """The fewest Gaussians of highest rank that are foreseen to hold the allowed drop."""
         rank = self.score(run.model, run.training_cameras, run.rasterizer, run.score_options)
-        return int(fewest_within(run, rank, floor_of_drop(run.psnr_before, run.settings)).sum())
+        return int(fewest_within(run, rank, floor_of_drop(run.psnr_before, run.plan)).sum())
 
     def prepare(self, run: RunView, phase: Phase, number: int):
         """Before the first step, lowers the opacities of the Gaussians that a view sees and that are not
@@ -165,8 +164,8 @@ class Removal(Method):
                 lower_opacity(run.model, lowered, *lowering(steps))
 
     def after_step(self, run: RunView, phase: Phase, number: int) -> Keep:
-        """A look after the first step of each of number_of_looks() equal parts of the phase."""
-        looks = number_of_looks(phase.steps)
+        """A look after the first step of each of number_of_passes() equal parts of the phase."""
+        looks = number_of_passes(phase.steps)
         earlier, these = ((number - back) * looks // phase.steps for back in (2, 1))
         if earlier == these:
             return None
@@ -183,10 +182,13 @@ class Removal(Method):
     def score(self, scene, cameras, rasterizer, options) -> np.ndarray:
         return self.ranking(scene, cameras, rasterizer, options)
 
-    def looks(self, settings: Settings, steps: int, share: float) -> list[tuple[float, float]]:
+    def ranking_passes(self, settings: Settings, steps: int, share: float) -> list[tuple[float, float]]:
         """Also the lowering takes a look at all views, and so does the budget of an allowed drop; that of
         lambda_F costs twice as much."""
-        looks, before = number_of_looks(steps), 1 + bool(settings.max_drop) + 2 * self.uses_lambda_f(settings)
+        looks, before = (
+            number_of_passes(steps),
+            1 + bool(settings.max_drop) + 2 * self.uses_lambda_f(settings),
+        )
         return [(0.0, 1.0)] * before + [(k / looks, share ** sqrt((k + 1) / looks)) for k in range(looks)]
 
     def state(self) -> dict:
@@ -196,10 +198,10 @@ class Removal(Method):
         self.count, self.lowered = state["count"], state.get("lowered", False)
 
 
-def number_of_looks(steps: int) -> int:
+def number_of_passes(steps: int) -> int:
     """The number of looks in a phase of so many steps: LOOKS, in a short phase one in STEPS_PER_LOOK steps,
     but FEWEST if there are as many steps."""
-    return min(LOOKS, max(FEWEST, steps // STEPS_PER_LOOK), steps)
+    return min(PASSES, max(FEWEST, steps // STEPS_PER_PASS), steps)
 
 
 def floor_of_drop(before: float, settings: Settings) -> float:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ...files.registry import load_parts
-from ...finetune.decimate.order import MOST_HIDDEN, hidden, looks
+from ...finetune.decimate.order import MOST_HIDDEN, hidden, visibility_sums
 from ...native.rasterizer import Rasterizer
 from ...render.metrics.evaluate import render_options
 from ...scene.camera import Camera
@@ -39,7 +39,7 @@ def sample_of(source: Path) -> tuple[Scene, float]:
 def refuse_hidden(scene: Scene, cameras: Sequence[Camera], source: Path):
     """Raises SceneError if cameras that were placed leave many Gaussians hidden: these would be removed
     first. scene: from sample_of()."""
-    sums, _ = looks(scene, cameras, Rasterizer(), render_options(scene), pictures=False)
+    sums, _ = visibility_sums(scene, cameras, Rasterizer(), render_options(scene), pictures=False)
     share = hidden(sums) / scene.count
     if share > MOST_HIDDEN:
         raise SceneError(

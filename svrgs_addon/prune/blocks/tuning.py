@@ -22,7 +22,7 @@ import numpy as np
 
 from ...files.atomic import atomic_write
 from ...files.reading import json_object
-from ...finetune.refit import SHARES, Look, interpolated, middle_scale, pace_for, refit
+from ...finetune.refit import SHARES, TrainingView, interpolated, middle_scale, pace_for, refit
 from ...finetune.saliency import reduced
 from ...native.library import PARAMETERS
 from ...native.rasterizer import Rasterizer
@@ -160,9 +160,9 @@ def tuned_blocks(divided: Divided) -> Divided | None:
     return gathered(folder, left) if any(folder.glob("*.rows")) else None
 
 
-def _look(divided: Divided, view: int, camera: Camera, window: Window | None) -> Look | None:
+def _look(divided: Divided, view: int, camera: Camera, window: Window | None) -> TrainingView | None:
     return (
-        Look(camera, _picture(divided, view, camera)[window.slices].astype(np.float32), window.slices)
+        TrainingView(camera, _picture(divided, view, camera)[window.slices].astype(np.float32), window.slices)
         if window
         else None
     )

@@ -113,7 +113,7 @@ class Tuned:
 
     def facts(self) -> dict[str, Any]:
         """The keys of the JSON result that describe the run, not the quality of the scene."""
-        run, plan = self.run, self.run.settings
+        run, plan = self.run, self.run.plan
         tuned = sum(run.seconds.values())
         return {
             "out": str(self.job.out),
@@ -374,7 +374,7 @@ def curve_psnr(run: Run) -> float | None:
     if not views:
         return None
     kept = run.method.current_mask(model) if model.learns_masks else None
-    options = RenderOptions(antialiased=run.antialiased, background=run.settings.background)
+    options = RenderOptions(antialiased=run.antialiased, background=run.plan.background)
     return mean_psnr(
         model, dataset, views, run.engine.rasterizer, options, None if kept is None else kept.astype(np.uint8)
     )
