@@ -14,9 +14,10 @@ from plans import prune_settings
 from svrgs_addon.finetune import averaging
 from svrgs_addon.finetune.averaging import Average
 from svrgs_addon.finetune.engine import NativeEngine
-from svrgs_addon.finetune.model import PARAMETERS, Model
+from svrgs_addon.finetune.model import Model
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.settings import SAMPLES, Phase, Rates
+from svrgs_addon.scene.gaussians import PARAMETERS
 from svrgs_addon.system import memory
 
 STEPS = 60  # of the recovery

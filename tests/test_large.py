@@ -17,7 +17,6 @@ from svrgs_addon.files.registry import read_scene, write_scene
 from svrgs_addon.finetune.decimate.order import order_of, visibility_sums
 from svrgs_addon.finetune.refit import TrainingView, middle_scale, pace_for, refit
 from svrgs_addon.finetune.saliency import reduced
-from svrgs_addon.native.library import PARAMETERS
 from svrgs_addon.native.rasterizer import VISIBILITY, Rasterizer
 from svrgs_addon.prune.blocks.divided import Divided, divide, scene_of
 from svrgs_addon.prune.blocks.likeness import Likeness
@@ -27,6 +26,7 @@ from svrgs_addon.prune.blocks.scoring import UNITS, picture_path, score, total, 
 from svrgs_addon.prune.blocks.tuning import best_share, cut, mixed, tune, tuned_blocks
 from svrgs_addon.prune.blocks.visible import seen
 from svrgs_addon.render.metrics.evaluate import render_options
+from svrgs_addon.scene.gaussians import PARAMETERS
 from svrgs_addon.system.errors import FormatError, SceneError
 from svrgs_addon.views.cameras_json import write_cameras_json
 from svrgs_bench.scenes import orbit_camera, room

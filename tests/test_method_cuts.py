@@ -19,11 +19,12 @@ from svrgs_addon.finetune import admm, redundancy, scores
 from svrgs_addon.finetune.engine import NativeEngine
 from svrgs_addon.finetune.methods import METHODS, popspa, speedy
 from svrgs_addon.finetune.methods.gaussianpop import PASSES
-from svrgs_addon.finetune.model import MASK, PARAMETERS, Model
+from svrgs_addon.finetune.model import MASK, Model
 from svrgs_addon.finetune.penalties import EffectiveRank
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.settings import Densify
 from svrgs_addon.native.rasterizer import RenderOptions
+from svrgs_addon.scene.gaussians import PARAMETERS
 from weights_of_pixels import expected_dominance, expected_slopes, weights
 
 # too small to be reduced

@@ -14,7 +14,7 @@ from pictures import photographed
 from plans import plan_of, train_settings
 from svrgs_addon.finetune.engine import NativeEngine, mask_logit_rows
 from svrgs_addon.finetune.methods import compact3dgs
-from svrgs_addon.finetune.model import MASK, PARAMETERS, Model
+from svrgs_addon.finetune.model import MASK, Model
 from svrgs_addon.finetune.penalties import (
     EffectiveRank,
     MeanExistence,
@@ -25,6 +25,7 @@ from svrgs_addon.finetune.penalties import (
 )
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.settings import Phase, Rates
+from svrgs_addon.scene.gaussians import PARAMETERS
 
 
 @pytest.mark.parametrize(

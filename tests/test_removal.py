@@ -87,7 +87,7 @@ def test_a_lambda_above_every_saliency_is_refused_at_once():
 
 def test_those_of_lowest_removal_error_go_first(monkeypatch):
     monkeypatch.setattr(settings, "USUAL_STEPS", 1)
-    monkeypatch.setattr(removal, "STEPS_PER_LOOK", 2)
+    monkeypatch.setattr(removal, "STEPS_PER_PASS", 2)
     monkeypatch.setattr(removal, "lowering", lambda steps: (1.0, 1.0))
     run = run_of(replace(prune_settings("removal", 32, 0), target=15))
     run.advance()  # one step, and the first look
@@ -103,7 +103,7 @@ def test_those_of_lowest_removal_error_go_first(monkeypatch):
 
 @pytest.mark.parametrize("method", ["removal", "saliency"])
 def test_the_target_is_approached_quickly_at_first_and_met(method, monkeypatch):
-    monkeypatch.setattr(removal, "STEPS_PER_LOOK", 2)
+    monkeypatch.setattr(removal, "STEPS_PER_PASS", 2)
     counts = counts_of(run_of(replace(prune_settings(method, 32, 4), target=15)))
     np.testing.assert_allclose(
         counts[:32:2], [COUNT * (15 / COUNT) ** math.sqrt(k / PASSES) for k in range(1, PASSES + 1)], atol=1

@@ -28,7 +28,7 @@ from svrgs_addon.views.cameras_json import load_cameras_json, write_cameras_json
 from svrgs_addon.views.rig import place
 from svrgs_addon.views.rig.around import cameras_around
 
-FEW = {"FIRST": 12, "SECOND": 4, "LEAST": 8, "MOST": 12, "USUAL": 16}  # views of a rig in these tests
+FEW = {"FIRST": 12, "SECOND": 4, "MIN_CHOSEN": 8, "MAX_CHOSEN": 12, "USUAL_VIEWS": 16}  # views of a rig in these tests
 
 
 @pytest.fixture(autouse=True)

@@ -98,10 +98,8 @@ class Glb:
             raise FormatError(f"has an attribute of another kind or length than its splat needs{BROKEN}")
         view = self.of(self.items("bufferViews"), accessor.get("bufferView"))
         element = width * np.dtype(kind).itemsize
-        stride, start = (
-            view.get("byteStride", element),
-            [one.get("byteOffset", 0) for one in (view, accessor)],
-        )
+        stride = view.get("byteStride", element)
+        start = [one.get("byteOffset", 0) for one in (view, accessor)]
         whole = all(isinstance(one, int) and 0 <= one <= len(self.data) for one in (*start, stride))
         if (
             not whole

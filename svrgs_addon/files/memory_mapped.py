@@ -13,8 +13,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from ..native.library import PARAMETERS
-from ..scene.gaussians import Scene
+from ..scene.gaussians import PARAMETERS, Scene
 from ..system.errors import SceneError
 from .disk_space import existing_parent
 

@@ -22,10 +22,8 @@ def table(values: np.ndarray, weights: np.ndarray, size: int) -> np.ndarray:
             np.float32
         )
     counts, edges = np.histogram(values, BINS, weights=weights)
-    masses, sums = (
-        np.cumsum(np.append(0, counts)),
-        np.cumsum(np.append(0, counts * (edges[1:] + edges[:-1]) / 2)),
-    )
+    masses = np.cumsum(np.append(0, counts))
+    sums = np.cumsum(np.append(0, counts * (edges[1:] + edges[:-1]) / 2))
     # density of the best levels: cube root of that of the values
     spread = np.cumsum(np.append(0, np.cbrt(counts)))
     levels = np.interp((np.arange(size) + 0.5) / size * spread[-1], spread, edges)

@@ -48,10 +48,8 @@ def _columns(file: BinaryIO) -> dict[str, np.ndarray]:
         )
     if vertices.count > MAX_POINTS:
         raise FormatError(f"announces {vertices.count:,} points; the limit is {MAX_POINTS:,}")
-    names, row = (
-        [name for name, _ in vertices.properties],
-        np.dtype([(name, ENCODINGS[header.encoding] + code) for name, code in vertices.properties]),
-    )
+    names = [name for name, _ in vertices.properties]
+    row = np.dtype([(name, ENCODINGS[header.encoding] + code) for name, code in vertices.properties])
     left = os.fstat(file.fileno()).st_size - file.seek(header.size)
     if header.encoding == "ascii":
         values = parse_numbers(file.read(min(left, MAX_ASCII_BYTES)))[: vertices.count * len(names)]

@@ -160,11 +160,9 @@ def size_on_disk(path: str | Path) -> int:
     """Size of a splat in bytes, with all its files if it has several."""
     path = extended(path)
     found = _indexed(path)
-    return (
-        sum(file.stat().st_size for file in found[0].parts(found[1]))
-        if found and found[0].parts
-        else path.stat().st_size
-    )
+    if found and found[0].parts:
+        return sum(file.stat().st_size for file in found[0].parts(found[1]))
+    return path.stat().st_size
 
 
 def read_scene(path: str | Path) -> Scene:
@@ -207,12 +205,10 @@ def load_parts(path: str | Path) -> Iterator[Scene]:
     filtered = False
     for part in read_parts(path):
         loaded, baked = _repaired(part)
-        count, dropped, clamped, filtered = (
-            count + loaded.scene.count,
-            dropped + loaded.dropped,
-            clamped + loaded.clamped,
-            filtered or baked,
-        )
+        count += loaded.scene.count
+        dropped += loaded.dropped
+        clamped += loaded.clamped
+        filtered = filtered or baked
         yield loaded.scene
     _log_repairs(path, dropped, clamped, filtered)
     if not count:

@@ -161,10 +161,8 @@ class _Cut:
             some = some[morton_order(scene.means[some])]
             name, held = self.open_files.get(level) or (f"{level}_0{self.tag}/{META}", 0)
             if held >= CHUNK:
-                name, held = (
-                    f"{level}_{sum(one == level for one, _ in self.files.values())}{self.tag}/{META}",
-                    0,
-                )
+                name = f"{level}_{sum(one == level for one, _ in self.files.values())}{self.tag}/{META}"
+                held = 0
             self.files.setdefault(name, (level, []))[1].append(some)
             self.open_files[level] = (name, held + len(some))
             lods[str(level)] = {"file": list(self.files).index(name), "offset": held, "count": len(some)}
@@ -195,11 +193,11 @@ def _box(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 def _with_degree(scene: Scene, degree: int) -> Scene:
     """The scene with zeros in SH bands that it does not have."""
     missing = SH_COEFFICIENTS[degree] - scene.sh.shape[1]
-    return (
-        replace(scene, sh=np.concatenate([scene.sh, np.zeros((scene.count, missing, 3), np.float32)], axis=1))
-        if missing
-        else scene
-    )
+    if missing:
+        return replace(
+            scene, sh=np.concatenate([scene.sh, np.zeros((scene.count, missing, 3), np.float32)], axis=1)
+        )
+    return scene
 
 
 def _checked(path: Path) -> dict[str, Any]:

@@ -78,11 +78,9 @@ def _arrays_of(path: Path, size: int) -> Iterator[Any]:
     if not packages.is_installed("pxr"):
         module("Usd")  # raises
     with tempfile.TemporaryDirectory() as folder:
-        out, seconds, megabytes = (
-            Path(folder) / "arrays.npz",
-            SECONDS + (size >> 22),
-            MEGABYTES + TIMES_FILE * (size >> 20),
-        )
+        out = Path(folder) / "arrays.npz"
+        seconds = SECONDS + (size >> 22)
+        megabytes = MEGABYTES + TIMES_FILE * (size >> 20)
         words = [limited.__file__, seconds, megabytes, usd_arrays.__file__, path.absolute(), out]
         command = [sys.executable, "-P", *map(str, words)]
         with ChildProcess(

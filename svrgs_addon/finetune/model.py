@@ -8,12 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from ..scene.gaussians import SH_C0, SH_COEFFICIENTS, Scene
+from ..scene.gaussians import PARAMETERS, SH_C0, SH_COEFFICIENTS, Scene
 from ..scene.neighbours import nearest_distances
 from ..system.errors import SceneError
 from .moments import zero_moments
 
-PARAMETERS = ("means", "log_scales", "quats", "opacity_logits", "sh")
 MASK = "mask_logits"
 MIN_SQUARED_DISTANCE = 1e-7
 NEIGHBOURS = 3

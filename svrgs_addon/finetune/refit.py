@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..native.library import PARAMETERS
 from ..native.rasterizer import RenderOptions
 from ..scene.camera import Camera
-from ..scene.gaussians import Scene
+from ..scene.gaussians import PARAMETERS, Scene
 from ..scene.morton_order import morton_order
 from ..system.errors import Cancelled
 from .engine import NativeEngine, Step

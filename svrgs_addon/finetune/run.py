@@ -192,11 +192,9 @@ class Run:
             and not isinstance(phase.densify, MCMC),
         )
         step = replace(step, **self.method.terms(self, phase, number)) if phase.active else step
-        return (
-            replace(step, penalty=(*mcmc.penalties(phase.densify), *step.penalties))
-            if isinstance(phase.densify, MCMC)
-            else step
-        )
+        if isinstance(phase.densify, MCMC):
+            return replace(step, penalty=(*mcmc.penalties(phase.densify), *step.penalties))
+        return step
 
     def render_options(self, phase: Phase, number: int) -> RenderOptions:
         s = self.plan

@@ -79,8 +79,6 @@ def surface(triangles: Triangles, camera: Camera) -> Surface | None:
     if not np.isfinite(depth[0]).any():
         return None
     whole = share == 1
-    return (
-        Surface(depth[0], rgba[0])
-        if whole.all()
-        else Surface(depth[0], rgba[0], share, Surface(depth[1], rgba[1]))
-    )
+    if whole.all():
+        return Surface(depth[0], rgba[0])
+    return Surface(depth[0], rgba[0], share, Surface(depth[1], rgba[1]))

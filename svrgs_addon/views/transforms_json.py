@@ -262,10 +262,8 @@ def _parser_matrix(parser: dict, facts: dict) -> np.ndarray:
     dataparser_transforms.json leads there from the world before applied_transform and applied_scale, which
     transforms.json holds.
     """
-    matrix, scale = (
-        _matrix(parser["transform"]),
-        _number(parser, "scale") / _number(facts, "applied_scale", 1.0),
-    )
+    matrix = _matrix(parser["transform"])
+    scale = _number(parser, "scale") / _number(facts, "applied_scale", 1.0)
     matrix = (
         matrix @ np.linalg.inv(_matrix(facts["applied_transform"]))
         if "applied_transform" in facts

@@ -14,10 +14,9 @@ from functools import cached_property
 import numpy as np
 
 from ...native.decimation import REMOVED, Merges, decimate
-from ...native.library import PARAMETERS
 from ...native.rasterizer import VISIBILITY, Rasterizer, RenderOptions
 from ...scene.camera import Camera
-from ...scene.gaussians import Scene
+from ...scene.gaussians import PARAMETERS, Scene
 from ...system.errors import SceneError
 
 HIDDEN = 0.01  # mean transmittance up to which a Gaussian is hidden

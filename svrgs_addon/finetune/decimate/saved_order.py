@@ -14,10 +14,9 @@ import numpy as np
 
 from ...files.atomic import atomic_write
 from ...files.registry import read_scene, write_scene
-from ...native.library import PARAMETERS
 from ...scene.affine import scaled, transformed
 from ...scene.concatenate import concatenated
-from ...scene.gaussians import Scene
+from ...scene.gaussians import PARAMETERS, Scene
 from ...scene.morton_order import morton_order
 from ...system.errors import FormatError
 from .order import Order

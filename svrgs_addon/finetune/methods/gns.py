@@ -100,11 +100,9 @@ class GNS(Method):
     def terms(self, run: RunView, phase: Phase, number: int) -> dict:
         if self.trimmed:
             late = number > self.trimmed + phase.steps * EASE / STEPS
-            return (
-                {"rates": phase.rates.at(number, run.extent) | {"opacity_logits": FINAL_OPACITY_RATE}}
-                if late
-                else {}
-            )
+            if late:
+                return {"rates": phase.rates.at(number, run.extent) | {"opacity_logits": FINAL_OPACITY_RATE}}
+            return {}
         if not self._presses(phase, number):
             return {}
         early = number <= phase.steps * EASE / STEPS

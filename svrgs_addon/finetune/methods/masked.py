@@ -54,11 +54,9 @@ class Masked(Method):
         probable ones; with an allowed drop, the fewest most probable ones that hold it."""
         if run.plan.max_drop:
             return fewest_within(run, run.model.values[MASK], run.psnr_before - run.plan.max_drop)
-        return (
-            masks.most_probable(run.model, run.target, run.own)
-            if run.target
-            else self.current_mask(run.model)
-        )
+        if run.target:
+            return masks.most_probable(run.model, run.target, run.own)
+        return self.current_mask(run.model)
 
     def current_mask(self, model: Model) -> Keep:
         return masks.most_probable(model)

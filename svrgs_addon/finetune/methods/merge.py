@@ -11,10 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...native.library import PARAMETERS
 from ...native.rasterizer import Rasterizer, RenderOptions
 from ...scene.camera import Camera, evenly
-from ...scene.gaussians import Scene
+from ...scene.gaussians import PARAMETERS, Scene
 from ..decimate.order import Order, order_of, visibility_sums
 from ..model import Model
 from ..refit import FASTER, LAST, POSITION, middle_scale, pace_at

@@ -42,11 +42,9 @@ class Reduced3DGS(Stepwise):
 
     def after_step(self, run: RunView, phase: Phase, number: int) -> Keep:
         keep, logits = super().after_step(run, phase, number), run.model.opacity_logits
-        return (
-            keep
-            if keep is not None or number % EVERY
-            else (sigmoid(logits, np) >= INVISIBLE) | top(logits, run.target)
-        )
+        if keep is not None or number % EVERY:
+            return keep
+        return (sigmoid(logits, np) >= INVISIBLE) | top(logits, run.target)
 
 
 METHODS = (

@@ -185,10 +185,8 @@ class Removal(Method):
     def ranking_passes(self, settings: Settings, steps: int, share: float) -> list[tuple[float, float]]:
         """Also the lowering takes a look at all views, and so does the budget of an allowed drop; that of
         lambda_F costs twice as much."""
-        looks, before = (
-            number_of_passes(steps),
-            1 + bool(settings.max_drop) + 2 * self.uses_lambda_f(settings),
-        )
+        looks = number_of_passes(steps)
+        before = 1 + bool(settings.max_drop) + 2 * self.uses_lambda_f(settings)
         return [(0.0, 1.0)] * before + [(k / looks, share ** sqrt((k + 1) / looks)) for k in range(looks)]
 
     def state(self) -> dict:

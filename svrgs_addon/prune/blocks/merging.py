@@ -25,11 +25,10 @@ from ...files.reading import json_object
 from ...finetune.decimate.order import Order
 from ...finetune.scores import top
 from ...native.decimation import REMOVED, Merges, decimate
-from ...native.library import PARAMETERS
 from ...native.rasterizer import VISIBILITY
 from ...scene.camera import Camera
 from ...scene.concatenate import concatenated
-from ...scene.gaussians import Scene
+from ...scene.gaussians import PARAMETERS, Scene
 from ...system.errors import FormatError, SceneError
 from .divided import Block, Divided, Tell, leaves, scene_of
 from .scoring import SQUARES, UNITS, total, visibility

@@ -24,11 +24,10 @@ from ...files.atomic import atomic_write
 from ...files.reading import json_object
 from ...finetune.refit import SHARES, TrainingView, interpolated, middle_scale, pace_for, refit
 from ...finetune.saliency import reduced
-from ...native.library import PARAMETERS
 from ...native.rasterizer import Rasterizer
 from ...render.metrics.evaluate import picture_options, render_options
 from ...scene.camera import Camera
-from ...scene.gaussians import Scene
+from ...scene.gaussians import PARAMETERS, Scene
 from ...system import memory
 from ...system.errors import FormatError
 from .discs import Window
