@@ -47,7 +47,7 @@ def short(monkeypatch):
 @pytest.fixture(autouse=True)
 def few_views(monkeypatch):
     monkeypatch.setattr(by_blocks, "QUICK_VIEWS", 12)
-    monkeypatch.setattr(place, "USUAL", 20)
+    monkeypatch.setattr(place, "USUAL_VIEWS", 20)
 
 
 @pytest.mark.slow

@@ -21,7 +21,7 @@ from svrgs_addon.prune.context import JobContext
 from svrgs_addon.prune.options import PruneOptions
 from svrgs_addon.prune.recipes.quick import Quick
 from svrgs_addon.render.metrics.evaluate import render_options
-from svrgs_addon.render.metrics.psnr import psnr
+from svrgs_addon.render.metrics.measures import psnr
 from svrgs_addon.scene.gaussians import Scene
 from svrgs_addon.system.errors import Cancelled, SceneError
 from svrgs_addon.views.rig.around import cameras_around, middle_and_radius

@@ -9,7 +9,7 @@ import pytest
 
 from svrgs_addon.native.rasterizer import Rasterizer, RenderOptions
 from svrgs_addon.render import thinning
-from svrgs_addon.render.metrics.psnr import psnr
+from svrgs_addon.render.metrics.measures import psnr
 from svrgs_addon.render.thinning import GROUP, Thinning, thinned
 from svrgs_addon.scene.morton_order import morton_order
 from svrgs_bench.scenes import orbit_camera, room

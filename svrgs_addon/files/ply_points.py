@@ -37,12 +37,8 @@ def _columns(file: BinaryIO) -> dict[str, np.ndarray]:
     name of the file)."""
     header = parse_header(file.read(MAX_HEADER_BYTES))
     vertices = header.elements[0] if header.elements else None
-    if (
-        vertices is None
-        or vertices.name != "vertex"
-        or vertices.list_property
-        or not set(PLACE) <= {name for name, _ in vertices.properties}
-    ):
+    known = {name for name, _ in vertices.properties} if vertices and vertices.name == "vertex" else set()
+    if vertices is None or vertices.list_property or not set(PLACE) <= known:
         raise FormatError(
             "is no point cloud: its first element must be vertex, with x, y and z and without lists"
         )

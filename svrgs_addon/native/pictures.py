@@ -127,7 +127,7 @@ def flip_errors(
     viewer's visual angle, 1 to 400. Raises NativeError, and TypeError for arrays of another type or shape.
     """
     number, dtype = _level(level)
-    errors = np.empty(image.shape[:2], dtype)
+    errors: np.ndarray = np.empty(image.shape[:2], dtype)
     call_library(
         "svrgs_flip",
         number,
@@ -151,7 +151,7 @@ def linear_colours(
     TypeError for arrays of another type or shape.
     """
     number, dtype = _level(level)
-    rgba = np.empty((*alpha.shape, 4), dtype)
+    rgba: np.ndarray = np.empty((*alpha.shape, 4), dtype)
     space = np.ascontiguousarray(working_space, np.float64)
     call_library(
         "svrgs_linear_rgba",

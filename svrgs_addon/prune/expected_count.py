@@ -19,7 +19,7 @@ from ..finetune.saliency import saliency
 from ..finetune.view_order import as_real
 from ..native.rasterizer import Rasterizer
 from ..render.metrics.evaluate import picture_options, render_options, rounded_to_8_bits
-from ..render.metrics.psnr import psnr, with_error
+from ..render.metrics.measures import psnr, with_error
 from ..scene.camera import Camera
 from ..scene.gaussians import Scene
 from ..views.dataset import Dataset

@@ -20,7 +20,7 @@ from ..finetune.quality import psnr_after
 from ..finetune.view_order import as_real
 from ..native.rasterizer import Rasterizer
 from ..render.metrics.evaluate import picture_options, rounded_to_8_bits
-from ..render.metrics.psnr import psnr
+from ..render.metrics.measures import psnr
 from ..scene.gaussians import Scene
 from ..views.dataset import Dataset
 

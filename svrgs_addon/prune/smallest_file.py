@@ -10,7 +10,7 @@ from pathlib import Path
 from ..files.registry import format_to_write, round_trip
 from ..finetune.decimate.order import Order
 from ..finetune.quality import bisected
-from ..render.metrics.format_loss import ASSUMED, refuse_loss
+from ..render.metrics.max_drop import ASSUMED, refuse_loss
 from ..scene.affine import scaled
 from ..scene.gaussians import Scene
 

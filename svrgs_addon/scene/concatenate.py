@@ -6,6 +6,7 @@ import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -24,7 +25,9 @@ def concatenated(scenes: Sequence[Scene], columns: bool = False) -> Scene:
         return first if columns else replace(first, attributes={}, comments=(), property_order=())
     ends = np.cumsum([scene.count for scene in scenes])
     shapes = {"means": (3,), "log_scales": (3,), "quats": (4,), "opacity_logits": ()}
-    arrays = {name: np.empty((ends[-1], *shape), np.float32) for name, shape in shapes.items()}
+    arrays: dict[str, Any] = {
+        name: np.empty((ends[-1], *shape), np.float32) for name, shape in shapes.items()
+    }
     sh = np.zeros((ends[-1], max(scene.sh.shape[1] for scene in scenes), 3), np.float32)
 
     def copy(scene: Scene, end: int):

@@ -4,6 +4,7 @@ file."""
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -73,6 +74,8 @@ class Scene:
     def select(self, index: np.ndarray) -> Scene:
         """Returns the scene with the Gaussians that a boolean mask (N,) marks, or that an integer array
         lists, in this order."""
-        arrays = {name: np.ascontiguousarray(getattr(self, name)[index]) for name in PARAMETERS}
+        arrays: dict[str, Any] = {
+            name: np.ascontiguousarray(getattr(self, name)[index]) for name in PARAMETERS
+        }
         attributes = {name: np.ascontiguousarray(column[index]) for name, column in self.attributes.items()}
         return replace(self, **arrays, attributes=attributes)

@@ -54,14 +54,9 @@ def read_in_child(
     """
     with tempfile.TemporaryDirectory() as temp_dir:
         out = Path(temp_dir) / "photos.npz"
-        request = {
-            "folder": str(folder),
-            "images": images,
-            "undistorted": str(undistorted or ""),
-            "out": str(out),
-        }
+        request = {"folder": str(folder), "images": images, "undistorted": str(undistorted or "")}
         status, result = subprocess_python.run(
-            [], "svrgs_addon.views.posed_photos", request, progress=progress
+            [], "svrgs_addon.views.posed_photos", request | {"out": str(out)}, progress=progress
         )
         if status or not out.exists():
             raise SceneError(result.get("error", f"{folder}: reading it failed"))
@@ -139,9 +134,8 @@ def _unpack(path: Path) -> PosedPhotos:
         ]
         files = [Path(str(file)) if file else None for file in data["files"]]
         warnings = tuple(str(sentence) for sentence in data["warnings"])
-        return PosedPhotos(
-            cameras, files, data["points"], data["point_colors"], int(data["distorted"]), warnings
-        )
+        points, colors = data["points"], data["point_colors"]
+        return PosedPhotos(cameras, files, points, colors, int(data["distorted"]), warnings)
 
 
 def _read_request(request: dict) -> dict:

@@ -33,9 +33,10 @@ class RenderedDataset(Dataset):
     def of(cls, scene: Any, train: list[Camera], test: list[Camera], **more: Any) -> RenderedDataset:
         """The dataset of some views to train on and others to test on. scene: a Scene, or what
         more["rasterizer"] renders. more: further fields."""
-        none = (np.empty((0, 3), np.float32), np.empty((0, 3), np.uint8))
+        points, colors = np.empty((0, 3), np.float32), np.empty((0, 3), np.uint8)
         views = list(range(len(train) + len(test)))
-        return cls(train + test, *none, views[: len(train)], views[len(train) :], scene=scene, **more)
+        split = views[: len(train)], views[len(train) :]
+        return cls(train + test, points, colors, *split, scene=scene, **more)
 
     @property
     def unexplained(self) -> float:

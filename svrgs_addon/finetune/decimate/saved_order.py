@@ -1,8 +1,9 @@
 """The files of an order, from which the scene with any number of Gaussians is put together at once.
 
-merged.ply   the M Gaussians that merging makes order.npy    (n, 3) int32: row of a Gaussian, among the N of
-the source and those M; the number of operations after which it is there, and after
-             which it is gone again. Gaussians that are close in space are close in the file.
+merged.ply    the M Gaussians that merging makes
+order.npy     (n, 3) int32: row of a Gaussian, among the N of the source and those M; the number of
+              operations after which it is there, and after which it is gone again. Gaussians that are
+              close in space are close in the file.
 """
 
 from __future__ import annotations

@@ -6,10 +6,9 @@ Densification is that of 3DGS.
 
 l are the opacity logits, o the opacities. r is adapted so that the opacity at the rank of the budget falls
 linearly to 0. Published: 8000 steps, the penalty in every 50th step, r adapted every 100 steps, Gaussians
-with o < 0.001 pruned after step 1000, the goal 0 after step
-7000. All these numbers scale with the length of the phase, except that two penalties are at least
-      LEAST_BETWEEN steps apart: in
-between, the photographs must have time to raise the opacity of the Gaussians that they need.
+with o < 0.001 pruned after step 1000, the goal 0 after step 7000. All these numbers scale with the length of
+the phase, except that two penalties are at least MIN_BETWEEN steps apart: in between, the photographs must
+have time to raise the opacity of the Gaussians that they need.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ from .base import REMOVE, Method
 # published; EASE: steps with the first form of the penalty, and with OPACITY_RATE after the trim
 STEPS, PRESS_EVERY, EASE = 8_000, 50, 1_000
 GOAL_ZERO = 7_000 / STEPS  # share of the phase after which the goal is 0
-LEAST_BETWEEN = 8  # least number of steps between two pressed steps
+MIN_BETWEEN = 8  # steps from one pressed step to the next
 SHARE_OF_TRAINING = 8 / 23  # published: pressure from step 15 000 to 23 000 of 23 000
 OPACITY_RATE = 4 * 0.025  # learning rate of opacity logits until EASE steps after the trim
 FINAL_OPACITY_RATE = 0.025  # the same, after that
@@ -121,7 +120,7 @@ class GNS(Method):
 
     def press_every(self, phase: Phase) -> int:
         """The number of steps from one pressed step to the next."""
-        return max(LEAST_BETWEEN, round(phase.steps * PRESS_EVERY / STEPS))
+        return max(MIN_BETWEEN, round(phase.steps * PRESS_EVERY / STEPS))
 
     def _presses(self, phase: Phase, number: int) -> bool:
         return not self.trimmed and (number - 1) % self.press_every(phase) == 0

@@ -14,7 +14,7 @@ from ...files.memory_mapped import mapped_scene
 from ...files.reading import MAX_IN_PARTS
 from ...files.registry import load_parts, size_on_disk, write_scene
 from ...render.metrics.explained import mismatch_of
-from ...render.metrics.format_loss import loss_notes
+from ...render.metrics.max_drop import loss_notes
 from ...views.dataset import Dataset
 from .block_rasterizer import BlockRasterizer
 from .divided import Divided, Tell, divide, gathered, scene_of

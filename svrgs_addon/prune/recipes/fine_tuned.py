@@ -33,8 +33,7 @@ from ...finetune.run import Run
 from ...native.rasterizer import Rasterizer, RenderOptions
 from ...render.metrics.evaluate import evaluate, mean_psnr, render_options
 from ...render.metrics.explained import mismatch_of
-from ...render.metrics.format_loss import format_loss
-from ...render.metrics.missed_drop import missed_drop
+from ...render.metrics.max_drop import format_loss, missed_drop
 from ...scene.gaussians import Scene
 from ...system import memory
 from ...system.errors import SceneError

@@ -35,9 +35,8 @@ from ...native.library import thresholds
 from ...native.rasterizer import Rasterizer
 from ...render.metrics import flip, psnr, ssim
 from ...render.metrics.evaluate import picture_options, render_options, rounded_to_8_bits
-from ...render.metrics.format_loss import ASSUMED, loss_notes
-from ...render.metrics.missed_drop import missed_drop
-from ...render.metrics.psnr import with_error
+from ...render.metrics.max_drop import ASSUMED, loss_notes, missed_drop
+from ...render.metrics.measures import with_error
 from ...scene.affine import scaled
 from ...scene.camera import Camera, evenly
 from ...scene.gaussians import Scene

@@ -18,7 +18,7 @@ from ...scene.camera import Camera
 from ...system.errors import SceneError
 from ...views.dataset import Dataset
 from . import flip, psnr, ssim
-from .psnr import with_error
+from .measures import with_error
 
 # Limits of refuse_unseen() and any_in_view().
 VISIBLE_CAMERAS = 32  # approximate number of cameras that are checked, evenly spaced in the list

@@ -11,9 +11,8 @@ from ...files.images import to_float
 from ...native.rasterizer import Rasterizer
 from ...scene.camera import Camera
 from ...views.dataset import Dataset
-from .arrays import image_pair
 from .evaluate import Renderable, Renderer, picture_options
-from .psnr import psnr
+from .measures import image_pair, psnr
 
 # Splats of four captures explain 0.82 to 0.98 of their own photographs, and less than -0.6 of those of
 # another capture. Objects before a black background explain up to 0.3 of each other.

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from ...system.errors import FormatError, SceneError
-from .arrays import image_pair
+from .measures import image_pair
 
 # VGG16 up to relu5_3: (index in torchvision's `features`, output channels) of each convolution, one row per
 # stage.

@@ -298,7 +298,7 @@ def side_of(setting: Around | Within, enlarged: float = 1.0) -> int:
     enlarged: how much wider they are than those of the result."""
     rows, distances = setting.distances()
     matter = setting.matter
-    focal = weighted_quantiles(distances / matter.widths[rows], matter.opacities[rows], 0.5)
+    focal = float(weighted_quantiles(distances / matter.widths[rows], matter.opacities[rows], 0.5))
     return int(np.clip(round(2 * setting.tangent * focal * enlarged / STEP) * STEP, SMALLEST, LARGEST))
 
 
