@@ -1,4 +1,4 @@
-"""Methods that cut by a rule of their own, in several looks or events: each rule against the float64
+"""Methods that cut by a rule of their own, in several passes or events: each rule against the float64
 reference."""
 
 from __future__ import annotations

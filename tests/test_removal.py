@@ -1,4 +1,4 @@
-"""Saliency of a Gaussian; `--method removal` and `saliency`: looks that remove the lowest."""
+"""Saliency of a Gaussian; `--method removal` and `saliency`: passes that remove the lowest."""
 
 import json
 import math
@@ -90,7 +90,7 @@ def test_those_of_lowest_removal_error_go_first(monkeypatch):
     monkeypatch.setattr(removal, "STEPS_PER_PASS", 2)
     monkeypatch.setattr(removal, "lowering", lambda steps: (1.0, 1.0))
     run = run_of(replace(prune_settings("removal", 32, 0), target=15))
-    run.advance()  # one step, and the first look
+    run.advance()  # one step, and the first pass
     left = set(run.model.origin)
     run.close()
     other = run_of(replace(prune_settings("3dgs", 0, 1)))
@@ -109,7 +109,7 @@ def test_the_target_is_approached_quickly_at_first_and_met(method, monkeypatch):
         counts[:32:2], [COUNT * (15 / COUNT) ** math.sqrt(k / PASSES) for k in range(1, PASSES + 1)], atol=1
     )
     assert counts[0] == counts[1] and counts[30] == counts[-1] == 15, (
-        "a look after the first step of each part"
+        "a pass after the first step of each part"
     )
 
 
@@ -154,7 +154,7 @@ def test_training_keeps_its_rates_until_gaussians_are_removed():
     assert train.rates == rates_for(train.steps, Rates(position_steps=3_000))
 
 
-def test_a_short_phase_has_fewer_looks():
+def test_a_short_phase_has_fewer_passes():
     counts = counts_of(run_of(replace(prune_settings("removal", 32, 4), target=15)))
     assert len(set(counts)) == FEWEST < PASSES and counts[-1] == 15
     assert [

@@ -51,6 +51,12 @@ class Curves:
     loss: list[float] = field(default_factory=list)
     psnr: list[float | None] = field(default_factory=list)
 
+    def add(self, iteration: int, count: int, loss: float, psnr: float | None):
+        self.iteration.append(iteration)
+        self.count.append(count)
+        self.loss.append(loss)
+        self.psnr.append(psnr)
+
 
 class Run:
     """One fine-tuning run: the model, the position in the schedule, and statistics. `advance()` does one
@@ -107,9 +113,8 @@ class Run:
         if not self.iteration:
             self._into_order()
         self._prepare(phase, number)
-        step = self._step(
-            phase, number, self.dataset.cameras[view].reduced(reduction), target, self.dataset.window(view)
-        )
+        camera, window = self.dataset.cameras[view].reduced(reduction), self.dataset.window(view)
+        step = self._step(phase, number, camera, target, window)
         size = size_of_step(self.plan, phase, self.iteration, self.model.count)
         result = self.engine.step(self.model.first(size) if size < self.model.count else self.model, step)
         self._record(result, step, view)
@@ -217,16 +222,10 @@ class Run:
         return self.engine.rasterizer
 
     def psnr(self, kept: np.ndarray | None) -> float:
-        views, masks_of_kept = quality_views(self.dataset), None if kept is None else kept.astype(np.uint8)
-        return mean_psnr(
-            self.model,
-            self.dataset,
-            views,
-            self.rasterizer,
-            self.score_options,
-            masks_of_kept,
-            self.dataset.unexplained,
-        )
+        what = self.model, self.dataset, quality_views(self.dataset)
+        masks_of_kept = None if kept is None else kept.astype(np.uint8)
+        error = self.dataset.unexplained
+        return mean_psnr(*what, self.rasterizer, self.score_options, masks_of_kept, error)
 
     @property
     def own(self) -> np.ndarray | None:
@@ -281,19 +280,11 @@ class Run:
             self._densify(phase, number, rule)
         if isinstance(rule, MCMC):
             if number < phase.steps:
-                mcmc.add_noise(
-                    self.model,
-                    rule,
-                    step.rates["means"],
-                    np.random.default_rng([self.plan.seed, 4, self.iteration]),
-                )
-        elif (
-            rule is not None
-            and number < rule.until
-            and number % rule.reset_every == 0
-            and number + rule.reset_every // RESETS_NEED <= phase.steps
-        ):
-            densify.reset_opacity(self.model)
+                rng = np.random.default_rng([self.plan.seed, 4, self.iteration])
+                mcmc.add_noise(self.model, rule, step.rates["means"], rng)
+        elif rule is not None and number < rule.until and number % rule.reset_every == 0:
+            if number + rule.reset_every // RESETS_NEED <= phase.steps:
+                densify.reset_opacity(self.model)
 
     def _densify(self, phase: Phase, number: int, rule: Densify):
         before = self.model.count

@@ -74,10 +74,8 @@ def saliency(
         removal_error += _removal_error(rasterizer, view, n)
         pixels = np.zeros(n, np.int64)
         rasterizer.add_scores(hits=pixels)
-        ids = rasterizer.visible()
-        mask_penalty[ids] += (
-            SHARE * rasterizer.backward({"mask": 2 * F}, ("masks",))["masks"] / np.maximum(pixels[ids], 1)
-        )
+        ids, d_masks = rasterizer.visible(), rasterizer.backward({"mask": 2 * F}, ("masks",))["masks"]
+        mask_penalty[ids] += SHARE * d_masks / np.maximum(pixels[ids], 1)
     return np.divide(removal_error, mask_penalty, out=np.zeros(n), where=mask_penalty > 0)
 
 

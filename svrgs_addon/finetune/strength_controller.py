@@ -71,9 +71,8 @@ class StrengthController:
         length = max(HOLD_FROM * phase.steps - self.begun, ahead)
         line = min((number + ahead - self.begun) / length, 1.0)
         error = ((line - self.last) / ahead - self.slope) * length
-        self.log_strength = min(
-            max(self.log_strength + GAIN * min(max(error, -1.0), 1.0), -LIMIT), self.largest
-        )
+        changed = self.log_strength + GAIN * min(max(error, -1.0), 1.0)
+        self.log_strength = min(max(changed, -LIMIT), self.largest)
 
     def progress(self, run: RunView, settled: float) -> float:
         """q. For a target, n is a weighted mean: the number that would stay by the masks alone (weight

@@ -56,6 +56,11 @@ class Surface:
     share: np.ndarray | None = None  # (H, W) float32, how much of each pixel it has; None: all of every pixel
     rest: Surface | None = None  # what the rest of each pixel shows
 
+    @classmethod
+    def black(cls, depth: np.ndarray) -> Surface:
+        """A surface that hides what is behind the depths (H, W), and shows nothing itself."""
+        return cls(depth, np.zeros((*depth.shape, 4), np.float32))
+
     @property
     def holes(self) -> np.ndarray:
         """(H, W) float32: how much of each pixel shows a holdout."""

@@ -1,7 +1,7 @@
 """GaussianPOP (arXiv 2602.06830): ranks by Delta SE, the squared error that the removal of a Gaussian causes
-(../saliency.py), in 8 looks.
+(../saliency.py), in 8 passes.
 
-After each look the Gaussians of lowest error are removed and the errors of the others are measured again,
+After each pass the Gaussians of lowest error are removed and the errors of the others are measured again,
 without training in between: only one of two Gaussians that can replace each other has a small error once the
 other one is gone.
 """
@@ -26,20 +26,19 @@ class GaussianPOP(Ranked):
         return removal_errors(scene, cameras, rasterizer, options)
 
     def cut(self, scene, cameras, rasterizer, options, count):
-        """The number of Gaussians falls by the same ratio at each look."""
+        """The number of Gaussians falls by the same ratio at each pass."""
         kept, start = np.ones(scene.count, bool), scene.count
-        for look in range(1, PASSES + 1):
+        for number in range(1, PASSES + 1):
             errors = removal_errors(scene, cameras, rasterizer, options, kept)
-            kept = top(
-                np.where(kept, errors, -1.0), round(start * (min(count, start) / start) ** (look / PASSES))
-            )
+            left = round(start * (min(count, start) / start) ** (number / PASSES))
+            kept = top(np.where(kept, errors, -1.0), left)
         return kept
 
 
 METHODS = (
     GaussianPOP(
         "gaussianpop",
-        "removes, in 8 looks, the Gaussians whose removal changes the photographs least",
+        "removes, in 8 passes, the Gaussians whose removal changes the photographs least",
         19,
         "GaussianPOP",
         source="GaussianPOP, arXiv 2602.06830",

@@ -58,13 +58,8 @@ class GNS(Method):
         press = round(iterations * SHARE_OF_TRAINING)
         train, *recover = super().train_phases(iterations, recovery, densify, coarse_until)
         train = replace(train, steps=iterations - press, active=False)
-        return [
-            train,
-            *pressure_phase(
-                press, *(train.rates.at(step, 1.0)["means"] for step in (train.steps, iterations))
-            ),
-            *recover,
-        ]
+        first, last = (train.rates.at(step, 1.0)["means"] for step in (train.steps, iterations))
+        return [train, *pressure_phase(press, first, last), *recover]
 
     def prune_phases(self, iterations: int, recovery: int, prune_every: int) -> list[Phase]:
         return [
@@ -88,13 +83,10 @@ class GNS(Method):
             self.first_goal = FIRST_GOAL * reached
         elif (number - 1) % (2 * self.press_every(phase)) == 0:
             goal = max(0.0, 1 - (number - 1) / (phase.steps * GOAL_ZERO)) * self.first_goal
-            self.factor *= (
-                LOWER
-                if reached < (1 - TOLERANCE) * goal
-                else RAISE
-                if reached > (1 + TOLERANCE) * goal
-                else 1
-            )
+            if reached < (1 - TOLERANCE) * goal:
+                self.factor *= LOWER
+            elif reached > (1 + TOLERANCE) * goal:
+                self.factor *= RAISE
 
     def terms(self, run: RunView, phase: Phase, number: int) -> dict:
         if self.trimmed:
