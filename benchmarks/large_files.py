@@ -24,8 +24,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from svrgs_addon.files.memory_mapped import mapped_scene
 from svrgs_addon.files.registry import load_parts, load_scene, size_on_disk, write_scene
-from svrgs_addon.files.spooled import spooled
 from svrgs_addon.scene.gaussians import Scene
 
 REPEATS, LARGE = 5, 5_000_000  # of LARGE Gaussians on, once
@@ -93,7 +93,7 @@ def main() -> int:
     large = words.count >= LARGE
     with tempfile.TemporaryDirectory() as folder:
         source = Path(folder) / "scene.ply"
-        with spooled(copies(load_scene(words.splat).scene, words.count), source) as scene:
+        with mapped_scene(copies(load_scene(words.splat).scene, words.count), source) as scene:
             degree = scene.sh_degree
             write_scene(source, scene)
         print(

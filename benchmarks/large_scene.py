@@ -30,8 +30,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from large_files import POLL, anonymous
+from svrgs_addon.files.memory_mapped import mapped_scene
 from svrgs_addon.files.registry import write_scene
-from svrgs_addon.files.spooled import spooled
 from svrgs_addon.scene.camera import Camera
 from svrgs_addon.scene.gaussians import Scene
 from svrgs_addon.views.cameras_json import write_cameras_json
@@ -135,7 +135,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory(dir=words.folder) as name:
         folder = Path(name)
         source = folder / "town.ply"
-        with spooled(town(words.count), source) as scene:
+        with mapped_scene(town(words.count), source) as scene:
             write_scene(source, scene)
         write_cameras_json(folder / "cameras.json", views(words.views))
         print(

@@ -109,11 +109,11 @@ REMOVAL = "from svrgs_addon.finetune.methods import removal; "
 ABLATION = {  # name of the run: Python code that changes the program before it runs
     "removal": "",
     "opacities not lowered": REMOVAL + "removal.lowering = lambda steps: (1.0, 1.0)",
-    "odds of opacities not lowered": REMOVAL + "removal.LEAST_ODDS = 1.0",
+    "odds of opacities not lowered": REMOVAL + "removal.MIN_ODDS_FACTOR = 1.0",
     "opacity rate the same in the whole phase": REMOVAL + "removal.FIRST_RATE = 1",
     "values not averaged": REMOVAL + "removal.AVERAGED = 0.0",
     "position rate of 3DGS at the end": REMOVAL + "removal.POSITION_LAST = 1.6e-6",
-    "8 looks": REMOVAL + "removal.LOOKS = 8",
+    "8 passes": REMOVAL + "removal.PASSES = 8",
     "opacity rate of the other methods": REMOVAL + "removal.OPACITY_RATE = 0.05",
 }
 STUDIES = {

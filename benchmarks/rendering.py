@@ -19,13 +19,14 @@ from types import SimpleNamespace
 import numpy as np
 
 from svrgs_addon.files.registry import load_scene
-from svrgs_addon.native.library import PARAMETERS, set_threads
+from svrgs_addon.native.library import set_threads
 from svrgs_addon.native.pictures import add_view
 from svrgs_addon.native.rasterizer import Rasterizer, RenderOptions
 from svrgs_addon.render.composite import composite
 from svrgs_addon.render.meshes import Triangles, surface
 from svrgs_addon.render.panorama import Panorama, composite_panorama, directions, patches
 from svrgs_addon.scene.camera import Camera
+from svrgs_addon.scene.gaussians import PARAMETERS
 from svrgs_addon.views.colmap import find_model, read_model
 from svrgs_bench.scenes import orbit_camera, room
 

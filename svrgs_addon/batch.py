@@ -36,18 +36,13 @@ def part(name: str):
 
 
 def run(words: list[str]) -> int:
-    packages, library, processes = (
-        part("system.wheels"),
-        part("native.library_path"),
-        part("system.processes"),
-    )
+    wheels, library, processes = map(part, ("system.wheels", "native.library_path", "system.processes"))
     own, extensions = blender_folders()
-    found = packages.find(own, extensions)
+    found = wheels.find(own, extensions)
     variables = part("system.subprocess_python").environment(found)
-    variables[part("system.packages").MISSING_VARIABLE] = packages.missing(found, extensions)
-    variables[library.LIBRARY_VARIABLE] = str(
-        library.library_path(folder / "svrgs_addon" for folder in extensions)
-    )
+    variables[part("system.packages").MISSING_VARIABLE] = wheels.missing(found, extensions)
+    path = library.library_path(folder / "svrgs_addon" for folder in extensions)
+    variables[library.LIBRARY_VARIABLE] = str(path)
     child = processes.ChildProcess([sys.executable, "-m", "svrgs_addon", *words], env=variables)
     for number in processes.stop_signals():
         signal.signal(number, lambda *_: child.ask_to_stop())
@@ -63,13 +58,8 @@ def blender_folders() -> tuple[list[Path], list[Path]]:
     bpy = sys.modules.get("bpy")  # only Blender has imported it already
     if bpy is None:
         return [], []
-    own = Path(
-        bpy.utils.resource_path("LOCAL"),
-        "python",
-        "lib",
-        f"python{sys.version_info[0]}.{sys.version_info[1]}",
-        "site-packages",
-    )
+    python = f"python{sys.version_info[0]}.{sys.version_info[1]}"
+    own = Path(bpy.utils.resource_path("LOCAL"), "python", "lib", python, "site-packages")
     extensions = [Path(repo.directory) / "svrgs" for repo in bpy.context.preferences.extensions.repos]
     return [own], [folder for folder in extensions if folder.is_dir()]
 

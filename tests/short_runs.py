@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from svrgs_addon.finetune.engine import StepResult
-from svrgs_addon.finetune.model import PARAMETERS, Model
+from svrgs_addon.finetune.model import Model
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.native.rasterizer import Rasterizer
 from svrgs_addon.render.metrics import psnr
-from svrgs_addon.scene.gaussians import Scene
+from svrgs_addon.scene.gaussians import PARAMETERS, Scene
 from svrgs_addon.views.dataset import Dataset
 
 

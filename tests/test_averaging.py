@@ -14,9 +14,10 @@ from plans import prune_settings
 from svrgs_addon.finetune import averaging
 from svrgs_addon.finetune.averaging import Average
 from svrgs_addon.finetune.engine import NativeEngine
-from svrgs_addon.finetune.model import PARAMETERS, Model
+from svrgs_addon.finetune.model import Model
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.settings import SAMPLES, Phase, Rates
+from svrgs_addon.scene.gaussians import PARAMETERS
 from svrgs_addon.system import memory
 
 STEPS = 60  # of the recovery
@@ -82,8 +83,8 @@ def test_steps_that_count_are_spread_over_the_last_ones(steps):
 
 def test_a_run_ends_with_the_mean_of_the_recovery():
     run, plain = run_of(), run_of()
-    plain.settings = replace(
-        plain.settings, phases=tuple(replace(phase, averaged=0.0) for phase in plain.settings.phases)
+    plain.plan = replace(
+        plain.plan, phases=tuple(replace(phase, averaged=0.0) for phase in plain.plan.phases)
     )
     seen = []
     while not run.finished:

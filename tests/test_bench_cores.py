@@ -8,7 +8,7 @@ import pytest
 from svrgs_addon.native import library
 from svrgs_addon.native.library import traced
 from svrgs_addon.native.rasterizer import Rasterizer, RenderOptions
-from svrgs_addon.system import processor
+from svrgs_bench import cores
 from svrgs_bench.cores import COUNTS, makespan, measure_cores
 from svrgs_bench.scenes import orbit_camera, room
 from svrgs_bench.timing import seconds
@@ -65,11 +65,11 @@ def test_more_threads_are_foreseen_to_be_faster_up_to_the_serial_part():
 
 
 def test_two_threads_of_a_core_count_once(tmp_path, monkeypatch):
-    monkeypatch.setattr(processor, "TOPOLOGY", tmp_path)
-    monkeypatch.setattr(processor.os, "sched_getaffinity", lambda _: {0, 1, 2, 5}, raising=False)
+    monkeypatch.setattr(cores, "TOPOLOGY", tmp_path)
+    monkeypatch.setattr(cores.os, "sched_getaffinity", lambda _: {0, 1, 2, 5}, raising=False)
     for number, siblings in ((0, "0,4"), (1, "1,5"), (2, "2,6"), (5, "1,5")):
         (tmp_path / f"cpu{number}/topology").mkdir(parents=True)
         (tmp_path / f"cpu{number}/topology/thread_siblings_list").write_text(siblings + "\n")
-    assert processor.cores() == 3
+    assert cores.physical_cores() == 3
     (tmp_path / "cpu5/topology/thread_siblings_list").unlink()
-    assert processor.cores() is None
+    assert cores.physical_cores() is None

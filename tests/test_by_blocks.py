@@ -13,7 +13,7 @@ from scenes import ball
 from svrgs_addon.files import ply
 from svrgs_addon.files.registry import load_scene, read_scene, size_on_disk, write_scene
 from svrgs_addon.files.streamed_sog import read_level
-from svrgs_addon.finetune.decimate.order import hidden, looks
+from svrgs_addon.finetune.decimate.order import hidden, visibility_sums
 from svrgs_addon.finetune.saliency import reduced
 from svrgs_addon.native.rasterizer import Rasterizer
 from svrgs_addon.prune import by_blocks, pipeline, plans
@@ -47,7 +47,7 @@ def short(monkeypatch):
 @pytest.fixture(autouse=True)
 def few_views(monkeypatch):
     monkeypatch.setattr(by_blocks, "QUICK_VIEWS", 12)
-    monkeypatch.setattr(place, "USUAL", 20)
+    monkeypatch.setattr(place, "USUAL_VIEWS", 20)
 
 
 @pytest.mark.slow
@@ -477,5 +477,5 @@ def test_only_some_jobs_can_be_done_by_blocks(tmp_path):
 def test_hidden_gaussians_are_counted(source):
     scene = load_scene(source).scene
     camera = place_rig(scene, views=1).cameras[0]
-    sums, _ = looks(scene, [camera], Rasterizer(), render_options(scene), pictures=False)
+    sums, _ = visibility_sums(scene, [camera], Rasterizer(), render_options(scene), pictures=False)
     assert 0.1 * COUNT < hidden(sums) < COUNT, "a ball hides its other side"

@@ -10,7 +10,7 @@ import pytest
 
 from svrgs_addon.cli import convert_scenes
 from svrgs_addon.cli.main import main
-from svrgs_addon.files import spooled
+from svrgs_addon.files import memory_mapped
 from svrgs_addon.files.registry import describe, read_scene, write_scene
 from svrgs_addon.files.streamed_sog import read_level
 from svrgs_addon.scene.morton_order import morton_order
@@ -142,7 +142,7 @@ def test_a_large_scene_is_converted_by_way_of_the_disk_to_the_same_file(tmp_path
     words = [str(tmp_path / "a.ply"), "--sh-degree", "1", "--rotate", "0,30,0", "--box", "-1,-1,-1,1,1,1"]
     assert main(["convert", *words, str(tmp_path / f"b{suffix}")]) == 0
     monkeypatch.setattr(convert_scenes, "LARGE", 0)
-    monkeypatch.setattr(spooled, "LARGE", 0)
+    monkeypatch.setattr(memory_mapped, "LARGE", 0)
     assert main(["convert", *words, str(tmp_path / f"c{suffix}")]) == 0
     one, other = (read_scene(tmp_path / f"{name}{suffix}") for name in "bc")
     assert (tmp_path / f"b{suffix}").read_bytes() == (
@@ -159,7 +159,7 @@ def test_a_full_disk_beside_the_output_is_told(tmp_path, capsys, monkeypatch):
     def full(*_, **__):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(spooled.tempfile, "TemporaryFile", full)
+    monkeypatch.setattr(memory_mapped.tempfile, "TemporaryFile", full)
     assert main(["convert", str(tmp_path / "a.ply"), str(tmp_path / "b.spz")]) == 2
     assert (
         "b.spz: needs more space in its folder" in capsys.readouterr().err

@@ -13,11 +13,12 @@ from native_helpers import some_moments
 from reference import loss as reference_loss
 from svrgs_addon.finetune import masks, torch_engine
 from svrgs_addon.finetune.engine import BETAS, NativeEngine, Step
-from svrgs_addon.finetune.model import MASK, PARAMETERS, Model
+from svrgs_addon.finetune.model import MASK, Model
 from svrgs_addon.finetune.moments import unpacked
 from svrgs_addon.finetune.settings import Rates
 from svrgs_addon.finetune.torch_engine import TorchEngine
 from svrgs_addon.native.rasterizer import Rasterizer, RenderOptions
+from svrgs_addon.scene.gaussians import PARAMETERS
 from svrgs_addon.system.errors import SceneError
 
 F32, F64 = np.dtype(np.float32), np.dtype(np.float64)

@@ -11,11 +11,11 @@ from plans import plan_of
 from short_runs import Puller, bits, logit, quality, to_the_end
 from svrgs_addon.finetune import masks
 from svrgs_addon.finetune.engine import NativeEngine
-from svrgs_addon.finetune.model import PARAMETERS, Model
+from svrgs_addon.finetune.model import Model
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.settings import Densify, Phase, Rates, recovery_phase
 from svrgs_addon.native.rasterizer import sample_masks
-from svrgs_addon.scene.gaussians import Scene
+from svrgs_addon.scene.gaussians import PARAMETERS, Scene
 from svrgs_addon.system.errors import SceneError
 
 # --- draws and decisions

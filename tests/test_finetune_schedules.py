@@ -96,7 +96,7 @@ def test_phases_follow_one_another_and_number_their_own_steps():
 
 def test_the_sh_degree_rises_every_thousand_steps_of_training():
     run = small_run(train_settings("svr", 30_000, 0))
-    (phase,) = run.settings.phases
+    (phase,) = run.plan.phases
     degrees = [
         run.render_options(phase, number).sh_degree for number in (1, 999, 1_000, 2_500, 3_000, 29_999)
     ]
@@ -105,7 +105,7 @@ def test_the_sh_degree_rises_every_thousand_steps_of_training():
 
 def test_a_short_training_learns_every_sh_degree_and_densifies():
     run = small_run(train_settings("3dgs", 700, 0, densify=Densify.within(700)))
-    (phase,) = run.settings.phases
+    (phase,) = run.plan.phases
     assert [run.render_options(phase, number).sh_degree for number in (99, 100, 299, 300)] == [0, 1, 2, 3]
     assert [number for number in range(1, 701) if run._densifies(phase, number)] == [200, 300]
 

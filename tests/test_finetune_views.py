@@ -13,7 +13,7 @@ from svrgs_addon.finetune.engine import NativeEngine, Step
 from svrgs_addon.finetune.model import Model
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.settings import Phase, Rates
-from svrgs_addon.finetune.views import LEFT_OUT, Views, as_real, fitting_reduction
+from svrgs_addon.finetune.view_order import LEFT_OUT, ViewOrder, as_real, fitting_reduction
 from svrgs_addon.native.rasterizer import Rasterizer, RenderOptions
 from svrgs_addon.render.metrics import psnr
 
@@ -22,7 +22,7 @@ F32 = np.dtype(np.float32)
 
 def views(seed: int, start: int, count: int, n: int = 5) -> list[int]:
     """The views shown from iteration `start` on; the first of them planned anew, as after a resume."""
-    order, shown = Views(list(range(10, 10 + n)), seed), []
+    order, shown = ViewOrder(list(range(10, 10 + n)), seed), []
     for iteration in range(start + count):
         view = order.rest()[0]
         order.shown(view, 1.0)
@@ -32,7 +32,7 @@ def views(seed: int, start: int, count: int, n: int = 5) -> list[int]:
 
 def epochs(losses, count: int, n: int = 16) -> list[set[int]]:
     """The views shown in each of `count` epochs by loss; losses(epoch, view) is what showing one reports."""
-    order, shown = Views(list(range(n)), 3, by_loss=True), []
+    order, shown = ViewOrder(list(range(n)), 3, by_loss=True), []
     for epoch in range(count):
         rest = order.rest()
         for view in rest:
@@ -52,7 +52,7 @@ def test_every_epoch_is_a_permutation_of_its_own():
 
 
 def test_what_is_left_of_an_epoch_is_what_will_be_shown():
-    order = Views([4, 7, 9, 11, 20], 2)
+    order = ViewOrder([4, 7, 9, 11, 20], 2)
     planned = order.rest()
     for k, view in enumerate(planned):
         assert order.rest() == planned[k:]
@@ -88,7 +88,7 @@ def test_by_loss_no_view_is_left_out_twice_in_a_row():
 
 
 def test_losses_are_smoothed_by_view():
-    order = Views([3], 0)
+    order = ViewOrder([3], 0)
     for loss in (4.0, 2.0, 1.0):
         order.shown(3, loss)
     assert order.losses.tolist() == [2.0]  # 4, then 3, then 2
@@ -201,7 +201,7 @@ def advance(run: Run, until: int) -> Run:
 
 @pytest.mark.parametrize(("factor", "sides"), [(2, [2] * 8 + [1] * 4), (4, [4] * 4 + [2] * 4 + [1] * 4)])
 def test_steps_look_at_reduced_photographs_until_told_otherwise(factor, sides, monkeypatch):
-    monkeypatch.setattr("svrgs_addon.finetune.views.MIN_SIDE", 1)
+    monkeypatch.setattr("svrgs_addon.finetune.view_order.MIN_SIDE", 1)
     phases = Phase("train", 12, Rates(), coarse_until=8, coarse_factor=factor), Phase("recover", 3, Rates())
     run = advance(run_of(*phases, engine=Watcher()), 15)
     assert run.engine.seen == [(WIDTH // side, HEIGHT // side) for side in sides + [1] * 3]

@@ -13,7 +13,7 @@ from svrgs_addon.files.registry import load_scene, read_scene, write_scene
 from svrgs_addon.native.rasterizer import Rasterizer
 from svrgs_addon.prune.options import PruneOptions
 from svrgs_addon.prune.pipeline import prune_scene
-from svrgs_addon.render.metrics.psnr import psnr
+from svrgs_addon.render.metrics.measures import psnr
 from svrgs_addon.system.errors import SceneError
 from svrgs_addon.views.rig.around import cameras_around
 from test_formats import by_gaussforge

@@ -14,10 +14,9 @@ import numpy as np
 import pytest
 
 from svrgs_addon.files.registry import read_scene, write_scene
-from svrgs_addon.finetune.decimate.order import looks, order_of
-from svrgs_addon.finetune.refit import Look, middle_scale, pace_for, refit
+from svrgs_addon.finetune.decimate.order import order_of, visibility_sums
+from svrgs_addon.finetune.refit import TrainingView, middle_scale, pace_for, refit
 from svrgs_addon.finetune.saliency import reduced
-from svrgs_addon.native.library import PARAMETERS
 from svrgs_addon.native.rasterizer import VISIBILITY, Rasterizer
 from svrgs_addon.prune.blocks.divided import Divided, divide, scene_of
 from svrgs_addon.prune.blocks.likeness import Likeness
@@ -27,6 +26,7 @@ from svrgs_addon.prune.blocks.scoring import UNITS, picture_path, score, total, 
 from svrgs_addon.prune.blocks.tuning import best_share, cut, mixed, tune, tuned_blocks
 from svrgs_addon.prune.blocks.visible import seen
 from svrgs_addon.render.metrics.evaluate import render_options
+from svrgs_addon.scene.gaussians import PARAMETERS
 from svrgs_addon.system.errors import FormatError, SceneError
 from svrgs_addon.views.cameras_json import write_cameras_json
 from svrgs_bench.scenes import orbit_camera, room
@@ -90,7 +90,7 @@ def test_scores_hardly_depend_on_the_parts_of_a_picture(source, cameras, whole, 
 
 
 def test_scores_are_what_the_views_see_of_the_scene_in_memory(source, cameras, whole):
-    expected, _ = looks(
+    expected, _ = visibility_sums(
         read_scene(source), reduced(cameras), Rasterizer(), render_options(read_scene(source)), pictures=False
     )
     scores = visibility(whole[1])
@@ -207,7 +207,7 @@ def test_blocks_and_formats_change_the_result_little(ordered, source, cameras, t
         return likeness.psnr(divide(tmp_path / name, tmp_path / f"{name}.blocks"))
 
     scene = read_scene(source)
-    sums, _ = looks(scene, reduced(cameras), Rasterizer(), render_options(scene), pictures=False)
+    sums, _ = visibility_sums(scene, reduced(cameras), Rasterizer(), render_options(scene), pictures=False)
     write_scene(tmp_path / "memory.ply", order_of(scene, sums, COUNT // 4).at(COUNT // 4))
     undivided = likeness.psnr(divide(tmp_path / "memory.ply", tmp_path / "memory"))
     exact, packed = psnr_of("a.ply"), psnr_of("a.spz")
@@ -244,7 +244,7 @@ def test_one_block_is_tuned_as_the_scene_in_memory(ordered, source, cameras):
     )
     expected = refit(
         scene,
-        list(map(Look, views, pictures)),
+        list(map(TrainingView, views, pictures)),
         9,
         pace_for(error),
         middle_scale(scene.log_scales),

@@ -19,7 +19,7 @@ from plans import prune_settings
 from svrgs_addon.files.registry import read_scene, write_scene
 from svrgs_addon.finetune.engine import NativeEngine
 from svrgs_addon.finetune.methods import METHODS
-from svrgs_addon.finetune.model import PARAMETERS, Model
+from svrgs_addon.finetune.model import Model
 from svrgs_addon.finetune.plan import Plan
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.jobs.job_recorder import PruneRecorder
@@ -32,7 +32,7 @@ from svrgs_addon.prune.blocks.request import FILE, Request, methods
 from svrgs_addon.prune.blocks.tuning import CUT, TUNED
 from svrgs_addon.prune.options import PruneOptions
 from svrgs_addon.render.metrics.evaluate import evaluate
-from svrgs_addon.scene.gaussians import Scene
+from svrgs_addon.scene.gaussians import PARAMETERS, Scene
 from svrgs_addon.system.errors import FormatError, MemoryShort, SceneError
 from svrgs_addon.views.dataset import Dataset, load_dataset
 from tiny_dataset import COUNT, FAINT

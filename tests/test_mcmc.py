@@ -163,11 +163,11 @@ def mcmc_run(engine=None, dtype=np.float32, method: str = "3dgs", **rule) -> Run
 def test_the_penalties_are_in_the_loss_of_every_step_of_training():
     run = mcmc_run()
     for number, phase in ((1, 0), (40, 0), (1, 1)):
-        step = run._step(run.settings.phases[phase], number, run.dataset.cameras[0], None)
+        step = run._step(run.plan.phases[phase], number, run.dataset.cameras[0], None)
         assert step.penalties == ((MeanOpacity(0.01), MeanScale(0.01)) if phase == 0 else ())
     pruning = mcmc_run(method="compact3dgs")
-    pruning._prepare(pruning.settings.phases[0], 1)
-    assert len(pruning._step(pruning.settings.phases[0], 1, pruning.dataset.cameras[0], None).penalties) == 3
+    pruning._prepare(pruning.plan.phases[0], 1)
+    assert len(pruning._step(pruning.plan.phases[0], 1, pruning.dataset.cameras[0], None).penalties) == 3
 
 
 # --- runs

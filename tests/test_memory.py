@@ -305,9 +305,9 @@ def test_files_with_more_gaussians_than_are_read_as_a_whole_are_converted(svrgs,
 METRICS = """
 import numpy as np
 from svrgs_addon.native import library
-from svrgs_addon.render.metrics.flip import flip
-from svrgs_addon.render.metrics.psnr import psnr
-from svrgs_addon.render.metrics.ssim import ssim
+from svrgs_addon.render.metrics.measures import flip
+from svrgs_addon.render.metrics.measures import psnr
+from svrgs_addon.render.metrics.measures import ssim
 from svrgs_addon.system.memory_limits import peak, proc_bytes
 library.set_threads(2)
 a, b = np.random.default_rng(0).random((2, 1500, 2000, 3), np.float32)

@@ -1,4 +1,4 @@
-"""Methods that cut by a rule of their own, in several looks or events: each rule against the float64
+"""Methods that cut by a rule of their own, in several passes or events: each rule against the float64
 reference."""
 
 from __future__ import annotations
@@ -18,12 +18,13 @@ from reference.rasterize import rotations
 from svrgs_addon.finetune import admm, redundancy, scores
 from svrgs_addon.finetune.engine import NativeEngine
 from svrgs_addon.finetune.methods import METHODS, popspa, speedy
-from svrgs_addon.finetune.methods.gaussianpop import LOOKS
-from svrgs_addon.finetune.model import MASK, PARAMETERS, Model
+from svrgs_addon.finetune.methods.gaussianpop import PASSES
+from svrgs_addon.finetune.model import MASK, Model
 from svrgs_addon.finetune.penalties import EffectiveRank
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.settings import Densify
 from svrgs_addon.native.rasterizer import RenderOptions
+from svrgs_addon.scene.gaussians import PARAMETERS
 from weights_of_pixels import expected_dominance, expected_slopes, weights
 
 # too small to be reduced
@@ -69,10 +70,10 @@ def test_gaussianpop_removes_in_looks_what_really_changes_the_pictures_least():
     scene = faint_scene(24, 5)
     expected = np.ones(24, bool)
     once = np.argsort(-removal_errors(scene, expected), kind="stable")[:6]
-    for look in range(1, LOOKS + 1):
+    for look in range(1, PASSES + 1):
         errors = removal_errors(scene, expected)
         expected = np.isin(
-            np.arange(24), np.argsort(-errors, kind="stable")[: round(24 * 0.25 ** (look / LOOKS))]
+            np.arange(24), np.argsort(-errors, kind="stable")[: round(24 * 0.25 ** (look / PASSES))]
         )
     r = rasterizer("float64")
     double = Model.of(scene, np.float64)
@@ -375,9 +376,9 @@ def test_reduced3dgs_penalises_the_opacity_of_what_the_view_sees():
     """0.001 times its mean: the gradient reaches the visible Gaussians alone, in both engines
     (test_methods.py runs them side by side)."""
     run = run_of("reduced3dgs", 150)
-    run._prepare(run.settings.phases[0], 1)
+    run._prepare(run.plan.phases[0], 1)
     step = run._step(
-        run.settings.phases[0],
+        run.plan.phases[0],
         1,
         run.dataset.cameras[0],
         np.ascontiguousarray(run.dataset.pictures[0] / 255, np.float32),

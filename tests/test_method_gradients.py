@@ -14,7 +14,7 @@ from pictures import photographed
 from plans import plan_of, train_settings
 from svrgs_addon.finetune.engine import NativeEngine, mask_logit_rows
 from svrgs_addon.finetune.methods import compact3dgs
-from svrgs_addon.finetune.model import MASK, PARAMETERS, Model
+from svrgs_addon.finetune.model import MASK, Model
 from svrgs_addon.finetune.penalties import (
     EffectiveRank,
     MeanExistence,
@@ -25,6 +25,7 @@ from svrgs_addon.finetune.penalties import (
 )
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.settings import Phase, Rates
+from svrgs_addon.scene.gaussians import PARAMETERS
 
 
 @pytest.mark.parametrize(
@@ -90,12 +91,12 @@ def test_a_closed_gate_neither_shows_nor_learns_from_the_image():
         replace(train_settings("compact3dgs", 10, 0), lambda_m=0.0),
         NativeEngine(),
     )
-    run._prepare(run.settings.phases[0], 1)
+    run._prepare(run.plan.phases[0], 1)
     run.model.values[MASK][:5] = compact3dgs.THRESHOLD - 1e-3
     before = {name: run.model.values[name][run.model.origin < 25].copy() for name in (*PARAMETERS, MASK)}
     closed = run.model.values[MASK] < compact3dgs.THRESHOLD
     step = run._step(
-        run.settings.phases[0],
+        run.plan.phases[0],
         1,
         run.dataset.cameras[0],
         np.ascontiguousarray(run.dataset.pictures[0] / 255, np.float32),

@@ -46,13 +46,12 @@ def test_maskgs_counts_in_its_window():
             train_settings("maskgs-alpha", steps, 0),
             None,
         )
-        run.method.prepare(run, run.settings.phases[0], 1)
+        run.method.prepare(run, run.plan.phases[0], 1)
         weights = [
-            run.method.terms(run, run.settings.phases[0], number)["lambda_m"]
-            for number in (*inside, *outside)
+            run.method.terms(run, run.plan.phases[0], number)["lambda_m"] for number in (*inside, *outside)
         ]
         assert weights == [0.1] * len(inside) + [0.0] * len(outside)
-        assert "masks" in run.method.terms(run, run.settings.phases[0], 1)
+        assert "masks" in run.method.terms(run, run.plan.phases[0], 1)
 
 
 @pytest.mark.parametrize(
@@ -65,10 +64,10 @@ def test_the_other_maskgs_count_all_the_time(method, weight):
         train_settings(method, 300, 0),
         None,
     )
-    run.method.prepare(run, run.settings.phases[0], 1)
-    assert {
-        run.method.terms(run, run.settings.phases[0], number)["lambda_m"] for number in (1, 150, 300)
-    } == {weight}
+    run.method.prepare(run, run.plan.phases[0], 1)
+    assert {run.method.terms(run, run.plan.phases[0], number)["lambda_m"] for number in (1, 150, 300)} == {
+        weight
+    }
 
 
 def test_maskgs_after_training_decides_once():

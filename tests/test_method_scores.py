@@ -17,11 +17,11 @@ from reference import rasterize as reference
 from svrgs_addon.finetune import scores, sensitivity
 from svrgs_addon.finetune.engine import NativeEngine
 from svrgs_addon.finetune.methods import METHODS, lightgaussian, method_named
-from svrgs_addon.finetune.model import PARAMETERS, Model
+from svrgs_addon.finetune.model import Model
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.settings import Densify
 from svrgs_addon.native.rasterizer import RenderOptions
-from svrgs_addon.scene.gaussians import Scene
+from svrgs_addon.scene.gaussians import PARAMETERS, Scene
 
 BACKGROUND = (0.2, 0.5, 0.9)
 

@@ -148,7 +148,7 @@ def test_logits_follow_their_gaussians(method):
     run.model.moments[MASK][:] = 0
     before = run.model.count
     run.statistics.total[:], run.statistics.views[:] = 1.0, 1  # everything grows
-    run._densify(run.settings.phases[0], 10, run.settings.phases[0].densify)
+    run._densify(run.plan.phases[0], 10, run.plan.phases[0].densify)
     run.model.reorder(rng.permutation(run.model.count))
     run.model.keep(rng.random(run.model.count) < 0.7)
     assert run.model.count != before and (run.model.origin == -1).any()

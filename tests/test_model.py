@@ -8,8 +8,8 @@ import pytest
 
 import scenes
 from short_runs import bits
-from svrgs_addon.finetune.model import MASK, PARAMETERS, Model, scene_from_points
-from svrgs_addon.scene.gaussians import SH_C0, Scene
+from svrgs_addon.finetune.model import MASK, Model, scene_from_points
+from svrgs_addon.scene.gaussians import PARAMETERS, SH_C0, Scene
 from svrgs_addon.system.errors import SceneError
 
 

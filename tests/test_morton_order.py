@@ -12,9 +12,10 @@ from pictures import photographed
 from plans import plan_of
 from svrgs_addon.finetune import checkpoint
 from svrgs_addon.finetune.engine import NativeEngine
-from svrgs_addon.finetune.model import PARAMETERS, Model
+from svrgs_addon.finetune.model import Model
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.settings import Densify, Phase, Rates, recovery_phase
+from svrgs_addon.scene.gaussians import PARAMETERS
 from svrgs_addon.scene.morton_order import BITS, morton_codes, morton_order, spread_bits
 
 
@@ -121,7 +122,7 @@ class Noting(Run):
 
     def _into_order(self):
         super()._into_order()
-        assert self.settings.spatial_order == bool((np.diff(morton_codes(self.model.means)) >= 0).all())
+        assert self.plan.spatial_order == bool((np.diff(morton_codes(self.model.means)) >= 0).all())
         self.ordered = [*getattr(self, "ordered", []), self.iteration]
 
 

@@ -21,13 +21,14 @@ from short_runs import bits, disturbed, to_the_end
 from svrgs_addon.cli.batch_list import expand
 from svrgs_addon.files.ply import read_ply
 from svrgs_addon.finetune.engine import NativeEngine
-from svrgs_addon.finetune.model import PARAMETERS, Model
+from svrgs_addon.finetune.model import Model
 from svrgs_addon.finetune.nested import SIZES, nested_order, size_of_step, smaller_sizes
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.saliency import removal_errors
 from svrgs_addon.jobs.job_process import Job
 from svrgs_addon.native.rasterizer import Rasterizer
 from svrgs_addon.prune.context import JobContext
+from svrgs_addon.scene.gaussians import PARAMETERS
 from svrgs_addon.system.errors import Cancelled, SceneError
 
 COUNT, SMALLEST = 60, 0.1
@@ -113,7 +114,7 @@ def test_smaller_numbers_of_gaussians_look_better_than_without():
     phases = (first, replace(recover, steps=600))
     run = to_the_end(run_of(replace(SETTINGS, phases=phases)))
     plain = to_the_end(run_of(replace(SETTINGS, phases=phases, nested=0.0)))
-    plain.settings = run.settings
+    plain.plan = run.plan
     order = nested_order(plain)
     for count in (20, 10):
         assert picture_of(run, np.arange(count)) > picture_of(plain, order[:count]) + 1

@@ -13,7 +13,7 @@ from scenes import ball
 from svrgs_addon.files.ply import read_ply, write_ply
 from svrgs_addon.files.registry import read_scene
 from svrgs_addon.files.streamed_sog import read_level
-from svrgs_addon.finetune.decimate.order import looks, order_of
+from svrgs_addon.finetune.decimate.order import order_of, visibility_sums
 from svrgs_addon.finetune.refit import interpolated
 from svrgs_addon.native.rasterizer import Rasterizer
 from svrgs_addon.prune import pipeline, smallest_file
@@ -21,7 +21,7 @@ from svrgs_addon.prune.context import JobContext
 from svrgs_addon.prune.options import PruneOptions
 from svrgs_addon.prune.recipes.quick import Quick
 from svrgs_addon.render.metrics.evaluate import render_options
-from svrgs_addon.render.metrics.psnr import psnr
+from svrgs_addon.render.metrics.measures import psnr
 from svrgs_addon.scene.gaussians import Scene
 from svrgs_addon.system.errors import Cancelled, SceneError
 from svrgs_addon.views.rig.around import cameras_around, middle_and_radius
@@ -44,7 +44,7 @@ def run(path, **more) -> dict:
 @pytest.fixture(scope="module")
 def ordered():
     scene, rasterizer = ball(), Rasterizer()
-    sums, pictures = looks(scene, cameras_around(scene, 12, 128), rasterizer, render_options(scene))
+    sums, pictures = visibility_sums(scene, cameras_around(scene, 12, 128), rasterizer, render_options(scene))
     return scene, order_of(scene, sums, 50), pictures, rasterizer
 
 
@@ -64,8 +64,8 @@ def test_pictures_that_nobody_wants_are_not_rendered(ordered):
     scene, _, pictures, rasterizer = ordered
     cameras, options = cameras_around(scene, 12, 128), render_options(scene)
     with_pictures, without = (
-        looks(scene, cameras, rasterizer, options),
-        looks(scene, cameras, rasterizer, options, pictures=False),
+        visibility_sums(scene, cameras, rasterizer, options),
+        visibility_sums(scene, cameras, rasterizer, options, pictures=False),
     )
     assert len(pictures) == 12 and without[1] == [] and (with_pictures[0] == without[0]).all()
 

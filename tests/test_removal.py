@@ -1,4 +1,4 @@
-"""Saliency of a Gaussian; `--method removal` and `saliency`: looks that remove the lowest."""
+"""Saliency of a Gaussian; `--method removal` and `saliency`: passes that remove the lowest."""
 
 import json
 import math
@@ -13,7 +13,7 @@ from plans import prune_settings, train_settings
 from svrgs_addon.finetune import settings
 from svrgs_addon.finetune.engine import NativeEngine
 from svrgs_addon.finetune.methods import removal
-from svrgs_addon.finetune.methods.removal import FEWEST, LOOKS, STEPS_PER_LOOK, number_of_looks
+from svrgs_addon.finetune.methods.removal import FEWEST, PASSES, STEPS_PER_PASS, number_of_passes
 from svrgs_addon.finetune.model import Model
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.saliency import SHARE, removal_errors, saliency, views_that_see
@@ -87,10 +87,10 @@ def test_a_lambda_above_every_saliency_is_refused_at_once():
 
 def test_those_of_lowest_removal_error_go_first(monkeypatch):
     monkeypatch.setattr(settings, "USUAL_STEPS", 1)
-    monkeypatch.setattr(removal, "STEPS_PER_LOOK", 2)
+    monkeypatch.setattr(removal, "STEPS_PER_PASS", 2)
     monkeypatch.setattr(removal, "lowering", lambda steps: (1.0, 1.0))
     run = run_of(replace(prune_settings("removal", 32, 0), target=15))
-    run.advance()  # one step, and the first look
+    run.advance()  # one step, and the first pass
     left = set(run.model.origin)
     run.close()
     other = run_of(replace(prune_settings("3dgs", 0, 1)))
@@ -103,13 +103,13 @@ def test_those_of_lowest_removal_error_go_first(monkeypatch):
 
 @pytest.mark.parametrize("method", ["removal", "saliency"])
 def test_the_target_is_approached_quickly_at_first_and_met(method, monkeypatch):
-    monkeypatch.setattr(removal, "STEPS_PER_LOOK", 2)
+    monkeypatch.setattr(removal, "STEPS_PER_PASS", 2)
     counts = counts_of(run_of(replace(prune_settings(method, 32, 4), target=15)))
     np.testing.assert_allclose(
-        counts[:32:2], [COUNT * (15 / COUNT) ** math.sqrt(k / LOOKS) for k in range(1, LOOKS + 1)], atol=1
+        counts[:32:2], [COUNT * (15 / COUNT) ** math.sqrt(k / PASSES) for k in range(1, PASSES + 1)], atol=1
     )
     assert counts[0] == counts[1] and counts[30] == counts[-1] == 15, (
-        "a look after the first step of each part"
+        "a pass after the first step of each part"
     )
 
 
@@ -132,7 +132,7 @@ def test_the_fewer_are_left_the_larger_the_steps(left, larger):
     run = run_of(replace(prune_settings("removal", 12_800, 12_800), target=15))
     run.method.count = COUNT
     run.model.keep(np.arange(COUNT) < left)
-    for phase in run.settings.phases:
+    for phase in run.plan.phases:
         usual, rates = phase.rates.at(7, run.extent), run.method.rates(run, phase, 7)
         for name in ("log_scales", "quats", "sh", "sh_rest"):
             assert rates[name] == pytest.approx(larger * usual[name])
@@ -146,7 +146,7 @@ def test_steps_are_never_larger_than_four_times_those_of_3dgs():
     run = run_of(replace(prune_settings("removal", 40, 40), target=15))
     run.method.count = COUNT
     run.model.keep(np.arange(COUNT) < 5)
-    assert run.method.rates(run, run.settings.phases[0], 1) == run.settings.phases[0].rates.at(1, run.extent)
+    assert run.method.rates(run, run.plan.phases[0], 1) == run.plan.phases[0].rates.at(1, run.extent)
 
 
 def test_training_keeps_its_rates_until_gaussians_are_removed():
@@ -154,12 +154,12 @@ def test_training_keeps_its_rates_until_gaussians_are_removed():
     assert train.rates == rates_for(train.steps, Rates(position_steps=3_000))
 
 
-def test_a_short_phase_has_fewer_looks():
+def test_a_short_phase_has_fewer_passes():
     counts = counts_of(run_of(replace(prune_settings("removal", 32, 4), target=15)))
-    assert len(set(counts)) == FEWEST < LOOKS and counts[-1] == 15
+    assert len(set(counts)) == FEWEST < PASSES and counts[-1] == 15
     assert [
-        number_of_looks(steps) for steps in (1, FEWEST, 8 * STEPS_PER_LOOK, LOOKS * STEPS_PER_LOOK, 10_000)
-    ] == [1, FEWEST, 8, LOOKS, LOOKS]
+        number_of_passes(steps) for steps in (1, FEWEST, 8 * STEPS_PER_PASS, PASSES * STEPS_PER_PASS, 10_000)
+    ] == [1, FEWEST, 8, PASSES, PASSES]
 
 
 @pytest.mark.parametrize("steps", [1, 5, 17])

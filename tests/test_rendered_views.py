@@ -20,7 +20,7 @@ from svrgs_addon.prune.options import PruneOptions
 from svrgs_addon.prune.pipeline import prune_scene
 from svrgs_addon.prune.rendered_views import LONGEST, rendered_dataset
 from svrgs_addon.render.metrics.evaluate import render_options
-from svrgs_addon.render.metrics.psnr import psnr, with_error
+from svrgs_addon.render.metrics.measures import psnr, with_error
 from svrgs_addon.scene.camera import Camera
 from svrgs_addon.system.errors import Cancelled, FormatError, SceneError
 from svrgs_addon.views.camera_files import load_cameras
@@ -28,7 +28,8 @@ from svrgs_addon.views.cameras_json import load_cameras_json, write_cameras_json
 from svrgs_addon.views.rig import place
 from svrgs_addon.views.rig.around import cameras_around
 
-FEW = {"FIRST": 12, "SECOND": 4, "LEAST": 8, "MOST": 12, "USUAL": 16}  # views of a rig in these tests
+# views of a rig in these tests
+FEW = {"FIRST": 12, "SECOND": 4, "MIN_CHOSEN": 8, "MAX_CHOSEN": 12, "USUAL_VIEWS": 16}
 
 
 @pytest.fixture(autouse=True)

@@ -215,7 +215,7 @@ def stopped(svrgs, tiny, tmp_path, monkeypatch) -> Path:
 
     def kill(run: Run):
         if (
-            run.settings.phases[0].active
+            run.plan.phases[0].active
             or not run.iteration
             or not list(tmp_path.glob("o.ply.blocks/tuned/0.rows"))
         ):

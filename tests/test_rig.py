@@ -10,12 +10,12 @@ import pytest
 from svrgs_addon.native import library
 from svrgs_addon.native.library import thresholds
 from svrgs_addon.native.rasterizer import Rasterizer, RenderOptions
+from svrgs_addon.scene.concatenate import concatenated
 from svrgs_addon.scene.gaussians import Scene
-from svrgs_addon.scene.merge import merged
 from svrgs_addon.system.errors import SceneError
 from svrgs_addon.views.rig import Rig, place_rig, quick_rig
 from svrgs_addon.views.rig.around import cameras_around, middle_and_radius
-from svrgs_addon.views.rig.place import MOST, OUTSIDE
+from svrgs_addon.views.rig.place import MAX_CHOSEN, OUTSIDE
 from svrgs_addon.views.rig.preview import COLORS, preview
 
 
@@ -100,7 +100,7 @@ def test_what_hides_behind_the_walls_of_a_room_is_looked_at_from_inside_alone():
         opacity_logits=np.full(walls.count, 6, np.float32),
         log_scales=walls.log_scales + np.float32(np.log(2)),
     )
-    scene = merged([walls, dataclasses.replace(things, log_scales=things.log_scales - 2)])
+    scene = concatenated([walls, dataclasses.replace(things, log_scales=things.log_scales - 2)])
     rig = place_rig(scene, held_out=8)
     assert rig.inside_out and within_the_room(rig).all()
 
@@ -124,7 +124,7 @@ def test_nearly_all_is_seen_by_three_views(scene):
 def test_a_porous_object_takes_as_many_views_as_there_may_be():
     """Its inner Gaussians are seen through gaps, from few places; the rig says how much it sees."""
     rig = place_rig(solid())
-    assert len(rig.cameras) >= MOST and rig.seen is not None and 0.96 < rig.seen < 0.995
+    assert len(rig.cameras) >= MAX_CHOSEN and rig.seen is not None and 0.96 < rig.seen < 0.995
 
 
 def test_a_picture_shows_the_cameras_and_hides_those_behind_the_scene():

@@ -13,10 +13,10 @@ import pytest
 from scipy.spatial import cKDTree
 
 from svrgs_addon.files import sog, streamed_sog
-from svrgs_addon.files.opened import MAX_COUNT
+from svrgs_addon.files.reading import MAX_COUNT
 from svrgs_addon.files.registry import describe, read_scene, size_on_disk, split_name, write_scene
-from svrgs_addon.files.splat_format import joined
 from svrgs_addon.files.streamed_sog import read_level, write_levels
+from svrgs_addon.scene.concatenate import concatenated
 from svrgs_addon.scene.gaussians import Scene
 from svrgs_addon.system.errors import FormatError, SceneError, TooMany
 from test_formats import like_trained
@@ -99,7 +99,7 @@ def test_boxes_hold_those_below_them(town):
 
 def test_every_level_is_what_was_written(town):
     for level, scene in enumerate(levels_of()):
-        found = joined(list(read_level(town, level)))
+        found = concatenated(list(read_level(town, level)), columns=True)
         assert found.count == scene.count and found.sh_degree == 1
         distances, _ = cKDTree(scene.means).query(found.means)
         assert distances.max() < 0.001

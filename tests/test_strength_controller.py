@@ -15,7 +15,7 @@ import tiny_dataset
 import whole_jobs
 from plans import prune_settings
 from svrgs_addon.files import compressed_ply
-from svrgs_addon.files.registry import as_held, load_scene
+from svrgs_addon.files.registry import as_stored, load_scene
 from svrgs_addon.finetune import checkpoint, quality, recovery_pruning
 from svrgs_addon.finetune.engine import NativeEngine
 from svrgs_addon.finetune.methods import method_named
@@ -226,7 +226,7 @@ def test_an_allowed_drop_keeps_a_twentieth_at_least_and_needs_photographs_that_s
         quality.LEAST * run.model.count
     )
     run.recovery_pruning.before_step(run)
-    black = replace(run.settings, max_drop=60.0)
+    black = replace(run.plan, max_drop=60.0)
     with pytest.raises(SceneError, match="even an empty scene loses less than the 60 dB allowed"):
         RecoveryPruning().before_step(
             Run(Model.of(load_scene(tiny.splat).scene), data, black, NativeEngine())
@@ -256,7 +256,7 @@ def test_a_drop_counts_what_the_format_of_the_output_loses(tiny, data, tmp_path)
     recipe = fine_tuned.FineTuned(tiny.splat, settings, JobContext(tmp_path / "o.ply"), lambda _: data)
     recipe.open()
     recipe.views()
-    seen = recipe.measured(as_held(source, compressed_ply.FORMAT), tiny.splat)
+    seen = recipe.measured(as_stored(source, compressed_ply.FORMAT), tiny.splat)
     assert 2.0 - left == pytest.approx(max(0.0, held - seen["psnr"]), abs=1e-3) and left < 2.0
     assert fine_tuned.without_format_loss(source, data, settings, tmp_path / "o.ply").max_drop == 2.0
     with pytest.raises(SceneError, match="o.splat: the format alone loses"):

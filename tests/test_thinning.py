@@ -9,7 +9,7 @@ import pytest
 
 from svrgs_addon.native.rasterizer import Rasterizer, RenderOptions
 from svrgs_addon.render import thinning
-from svrgs_addon.render.metrics.psnr import psnr
+from svrgs_addon.render.metrics.measures import psnr
 from svrgs_addon.render.thinning import GROUP, Thinning, thinned
 from svrgs_addon.scene.morton_order import morton_order
 from svrgs_bench.scenes import orbit_camera, room
@@ -65,7 +65,7 @@ def test_parts_and_remainders_have_no_seams(scene, monkeypatch):
 
 
 def test_only_where_many_are_seen_fewer_are_drawn(scene, monkeypatch):
-    monkeypatch.setattr(thinning, "MOST", 20_000)
+    monkeypatch.setattr(thinning, "MAX_SEEN", 20_000)
     choice, rasterizer, drawn = Thinning(scene), Rasterizer(), []
     near = orbit_camera(160, 90, 0.1)
     K = near.K.copy()

@@ -129,7 +129,7 @@ def test_a_method_foresees_its_looks(method, data, tiny, monkeypatch):
     while not run.finished:
         run.advance()
     run.close()
-    foreseen = plan.method.looks(plan, 0 if plan.method.ranks else 120, 60 / scene.count)
+    foreseen = plan.method.ranking_passes(plan, 0 if plan.method.ranks else 120, 60 / scene.count)
     assert calls == [len(data.train_indices)] * len(foreseen) and bool(foreseen) == (method in LOOKING)
     assert foreseen == sorted(foreseen, key=lambda look: look[0]) and all(
         left == pytest.approx(60 / scene.count) for _, left in foreseen[-1:]

@@ -8,7 +8,7 @@ import torch
 
 from native_helpers import BACKGROUND
 from reference import rasterize as reference
-from svrgs_addon.finetune.model import PARAMETERS
+from svrgs_addon.scene.gaussians import PARAMETERS
 
 
 def parts(scene, camera, antialiased: bool = False):

@@ -7,8 +7,8 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from svrgs_addon.finetune.model import PARAMETERS
 from svrgs_addon.native.rasterizer import Rasterizer, RenderOptions
+from svrgs_addon.scene.gaussians import PARAMETERS
 
 from .cases import Case
 from .trial import LAMBDA_F, WANTED, drawn_masks, target_of

@@ -12,13 +12,14 @@ clock rate that falls as more cores work, slow both down.
 from __future__ import annotations
 
 import heapq
+import os
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 
 from svrgs_addon.native import library
 from svrgs_addon.native.library import traced
-from svrgs_addon.system.processor import cores
 
 from .cases import Case
 from .measure import PEAK_READINGS
@@ -27,6 +28,7 @@ from .timing import ratio, seconds
 from .trial import Trial
 
 COUNTS = (1, 2, 4, 8, 16, 32, 64)  # of threads
+TOPOLOGY = Path("/sys/devices/system/cpu")
 CASES = ((100_000, (1280, 720)), (500_000, (640, 360)))  # Gaussians, image size
 
 
@@ -41,7 +43,25 @@ def measure_cores(repeat: int, tell: Callable[[str], None], cases=CASES) -> dict
             facts = {"count": count, "width": size[0], "height": size[1], "what": name}
             entries.append(facts | _foreseen(call, repeat) | _measured(call, repeat))
     library.set_threads(0)
-    return {"cores": cores(), "threads": library.threads(), "arithmetic": _arithmetic(), "entries": entries}
+    return {
+        "cores": physical_cores(),
+        "threads": library.threads(),
+        "arithmetic": _arithmetic(),
+        "entries": entries,
+    }
+
+
+def physical_cores() -> int | None:
+    """The number of cores that this process may use. Two threads of one core (SMT) count once. None if that
+    is not known, which it is on Linux alone."""
+    try:
+        siblings = {
+            (TOPOLOGY / f"cpu{number}/topology/thread_siblings_list").read_text().strip()
+            for number in os.sched_getaffinity(0)
+        }
+    except (AttributeError, OSError):
+        return None
+    return len(siblings)
 
 
 def _foreseen(call: Callable[[], object], repeat: int) -> dict:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from svrgs_addon.finetune.engine import NativeEngine, Step
-from svrgs_addon.finetune.model import MASK, PARAMETERS, Model
+from svrgs_addon.finetune.model import MASK, Model
 from svrgs_addon.native.rasterizer import RenderOptions, sample_masks
+from svrgs_addon.scene.gaussians import PARAMETERS
 
 from .cases import Case
 

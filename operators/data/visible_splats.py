@@ -19,8 +19,8 @@ from ...svrgs_addon.render.meshes import Surface, Triangles, surface
 from ...svrgs_addon.render.thinning import Thinning
 from ...svrgs_addon.scene.affine import UNIFORM, stretch, transformed
 from ...svrgs_addon.scene.camera import Camera
+from ...svrgs_addon.scene.concatenate import concatenated
 from ...svrgs_addon.scene.gaussians import Scene
-from ...svrgs_addon.scene.merge import merged
 from ...svrgs_addon.system.errors import SceneError
 from ...svrgs_addon.views.lens import camera_of_projection
 from . import camera_object, quick_order, splat_object
@@ -132,7 +132,9 @@ def placed(scenes: list[tuple[Scene, Matrix]]) -> PlacedScene:
     scene, matrix = scenes[0]
     if len(scenes) == 1 and matrix.determinant() > 0 and stretch(matrix) - 1 <= UNIFORM:
         return PlacedScene(scene, matrix)
-    return PlacedScene(merged([transformed(scene, np.array(matrix)) for scene, matrix in scenes]), Matrix())
+    return PlacedScene(
+        concatenated([transformed(scene, np.array(matrix)) for scene, matrix in scenes]), Matrix()
+    )
 
 
 def camera(depsgraph: bpy.types.Depsgraph, override: bpy.types.Object | None = None) -> bpy.types.Object:

@@ -10,8 +10,8 @@ from bpy.props import BoolProperty, EnumProperty
 from ...svrgs_addon.files.registry import FORMATS
 from ...svrgs_addon.files.repair import drop_nonfinite
 from ...svrgs_addon.scene.affine import UNIFORM, stretch, transformed
+from ...svrgs_addon.scene.concatenate import concatenated
 from ...svrgs_addon.scene.gaussians import Scene
-from ...svrgs_addon.scene.merge import joined
 from ...svrgs_addon.system.errors import SceneError
 from ..data import splat_object, visible_splats
 from ..jobs import job_result
@@ -98,7 +98,7 @@ class ExportSpace:
         if any(stretch(matrix) - 1 > 10 * UNIFORM for matrix in matrices):
             self.report({"WARNING"}, stretch_warning(obj))  # type: ignore[attr-defined]  # of the operator
         placed = [transformed(scene, matrix) for (scene, _), matrix in zip(parts, matrices, strict=True)]
-        return drop_nonfinite(joined(placed) if len(placed) > 1 else placed[0])
+        return drop_nonfinite(concatenated(placed, columns=True))
 
     def to_space(self, obj: bpy.types.Object, matrix):
         """(4, 4) from the object's coordinates to those of the file. matrix: from them to Blender's world."""

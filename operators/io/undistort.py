@@ -36,13 +36,13 @@ class Undistorting:
     def run(self):
         """In a thread, which must not use bpy."""
         try:
-            self.photos = read_in_child(*self.request, tell=self._tell)
+            self.photos = read_in_child(*self.request, progress=self._progress)
         except (SplatError, OSError) as error:
             self.error = str(error)
         finally:
             self.ended = True
 
-    def _tell(self, done: int, total: int):
+    def _progress(self, done: int, total: int):
         self.progress = done, total
 
 

@@ -14,7 +14,7 @@ from bpy.app.translations import pgettext_iface as tr
 from bpy.app.translations import pgettext_n as n_
 
 from ...svrgs_addon.scene.affine import UNIFORM, stretch, transformed
-from ...svrgs_addon.scene.merge import joined
+from ...svrgs_addon.scene.concatenate import concatenated
 from ...svrgs_addon.system.errors import SceneError
 from ..data import edit_guard, known, splat_object
 from ..data.reporting import ReportingOperator
@@ -110,7 +110,7 @@ class SVRGS_OT_join_splats(SplatsOperator):
             matrix = splat_object.between(obj, first)
             self.warn_if_stretched(obj, matrix)
             scenes.append(transformed(splat_object.scene_from_object(obj), matrix))
-        result = joined(scenes)
+        result = concatenated(scenes, columns=True)
         splat_object.replace_gaussians(first, result)
         for obj in others:
             splat_object.delete(obj)

@@ -15,7 +15,7 @@ import numpy as np
 from ..files import registry
 from ..files.atomic import check_writable
 from ..files.level_files import holds_levels
-from ..files.spooled import spooled
+from ..files.memory_mapped import mapped_scene
 from ..files.streamed_sog import write_levels
 from ..prune.selection.criteria import in_box
 from ..scene.affine import scaled, transformed
@@ -105,7 +105,7 @@ def _loaded(path: Path, out: Path, options: ConvertOptions) -> Iterator[Scene]:
     if whole := _whole(path):
         yield _changed(whole, options)
         return
-    with spooled((_changed(part, options) for part in registry.load_parts(path)), out) as scene:
+    with mapped_scene((_changed(part, options) for part in registry.load_parts(path)), out) as scene:
         yield scene
 
 

@@ -9,9 +9,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from ..files.atomic import check_writable
+from ..files.memory_mapped import mapped_scene
 from ..files.registry import format_to_write, read_parts, read_scene, refuse_input, write_scene
 from ..files.repair import unusable
-from ..files.spooled import spooled
 from ..prune.selection.options import OF_ONE, OF_VIEWS, SelectOptions
 from ..prune.selection.select import selected
 from ..scene.camera import Camera
@@ -38,7 +38,7 @@ def select_gaussians(words: argparse.Namespace) -> dict:
     result = {"count": 0, "selected": 0, "unusable": 0, "out": options.out and str(options.out)}
     some = _selected(_parts(words.scene, options, cameras), options, cameras, result)
     if options.out:
-        with spooled(some, options.out) as scene:
+        with mapped_scene(some, options.out) as scene:
             if not scene.count:
                 raise SceneError(
                     f"{words.scene}: no Gaussian fulfils the criteria, so no file was written; leave out"

@@ -1,11 +1,12 @@
 """The compressed PLY of PlayCanvas: 256 Gaussians in a row share ranges, within which their values have 8 to
 11 bits.
 
-element chunk    ranges of position, log-scale and base colour; early files have no ranges of the colour,
-which is then 0 to 1 element vertex   packed_position, packed_scale: 11, 10, 11 bits; packed_rotation:
-position of the largest component, 2 bits, and the others, 10
-                 bits each, of (w, x, y, z); packed_color: red, green, blue, opacity, 8 bits each
-element sh       f_rest_0 ..., 8 bits each, from -4 to 4, in the order of 3DGS; left out for degree 0
+    chunk     ranges of position, log-scale and base colour; early files have no ranges of the colour, which
+              is then 0 to 1
+    vertex    packed_position, packed_scale: 11, 10, 11 bits; packed_rotation: of (w, x, y, z), the position
+              of the largest component, 2 bits, and the others, 10 bits each; packed_color: red, green, blue,
+              opacity, 8 bits each
+    sh        f_rest_0 ..., 8 bits each, from -4 to 4, in the order of 3DGS; left out for degree 0
 
 Axes are those of 3DGS. A writer orders the Gaussians by their places, so that ranges are small.
 """
@@ -23,10 +24,9 @@ from ..scene.gaussians import SH_COEFFICIENTS, Scene
 from ..scene.morton_order import morton_order
 from ..system.errors import FormatError
 from .atomic import atomic_write, check_space
-from .opened import MAX_COUNT, opened, refuse_unpacking, rows_at, size_of
-from .ply_header import MAX_HEADER_BYTES, Header, format_header, parse_header
-from .ply_text import is_mip, written_comments
+from .ply_header import MAX_HEADER_BYTES, Header, format_header, is_mip, parse_header, written_comments
 from .quantised import alphas_of, colors_of_sh, logits_of, quats_of_three, sh_of_colors, three_of_quats
+from .reading import MAX_COUNT, open_splat, refuse_unpacking, rows_at, size_of
 from .splat_format import SplatFormat
 
 CHUNK = 256  # Gaussians
@@ -69,7 +69,7 @@ def sniff(head: bytes) -> bool:
 
 def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[Scene]:
     """The Gaussians in file order, in parts. Raises FormatError, which names the file."""
-    with opened(path) as file:
+    with open_splat(path) as file:
         layout = _checked(file, max_count)
         for start in range(0, max(layout.count, 1), PART):
             yield _part(file, layout, start, min(PART, layout.count - start))
@@ -82,6 +82,7 @@ def write(path: str | os.PathLike, scene: Scene):
     check_space(path, len(head) + file_body(scene))
     order = morton_order(scene.means)
     rows_at = len(head) + 4 * len(RANGES) * -(-scene.count // CHUNK)
+    sh_at = rows_at + 4 * len(PACKED) * scene.count
     with atomic_write(path) as file:
         file.write(head)
         for start in range(0, scene.count, PART):
@@ -91,9 +92,10 @@ def write(path: str | os.PathLike, scene: Scene):
                 len(head) + ranges.itemsize * len(RANGES) * (start // CHUNK): ranges,
                 rows_at + packed.itemsize * len(PACKED) * start: packed,
             }
-            pieces |= (
-                {rows_at + 4 * len(PACKED) * scene.count + rest * start: _sh_bytes(part.sh)} if rest else {}
-            )
+            if rest:
+                channels = part.sh[:, 1:].transpose(0, 2, 1).reshape(part.count, rest)
+                stored = np.floor((channels / 8 + np.float32(0.5)) * 256).clip(0, 255).astype(np.uint8)
+                pieces[sh_at + rest * start] = stored
             for at, piece in pieces.items():
                 file.seek(at)
                 file.write(np.ascontiguousarray(piece).data)
@@ -126,9 +128,8 @@ def _checked(file: BinaryIO, max_count: int) -> _Layout:
     count, ranges, coefficients = _checked_elements(header)
     refuse_unpacking(count, coefficients, max_count)
     rows = header.size + 4 * ranges * -(-count // CHUNK)
-    layout = _Layout(
-        count, ranges, coefficients, header.size, rows, rows + 4 * len(PACKED) * count, header.comments
-    )
+    sh = rows + 4 * len(PACKED) * count
+    layout = _Layout(count, ranges, coefficients, header.size, rows, sh, header.comments)
     if (size := size_of(file)) != layout.end:
         problem = "is incomplete" if size < layout.end else "is too long"
         raise FormatError(f"{problem}: {size:,} of {layout.end:,} bytes; copy or export it again")
@@ -146,10 +147,8 @@ def _checked_elements(header: Header) -> tuple[int, int, int]:
             f"has the elements {', '.join(names)}; a compressed PLY has chunk, vertex and perhaps sh{BROKEN}"
         )
     chunk, vertex, *sh = header.elements
-    if (
-        chunk.properties not in ([(name, "f4") for name in RANGES[:n]] for n in (WITHOUT_COLOR, len(RANGES)))
-        or chunk.list_property
-    ):
+    ranges = [(name, "f4") for name in RANGES]
+    if chunk.properties not in (ranges, ranges[:WITHOUT_COLOR]) or chunk.list_property:
         raise FormatError(f"has other ranges in its chunks than a compressed PLY{BROKEN}")
     if (
         vertex.properties != [(name, "u4") for name in PACKED]
@@ -174,18 +173,15 @@ def _checked_elements(header: Header) -> tuple[int, int, int]:
 def _part(file: BinaryIO, layout: _Layout, start: int, count: int) -> Scene:
     """The Gaussians from `start` on, which begins a chunk."""
     first, chunks, rest = start // CHUNK, -(-count // CHUNK), 3 * (layout.coefficients - 1)
-    ranges = rows_at(
-        file, layout.chunks_at + 4 * layout.ranges * first, np.dtype(("<f4", layout.ranges)), chunks
-    )
+    chunk, row = np.dtype(("<f4", layout.ranges)), np.dtype(("<u4", len(PACKED)))
+    ranges = rows_at(file, layout.chunks_at + chunk.itemsize * first, chunk, chunks)
     ranges = np.repeat(ranges, CHUNK, axis=0)[:count]
-    position, rotation, scale, color = rows_at(
-        file, layout.rows_at + 4 * len(PACKED) * start, np.dtype(("<u4", len(PACKED))), count
-    ).T
+    position, rotation, scale, color = rows_at(file, layout.rows_at + row.itemsize * start, row, count).T
     colors = _unpacked(color >> 8, (8, 8, 8))
     sh = np.empty((count, layout.coefficients, 3), np.float32)
-    sh[:, 0] = sh_of_colors(
-        colors if layout.ranges == WITHOUT_COLOR else _within(colors, ranges[:, 12:15], ranges[:, 15:18])
-    )
+    if layout.ranges > WITHOUT_COLOR:
+        colors = _within(colors, ranges[:, 12:15], ranges[:, 15:18])
+    sh[:, 0] = sh_of_colors(colors)
     if rest:
         stored = rows_at(file, layout.sh_at + rest * start, np.dtype(("u1", rest)), count)
         sh[:, 1:] = _SH_VALUES[stored].reshape(count, 3, -1).transpose(0, 2, 1)
@@ -204,12 +200,6 @@ def _part(file: BinaryIO, layout: _Layout, start: int, count: int) -> Scene:
 _SH_VALUES = (
     (np.where(np.arange(256) % 255 == 0, np.arange(256) / 255, (np.arange(256) + 0.5) / 256) - 0.5) * 8
 ).astype(np.float32)
-
-
-def _sh_bytes(sh: np.ndarray) -> np.ndarray:
-    """(N, 3 (K - 1)) uint8 of SH coefficients (N, K, 3)."""
-    channels = sh[:, 1:].transpose(0, 2, 1).reshape(len(sh), -1)
-    return np.clip(np.floor((channels / 8 + np.float32(0.5)) * 256), 0, 255).astype(np.uint8)
 
 
 def _packed(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
@@ -234,9 +224,8 @@ def _bits(shares: np.ndarray, bits: tuple[int, int, int]) -> np.ndarray:
     bits."""
     packed = np.zeros(len(shares), np.uint32)
     for share, width in zip(shares.T, bits, strict=True):
-        packed = (packed << np.uint32(width)) | np.clip(
-            np.rint(share * (2**width - 1)), 0, 2**width - 1
-        ).astype(np.uint32)
+        whole = np.clip(np.rint(share * (2**width - 1)), 0, 2**width - 1).astype(np.uint32)
+        packed = (packed << np.uint32(width)) | whole
     return packed
 
 
@@ -245,9 +234,8 @@ def _unpacked(packed: np.ndarray, bits: tuple[int, int, int]) -> np.ndarray:
     shares, shift = np.empty((len(packed), 3), np.float32), sum(bits)
     for k, width in enumerate(bits):
         shift -= width
-        shares[:, k] = ((packed >> np.uint32(shift)) & np.uint32(2**width - 1)) * np.float32(
-            1 / (2**width - 1)
-        )
+        whole = (packed >> np.uint32(shift)) & np.uint32(2**width - 1)
+        shares[:, k] = whole * np.float32(1 / (2**width - 1))
     return shares
 
 

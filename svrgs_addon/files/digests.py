@@ -19,8 +19,6 @@ def scene_sha256(path: Path) -> str:
     reading it then says so."""
     folder = path if path.is_dir() else path.parent if path.name in INDEXES else None
     files = [path] if folder is None else sorted(one for one in folder.rglob("*") if one.is_file())
-    return (
-        hashlib.sha256("".join(sha256(one) for one in files if one.is_file()).encode()).hexdigest()
-        if files and files[0].is_file()
-        else ""
-    )
+    if files and files[0].is_file():
+        return hashlib.sha256("".join(sha256(one) for one in files if one.is_file()).encode()).hexdigest()
+    return ""

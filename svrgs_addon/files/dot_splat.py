@@ -11,11 +11,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ..scene import activation
 from ..scene.gaussians import Scene
 from ..system.errors import FormatError
 from .atomic import atomic_write, check_space
-from .opened import MAX_COUNT, opened, refuse_unpacking, rows_at, size_of
-from .quantised import alphas_of, colors_of_sh, logits_of, logs_of, sh_of_colors
+from .quantised import alphas_of, colors_of_sh, logits_of, logs_of, sh_of_colors, to_uint8, unit_quats
+from .reading import MAX_COUNT, open_splat, refuse_unpacking, rows_at, size_of
 from .splat_format import SplatFormat
 
 ROW = np.dtype([("means", "<f4", 3), ("scales", "<f4", 3), ("rgba", "u1", 4), ("quats", "u1", 4)])
@@ -24,7 +25,7 @@ PART = 2**16  # Gaussians that are converted together
 
 def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[Scene]:
     """The Gaussians in file order, in parts. Raises FormatError, which names the file."""
-    with opened(path) as file:
+    with open_splat(path) as file:
         size = size_of(file)
         if size % ROW.itemsize:
             raise FormatError(
@@ -58,13 +59,10 @@ def _scene(rows: np.ndarray) -> Scene:
 
 def _rows(scene: Scene) -> np.ndarray:
     rows = np.empty(scene.count, ROW)
-    rows["means"] = scene.means
-    with np.errstate(over="ignore"):
-        rows["scales"] = np.exp(scene.log_scales)
-    rows["rgba"][:, :3] = np.clip(np.rint(255 * colors_of_sh(scene.sh[:, 0])), 0, 255)
+    rows["means"], rows["scales"] = scene.means, activation.scales(scene.log_scales)
+    rows["rgba"][:, :3] = to_uint8(255 * colors_of_sh(scene.sh[:, 0]))
     rows["rgba"][:, 3] = alphas_of(scene.opacity_logits)
-    norms = np.maximum(np.linalg.norm(scene.quats, axis=1, keepdims=True), np.float32(1e-30))
-    rows["quats"] = np.clip(np.rint(scene.quats / norms * 128 + 128), 0, 255)
+    rows["quats"] = to_uint8(unit_quats(scene.quats) * 128 + 128)
     return rows
 
 

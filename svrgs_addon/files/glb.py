@@ -16,52 +16,47 @@ from typing import Any
 
 import numpy as np
 
+from ..scene import activation
 from ..scene.affine import transformed
+from ..scene.concatenate import concatenated
 from ..scene.gaussians import SH_COEFFICIENTS, Scene
-from ..scene.merge import merged
 from ..scene.rotations import rotation_matrices
 from ..system.errors import FormatError, SceneError
 from . import spz
 from .atomic import atomic_write, check_space
 from .axes import AXES, turned_around, turned_over
 from .glb_container import Glb, glb_of
-from .opened import MAX_COUNT, opened, refuse_whole
-from .quantised import colors_of_sh, logs_of
-from .splat_format import SplatFormat, joined
-from .spooled import rows
+from .memory_mapped import rows
+from .quantised import colors_of_sh, logits_of_opacities, logs_of, opacities_of, to_uint8, unit_quats
+from .reading import MAX_COUNT, open_splat, refuse_whole
+from .splat_format import SplatFormat
 
 EXTENSION = "KHR_gaussian_splatting"
 # names of the draft; the first one is written
 PACKED = (f"{EXTENSION}_compression_spz_2", f"{EXTENSION}_compression_spz")
 COLORS = "srgb_rec709_display"  # display-referred, as in training
-BEYOND = 1e-7  # an opacity keeps so much from 0 and 1, where its logit would be infinite
 FLOAT, BYTE = 5126, 5121  # types of components
-MOST_NODES, MOST_PACKED = 20_000, 64  # nodes, and packed splats in a file
+MAX_NODES, MAX_PACKED = 20_000, 64  # nodes, and packed splats in a file
 PART = 2**16  # Gaussians that are converted together
 
 
 def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[Scene]:
     """All Gaussians as one part. Raises FormatError, which names the file."""
-    with opened(path) as file:
+    with open_splat(path) as file:
         glb = Glb.read(file)
         placed = list(_placed(glb))
         if not placed:
             raise FormatError(f"holds no splat: no points with the extension {EXTENSION}")
-        unpacked = _unpacked(
-            glb, {_view_of(primitive) for primitive, _ in placed} - {None}, min(max_count, MAX_COUNT)
-        )
-        sizes = [_count_and_degree(glb, primitive, unpacked) for primitive, _ in placed]
-        refuse_whole(
-            sum(count for count, _ in sizes), SH_COEFFICIENTS[max(degree for _, degree in sizes)], max_count
-        )
+        views = {_view_of(primitive) for primitive, _ in placed} - {None}
+        unpacked = _unpacked(glb, views, min(max_count, MAX_COUNT))
+        counts, degrees = zip(*(_count_and_degree(glb, one, unpacked) for one, _ in placed), strict=True)
+        refuse_whole(sum(counts), SH_COEFFICIENTS[max(degrees)], max_count)
         try:
             with np.errstate(over="ignore", invalid="ignore"):  # values of a damaged file
-                scenes = [
-                    transformed(_scene(glb, primitive, unpacked), matrix) for primitive, matrix in placed
-                ]
+                scenes = [transformed(_scene(glb, one, unpacked), matrix) for one, matrix in placed]
         except SceneError as error:
             raise FormatError(f"has a node that cannot be placed: {error}") from None
-    yield turned_over(merged(scenes) if len(scenes) > 1 else scenes[0])
+    yield turned_over(concatenated(scenes))
 
 
 def write(path: str | os.PathLike, scene: Scene):
@@ -96,47 +91,33 @@ def _head(scene: Scene) -> tuple[bytes, list[int]]:
 def _arrays(scene: Scene) -> dict[str, np.ndarray]:
     """The attributes of these Gaussians."""
     scene = turned_over(scene)
-    norms = np.maximum(np.linalg.norm(scene.quats, axis=1, keepdims=True), np.float32(1e-30))
-    unit = scene.quats / norms
-    opacities = (1 / (1 + np.exp(-scene.opacity_logits.clip(-80, 80)))).astype("<f4")
-    colors = np.clip(
-        np.rint(255 * np.column_stack([colors_of_sh(scene.sh[:, 0]), opacities])), 0, 255
-    ).astype(np.uint8)
-    with np.errstate(over="ignore"):
-        scales = np.exp(scene.log_scales)
-    arrays: dict[str, np.ndarray] = {
+    opacities = opacities_of(scene.opacity_logits).astype("<f4")
+    arrays = {
         "POSITION": scene.means,
-        "COLOR_0": colors,
-        f"{EXTENSION}:ROTATION": np.roll(unit, -1, axis=1),
+        "COLOR_0": to_uint8(255 * np.column_stack([colors_of_sh(scene.sh[:, 0]), opacities])),
+        f"{EXTENSION}:ROTATION": np.roll(unit_quats(scene.quats), -1, axis=1),
+        f"{EXTENSION}:SCALE": activation.scales(scene.log_scales),
+        f"{EXTENSION}:OPACITY": opacities,
     }
-    arrays |= {f"{EXTENSION}:SCALE": scales, f"{EXTENSION}:OPACITY": opacities}
     return arrays | {f"{EXTENSION}:{name}": scene.sh[:, k] for name, k in _coefficients(scene.sh_degree)}
 
 
 def contents(scene: Scene) -> dict[str, Any]:
     """The JSON of one mesh with the Gaussians as points: all but buffers and their views, one for each
     accessor."""
-    ends = (
-        [scene.means.min(axis=0) * AXES, scene.means.max(axis=0) * AXES]
-        if scene.count
-        else [np.zeros(3), np.zeros(3)]
-    )
+    ends = [np.zeros(3), np.zeros(3)]
+    if scene.count:
+        ends = [scene.means.min(axis=0) * AXES, scene.means.max(axis=0) * AXES]
     bounds, arrays = [np.minimum(*ends).tolist(), np.maximum(*ends).tolist()], _arrays(rows(scene, 0, 0))
     accessors: list[dict[str, Any]] = []
     for number, (name, array) in enumerate(arrays.items()):
         kind = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}[array.shape[1] if array.ndim > 1 else 1]
-        byte = array.dtype == np.uint8
-        accessors.append(
-            {
-                "bufferView": number,
-                "componentType": BYTE if byte else FLOAT,
-                "count": scene.count,
-                "type": kind,
-            }
-        )
-        accessors[-1] |= ({"normalized": True} if byte else {}) | (
-            dict(zip(("min", "max"), bounds, strict=True)) if name == "POSITION" else {}
-        )
+        accessor = {"bufferView": number, "componentType": FLOAT, "count": scene.count, "type": kind}
+        if array.dtype == np.uint8:
+            accessor |= {"componentType": BYTE, "normalized": True}
+        if name == "POSITION":
+            accessor |= dict(zip(("min", "max"), bounds, strict=True))
+        accessors.append(accessor)
     primitive = {
         "attributes": {name: number for number, name in enumerate(arrays)}, "mode": 0,
         "extensions": {EXTENSION: {"kernel": "ellipse", "colorSpace": COLORS}},
@@ -160,16 +141,16 @@ def _placed(glb: Glb) -> Iterator[tuple[dict, np.ndarray]]:
     the file), as the functions below."""
     nodes, meshes = glb.items("nodes"), glb.items("meshes")
     scenes = glb.items("scenes")
-    roots = (
-        _list_of(glb.of(scenes, glb.contents.get("scene", 0)), "nodes") if scenes else list(range(len(nodes)))
-    )
+    roots = list(range(len(nodes)))
+    if scenes:
+        roots = _list_of(glb.of(scenes, glb.contents.get("scene", 0)), "nodes")
     left, seen = [(number, np.eye(4)) for number in roots], set[int]()
     while left:
         number, above = left.pop()
         node = glb.of(nodes, number)
-        if number in seen or len(seen) == MOST_NODES:
+        if number in seen or len(seen) == MAX_NODES:
             raise FormatError(
-                f"has more than {MOST_NODES:,} nodes, or some below themselves or below two others; export it"
+                f"has more than {MAX_NODES:,} nodes, or some below themselves or below two others; export it"
                 " again"
             )
         seen.add(number)
@@ -179,11 +160,8 @@ def _placed(glb: Glb) -> Iterator[tuple[dict, np.ndarray]]:
         matrix = above @ _matrix(node)
         left += [(child, matrix) for child in children]
         if "mesh" in node:
-            yield from (
-                (one, matrix)
-                for one in _list_of(glb.of(meshes, node["mesh"]), "primitives")
-                if _is_splat(one)
-            )
+            found = _list_of(glb.of(meshes, node["mesh"]), "primitives")
+            yield from ((one, matrix) for one in found if _is_splat(one))
 
 
 def _list_of(found: dict, name: str) -> list:
@@ -194,16 +172,14 @@ def _list_of(found: dict, name: str) -> list:
 
 def _is_splat(primitive: Any) -> bool:
     extensions = primitive.get("extensions") if isinstance(primitive, dict) else None
-    if not isinstance(extensions, dict) or not isinstance(extensions.get(EXTENSION), dict):
+    splat = extensions.get(EXTENSION) if isinstance(extensions, dict) else None
+    if not isinstance(splat, dict):
         return False
-    inner = extensions[EXTENSION].get("extensions")
+    inner = splat.get("extensions")
     if isinstance(inner, dict) and inner and not set(PACKED) & set(inner):
         names = ", ".join(sorted(re.sub(r"\W", "?", name)[:60] for name in inner))
         raise FormatError(f"holds a splat that is packed by {names}, which is not read; export it without")
-    if (
-        extensions[EXTENSION].get("kernel", "ellipse") != "ellipse"
-        or extensions[EXTENSION].get("colorSpace", COLORS) != COLORS
-    ):
+    if splat.get("kernel", "ellipse") != "ellipse" or splat.get("colorSpace", COLORS) != COLORS:
         raise FormatError(
             f"holds a splat with another kernel than ellipse, or other colours than {COLORS}, which are not"
             " read"
@@ -245,11 +221,14 @@ def _view_of(primitive: dict) -> int | None:
 def _unpacked(glb: Glb, numbers: set, max_count: int) -> dict[int, Scene]:
     """The splats that these buffer views hold, in the axes of a Scene."""
     packed = {number: glb.view(number) for number in sorted(numbers)}
-    if len(packed) > MOST_PACKED or sum(map(len, packed.values())) > len(glb.data):
+    if len(packed) > MAX_PACKED or sum(map(len, packed.values())) > len(glb.data):
         raise FormatError(
-            f"has more than {MOST_PACKED} packed splats, or some that lie in the same bytes; export it again"
+            f"has more than {MAX_PACKED} packed splats, or some that lie in the same bytes; export it again"
         )
-    return {number: joined(list(spz.parts_of(data, max_count))) for number, data in packed.items()}
+    return {
+        number: concatenated(list(spz.parts_of(data, max_count)), columns=True)
+        for number, data in packed.items()
+    }
 
 
 def _count_and_degree(glb: Glb, primitive: dict, unpacked: dict[int, Scene]) -> tuple[int, int]:
@@ -270,10 +249,8 @@ def _attributes(primitive: dict) -> dict:
 def _degree(primitive: dict) -> int:
     """The highest degree of SH of which all coefficients are there."""
     names = _attributes(primitive)
-    return max(
-        (d for d in range(4) if all(f"{EXTENSION}:{name}" in names for name, _ in _coefficients(d))),
-        default=0,
-    )
+    complete = lambda degree: all(f"{EXTENSION}:{name}" in names for name, _ in _coefficients(degree))
+    return max(filter(complete, range(4)), default=0)
 
 
 def _scene(glb: Glb, primitive: dict, unpacked: dict[int, Scene]) -> Scene:
@@ -285,7 +262,6 @@ def _scene(glb: Glb, primitive: dict, unpacked: dict[int, Scene]) -> Scene:
         stored = turned_over(unpacked[number])
         return turned_around(stored) if "kernel" in primitive["extensions"][EXTENSION] else stored
     degree, attributes = _degree(primitive), _attributes(primitive)
-    degree, attributes = _degree(primitive), _attributes(primitive)
     means = glb.values(attributes.get("POSITION"), 3)
     count = len(means)
     read: Callable[[str, int], np.ndarray] = lambda name, width: glb.values(
@@ -294,14 +270,8 @@ def _scene(glb: Glb, primitive: dict, unpacked: dict[int, Scene]) -> Scene:
     sh = np.zeros((count, SH_COEFFICIENTS[degree], 3), np.float32)
     for name, k in _coefficients(degree):
         sh[:, k] = read(name, 3)
-    opacities = np.clip(read("OPACITY", 1)[:, 0].astype(np.float64), BEYOND, 1 - BEYOND)
-    return Scene.of(
-        means,
-        logs_of(read("SCALE", 3)),
-        np.roll(read("ROTATION", 4), 1, axis=1),
-        np.log(opacities / (1 - opacities)),
-        sh,
-    )
+    logits, logs = logits_of_opacities(read("OPACITY", 1)[:, 0]), logs_of(read("SCALE", 3))
+    return Scene.of(means, logs, np.roll(read("ROTATION", 4), 1, axis=1), logits, sh)
 
 
 FORMAT = SplatFormat(

@@ -11,7 +11,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from ..system.errors import FormatError
-from .opened import size_of
+from .reading import size_of
 
 HEAD, CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
 MAX_JSON = 16_000_000  # bytes
@@ -98,10 +98,8 @@ class Glb:
             raise FormatError(f"has an attribute of another kind or length than its splat needs{BROKEN}")
         view = self.of(self.items("bufferViews"), accessor.get("bufferView"))
         element = width * np.dtype(kind).itemsize
-        stride, start = (
-            view.get("byteStride", element),
-            [one.get("byteOffset", 0) for one in (view, accessor)],
-        )
+        stride = view.get("byteStride", element)
+        start = [one.get("byteOffset", 0) for one in (view, accessor)]
         whole = all(isinstance(one, int) and 0 <= one <= len(self.data) for one in (*start, stride))
         if (
             not whole

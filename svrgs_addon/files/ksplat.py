@@ -17,8 +17,8 @@ import numpy as np
 
 from ..scene.gaussians import SH_COEFFICIENTS, Scene
 from ..system.errors import FormatError
-from .opened import MAX_COUNT, opened, refuse_many, refuse_unpacking, rows_at, size_of
 from .quantised import logits_of, logs_of, sh_of_colors
+from .reading import MAX_COUNT, open_splat, refuse_many, refuse_unpacking, rows_at, size_of
 from .splat_format import SplatFormat
 
 HEADER, SECTION_HEADER = 4096, 1024  # bytes
@@ -54,7 +54,7 @@ class _Section:
 
 def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[Scene]:
     """The Gaussians in file order, in parts. Raises FormatError, which names the file."""
-    with opened(path) as file:
+    with open_splat(path) as file:
         header = _header(file, max_count)
         sections = list(_sections(file, header))
         coefficients = max((section.coefficients for section in sections), default=1)

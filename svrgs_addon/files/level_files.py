@@ -6,10 +6,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from ..scene.concatenate import concatenated
 from ..scene.gaussians import Scene
 from . import streamed_sog
-from .registry import size_on_disk, split_name, stored, write_scene
-from .splat_format import joined
+from .registry import read_back, size_on_disk, split_name, write_scene
 
 
 def level_files(out: Path, shares: Iterable[float]) -> dict[float, Path]:
@@ -26,7 +26,7 @@ def holds_levels(out: Path) -> bool:
 
 
 @dataclass(frozen=True)
-class Written:
+class StoredScene:
     """A scene as its file holds it."""
 
     path: Path
@@ -36,19 +36,21 @@ class Written:
 
 def write_with_levels(
     out: Path, shares: Sequence[float], scenes: Sequence[Scene], quantise: float
-) -> list[Written]:
+) -> list[StoredScene]:
     """Writes the result, scenes[0], and its levels of detail. quantise: as of write_scene(). Raises
     SceneError, FormatError."""
     if holds_levels(out):
         streamed_sog.write_levels(out, scenes, quantise)
         return [
-            Written(
-                out, streamed_sog.level_bytes(out, level), joined(list(streamed_sog.read_level(out, level)))
+            StoredScene(
+                out,
+                streamed_sog.level_bytes(out, level),
+                concatenated(list(streamed_sog.read_level(out, level)), columns=True),
             )
             for level in range(len(scenes))
         ]
     written = []
     for path, scene in zip([out, *level_files(out, shares).values()], scenes, strict=True):
         write_scene(path, scene, quantise=quantise)
-        written.append(Written(path, size_on_disk(path), stored(path, scene)))
+        written.append(StoredScene(path, size_on_disk(path), read_back(path, scene)))
     return written

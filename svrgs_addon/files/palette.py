@@ -18,14 +18,10 @@ def table(values: np.ndarray, weights: np.ndarray, size: int) -> np.ndarray:
     follow if there are fewer values."""
     different = np.unique(values[:: max(1, len(values) // BINS)]) if len(values) > BINS else np.unique(values)
     if len(different) <= size and np.isin(values, different).all():
-        return np.concatenate([different, np.repeat(different[-1:], size - len(different))]).astype(
-            np.float32
-        )
+        return np.pad(different, (0, size - len(different)), "edge").astype(np.float32)
     counts, edges = np.histogram(values, BINS, weights=weights)
-    masses, sums = (
-        np.cumsum(np.append(0, counts)),
-        np.cumsum(np.append(0, counts * (edges[1:] + edges[:-1]) / 2)),
-    )
+    masses = np.cumsum(np.append(0, counts))
+    sums = np.cumsum(np.append(0, counts * (edges[1:] + edges[:-1]) / 2))
     # density of the best levels: cube root of that of the values
     spread = np.cumsum(np.append(0, np.cbrt(counts)))
     levels = np.interp((np.arange(size) + 0.5) / size * spread[-1], spread, edges)
@@ -62,24 +58,20 @@ def palette(rows: np.ndarray, weights: np.ndarray, size: int, most: int) -> tupl
     some = chance.choice(len(rows), min(len(rows), SAMPLE * COARSE), replace=False)
     centres = _means_of(rows[some], weights[some], _first(rows[some], weights[some], coarse, chance))
     # neighbours have similar numbers, which pack better
-    centres = centres[np.argsort(centres @ _main_axis(centres))]
+    main_axis = np.linalg.svd(centres - centres.mean(axis=0), full_matrices=False)[2][0]
+    centres = centres[np.argsort(centres @ main_axis)]
     group, errors = _assigned(rows, centres)
     order = np.argsort(group, kind="stable")
     members = np.split(order, np.searchsorted(group[order], np.arange(1, coarse)))
-    shares = _shares(
-        np.array([float((weights[one] * errors[one]).sum()) for one in members]),
-        np.array([len(one) for one in members]),
-        size,
-    )
+    lost = np.array([float((weights[one] * errors[one]).sum()) for one in members])
+    shares = _shares(lost, np.array([len(one) for one in members]), size)
     entries, labels, known = [], np.empty(len(rows), np.int64), 0
     for one, share in zip(members, shares, strict=True):
         if len(one) == 0:
             continue
-        found = (
-            _means_of(rows[one], weights[one], _first(rows[one], weights[one], share, chance))
-            if share < len(one)
-            else rows[one]
-        )
+        found = rows[one]
+        if share < len(one):
+            found = _means_of(found, weights[one], _first(found, weights[one], share, chance))
         labels[one] = known + _assigned(rows[one], found)[0]
         entries.append(found)
         known += len(found)
@@ -96,9 +88,8 @@ def _shares(errors: np.ndarray, counts: np.ndarray, size: int) -> np.ndarray:
         total = wanted[open_ones].sum()
         if left <= 0 or total <= 0:
             break
-        shares = shares + np.where(
-            open_ones, np.minimum(np.floor(left * wanted / total).astype(np.int64), counts - shares), 0
-        )
+        more = np.minimum(np.floor(left * wanted / total).astype(np.int64), counts - shares)
+        shares = shares + np.where(open_ones, more, 0)
     return shares
 
 
@@ -145,8 +136,3 @@ def _assigned(rows: np.ndarray, centres: np.ndarray) -> tuple[np.ndarray, np.nda
         labels[start : start + BLOCK] = label
         errors[start : start + BLOCK] = np.maximum(np.square(block).sum(axis=1) - 2 * best, 0)
     return labels, errors
-
-
-def _main_axis(rows: np.ndarray) -> np.ndarray:
-    """The direction (D,) in which the rows differ most."""
-    return np.linalg.svd(rows - rows.mean(axis=0), full_matrices=False)[2][0]

@@ -7,7 +7,6 @@ repair.py repairs them.
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import os
 import re
@@ -21,10 +20,18 @@ from ..system import memory
 from ..system.errors import FormatError, SceneError
 from . import compressed_ply
 from .atomic import atomic_write, check_space, start_writeback
-from .opened import MAX_COUNT, opened, refuse_many, size_of
 from .ply_body import MAX_ASCII_BYTES, Body, blocks, empty_arrays, named_columns
-from .ply_header import MAX_HEADER_BYTES, TYPE_NAMES, Element, Header, format_header, parse_header
-from .ply_text import is_mip, written_comments
+from .ply_header import (
+    MAX_HEADER_BYTES,
+    TYPE_NAMES,
+    Element,
+    Header,
+    format_header,
+    is_mip,
+    parse_header,
+    written_comments,
+)
+from .reading import MAX_COUNT, open_splat, refuse_many, size_of
 from .splat_format import SplatFormat
 
 NORMALS = ("nx", "ny", "nz")  # 3DGS writes these properties; they are always 0
@@ -39,8 +46,8 @@ def read_ply(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Scene:
     after the vertices are ignored, with a warning in the log. max_count: largest number of Gaussians. Raises
     FormatError, which names the file.
     """
-    with _opened(path, max_count) as body:
-        return body.whole()
+    with open_splat(path) as file:
+        return _checked_body(file, path, max_count).whole()
 
 
 def read_ply_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[Scene]:
@@ -50,8 +57,8 @@ def read_ply_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Itera
     Each part overwrites the arrays of the previous one. There is at least one part; it is empty if the file
     has no Gaussian.
     """
-    with _opened(path, max_count) as body:
-        yield from body.parts()
+    with open_splat(path) as file:
+        yield from _checked_body(file, path, max_count).parts()
 
 
 def write_ply(path: str | os.PathLike, scene: Scene) -> None:
@@ -81,17 +88,8 @@ def file_size(scene: Scene) -> int:
 def _layout(scene: Scene, columns: dict[str, np.ndarray]) -> tuple[bytes, np.dtype]:
     """The header, and the dtype of one row (one Gaussian) of the body."""
     properties = [(name, column.dtype.str[1:]) for name, column in columns.items()]
-    return format_header(written_comments(scene), ("vertex", scene.count, properties)), np.dtype(
-        [(name, "<" + code) for name, code in properties]
-    )
-
-
-@contextlib.contextmanager
-def _opened(path: str | os.PathLike, max_count: int) -> Iterator[Body]:
-    """Yields the body of a file whose header was checked. Errors of the header and of the block become
-    FormatErrors that name the file."""
-    with opened(path) as file:
-        yield _checked_body(file, path, max_count)
+    header = format_header(written_comments(scene), ("vertex", scene.count, properties))
+    return header, np.dtype([(name, "<" + code) for name, code in properties])
 
 
 def _checked_body(file: BinaryIO, path: str | os.PathLike, max_count: int) -> Body:
@@ -185,9 +183,8 @@ def _file_columns(scene: Scene) -> dict[str, np.ndarray]:
     columns |= scene.attributes
     order = scene.property_order
     if not order:
-        columns |= {
-            name: np.broadcast_to(np.float32(0), scene.count) for name in NORMALS if name not in columns
-        }
+        zeros = np.broadcast_to(np.float32(0), scene.count)
+        columns |= {name: zeros for name in NORMALS if name not in columns}
         order = ("x", "y", "z", *NORMALS)
     kept = {name: columns[name] for name in order if name in columns}
     return kept | columns

@@ -1,11 +1,14 @@
-"""Parses PLY headers of untrusted files: all limits are checked before the body is read."""
+"""PLY headers. Those of untrusted files are parsed: all limits are checked before the body is read. One of
+the comments may say that the scene is antialiased."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-from ..system.errors import FormatError
+from ..scene.gaussians import Scene
+from ..system.errors import FormatError, SceneError
 
 MAX_HEADER_BYTES = 64 * 1024
 MAX_HEADER_LINES = 1000
@@ -19,6 +22,10 @@ TYPES = {
 }  # fmt: skip
 # {NumPy code: the short name, which 3DGS writes}
 TYPE_NAMES = {code: name for name, code in reversed(TYPES.items())}
+MIP_COMMENT = "SplatRenderMode: mip"
+# written by Brush; by Postshot
+MIP_PATTERN = re.compile(r"\s*(SplatRenderMode:\s*mip|antialiased\s+1)\s*", re.IGNORECASE)
+MODE_PATTERN = re.compile(r"\s*(SplatRenderMode:|antialiased\s).*", re.IGNORECASE)
 
 
 @dataclass
@@ -84,6 +91,28 @@ def format_header(comments: list[str], *elements: tuple[str, int, list[tuple[str
             *(f"property {TYPE_NAMES[code]} {name}" for name, code in properties),
         ]
     return "\n".join([*lines, "end_header", ""]).encode(errors="surrogateescape")
+
+
+def written_comments(scene: Scene) -> list[str]:
+    """The comments to write: those that were read, with the antialiasing comment corrected if the flag has
+    changed.
+
+    Raises SceneError for a comment that a PLY cannot store.
+    """
+    comments = list(scene.comments)
+    if scene.antialiased != is_mip(comments):
+        comments = [text for text in comments if not MODE_PATTERN.fullmatch(text)]
+        comments += [MIP_COMMENT] * scene.antialiased
+    if not all(is_comment(text) for text in comments):
+        raise SceneError(
+            "a comment of the scene is not one line of text, so it cannot be stored in a PLY; remove it first"
+        )
+    return comments
+
+
+def is_mip(comments: Iterable[str]) -> bool:
+    """Whether a comment marks the scene as antialiased."""
+    return any(MIP_PATTERN.fullmatch(text) for text in comments)
 
 
 def is_comment(text: str) -> bool:

@@ -37,21 +37,15 @@ def _columns(file: BinaryIO) -> dict[str, np.ndarray]:
     name of the file)."""
     header = parse_header(file.read(MAX_HEADER_BYTES))
     vertices = header.elements[0] if header.elements else None
-    if (
-        vertices is None
-        or vertices.name != "vertex"
-        or vertices.list_property
-        or not set(PLACE) <= {name for name, _ in vertices.properties}
-    ):
+    known = {name for name, _ in vertices.properties} if vertices and vertices.name == "vertex" else set()
+    if vertices is None or vertices.list_property or not set(PLACE) <= known:
         raise FormatError(
             "is no point cloud: its first element must be vertex, with x, y and z and without lists"
         )
     if vertices.count > MAX_POINTS:
         raise FormatError(f"announces {vertices.count:,} points; the limit is {MAX_POINTS:,}")
-    names, row = (
-        [name for name, _ in vertices.properties],
-        np.dtype([(name, ENCODINGS[header.encoding] + code) for name, code in vertices.properties]),
-    )
+    names = [name for name, _ in vertices.properties]
+    row = np.dtype([(name, ENCODINGS[header.encoding] + code) for name, code in vertices.properties])
     left = os.fstat(file.fileno()).st_size - file.seek(header.size)
     if header.encoding == "ascii":
         values = parse_numbers(file.read(min(left, MAX_ASCII_BYTES)))[: vertices.count * len(names)]

@@ -5,12 +5,34 @@ from __future__ import annotations
 import numpy as np
 
 from ..scene.gaussians import SH_C0, Scene
-from .spooled import in_blocks
+from .memory_mapped import in_blocks
 
-LEAST_SCALE = np.float32(1e-30)  # for one of 0
+MIN_SCALE = np.float32(1e-30)  # for one of 0
 LARGEST_SHARE = 0.01  # of the Gaussians that count no more than the smallest of them: sky would count alone
-LEAST_WEIGHT = 0.003
+MIN_WEIGHT = 0.003
+BEYOND = 1e-7  # an opacity keeps so much from 0 and 1, where its logit would be infinite
 SPARED = 0.25  # steps that an opacity of 8 bits keeps from 0 and 1, where its logit would be infinite
+
+
+def to_uint8(values: np.ndarray) -> np.ndarray:
+    """Values rounded to whole numbers of 0 to 255."""
+    return np.clip(np.rint(values), 0, 255).astype(np.uint8)
+
+
+def unit_quats(quats: np.ndarray) -> np.ndarray:
+    """Quaternions (N, 4) of length 1; those of length 0 stay."""
+    return quats / np.maximum(np.linalg.norm(quats, axis=1, keepdims=True), np.float32(1e-30))
+
+
+def opacities_of(logits: np.ndarray) -> np.ndarray:
+    """Opacities, 0 to 1, of opacity logits."""
+    return 1 / (1 + np.exp(-logits.clip(-80, 80)))
+
+
+def logits_of_opacities(opacities: np.ndarray) -> np.ndarray:
+    """Finite opacity logits, float64, of opacities from 0 to 1."""
+    inside = np.clip(opacities.astype(np.float64), BEYOND, 1 - BEYOND)
+    return np.log(inside / (1 - inside))
 
 
 def logits_of(alphas: np.ndarray) -> np.ndarray:
@@ -29,7 +51,7 @@ def logs_of(scales: np.ndarray) -> np.ndarray:
     """Logarithms of scales, finite also for one of 0. Those of a damaged file may be negative or no
     numbers."""
     with np.errstate(invalid="ignore"):
-        return np.log(np.maximum(scales, LEAST_SCALE))
+        return np.log(np.maximum(scales, MIN_SCALE))
 
 
 def sh_of_colors(colors: np.ndarray) -> np.ndarray:
@@ -72,12 +94,12 @@ def three_of_quats(quats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def picture_weights(scene: Scene) -> np.ndarray:
     """How much a squared error in the values of each Gaussian counts in pictures, (N,) float32 of mean 1: its
     squared opacity times the product of its two largest scales, which is in proportion to the sum of alpha^2
-    over its pixels; at least LEAST_WEIGHT. What hides it is not known here."""
+    over its pixels; at least MIN_WEIGHT. What hides it is not known here."""
     if not scene.count:
         return np.ones(0, np.float32)
     weights = in_blocks(_alpha_areas, scene)
     weights = np.minimum(weights, np.quantile(weights, 1 - LARGEST_SHARE))
-    return np.maximum(weights / weights.mean(), LEAST_WEIGHT).astype(np.float32)
+    return np.maximum(weights / weights.mean(), MIN_WEIGHT).astype(np.float32)
 
 
 def _alpha_areas(scene: Scene) -> np.ndarray:

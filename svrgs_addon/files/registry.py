@@ -20,7 +20,7 @@ from ..system import memory
 from ..system.errors import FormatError, SceneError
 from ..system.file_names import extended, real
 from . import compressed_ply, dot_splat, glb, glb_spz, ksplat, ply, sog, spz, streamed_sog, usd
-from .opened import MAX_IN_PARTS
+from .reading import MAX_IN_PARTS
 from .repair import bake_filter, clamp_extremes, drop_nonfinite, unusable
 from .splat_format import SplatFormat
 
@@ -53,41 +53,27 @@ class Loaded:
 
 def suffixes(written: bool = False) -> tuple[str, ...]:
     """Suffixes with the dot, of all formats or only of those that can be written."""
-    found = [
-        suffix
-        for splat_format in FORMATS
-        if splat_format.write or not written
-        for suffix in splat_format.suffixes
-    ]
-    return tuple(dict.fromkeys(found))
+    formats = [one for one in FORMATS if one.write or not written]
+    return tuple(dict.fromkeys(suffix for one in formats for suffix in one.suffixes))
 
 
 def menu_label(written: bool = False) -> str:
     """'3D Gaussian Splat (.ply/.spz/...)' for menus, without suffixes that end as another one does. written:
     only formats that can be written."""
     found = suffixes(written)
-    ends = [
-        suffix for suffix in found if not any(suffix != other and suffix.endswith(other) for other in found)
-    ]
+    ends = [one for one in found if not any(one != other and one.endswith(other) for other in found)]
     return f"{FORMATS[0].label} ({'/'.join(ends)})"
 
 
 def format_to_write(path: str | Path) -> SplatFormat:
     """The format for writing a file with this name, by its suffix. Raises SceneError if no format has it."""
     name = extended(path).name.lower()
-    fitting_index = next((one for one in FORMATS if one.index == name), None)
-    if fitting_index:
-        return fitting_index
-    fitting = [
-        (len(suffix), -place)
-        for place, one in enumerate(FORMATS)
-        if one.write
-        for suffix in one.suffixes
-        if name.endswith(suffix)
-    ]
-    if not fitting:
+    if indexed := next((one for one in FORMATS if one.index == name), None):
+        return indexed
+    longest = max(filter(name.endswith, suffixes(written=True)), key=len, default=None)
+    if longest is None:
         raise SceneError(f"{path}: scenes are written as {', '.join(suffixes(written=True))}")
-    return FORMATS[-max(fitting)[1]]  # the longest suffix counts
+    return next(one for one in FORMATS if one.write and longest in one.suffixes)
 
 
 def format_to_read(path: str | Path) -> SplatFormat:
@@ -105,7 +91,7 @@ def format_to_read(path: str | Path) -> SplatFormat:
         raise SceneError(f"{path}: is a folder, or holds several splats: name the file to use")
     if not path.is_file():  # a pipe would be waited for
         raise SceneError(f"{path}: is a pipe or a device, not a file: copy its contents into a file")
-    fitting = [splat_format for splat_format in FORMATS if _ends_with(path, splat_format)]
+    fitting = [one for one in FORMATS if path.name.lower().endswith(one.suffixes)]
     if not fitting:
         raise FormatError(f"{path}: '{path.suffix}' files are not read; splats are {', '.join(suffixes())}")
     if len(fitting) == 1:  # no need to read its first bytes; the reader reports errors
@@ -124,11 +110,6 @@ def split_name(path: str | Path) -> tuple[str, str]:
         (suffix for suffix in suffixes() if path.name.lower().endswith(suffix)), key=len, default=path.suffix
     )
     return path.name[: len(path.name) - len(found)], path.name[len(path.name) - len(found) :]
-
-
-def _ends_with(path: Path, splat_format: SplatFormat) -> bool:
-    """Whether the name has a suffix of the format, in upper or lower case."""
-    return path.name.lower().endswith(splat_format.suffixes)
 
 
 def is_splat_folder(path: Path) -> bool:
@@ -160,11 +141,9 @@ def size_on_disk(path: str | Path) -> int:
     """Size of a splat in bytes, with all its files if it has several."""
     path = extended(path)
     found = _indexed(path)
-    return (
-        sum(file.stat().st_size for file in found[0].parts(found[1]))
-        if found and found[0].parts
-        else path.stat().st_size
-    )
+    if found and found[0].parts:
+        return sum(file.stat().st_size for file in found[0].parts(found[1]))
+    return path.stat().st_size
 
 
 def read_scene(path: str | Path) -> Scene:
@@ -207,12 +186,10 @@ def load_parts(path: str | Path) -> Iterator[Scene]:
     filtered = False
     for part in read_parts(path):
         loaded, baked = _repaired(part)
-        count, dropped, clamped, filtered = (
-            count + loaded.scene.count,
-            dropped + loaded.dropped,
-            clamped + loaded.clamped,
-            filtered or baked,
-        )
+        count += loaded.scene.count
+        dropped += loaded.dropped
+        clamped += loaded.clamped
+        filtered = filtered or baked
         yield loaded.scene
     _log_repairs(path, dropped, clamped, filtered)
     if not count:
@@ -253,28 +230,25 @@ def write_scene(path: str | Path, scene: Scene, version: int = 0, quantise: floa
             f"{path}: the format {splat_format.label} has no choice of how exactly it stores spherical"
             " harmonics: leave --quantise out"
         )
-    splat_format.write(
-        extended(path),
-        scene,
-        **({"version": version} if version else {}),
-        **({"quantise": quantise} if quantise != 1 else {}),
-    )
+    choices: dict[str, float] = {"version": version} if version else {}
+    choices |= {"quantise": quantise} if quantise != 1 else {}
+    splat_format.write(extended(path), scene, **choices)
     for sentence in left_out(scene, splat_format):
         logging.warning("%s: %s", path, sentence)
 
 
-def stored(path: str | Path, scene: Scene) -> Scene:
+def read_back(path: str | Path, scene: Scene) -> Scene:
     """The scene as the file holds it to which it was just written: itself if the format stores all values as
     they are. Raises FormatError."""
     return scene if format_to_write(path).lossless else read_scene(path)
 
 
-def as_held(scene: Scene, splat_format: SplatFormat) -> Scene:
+def as_stored(scene: Scene, splat_format: SplatFormat) -> Scene:
     """The scene as a file of the format would hold it. Raises SceneError, FormatError."""
-    return scene if splat_format.lossless else tried(scene, splat_format)[0]
+    return scene if splat_format.lossless else round_trip(scene, splat_format)[0]
 
 
-def tried(scene: Scene, splat_format: SplatFormat, quantise: float = 1.0) -> tuple[Scene, int]:
+def round_trip(scene: Scene, splat_format: SplatFormat, quantise: float = 1.0) -> tuple[Scene, int]:
     """The scene as a file of the format would hold it, and the size in bytes. Raises SceneError,
     FormatError."""
     with tempfile.TemporaryDirectory() as folder:
@@ -324,12 +298,10 @@ def foreseen_size(one: Scene, count: int, splat_format: SplatFormat = FORMATS[0]
 def sampled_size(scene: Scene, splat_format: SplatFormat, quantise: float = 1.0) -> int:
     """Size in bytes of the file that the format would make, by that of a part of the scene: Gaussians that
     lie together. Within a fifth. Raises SceneError, FormatError."""
-    around = (
-        np.argsort(np.abs(scene.means - np.median(scene.means, axis=0)).max(axis=1))[:SAMPLE]
-        if scene.count > SAMPLE
-        else np.arange(scene.count)
-    )
-    return tried(scene.select(around), splat_format, quantise)[1] * scene.count // max(1, len(around))
+    around = np.arange(scene.count)
+    if scene.count > SAMPLE:
+        around = np.argsort(np.abs(scene.means - np.median(scene.means, axis=0)).max(axis=1))[:SAMPLE]
+    return round_trip(scene.select(around), splat_format, quantise)[1] * scene.count // max(1, len(around))
 
 
 def invisible(scene: Scene) -> np.ndarray:

@@ -19,8 +19,8 @@ from ..scene.gaussians import SH_COEFFICIENTS, Scene
 from ..system.errors import FormatError
 from . import images
 from .images import read_texture
-from .opened import MAX_COUNT, json_object, opened, refuse_unpacking
 from .quantised import logits_of, quats_of_three
+from .reading import MAX_COUNT, json_object, open_splat, refuse_unpacking
 from .sog_layout import (
     HIGHEST,
     LARGEST_QUAT,
@@ -63,7 +63,7 @@ def parts(meta: Path) -> list[Path]:
 def degree_of(meta: Path) -> int:
     """The SH degree of a SOG in a folder, by its meta.json alone. Raises FormatError, which names the
     file."""
-    with opened(meta):
+    with open_splat(meta):
         return _degree(_meta(meta))
 
 
@@ -72,7 +72,7 @@ def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[
     FormatError, which names the file."""
     path = Path(path)
     file = path / META if path.is_dir() else path
-    with opened(file), _folder(file) as folder:
+    with open_splat(file), _folder(file) as folder:
         sog = _read(folder, max_count)
     yield from by_parts(
         lambda start: _scene(sog, slice(start, min(start + PART, sog.count))),

@@ -3,11 +3,15 @@ bundled as a zip.
 
 Gaussian i is pixel i of each texture, row by row.
 
-means_l, means_u        the low and the high bytes of 16 bits in the range mins to maxs, in which x is stored
-as sign(x) log(1 + |x|) scales, sh0             rows of a table of 256 values: logarithms of scales; SH of
-degree 0. The alpha of sh0 is the opacity, 8 bits quats                   the three smaller components of (w,
-x, y, z); alpha is 252 and the position of the largest one shN_labels, _centroids  number of an entry of a
-palette, 16 bits; 64 entries in a row, a pixel for each coefficient, its channels rows of a table
+    means_l, means_u    the low and the high bytes of 16 bits in the range mins to maxs, in which x is stored
+                        as sign(x) log(1 + |x|)
+    scales, sh0         rows of a table of 256 values: logarithms of scales; SH of degree 0. The alpha of sh0
+                        is the opacity, 8 bits
+    quats               the three smaller components of (w, x, y, z); alpha is 252 and the position of the
+                        largest one
+    shN_labels          number of an entry of the palette, 16 bits
+    shN_centroids       the palette: 64 entries in a row, a pixel for each coefficient, its channels rows of a
+                        table
 
 Axes are those of 3DGS.
 """
@@ -18,13 +22,13 @@ from pathlib import Path
 
 import numpy as np
 
-from .opened import json_object
+from .reading import json_object
 
 VERSION = 2
 META, SUFFIX = "meta.json", ".sog"
 MAX_META = 1_000_000  # bytes of meta.json
 TABLE = 256  # values of a table
-PALETTE_ROW, MOST_ENTRIES = 64, 1 << 16  # entries of the palette in a row of pixels, and in all
+PALETTE_ROW, MAX_ENTRIES = 64, 1 << 16  # entries of the palette in a row of pixels, and in all
 LARGEST_QUAT = 252  # alpha of quats for w
 HIGHEST = 65535  # of the 16 bits of a position
 ROOT2 = np.float32(2**0.5)

@@ -25,12 +25,12 @@ from ..system.errors import SceneError
 from .atomic import atomic_path, atomic_write, check_space
 from .images import write_texture
 from .palette import nearest, palette, table
-from .quantised import alphas_of, picture_weights, small_scale, three_of_quats
+from .quantised import alphas_of, picture_weights, small_scale, three_of_quats, to_uint8
 from .sog_layout import (
     HIGHEST,
     LARGEST_QUAT,
+    MAX_ENTRIES,
     META,
-    MOST_ENTRIES,
     PALETTE_ROW,
     ROOT2,
     TABLE,
@@ -41,7 +41,7 @@ from .sog_layout import (
 SHARES = (64, 16, 4)  # Gaussians for each entry of the palette: the first one whose error is small enough
 SMALL_ERROR = 2.5e-3  # weighted mean of the squared errors of all coefficients: about 50 dB in a picture
 SAMPLE = 1 << 15  # Gaussians by which that is found out
-FEWEST_ENTRIES = 1024
+MIN_ENTRIES = 1024
 FARTHEST = 1e30  # positions beyond are written as if they were there
 COARSE = 2  # steps of a position in the scale of a small Gaussian, at least: beyond, a sentence says so
 BYTES = 40  # free space per Gaussian that is asked for
@@ -88,9 +88,8 @@ def encoded(scene: Scene, quantise: float = 1.0) -> tuple[dict[str, Any], dict[s
     weights = picture_weights(scene)
     means, ranges = _means(scene)
     three, largest = three_of_quats(scene.quats)
-    quats = np.column_stack(
-        [_bytes((three / ROOT2 + np.float32(0.5)) * 255), (LARGEST_QUAT + largest).astype(np.uint8)]
-    )
+    three = to_uint8((three / ROOT2 + np.float32(0.5)) * 255)
+    quats = np.column_stack([three, (LARGEST_QUAT + largest).astype(np.uint8)])
     logs, scales = _by_table(scene.log_scales, weights)
     colors, sh0 = _by_table(scene.sh[:, 0], weights)
     pixels = {
@@ -123,10 +122,8 @@ def _means(scene: Scene) -> tuple[np.ndarray, dict[str, list[float]]]:
     low, high = (stored.min(axis=0), stored.max(axis=0)) if scene.count else (np.zeros(3), np.zeros(3))
     low, high = low.astype(np.float32).astype(np.float64), high.astype(np.float32).astype(np.float64)
     shares = (stored - low) / np.where(high > low, high - low, 1)
-    return np.clip(np.rint(shares * HIGHEST), 0, HIGHEST).astype(np.int64), {
-        "mins": low.tolist(),
-        "maxs": high.tolist(),
-    }
+    whole = np.clip(np.rint(shares * HIGHEST), 0, HIGHEST).astype(np.int64)
+    return whole, {"mins": low.tolist(), "maxs": high.tolist()}
 
 
 def _stored(means: np.ndarray) -> np.ndarray:
@@ -137,12 +134,9 @@ def _stored(means: np.ndarray) -> np.ndarray:
 
 def _by_table(values: np.ndarray, weights: np.ndarray) -> tuple[list[float], np.ndarray]:
     """The table of three columns (N, 3) and the row of each value, (N, 3) uint8."""
-    values = np.nan_to_num(values, posinf=80, neginf=-80)
-    levels = (
-        table(values.reshape(-1), np.repeat(weights, 3), TABLE)
-        if len(values)
-        else np.zeros(TABLE, np.float32)
-    )
+    values, levels = np.nan_to_num(values, posinf=80, neginf=-80), np.zeros(TABLE, np.float32)
+    if len(values):
+        levels = table(values.reshape(-1), np.repeat(weights, 3), TABLE)
     return levels.tolist(), nearest(values, levels)
 
 
@@ -152,8 +146,8 @@ def _higher_bands(
     """shN of meta.json, the texture of the palette, and the label of each Gaussian, (N, 3)."""
     coefficients = scene.sh.shape[1] - 1
     rows = np.nan_to_num(scene.sh[:, 1:].reshape(scene.count, -1), posinf=1, neginf=-1)
-    size = min(MOST_ENTRIES, max(FEWEST_ENTRIES, scene.count // _share(rows, weights, quantise)))
-    entries, labels = palette(rows, weights, size, MOST_ENTRIES)
+    size = min(MAX_ENTRIES, max(MIN_ENTRIES, scene.count // _share(rows, weights, quantise)))
+    entries, labels = palette(rows, weights, size, MAX_ENTRIES)
     heights = -(-max(len(entries), 1) // PALETTE_ROW)
     used = np.bincount(labels, weights, len(entries)).astype(np.float32)
     levels, stored = _by_table(entries.reshape(-1, 3), np.repeat(used, coefficients))
@@ -165,11 +159,8 @@ def _higher_bands(
         "codebook": levels,
         "files": ["shN_centroids.webp", "shN_labels.webp"],
     }
-    return (
-        meta,
-        image.reshape(heights, -1, 3),
-        np.column_stack([labels & 255, labels >> 8, np.zeros_like(labels)]),
-    )
+    pixels = np.column_stack([labels & 255, labels >> 8, np.zeros_like(labels)])
+    return meta, image.reshape(heights, -1, 3), pixels
 
 
 def _share(rows: np.ndarray, weights: np.ndarray, quantise: float) -> int:
@@ -178,9 +169,8 @@ def _share(rows: np.ndarray, weights: np.ndarray, quantise: float) -> int:
     part, mass = rows[some], weights[some]
     for share in SHARES[:-1]:
         entries, labels = palette(part, mass, max(1, len(some) // share), 0)
-        if (
-            mass * np.square(part - entries[labels]).sum(axis=1)
-        ).sum() <= SMALL_ERROR * quantise**2 * mass.sum():
+        error = (mass * np.square(part - entries[labels]).sum(axis=1)).sum()
+        if error <= SMALL_ERROR * quantise**2 * mass.sum():
             return share
     return SHARES[-1]
 
@@ -196,10 +186,6 @@ def _texture(rows: np.ndarray) -> np.ndarray:
     return image.reshape(height, width, -1)
 
 
-def _bytes(values: np.ndarray) -> np.ndarray:
-    return np.clip(np.rint(values), 0, 255).astype(np.uint8)
-
-
 def _write_folder(path: Path, meta: dict[str, Any], textures: dict[str, np.ndarray]):
     """Writes the textures, then meta.json, and removes those that an older meta.json named. Until then, the
     older one stays as it is."""
@@ -208,33 +194,26 @@ def _write_folder(path: Path, meta: dict[str, Any], textures: dict[str, np.ndarr
     text = json.dumps(meta)
     for name in textures:
         text = text.replace(f'"{name}.webp"', f'"{name}{tag}.webp"')
-    _in_threads(textures, lambda name, image: _write_one(path.parent / f"{name}{tag}.webp", image))
+
+    def write_one(name: str):
+        texture = path.parent / f"{name}{tag}.webp"
+        with atomic_path(texture) as temporary:
+            write_texture(temporary, texture, textures[name])
+
+    with ThreadPoolExecutor(os.cpu_count()) as threads:
+        list(threads.map(write_one, textures))
     with atomic_write(path) as file:
         file.write(text.encode())
     for texture in old:
         texture.unlink(missing_ok=True)
 
 
-def _write_one(path: Path, image: np.ndarray):
-    with atomic_path(path) as temporary:
-        write_texture(temporary, path, image)
-
-
 def _write_bundle(path: str | os.PathLike, meta: dict[str, Any], textures: dict[str, np.ndarray]):
-    with (
-        atomic_write(path) as file,
-        tempfile.TemporaryDirectory() as folder,
-        zipfile.ZipFile(file, "w") as bundle,
-    ):
-        _in_threads(textures, lambda name, image: write_texture(Path(folder) / f"{name}.webp", path, image))
-        bundle.writestr(zipfile.ZipInfo(META, FIRST_DATE), json.dumps(meta))
-        for name in sorted(textures):
-            bundle.writestr(
-                zipfile.ZipInfo(f"{name}.webp", FIRST_DATE), (Path(folder) / f"{name}.webp").read_bytes()
-            )
-
-
-def _in_threads(textures: dict[str, np.ndarray], work: Any):
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        for done in [pool.submit(work, name, image) for name, image in textures.items()]:
-            done.result()
+    with atomic_write(path) as file, tempfile.TemporaryDirectory() as temp_dir:
+        files = {name: Path(temp_dir) / f"{name}.webp" for name in sorted(textures)}
+        with ThreadPoolExecutor(os.cpu_count()) as threads:
+            list(threads.map(lambda name: write_texture(files[name], path, textures[name]), textures))
+        with zipfile.ZipFile(file, "w") as bundle:
+            bundle.writestr(zipfile.ZipInfo(META, FIRST_DATE), json.dumps(meta))
+            for texture in files.values():
+                bundle.writestr(zipfile.ZipInfo(texture.name, FIRST_DATE), texture.read_bytes())

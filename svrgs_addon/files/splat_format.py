@@ -5,13 +5,10 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-
-from ..native.library import PARAMETERS
+from ..scene.concatenate import concatenated
 from ..scene.gaussians import Scene
 from ..system.errors import SceneError
 
@@ -58,26 +55,7 @@ class SplatFormat:
 
     def whole(self, path: Path) -> Scene:
         """The scene with values as stored, not repaired. Raises FormatError."""
-        return self.read(path) if self.read else joined(list(self.read_parts(path)))
-
-
-def joined(parts: list[Scene]) -> Scene:
-    """One scene of the parts of a file, which have no further columns."""
-    first = parts[0]
-    if len(parts) == 1:
-        return first
-    ends = np.cumsum([part.count for part in parts])
-    arrays: dict[str, Any] = {
-        name: np.empty((ends[-1], *getattr(first, name).shape[1:]), np.float32) for name in PARAMETERS
-    }
-
-    def copy(number: int):
-        for name, array in arrays.items():
-            array[ends[number] - parts[number].count : ends[number]] = getattr(parts[number], name)
-
-    with ThreadPoolExecutor(os.cpu_count()) as threads:  # the memory is new, and most of the time is for that
-        list(threads.map(copy, range(len(parts))))
-    return replace(first, **arrays)
+        return self.read(path) if self.read else concatenated(list(self.read_parts(path)), columns=True)
 
 
 def by_parts(work: Callable[[int], Scene], starts: Sequence[int]) -> Iterator[Scene]:

@@ -2,12 +2,13 @@
 
 Streams of bytes, one for each kind of value, in this order:
 
-positions   3 x 24 bits, signed: multiples of 2^-f, f from the header (version 1: 3 x float16) alphas      8
-bits, from 0 to 1 colors      3 x 8 bits: SH of degree 0, (value / 255 - 1/2) / 0.15 scales      3 x 8 bits:
-logarithm, value / 16 - 10 rotations   version 3 on: 32 bits, the position of the largest component of (x, y,
-z, w) and the others, a sign and 9 bits each; before: 3 x 8 bits,
-            x, y, z with w >= 0
-sh          8 bits, (value - 128) / 128, of each coefficient the three channels
+    positions    3 x 24 bits, signed: multiples of 2^-f, f from the header (version 1: 3 x float16)
+    alphas       8 bits, from 0 to 1
+    colors       3 x 8 bits: SH of degree 0, (value / 255 - 1/2) / 0.15
+    scales       3 x 8 bits: logarithm, value / 16 - 10
+    rotations    version 3 on: 32 bits, the position of the largest component of (x, y, z, w), and the others,
+                 a sign and 9 bits each; before: 3 x 8 bits, x, y, z with w >= 0
+    sh           8 bits, (value - 128) / 128, of each coefficient the three channels
 
 Axes are right, up, back: y and z have the opposite sign of those of 3DGS. The streams are packed as
 spz_container.py says.
@@ -18,7 +19,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from ..scene.morton_order import morton_order
 from . import zstd
 from .atomic import atomic_write, check_space
 from .axes import turned_over
-from .opened import MAX_COUNT, opened
+from .memory_mapped import array_for
 from .quantised import (
     alphas_of,
     logits_of,
@@ -35,20 +35,21 @@ from .quantised import (
     quats_of_three,
     small_scale,
     three_of_quats,
+    to_uint8,
     widest_logs,
 )
+from .reading import MAX_COUNT, open_splat
 from .splat_format import SplatFormat, by_parts
-from .spooled import array_for
-from .spz_container import NEWEST, SMALLEST_THREE, Header, packed, streams
+from .spz_container import GZIP, MAGIC, NEWEST, SMALLEST_THREE, Header, packed, streams
 
 PART = 2**16  # Gaussians that are converted together
 FRACTION_BITS = 12  # of positions, at least where the scene is small enough
 LARGEST_POSITION = 2**23 - 1
 FINER = 16  # steps of a position, at least, in the scale of a small Gaussian
-MOST_FRACTION_BITS = 24
-# steps of a position in the scale of a small Gaussian, at least; share of the Gaussians: beyond, a sentence
-# says so
-COARSE, SOME = 2, 0.01
+MAX_FRACTION_BITS = 24
+# steps of a position in the scale of a small Gaussian, at least, and share of the Gaussians beyond the limits
+# of scales, at most: else a sentence says so
+COARSE, MAX_BEYOND = 2, 0.01
 COLOR, SCALE_STEPS, SMALLEST_SCALE = 0.15, 16, -10
 # of 256, between values of SH of a Gaussian with weight 1 (picture_weights) that are written
 # (docs/formats.md)
@@ -59,7 +60,7 @@ SQRT_HALF = np.float32(0.5**0.5)
 
 def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[Scene]:
     """The Gaussians in file order, in parts. Raises FormatError, which names the file."""
-    with opened(path) as file:
+    with open_splat(path) as file:
         yield from parts_of(file.read(), max_count)
 
 
@@ -113,7 +114,7 @@ def fraction_bits(largest: float, small: float) -> int:
     largest position allows."""
     fitting = int(np.floor(np.log2(LARGEST_POSITION / max(largest, 1e-30))))
     wanted = int(np.ceil(np.log2(FINER / max(small, 1e-30))))
-    return max(0, min(max(wanted, FRACTION_BITS), fitting, MOST_FRACTION_BITS))
+    return max(0, min(max(wanted, FRACTION_BITS), fitting, MAX_FRACTION_BITS))
 
 
 def limits(scene: Scene) -> list[str]:
@@ -129,7 +130,7 @@ def limits(scene: Scene) -> list[str]:
     low, high = SMALLEST_SCALE, SMALLEST_SCALE + 255 / SCALE_STEPS
     widest = widest_logs(scene)
     beyond = int(((widest < low) | (widest > high)).sum())
-    if beyond > SOME * scene.count:
+    if beyond > MAX_BEYOND * scene.count:
         sentences.append(
             f"{beyond:,} Gaussians are smaller than {np.exp(low):.1g} or larger than {np.exp(high):.3g}, the"
             " limits of an SPZ: scale the scene first"
@@ -154,9 +155,8 @@ def _scene(header: Header, stored: dict[str, np.ndarray]) -> Scene:
     sh[:, 1:] = (rest.astype(np.float32) - 128) / 128
     logs = stored["scales"].astype(np.float32) / SCALE_STEPS + SMALLEST_SCALE
     means, quats = _positions(header, stored["positions"]), _quats(header, stored["rotations"])
-    return turned_over(
-        Scene(means, logs, quats, logits_of(stored["alphas"][:, 0]), sh, antialiased=header.antialiased)
-    )
+    logits = logits_of(stored["alphas"][:, 0])
+    return turned_over(Scene(means, logs, quats, logits, sh, antialiased=header.antialiased))
 
 
 def _positions(header: Header, stored: np.ndarray) -> np.ndarray:
@@ -190,8 +190,8 @@ def _rows(header: Header, scene: Scene, steps: np.ndarray) -> dict[str, np.ndarr
     return {
         "positions": whole.view(np.uint8).reshape(-1, 3, 4)[:, :, :3].reshape(-1, 9),
         "alphas": alphas_of(scene.opacity_logits)[:, None],
-        "colors": _bytes(scene.sh[:, 0] * np.float32(COLOR * 255) + np.float32(127.5)),
-        "scales": _bytes((scene.log_scales - SMALLEST_SCALE) * SCALE_STEPS),
+        "colors": to_uint8(scene.sh[:, 0] * np.float32(COLOR * 255) + np.float32(127.5)),
+        "scales": to_uint8((scene.log_scales - SMALLEST_SCALE) * SCALE_STEPS),
         "rotations": _rotations(header, scene.quats),
         "sh": _sh(scene.sh, steps),
     }
@@ -202,7 +202,9 @@ def _rotations(header: Header, quats: np.ndarray) -> np.ndarray:
     three, largest = three_of_quats(xyzw)
     if header.version < SMALLEST_THREE:
         unit = quats_of_three(three, largest)
-        return _bytes(unit[:, :3] * np.where(unit[:, 3:] < 0, -1, 1) * np.float32(127.5) + np.float32(127.5))
+        return to_uint8(
+            unit[:, :3] * np.where(unit[:, 3:] < 0, -1, 1) * np.float32(127.5) + np.float32(127.5)
+        )
     whole = largest.astype(np.uint32)
     for k in range(3):
         size = np.minimum(np.rint(np.abs(three[:, k]) * (511 / SQRT_HALF)), 511).astype(np.uint32)
@@ -228,19 +230,11 @@ def _sh(sh: np.ndarray, steps: np.ndarray) -> np.ndarray:
     return np.clip(values, 0, 255, out=values).astype(np.uint8).reshape(len(sh), -1)
 
 
-def _bytes(values: np.ndarray) -> np.ndarray:
-    return np.clip(np.rint(values), 0, 255).astype(np.uint8)
-
-
-def _sniff(head: Any) -> bool:
-    return head.startswith((b"NGSP", b"\x1f\x8b"))
-
-
 FORMAT = SplatFormat(
     name="spz",
     label="SPZ",
     suffixes=(".spz",),
-    sniff=_sniff,
+    sniff=lambda head: head.startswith((MAGIC, GZIP)),
     read_parts=read_parts,
     write=write,
     versions=(4, 3, 2),

@@ -18,7 +18,7 @@ import numpy as np
 from ..scene.gaussians import SH_COEFFICIENTS
 from ..system.errors import FormatError, SceneError
 from . import zstd
-from .opened import refuse_unpacking
+from .reading import refuse_unpacking
 
 MAGIC, GZIP = b"NGSP", b"\x1f\x8b"
 NEWEST, SMALLEST_THREE = 4, 3  # versions: the newest one; the first one whose rotations have 32 bits
@@ -26,7 +26,7 @@ HEADER, GZIP_HEADER = struct.Struct("<4sIIBBBBI12x"), struct.Struct("<4sIIBBBx")
 ENTRY = struct.Struct("<QQ")
 ANTIALIASED, EXTENSIONS = 1, 2  # flags
 ADOBE_AXES = 0xADBE0003  # type of an extension after which axes may be others
-MOST_DEGREE = 4  # of SH; that beyond 3 is not read
+MAX_DEGREE = 4  # of SH; that beyond 3 is not read
 RATIO, ALWAYS = 32, 1 << 20  # most bytes per packed byte; bytes that are unpacked from any file
 LEVEL, GZIP_LEVEL = 9, 6  # of compression
 # of Zstandard: short matches in SH cost time, and bytes too
@@ -73,7 +73,8 @@ def streams(data: bytes, max_count: int) -> tuple[Header, dict[str, np.ndarray]]
     _, version, count, degree, bits, flags, number, table = HEADER.unpack_from(data)
     if version != NEWEST:
         raise FormatError(f"is an SPZ of version {version}; versions 1 to {NEWEST} are read")
-    header = _checked(Header(version, count, degree, bits, bool(flags & ANTIALIASED)), size, max_count)
+    header = Header(version, count, degree, bits, bool(flags & ANTIALIASED))
+    _check(header, size, max_count)
     if flags & EXTENSIONS:
         _refuse_other_axes(data[HEADER.size : table])
     widths = {name: width for name, width in header.widths().items() if width * count}
@@ -81,7 +82,9 @@ def streams(data: bytes, max_count: int) -> tuple[Header, dict[str, np.ndarray]]
         raise FormatError(
             f"has {number} streams, or a table at byte {table}, that do not fit its header{BROKEN}"
         )
-    return header, _filled(header, _unpacked(data, table, widths, count))
+    rows = _unpacked(data, table, widths, count)
+    empty = {name: np.empty((count, width), np.uint8) for name, width in header.widths().items()}
+    return header, empty | rows  # a file leaves out streams without bytes
 
 
 def packed(header: Header, rows: dict[str, np.ndarray], path: str | os.PathLike) -> bytes:
@@ -95,19 +98,12 @@ def packed(header: Header, rows: dict[str, np.ndarray], path: str | os.PathLike)
             MAGIC, header.version, header.count, header.degree, header.fraction_bits, flags
         )
         packer = zlib.compressobj(GZIP_LEVEL, wbits=16 + zlib.MAX_WBITS)
-        return b"".join(
-            [packer.compress(head), *(packer.compress(content) for content in contents), packer.flush()]
-        )
+        return b"".join([packer.compress(head), *map(packer.compress, contents), packer.flush()])
     if not zstd.available():
         raise SceneError(f"{path}: cannot be written, {zstd.MISSING}")
+    compress = lambda name, content: zstd.compress(content, LEVEL, **(FOR_SH if name == "sh" else {}))
     with ThreadPoolExecutor(os.cpu_count()) as threads:
-        frames = list(
-            threads.map(
-                lambda name, content: zstd.compress(content, LEVEL, **(FOR_SH if name == "sh" else {})),
-                names,
-                contents,
-            )
-        )
+        frames = list(threads.map(compress, names, contents))
     head = HEADER.pack(
         MAGIC, NEWEST, header.count, header.degree, header.fraction_bits, flags, len(frames), HEADER.size
     )
@@ -115,10 +111,10 @@ def packed(header: Header, rows: dict[str, np.ndarray], path: str | os.PathLike)
     return b"".join([head, *table, *frames])
 
 
-def _checked(header: Header, size: int, max_count: int) -> Header:
+def _check(header: Header, size: int, max_count: int):
     """Raises FormatError for values that no writer sets, and for more Gaussians than so few bytes can
     hold."""
-    if header.degree > MOST_DEGREE or header.fraction_bits > 30:
+    if header.degree > MAX_DEGREE or header.fraction_bits > 30:
         raise FormatError(
             f"has SH of degree {header.degree} or {header.fraction_bits} bits of fraction, which no program"
             f" writes{BROKEN}"
@@ -129,7 +125,6 @@ def _checked(header: Header, size: int, max_count: int) -> Header:
             f" names{BROKEN}"
         )
     refuse_unpacking(header.count, header.coefficients, max_count)
-    return header
 
 
 def _refuse_other_axes(records: bytes):
@@ -175,9 +170,8 @@ def _gunzipped(data: bytes, max_count: int) -> tuple[Header, dict[str, np.ndarra
         _, version, count, degree, bits, flags = GZIP_HEADER.unpack(head)
         if not 1 <= version < NEWEST:
             raise FormatError(f"is an SPZ of version {version}; versions 1 to {NEWEST} are read")
-        header = _checked(
-            Header(version, count, degree, bits, bool(flags & ANTIALIASED)), len(data), max_count
-        )
+        header = Header(version, count, degree, bits, bool(flags & ANTIALIASED))
+        _check(header, len(data), max_count)
         needed = count * sum(header.widths().values())
         content = unpacker.decompress(unpacker.unconsumed_tail, needed) if needed else b""
     except zlib.error as error:
@@ -189,11 +183,3 @@ def _gunzipped(data: bytes, max_count: int) -> tuple[Header, dict[str, np.ndarra
         rows[name] = np.frombuffer(content, np.uint8, width * count, at).reshape(count, width)
         at += width * count
     return header, rows
-
-
-def _filled(header: Header, rows: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """All streams: those without bytes are left out of a file."""
-    return {
-        name: rows.get(name, np.empty((header.count, width), np.uint8))
-        for name, width in header.widths().items()
-    }

@@ -1,10 +1,11 @@
 """Streamed SOG (PlayCanvas): lod-meta.json beside folders with a SOG each (sog_layout.py), which viewers load
 as they need them.
 
-counts, lodLevels   Gaussians of each level of detail, the finest one first; the number of levels filenames
-meta.json of each SOG: L_n/meta.json holds Gaussians of level L tree                boxes: `bound` with min
-and max, and two `children`, or the `lods` of a leaf: by level, `file`, `offset` and `count` of its Gaussians
-environment         meta.json of Gaussians that belong to every level; is read, not written
+    counts, lodLevels    Gaussians of each level of detail, the finest one first; the number of levels
+    filenames            meta.json of each SOG: L_n/meta.json holds Gaussians of level L
+    tree                 boxes: `bound` with min and max, and two `children`, or the `lods` of a leaf: by
+                         level, `file`, `offset` and `count` of its Gaussians
+    environment          meta.json of Gaussians that belong to every level; is read, not written
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from ..scene.rotations import rotation_matrices
 from ..system.errors import FormatError
 from . import images, sog
 from .atomic import atomic_write, check_space
-from .opened import MAX_COUNT, MAX_IN_PARTS, json_object, opened, refuse_many
+from .reading import MAX_COUNT, MAX_IN_PARTS, json_object, open_splat, refuse_many
 from .sog_layout import META, files_of
 from .sog_writer import BYTES, limits, write_in_order
 from .splat_format import SplatFormat
@@ -37,7 +38,7 @@ INDEX, VERSION = "lod-meta.json", 1
 MAX_INDEX = 50_000_000  # bytes of lod-meta.json
 CHUNK = 512 * 1024  # Gaussians of a leaf, of all levels together, and of a file, about
 # a leaf is not larger, in units of the scene, unless it has no more Gaussians than this
-EXTENT, LEAST = 16.0, 8192
+MAX_EXTENT, FEW_GAUSSIANS = 16.0, 8192
 UNIT = re.compile(r"[\w-][\w.-]*/meta\.json")
 DIGITS = 7  # of the numbers of a box
 BROKEN = "; export it again"
@@ -52,7 +53,7 @@ def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[
 
 def read_level(path: Path, level: int, max_count: int = MAX_COUNT) -> Iterator[Scene]:
     """The Gaussians of a level of detail, in parts. Raises FormatError, which names the file."""
-    with opened(path):
+    with open_splat(path):
         units = _units_of(_checked(path), level, max_count)
     files = [path.parent / name for name in units]
     most, left = max(map(sog.degree_of, files), default=0), max_count
@@ -66,14 +67,14 @@ def read_level(path: Path, level: int, max_count: int = MAX_COUNT) -> Iterator[S
 
 def levels(path: Path) -> int:
     """The number of levels of detail. Raises FormatError, which names the file."""
-    with opened(path):
+    with open_splat(path):
         return _checked(path)["lodLevels"]
 
 
 def parts(path: Path) -> list[Path]:
     """The files of all levels that are there; lod-meta.json alone, if it is damaged."""
     try:
-        with opened(path):
+        with open_splat(path):
             meta = _checked(path)
     except FormatError:
         return [path]
@@ -83,7 +84,7 @@ def parts(path: Path) -> list[Path]:
 
 def level_bytes(path: Path, level: int) -> int:
     """Bytes of the files with Gaussians of the level. Raises FormatError, which names the file."""
-    with opened(path):
+    with open_splat(path):
         units = _units_of(_checked(path), level, MAX_IN_PARTS)
     return sum(file.stat().st_size for unit in units for file in files_of(path.parent / unit))
 
@@ -137,7 +138,8 @@ class _Cut:
         means = np.concatenate([scene.means[some] for scene, some in zip(self.scenes, rows, strict=True)])
         sides = np.ptp(means, axis=0) if len(means) else np.zeros(3)
         axis, largest = int(np.argmax(sides)), float(sides.max())
-        if not largest > 0 or (len(means) <= CHUNK and (largest <= EXTENT or len(means) <= LEAST)):
+        small = largest <= MAX_EXTENT or len(means) <= FEW_GAUSSIANS
+        if not largest > 0 or (len(means) <= CHUNK and small):
             return self.leaf(rows)
         middle = np.partition(means[:, axis], len(means) // 2)[len(means) // 2]
         low = [scene.means[some, axis] < middle for scene, some in zip(self.scenes, rows, strict=True)]
@@ -154,52 +156,33 @@ class _Cut:
         }
 
     def leaf(self, rows: list[np.ndarray]) -> dict[str, Any]:
-        lods, low, high = {}, [], []
+        lods, lows, highs = {}, [], []
         for level, (scene, some) in enumerate(zip(self.scenes, rows, strict=True)):
             if not len(some):
                 continue
             some = some[morton_order(scene.means[some])]
             name, held = self.open_files.get(level) or (f"{level}_0{self.tag}/{META}", 0)
             if held >= CHUNK:
-                name, held = (
-                    f"{level}_{sum(one == level for one, _ in self.files.values())}{self.tag}/{META}",
-                    0,
-                )
+                name = f"{level}_{sum(one == level for one, _ in self.files.values())}{self.tag}/{META}"
+                held = 0
             self.files.setdefault(name, (level, []))[1].append(some)
             self.open_files[level] = (name, held + len(some))
             lods[str(level)] = {"file": list(self.files).index(name), "offset": held, "count": len(some)}
-            corners = _box(scene.select(some))
-            low.append(corners[0])
-            high.append(corners[1])
-        bound = (
-            {"min": np.min(low, axis=0), "max": np.max(high, axis=0)}
-            if low
-            else {"min": np.zeros(3), "max": np.zeros(3)}
-        )
-        return {
-            "bound": {
-                name: [float(f"{value:.{DIGITS}g}") for value in corner] for name, corner in bound.items()
-            },
-            "lods": lods,
-        }
-
-
-def _box(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """The corners (3,) of the box around ellipsoids of one sigma."""
-    half = np.einsum(
-        "nij,nj->ni", np.abs(rotation_matrices(scene.quats)), np.exp(scene.log_scales.astype(np.float64))
-    )
-    return (scene.means - half).min(axis=0), (scene.means + half).max(axis=0)
+            part = scene.select(some)  # ellipsoids of one sigma
+            scales = np.exp(part.log_scales.astype(np.float64))
+            half = np.einsum("nij,nj->ni", np.abs(rotation_matrices(part.quats)), scales)
+            lows.append((part.means - half).min(axis=0))
+            highs.append((part.means + half).max(axis=0))
+        low = np.min(lows, axis=0) if lows else np.zeros(3)
+        high = np.max(highs, axis=0) if lows else np.zeros(3)
+        rounded = lambda corner: [float(f"{value:.{DIGITS}g}") for value in corner]
+        return {"bound": {"min": rounded(low), "max": rounded(high)}, "lods": lods}
 
 
 def _with_degree(scene: Scene, degree: int) -> Scene:
     """The scene with zeros in SH bands that it does not have."""
     missing = SH_COEFFICIENTS[degree] - scene.sh.shape[1]
-    return (
-        replace(scene, sh=np.concatenate([scene.sh, np.zeros((scene.count, missing, 3), np.float32)], axis=1))
-        if missing
-        else scene
-    )
+    return replace(scene, sh=np.pad(scene.sh, ((0, 0), (0, missing), (0, 0)))) if missing else scene
 
 
 def _checked(path: Path) -> dict[str, Any]:
@@ -238,22 +221,15 @@ def _units_of(meta: dict[str, Any], level: int, most: int) -> list[str]:
             continue
         part = lods[str(level)]
         number, count = (part.get(name) if isinstance(part, dict) else None for name in ("file", "count"))
-        if (
-            not isinstance(number, int)
-            or not 0 <= number < len(names)
-            or not isinstance(count, int)
-            or count < 0
+        if not (
+            isinstance(number, int) and 0 <= number < len(names) and isinstance(count, int) and count >= 0
         ):
             raise FormatError(f"has a leaf that names no file{BROKEN}")
         found.add(number)
         counted += count
     refuse_many(counted, most)
-    return list(
-        dict.fromkeys(
-            [names[number] for number in sorted(found)]
-            + ([meta["environment"]] if "environment" in meta else [])
-        )
-    )
+    environment = [meta["environment"]] if "environment" in meta else []
+    return list(dict.fromkeys([*(names[number] for number in sorted(found)), *environment]))
 
 
 FORMAT = SplatFormat(

@@ -20,21 +20,21 @@ from typing import Any
 
 import numpy as np
 
+from ..scene import activation
 from ..scene.affine import transformed
+from ..scene.concatenate import concatenated
 from ..scene.gaussians import SH_COEFFICIENTS, Scene
-from ..scene.merge import merged
 from ..system import limited, packages
 from ..system.errors import FormatError, SceneError
 from ..system.processes import ChildProcess
 from . import usd_arrays
 from .atomic import atomic_path, check_space
 from .axes import turned_over
-from .opened import MAX_COUNT, opened, refuse_whole, size_of
-from .quantised import logs_of
+from .quantised import logits_of_opacities, logs_of, opacities_of, unit_quats
+from .reading import MAX_COUNT, open_splat, refuse_whole, size_of
 from .splat_format import SplatFormat
 from .usd_arrays import DEGREE, SH, TYPE
 
-BEYOND = 1e-7  # an opacity keeps so much from 0 and 1, where its logit would be infinite
 # attributes, and the numbers of a Gaussian in each
 ROWS = {"positions": 3, "orientations": 4, "scales": 3, "opacities": 1}
 Z_TO_Y = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]], np.float64)
@@ -49,26 +49,23 @@ BROKEN = "; export it again"
 def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[Scene]:
     """All Gaussians as one part. Raises FormatError, which names the file, and SceneError if pxr is
     missing."""
-    with opened(path) as file, _arrays_of(Path(path), size_of(file)) as arrays:
+    with open_splat(path) as file, _arrays_of(Path(path), size_of(file)) as arrays:
         number = sum(name.endswith(":positions") for name in arrays)
         if not number:
             raise FormatError(f"holds no splat: no prim of the type {TYPE}")
-        degrees = [_degree(arrays, one) for one in range(number)]
-        refuse_whole(
-            sum(arrays[f"{one}:positions"].size // 3 for one in range(number)),
-            SH_COEFFICIENTS[max(degrees)],
-            max_count,
-        )
+        degree = max(_degree(arrays, one) for one in range(number))
+        count = sum(arrays[f"{one}:positions"].size // 3 for one in range(number))
+        refuse_whole(count, SH_COEFFICIENTS[degree], max_count)
         upright = Z_TO_Y if arrays["z_up"] else np.eye(4)
         try:
             with np.errstate(over="ignore", invalid="ignore"):  # values of a damaged file
                 scenes = [
-                    transformed(_scene(arrays, one, max(degrees)), upright @ arrays[f"{one}:matrix"])
+                    transformed(_scene(arrays, one, degree), upright @ arrays[f"{one}:matrix"])
                     for one in range(number)
                 ]
         except SceneError as error:
             raise FormatError(f"has a prim that cannot be placed: {error}") from None
-    yield turned_over(merged(scenes) if len(scenes) > 1 else scenes[0])
+    yield turned_over(concatenated(scenes))
 
 
 @contextlib.contextmanager
@@ -78,16 +75,12 @@ def _arrays_of(path: Path, size: int) -> Iterator[Any]:
     if not packages.is_installed("pxr"):
         module("Usd")  # raises
     with tempfile.TemporaryDirectory() as folder:
-        out, seconds, megabytes = (
-            Path(folder) / "arrays.npz",
-            SECONDS + (size >> 22),
-            MEGABYTES + TIMES_FILE * (size >> 20),
-        )
+        out = Path(folder) / "arrays.npz"
+        seconds = SECONDS + (size >> 22)
+        megabytes = MEGABYTES + TIMES_FILE * (size >> 20)
         words = [limited.__file__, seconds, megabytes, usd_arrays.__file__, path.absolute(), out]
-        command = [sys.executable, "-P", *map(str, words)]
-        with ChildProcess(
-            command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-        ) as child:
+        command, nowhere = [sys.executable, "-P", *map(str, words)], subprocess.DEVNULL
+        with ChildProcess(command, stdin=nowhere, stdout=nowhere, stderr=nowhere) as child:
             try:
                 child.wait(LONGER * seconds)
             except subprocess.TimeoutExpired:
@@ -138,21 +131,15 @@ def _fill(prim: Any, scene: Scene):
     """Sets the attributes of a prim, in its own coordinates."""
     Sdf, Vt = map(module, ("Sdf", "Vt"))
     kinds = Sdf.ValueTypeNames
-    norms = np.maximum(np.linalg.norm(scene.quats, axis=1, keepdims=True), np.float32(1e-30))
-    opacities = 1 / (1 + np.exp(-scene.opacity_logits.clip(-80, 80)))
-    with np.errstate(over="ignore"):
-        scales = np.exp(scene.log_scales)
-    radius = 3 * scales.max(initial=0)
-    extent = (
-        np.array([scene.means.min(axis=0) - radius, scene.means.max(axis=0) + radius])
-        if scene.count
-        else np.zeros((2, 3), np.float32)
-    )
+    scales, extent = activation.scales(scene.log_scales), np.zeros((2, 3), np.float32)
+    if scene.count:
+        radius = 3 * scales.max()
+        extent = np.array([scene.means.min(axis=0) - radius, scene.means.max(axis=0) + radius])
     values = {
         "positions": (kinds.Point3fArray, Vt.Vec3fArray, scene.means),
-        "orientations": (kinds.QuatfArray, Vt.QuatfArray, np.roll(scene.quats / norms, -1, axis=1)),
+        "orientations": (kinds.QuatfArray, Vt.QuatfArray, np.roll(unit_quats(scene.quats), -1, axis=1)),
         "scales": (kinds.Float3Array, Vt.Vec3fArray, scales),
-        "opacities": (kinds.FloatArray, Vt.FloatArray, opacities),
+        "opacities": (kinds.FloatArray, Vt.FloatArray, opacities_of(scene.opacity_logits)),
         SH: (kinds.Float3Array, Vt.Vec3fArray, scene.sh.reshape(-1, 3)),
         "extent": (kinds.Float3Array, Vt.Vec3fArray, extent),
     }
@@ -168,13 +155,10 @@ def _scene(arrays: dict[str, np.ndarray], number: int, degree: int) -> Scene:
         _rows(arrays, number, name, count, width) for name, width in ROWS.items()
     )
     sh = np.zeros((count, SH_COEFFICIENTS[degree], 3), np.float32)
-    sh[:, : SH_COEFFICIENTS[own]] = _rows(arrays, number, "sh", count, 3 * SH_COEFFICIENTS[own]).reshape(
-        count, SH_COEFFICIENTS[own], 3
-    )
-    opacities = np.clip(opacities[:, 0].astype(np.float64), BEYOND, 1 - BEYOND)
-    return Scene.of(
-        means, logs_of(scales), np.roll(orientations, 1, axis=1), np.log(opacities / (1 - opacities)), sh
-    )
+    stored = _rows(arrays, number, "sh", count, 3 * SH_COEFFICIENTS[own])
+    sh[:, : SH_COEFFICIENTS[own]] = stored.reshape(count, -1, 3)
+    quats, logits = np.roll(orientations, 1, axis=1), logits_of_opacities(opacities[:, 0])
+    return Scene.of(means, logs_of(scales), quats, logits, sh)
 
 
 def _degree(arrays: dict[str, np.ndarray], number: int) -> int:

@@ -11,7 +11,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from .model import PARAMETERS, Model
+from ..scene.gaussians import PARAMETERS
+from .model import Model
 
 ROWS = 8_192  # Gaussians that are worked on at a time, so that they fit into a cache
 

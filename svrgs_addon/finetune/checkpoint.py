@@ -12,12 +12,14 @@ import json
 import logging
 import shutil
 from dataclasses import asdict
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
 
 from ..files.atomic import atomic_write, check_space
 from ..files.npz import write_arrays
+from ..scene.gaussians import PARAMETERS
 from ..system.errors import FormatError, SceneError
 from ..views.dataset import Dataset
 from .averaging import Average
@@ -31,6 +33,8 @@ from .strength_controller import StrengthController
 SCHEMA = 11
 KEPT = 2  # number of checkpoints that are kept
 _PARTS = ("values", "moments")
+# of Run, as they are
+_NUMBERS = ("iteration", "initial_count", "unordered", "target", "loss", "nonfinite", "held_back", "seconds")
 
 
 def save(run: Run, folder: Path, identity: str, time: dict | None = None) -> Path:
@@ -56,13 +60,10 @@ def save(run: Run, folder: Path, identity: str, time: dict | None = None) -> Pat
 
 def _write(run: Run, target: Path, identity: str, time: dict | None):
     arrays = {f"{part}.{name}": array for part in _PARTS for name, array in getattr(run.model, part).items()}
-    arrays |= {
-        "origin": run.model.origin,
-        "statistics.total": run.statistics.total,
-        "statistics.views": run.statistics.views,
-    }
     arrays |= {f"average.{name}": array for name, array in run.average.values.items()}
-    arrays |= {"views.losses": run.views.losses, "views.left_out": run.views.left_out}
+    arrays["origin"] = run.model.origin
+    for name in ("statistics.total", "statistics.views", "views.losses", "views.left_out"):
+        arrays[name] = attrgetter(name)(run)
     check_space(target / "arrays.npz", sum(array.nbytes for array in arrays.values()))
     write_arrays(target / "arrays.npz", arrays)
     manifest = {
@@ -70,19 +71,12 @@ def _write(run: Run, target: Path, identity: str, time: dict | None):
         "identity": identity,
         "time": time,
         "sha256": _digest(target / "arrays.npz"),
-        "iteration": run.iteration,
+        **{name: getattr(run, name) for name in _NUMBERS},
         "epoch": [run.views.epoch, run.views.position],
-        "initial_count": run.initial_count,
-        "unordered": run.unordered,
         "averaged": run.average.samples,
-        "target": run.target,
         "method": run.method.state(),
         "controller": asdict(run.controller) if run.controller else None,
         "recovery_pruning": asdict(run.recovery_pruning) if run.recovery_pruning else None,
-        "loss": run.loss,
-        "nonfinite": run.nonfinite,
-        "held_back": run.held_back,
-        "seconds": run.seconds,
         "curves": asdict(run.curves),
     }
     manifest["digest"] = text_digest(manifest)
@@ -96,8 +90,8 @@ def identity_of(start: Model, dataset: Dataset, plan: Plan, engine: str) -> str:
     digest = hashlib.sha256(
         repr((plan, engine, dataset.train_indices, start.metadata["antialiased"])).encode()
     )
-    for array in (start.means, start.log_scales, start.quats, start.opacity_logits, start.sh):
-        digest.update(np.ascontiguousarray(array).data)
+    for name in PARAMETERS:
+        digest.update(np.ascontiguousarray(getattr(start, name)).data)
     for part in dataset.inputs():
         digest.update(part)
     return digest.hexdigest()
@@ -158,19 +152,12 @@ def _apply(run: Run, folder: Path, manifest: dict):
         run.statistics.total, run.statistics.views = arrays["statistics.total"], arrays["statistics.views"]
         run.views.losses, run.views.left_out = arrays["views.losses"], arrays["views.left_out"]
     run.views.epoch, run.views.position = manifest["epoch"]
-    run.iteration, run.initial_count, run.unordered = (
-        manifest["iteration"],
-        manifest["initial_count"],
-        manifest["unordered"],
-    )
-    run.target = manifest["target"]
+    for name in _NUMBERS:
+        setattr(run, name, manifest[name])
     run.method.restore(manifest["method"])
     run.controller = StrengthController(**manifest["controller"]) if manifest["controller"] else None
-    run.recovery_pruning = (
-        RecoveryPruning(**manifest["recovery_pruning"]) if manifest["recovery_pruning"] else None
-    )
-    run.loss, run.seconds = manifest["loss"], manifest["seconds"]
-    run.nonfinite, run.held_back = manifest["nonfinite"], manifest["held_back"]
+    pruning = manifest["recovery_pruning"]
+    run.recovery_pruning = RecoveryPruning(**pruning) if pruning else None
     run.curves = Curves(**manifest["curves"])
 
 

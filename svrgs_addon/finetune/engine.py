@@ -12,7 +12,8 @@ import numpy as np
 
 from ..native.rasterizer import Rasterizer, RenderOptions
 from ..scene.camera import Camera
-from .model import MASK, PARAMETERS, Model
+from ..scene.gaussians import PARAMETERS
+from .model import MASK, Model
 from .penalties import Penalty
 
 BETAS, EPS = (0.9, 0.999), 1e-15

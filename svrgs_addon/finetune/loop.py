@@ -45,7 +45,7 @@ def run_to_end(
     photograph that can no longer be read, is raised on after a checkpoint, if a step was done and none is
     half done.
     """
-    total, begun, first, counted_from = run.settings.total, time.perf_counter(), run.iteration, run.iteration
+    total, begun, first, counted_from = run.plan.total, time.perf_counter(), run.iteration, run.iteration
     saved = time.monotonic()
     every = max(LEAST_BETWEEN, total // CURVE_POINTS)
     try:
@@ -53,23 +53,14 @@ def run_to_end(
             phase, _ = run.phase()
             run.advance()
             if run.iteration % every == 0 or run.finished:
-                _add_point(run, measure())
+                run.curves.add(run.iteration, run.model.count, run.loss, measure())
             rate = (run.iteration - counted_from) / (time.perf_counter() - begun)
             # the first step also ranks Gaussians and fills caches: what follows is faster
             if run.iteration == first + 1:
                 begun, counted_from = time.perf_counter(), run.iteration
-            observe(
-                Progress(
-                    run.iteration,
-                    total,
-                    phase.name,
-                    phase.label,
-                    run.model.count,
-                    run.loss,
-                    rate,
-                    (total - run.iteration) / rate,
-                )
-            )
+            left = (total - run.iteration) / rate
+            what = phase.name, phase.label, run.model.count, run.loss
+            observe(Progress(run.iteration, total, *what, rate, left))
             if time.monotonic() - saved > CHECKPOINT_SECONDS:
                 checkpoint()
                 saved = time.monotonic()
@@ -83,11 +74,3 @@ def run_to_end(
         raise
     finally:
         run.close()
-
-
-def _add_point(run: Run, psnr: float | None):
-    c = run.curves
-    c.iteration.append(run.iteration)
-    c.count.append(run.model.count)
-    c.loss.append(run.loss)
-    c.psnr.append(psnr)

@@ -19,7 +19,7 @@ from .model import Model
 from .penalties import MeanOpacity, MeanScale, sigmoid
 from .settings import MCMC
 
-MOST = 50  # Gaussians that share a place, in the formula for their opacity and scale
+MAX_SHARING = 50  # Gaussians that share a place, in the formula for their opacity and scale
 GATE, STEEPNESS = 0.995, 100.0  # noise is multiplied by sigmoid(STEEPNESS (1 - opacity - GATE))
 NEGLIGIBLE = 1e-5  # noise that is smaller than this share of the Gaussian's largest scale is left out
 
@@ -73,7 +73,7 @@ def shares(opacity: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarr
     count and k below i; the sum over i of binomial(i - 1, k) is binomial(count, k + 1), which leaves one sum
     over j = k + 1.
     """
-    count = np.minimum(count, MOST)
+    count = np.minimum(count, MAX_SHARING)
     share = 1 - (1 - opacity) ** (1 / count)
     total, term = np.zeros_like(share), np.ones_like(share)
     for j in range(1, int(count.max(initial=1)) + 1):
@@ -89,17 +89,13 @@ def add_noise(model: Model, rule: MCMC, position_rate: float, rng: Generator):
     Sigma = R diag(s^2) R^T, and R^T n has the distribution of n. So n is drawn in the axes of the Gaussian,
     and turned once.
     """
-    size = sigmoid(STEEPNESS * (1 - sigmoid(model.opacity_logits, np) - GATE), np) * model.dtype.type(
-        rule.noise * position_rate
-    )
+    gate = sigmoid(STEEPNESS * (1 - sigmoid(model.opacity_logits, np) - GATE), np)
+    size = gate * model.dtype.type(rule.noise * position_rate)
     # max(axis=1) takes ten times as long
     largest = np.maximum(np.maximum(*model.log_scales.T[:2]), model.log_scales[:, 2])
     rows = np.flatnonzero(size * np.exp(largest) > NEGLIGIBLE)
-    noise = (
-        rng.standard_normal((len(rows), 3), np.float32)
-        * np.exp(2 * model.log_scales.take(rows, axis=0))
-        * size[rows, None]
-    )
+    squares = np.exp(2 * model.log_scales.take(rows, axis=0))
+    noise = rng.standard_normal((len(rows), 3), np.float32) * squares * size[rows, None]
     model.means[rows] = model.means.take(rows, axis=0) + rotated(model.quats.take(rows, axis=0), noise)
 
 

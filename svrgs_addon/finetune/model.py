@@ -8,12 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from ..scene.gaussians import SH_C0, SH_COEFFICIENTS, Scene
+from ..scene.gaussians import PARAMETERS, SH_C0, SH_COEFFICIENTS, Scene
 from ..scene.neighbours import nearest_distances
 from ..system.errors import SceneError
 from .moments import zero_moments
 
-PARAMETERS = ("means", "log_scales", "quats", "opacity_logits", "sh")
 MASK = "mask_logits"
 MIN_SQUARED_DISTANCE = 1e-7
 NEIGHBOURS = 3
@@ -123,7 +122,10 @@ class Model:
         that is already in this order is not copied.
         """
         self.moments = {}
-        rows = self._source_order() if source_order else slice(None)
+        rows: np.ndarray | slice = slice(None)
+        if source_order:
+            order = np.argsort(np.where(self.origin < 0, np.iinfo(np.int32).max, self.origin), kind="stable")
+            rows = order if (np.diff(order) <= 0).any() else rows
         arrays: dict[str, Any] = {
             name: np.ascontiguousarray(self.values.pop(name)[rows], np.float32) for name in PARAMETERS
         }
@@ -133,12 +135,6 @@ class Model:
             name: column[self.origin[rows]] for name, column in self.metadata.get("attributes", {}).items()
         }
         return Scene(**arrays, **(self.metadata | {"attributes": attributes}))
-
-    def _source_order(self) -> np.ndarray | slice:
-        """Index that puts rows into the order of the source, added ones last in their present order. A slice
-        of all rows if they already are."""
-        order = np.argsort(np.where(self.origin < 0, np.iinfo(np.int32).max, self.origin), kind="stable")
-        return slice(None) if (np.diff(order) > 0).all() else order
 
 
 def compacted(array: np.ndarray, rows: np.ndarray) -> np.ndarray:

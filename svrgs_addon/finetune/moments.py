@@ -43,9 +43,8 @@ def unpacked(moments: np.ndarray, shape: tuple) -> tuple[np.ndarray, np.ndarray]
         return _unpacked_shared(moments, shape)
     if moments.dtype == np.complex128:
         return moments.real.copy(), moments.imag.copy()
-    return (moments & np.uint32(0xFFFFF000)).view(np.float32), (
-        moments << np.uint32(20) >> np.uint32(1)
-    ).view(np.float32)
+    v = moments << np.uint32(20) >> np.uint32(1)
+    return (moments & np.uint32(0xFFFFF000)).view(np.float32), v.view(np.float32)
 
 
 def packed(m: np.ndarray, v: np.ndarray, step: int) -> np.ndarray:
@@ -65,9 +64,8 @@ def _unpacked_shared(moments: np.ndarray, shape: tuple) -> tuple[np.ndarray, np.
     if moments.dtype == np.float64:
         return moments[:, :-1].reshape(shape).copy(), moments[:, -1].copy()
     halves = moments[:, :-1].copy().view(np.uint16)[:, : shape[1] * shape[2]]
-    return (halves.astype(np.uint32) << np.uint32(16)).view(np.float32).reshape(shape), moments[:, -1].view(
-        np.float32
-    ).copy()
+    m = (halves.astype(np.uint32) << np.uint32(16)).view(np.float32).reshape(shape)
+    return m, moments[:, -1].view(np.float32).copy()
 
 
 def _packed_shared(m: np.ndarray, v: np.ndarray, step: int) -> np.ndarray:

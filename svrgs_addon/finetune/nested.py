@@ -34,7 +34,7 @@ def nested_order(run: RunView) -> np.ndarray:
     order, which is faster."""
     model = run.model
     within, kept = np.zeros(model.count, np.int64), np.ones(model.count, bool)
-    for size in smaller_sizes(model.count, run.settings.nested):
+    for size in smaller_sizes(model.count, run.plan.nested):
         error = removal_errors(model, run.training_cameras, run.rasterizer, run.score_options, kept)
         kept = top(np.where(kept, error, -1), size)
         within += kept

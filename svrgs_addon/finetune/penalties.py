@@ -111,10 +111,8 @@ class EffectiveRank:
 
     def value(self, log_scales, xp):
         _, entropy, smallest = self._shape(log_scales, xp)
-        return (
-            self.needle * xp.clip(-xp.log(xp.expm1(entropy) + RANK_EPS), 0.0, None).mean()
-            + self.thin * xp.exp(smallest).mean()
-        )
+        needles = xp.clip(-xp.log(xp.expm1(entropy) + RANK_EPS), 0.0, None).mean()
+        return self.needle * needles + self.thin * xp.exp(smallest).mean()
 
     def grad(self, log_scales: np.ndarray) -> np.ndarray:
         shares, entropy, smallest = self._shape(log_scales, np)
@@ -163,13 +161,11 @@ class OpacityPressure:
         if self.by_transparency:
             o = sigmoid(logits, np)
             transparency = np.maximum(1 - o, logits.dtype.type(MIN_TRANSPARENCY))
-            slopes = 1 / transparency + np.where(
-                1 - o > MIN_TRANSPARENCY, excess * o * (1 - o) / transparency**2, 0
-            )
+            free = 1 - o > MIN_TRANSPARENCY
+            slopes = 1 / transparency + np.where(free, excess * o * (1 - o) / transparency**2, 0)
             excess = excess / transparency
-        return (slopes * (2 * self.weight * float(excess.mean()) / len(logits))).astype(
-            logits.dtype, copy=False
-        )
+        slopes = slopes * (2 * self.weight * float(excess.mean()) / len(logits))
+        return slopes.astype(logits.dtype, copy=False)
 
 
 def sigmoid(x, xp):

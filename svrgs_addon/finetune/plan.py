@@ -61,13 +61,8 @@ def prune_plan(
 def _plan(
     method: Method, phases: list[Phase], trained: bool, lambda_f: float | None, lambda_m: float | None, **rest
 ) -> Plan:
-    l1_weight, ssim_weight = method.image_weights
-    own = {
-        "l1_weight": l1_weight,
-        "ssim_weight": ssim_weight,
-        "mask_init": method.mask_init,
-        **weights(method, trained, lambda_f, lambda_m),
-    }
+    own = dict(zip(("l1_weight", "ssim_weight"), method.image_weights, strict=True))
+    own |= {"mask_init": method.mask_init} | weights(method, trained, lambda_f, lambda_m)
     return Plan(method=method, phases=tuple(phases), **own | rest)
 
 
@@ -134,6 +129,5 @@ def weights(
             f"method '{method.name}' has no term with the weight lambda-m: leave it out, or use maskgs,"
             " compact3dgs or gns"
         )
-    return own | {
-        key: value for key, value in (("lambda_f", lambda_f), ("lambda_m", lambda_m)) if value is not None
-    }
+    given = {"lambda_f": lambda_f, "lambda_m": lambda_m}
+    return own | {name: value for name, value in given.items() if value is not None}

@@ -40,10 +40,10 @@ class RecoveryPruning:
         if run.iteration:
             return
         self.start, nobody = self.start or run.psnr(None), np.zeros(run.model.count, bool)
-        if run.psnr(nobody) >= self.start - run.settings.max_drop:
+        if run.psnr(nobody) >= self.start - run.plan.max_drop:
             raise SceneError(
                 "pruning would leave no Gaussian: even an empty scene loses less than the"
-                f" {run.settings.max_drop:g} dB allowed; allow less, and check that the photographs are not"
+                f" {run.plan.max_drop:g} dB allowed; allow less, and check that the photographs are not"
                 " black and show this scene"
             )
 
@@ -53,7 +53,7 @@ class RecoveryPruning:
         if number not in [round(share * phase.steps) for share in CUTS]:
             return None
         now = run.psnr(None)
-        spare = now - (self.start - run.settings.max_drop)
+        spare = now - (self.start - run.plan.max_drop)
         if spare <= 0:
             return None
         ranking = removal_errors(run.model, run.training_cameras, run.rasterizer, run.score_options)

@@ -46,9 +46,8 @@ def _meets(model: Model, rows: np.ndarray, others: np.ndarray, radii: np.ndarray
     offsets = model.means[rows, None].astype(np.float64) - model.means[others]
     R = rotation_matrices(model.quats[others.ravel()]).reshape(*others.shape, 3, 3)
     local = np.einsum("akji,akj->aki", R, offsets)
-    return ((local / (np.exp(model.log_scales[others].astype(np.float64)) + radii[:, None, None])) ** 2).sum(
-        axis=2
-    ) < 1
+    reach = np.exp(model.log_scales[others].astype(np.float64)) + radii[:, None, None]
+    return ((local / reach) ** 2).sum(axis=2) < 1
 
 
 def pixel_footprints(points: np.ndarray, cameras: list[Camera]) -> np.ndarray:
@@ -79,9 +78,8 @@ def stays(redundancies: np.ndarray, opacity: np.ndarray) -> np.ndarray:
     and above 3, those with less than the median opacity among them; and those with an opacity below its 3 %
     quantile, and below 0.05.
     """
-    redundant = redundancies > max(
-        redundancies.mean() + (redundancies.std(ddof=1) if len(opacity) > 1 else 0), 3
-    )
+    deviation = redundancies.std(ddof=1) if len(opacity) > 1 else 0
+    redundant = redundancies > max(redundancies.mean() + deviation, 3)
     of_those = np.sort(opacity[redundant])
     median = of_those[(len(of_those) - 1) // 2] if len(of_those) else 0.0  # of an even number the lower one
     return ~(redundant & (opacity < median)) & (opacity >= min(np.quantile(opacity, 0.03), 0.05))

@@ -1,4 +1,4 @@
-"""A few steps of fine-tuning after removals and merges, on the original's own pictures."""
+"""A few steps of fine-tuning after removals and merges, on pictures of the original."""
 
 from __future__ import annotations
 
@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..native.library import PARAMETERS
 from ..native.rasterizer import RenderOptions
 from ..scene.camera import Camera
-from ..scene.gaussians import Scene
+from ..scene.gaussians import PARAMETERS, Scene
 from ..scene.morton_order import morton_order
 from ..system.errors import Cancelled
 from .engine import NativeEngine, Step
@@ -28,9 +27,8 @@ POSITION = 0.025  # rate of position, in median middle scales: Gaussians move by
 
 
 @dataclass(frozen=True)
-class Look:
-    """What is shown in a step: a view, its picture, and the window of the view that counts, if not all of it
-    does."""
+class TrainingView:
+    """A view that is trained on, its picture, and the window that counts, if not all of it does."""
 
     camera: Camera
     picture: np.ndarray  # (H, W, 3) float32, of the window
@@ -39,7 +37,7 @@ class Look:
 
 def refit(
     scene: Scene,
-    looks: Sequence[Look | None],
+    views: Sequence[TrainingView | None],
     steps: int,
     pace: float,
     middle: float,
@@ -47,24 +45,23 @@ def refit(
     seed: int,
     stop: Callable[[], bool],
 ) -> Scene:
-    """The scene after so many Adam steps on the loss of 3DGS, on one picture each. looks: of all views; a
-    step on a view without one is left out, the others stay as they are. pace: times all rates. middle:
+    """The scene after so many Adam steps on the loss of 3DGS, on one picture each. views: all of them;
+    a step on one that is None is left out, the others stay as they are. pace: times all rates. middle:
     middle_scale() of the scene, or of that of which it is a part. Raises Cancelled if stop() says so."""
     model, engine, rng = Model.of(scene), NativeEngine(), np.random.default_rng([seed, 7])
     if scene.count > 1:
         model.reorder(morton_order(model.means))
-    views: list[int] = []
+    left: list[int] = []
     for k in range(steps):
         if stop():
             raise Cancelled
-        views = views or rng.permutation(len(looks)).tolist()
-        if (look := looks[views.pop()]) is None:
+        left = left or rng.permutation(len(views)).tolist()
+        if (view := views[left.pop()]) is None:
             continue
         share, usual = pace * LAST ** (k / max(1, steps - 1)), Rates().at(1, 0.0)
-        rates = {name: factor * share * usual[name] for name, factor in FASTER.items()} | {
-            "means": POSITION * middle * share
-        }
-        engine.step(model, Step(look.camera, look.picture, k + 1, rates, options, window=look.window))
+        rates = {name: factor * share * usual[name] for name, factor in FASTER.items()}
+        rates["means"] = POSITION * middle * share
+        engine.step(model, Step(view.camera, view.picture, k + 1, rates, options, window=view.window))
     return model.into_scene()
 
 

@@ -33,7 +33,7 @@ from .quality import quality_views
 from .recovery_pruning import RecoveryPruning
 from .settings import MCMC, Densify, Phase
 from .strength_controller import controller_for
-from .views import Views, as_real, fitting_reduction
+from .view_order import ViewOrder, as_real, fitting_reduction
 
 SMOOTHING = 0.05  # weight of the newest loss in the smoothed one
 # opacities recover for 1/3 of the steps between two resets; a reset with fewer steps left in the phase is
@@ -51,6 +51,12 @@ class Curves:
     loss: list[float] = field(default_factory=list)
     psnr: list[float | None] = field(default_factory=list)
 
+    def add(self, iteration: int, count: int, loss: float, psnr: float | None):
+        self.iteration.append(iteration)
+        self.count.append(count)
+        self.loss.append(loss)
+        self.psnr.append(psnr)
+
 
 class Run:
     """One fine-tuning run: the model, the position in the schedule, and statistics. `advance()` does one
@@ -60,17 +66,17 @@ class Run:
     its state.
     """
 
-    def __init__(self, model: Model, dataset: Dataset, settings: Plan, engine, antialiased: bool = False):
-        self.model, self.dataset, self.settings, self.engine = model, dataset, settings, engine
+    def __init__(self, model: Model, dataset: Dataset, plan: Plan, engine, antialiased: bool = False):
+        self.model, self.dataset, self.plan, self.engine = model, dataset, plan, engine
         self.antialiased = antialiased
-        self.method = copy(settings.method)
-        self.controller = controller_for(settings, self.method.learns_masks, self.method.largest_strength)
-        self.recovery_pruning = RecoveryPruning() if settings.max_drop else None
+        self.method = copy(plan.method)
+        self.controller = controller_for(plan, self.method.learns_masks, self.method.largest_strength)
+        self.recovery_pruning = RecoveryPruning() if plan.max_drop else None
         self.drop: float | None = None  # PSNR lost in dB, set at the end of a run that allows a drop
-        self.target = settings.target  # 0: no target, or a share of a number that is not known yet
+        self.target = plan.target  # 0: no target, or a share of a number that is not known yet
         self.iteration = 0
         self.statistics = densify.Statistics(model.count)
-        self.views = Views(dataset.train_indices, settings.seed, settings.views_by_loss)
+        self.views = ViewOrder(dataset.train_indices, plan.seed, plan.views_by_loss)
         self.initial_count = model.count
         self.unordered = 0  # Gaussians added since the rows were last put in Morton order
         self.average = Average()
@@ -88,11 +94,11 @@ class Run:
 
     @property
     def finished(self) -> bool:
-        return self.iteration >= self.settings.total
+        return self.iteration >= self.plan.total
 
     def phase(self) -> tuple[Phase, int]:
         """The phase of the next iteration, and the number of its step in this phase (from 1)."""
-        return self.settings.at(self.iteration)
+        return self.plan.at(self.iteration)
 
     def advance(self):
         """One iteration: loss and gradients, then densification or the optimiser step, then pruning.
@@ -107,10 +113,9 @@ class Run:
         if not self.iteration:
             self._into_order()
         self._prepare(phase, number)
-        step = self._step(
-            phase, number, self.dataset.cameras[view].reduced(reduction), target, self.dataset.window(view)
-        )
-        size = size_of_step(self.settings, phase, self.iteration, self.model.count)
+        camera, window = self.dataset.cameras[view].reduced(reduction), self.dataset.window(view)
+        step = self._step(phase, number, camera, target, window)
+        size = size_of_step(self.plan, phase, self.iteration, self.model.count)
         result = self.engine.step(self.model.first(size) if size < self.model.count else self.model, step)
         self._record(result, step, view)
         self.iteration += 1
@@ -139,9 +144,9 @@ class Run:
     def _steps_of_epoch(self) -> Iterator[tuple[int, int]]:
         """(view, reduction) of each step that is left in this epoch."""
         for iteration, view in enumerate(self.views.rest(), self.iteration):
-            if iteration == self.settings.total:
+            if iteration == self.plan.total:
                 return
-            phase, number = self.settings.at(iteration)
+            phase, number = self.plan.at(iteration)
             camera = self.dataset.cameras[view]
             yield view, fitting_reduction(phase.reduction(number), camera.width, camera.height)
 
@@ -157,11 +162,11 @@ class Run:
             self.recovery_pruning.before_step(self)
         if not phase.active:
             self.model.remove_extras()
-            if self.settings.nested and phase.name == "recover" and number == 1:
+            if self.plan.nested and phase.name == "recover" and number == 1:
                 self.model.reorder(nested_order(self))
             return
-        if self.settings.share and not self.target and not _densifying(phase, number):
-            self.target = max(1, round(self.settings.share * self.model.count))
+        if self.plan.share and not self.target and not _densifying(phase, number):
+            self.target = max(1, round(self.plan.share * self.model.count))
         self.target = self.target or self.method.budget(self)
         self.method.prepare(self, phase, number)
         if self.controller and not _densifying(phase, number):
@@ -175,7 +180,7 @@ class Run:
         target: np.ndarray,
         window: tuple[slice, slice] | None = None,
     ) -> Step:
-        s = self.settings
+        s = self.plan
         step = Step(
             camera=camera,
             target=target,
@@ -192,14 +197,12 @@ class Run:
             and not isinstance(phase.densify, MCMC),
         )
         step = replace(step, **self.method.terms(self, phase, number)) if phase.active else step
-        return (
-            replace(step, penalty=(*mcmc.penalties(phase.densify), *step.penalties))
-            if isinstance(phase.densify, MCMC)
-            else step
-        )
+        if isinstance(phase.densify, MCMC):
+            return replace(step, penalty=(*mcmc.penalties(phase.densify), *step.penalties))
+        return step
 
     def render_options(self, phase: Phase, number: int) -> RenderOptions:
-        s = self.settings
+        s = self.plan
         kind = self.method.mask_kind if phase.active else "none"
         degree = number // phase.sh_every if phase.sh_every else 3
         return RenderOptions(min(degree, 3), self.antialiased, s.full, kind, background=s.background)
@@ -219,22 +222,16 @@ class Run:
         return self.engine.rasterizer
 
     def psnr(self, kept: np.ndarray | None) -> float:
-        views, masks_of_kept = quality_views(self.dataset), None if kept is None else kept.astype(np.uint8)
-        return mean_psnr(
-            self.model,
-            self.dataset,
-            views,
-            self.rasterizer,
-            self.score_options,
-            masks_of_kept,
-            self.dataset.unexplained,
-        )
+        what = self.model, self.dataset, quality_views(self.dataset)
+        masks_of_kept = None if kept is None else kept.astype(np.uint8)
+        error = self.dataset.unexplained
+        return mean_psnr(*what, self.rasterizer, self.score_options, masks_of_kept, error)
 
     @property
     def own(self) -> np.ndarray | None:
-        if self.settings.own is None:
+        if self.plan.own is None:
             return None
-        first, end = self.settings.own
+        first, end = self.plan.own
         return (self.model.origin >= first) & (self.model.origin < end)
 
     @property
@@ -252,7 +249,7 @@ class Run:
     @property
     def score_options(self) -> RenderOptions:
         return RenderOptions(
-            antialiased=self.antialiased, full=self.settings.full, background=self.settings.background
+            antialiased=self.antialiased, full=self.plan.full, background=self.plan.background
         )
 
     @property
@@ -283,23 +280,15 @@ class Run:
             self._densify(phase, number, rule)
         if isinstance(rule, MCMC):
             if number < phase.steps:
-                mcmc.add_noise(
-                    self.model,
-                    rule,
-                    step.rates["means"],
-                    np.random.default_rng([self.settings.seed, 4, self.iteration]),
-                )
-        elif (
-            rule is not None
-            and number < rule.until
-            and number % rule.reset_every == 0
-            and number + rule.reset_every // RESETS_NEED <= phase.steps
-        ):
-            densify.reset_opacity(self.model)
+                rng = np.random.default_rng([self.plan.seed, 4, self.iteration])
+                mcmc.add_noise(self.model, rule, step.rates["means"], rng)
+        elif rule is not None and number < rule.until and number % rule.reset_every == 0:
+            if number + rule.reset_every // RESETS_NEED <= phase.steps:
+                densify.reset_opacity(self.model)
 
     def _densify(self, phase: Phase, number: int, rule: Densify):
         before = self.model.count
-        rng = np.random.default_rng([self.settings.seed, 1, self.iteration])
+        rng = np.random.default_rng([self.plan.seed, 1, self.iteration])
         if isinstance(rule, MCMC):
             self.unordered += mcmc.densify(self.model, rule, rng, self._memory_allows)
             keep = np.ones(self.model.count, bool)
@@ -331,7 +320,7 @@ class Run:
     def _into_order(self):
         """Puts the rows in Morton order (scene/morton_order.py). The densification statistics are not
         reordered, so it is called only when they are empty or are reset next."""
-        if self.settings.spatial_order:
+        if self.plan.spatial_order:
             self.model.reorder(morton_order(self.model.means))
         self.unordered = 0
 
@@ -346,7 +335,7 @@ class Run:
         if phase.active and last:
             self._keep(self.method.final_mask(self))
         # a nested order is of the Gaussians before the recovery
-        if self.recovery_pruning and not phase.active and not self.settings.nested:
+        if self.recovery_pruning and not phase.active and not self.plan.nested:
             self._keep(self.recovery_pruning.cut(self, phase, number))
 
     def _average(self, phase: Phase, number: int):
@@ -362,7 +351,7 @@ class Run:
         if keep is None:
             return
         keep = keep if self.protected is None else keep | self.protected
-        masks.refuse_emptying(keep, self.initial_count, self.settings.target)
+        masks.refuse_emptying(keep, self.initial_count, self.plan.target)
         if not keep.all():
             self.model.keep(keep)
             self.statistics = densify.Statistics(self.model.count)

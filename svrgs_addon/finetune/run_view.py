@@ -23,7 +23,7 @@ class RunView(Protocol):
     target: int  # Gaussians to keep; 0: no target, or not known yet
 
     @property
-    def settings(self) -> Settings:
+    def plan(self) -> Settings:
         """The numbers of the run."""
 
     @property

@@ -26,7 +26,7 @@ from ..native.rasterizer import Rasterizer, RenderOptions
 from ..scene.camera import Camera
 from ..scene.gaussians import Scene
 from .model import Model
-from .views import fitting_reduction
+from .view_order import fitting_reduction
 
 SHARE = 4e-7  # share of an image that each Gaussian is charged for
 REDUCTION = 2  # views are rendered at half their size: nearly the same ranking in a fraction of the time
@@ -74,10 +74,8 @@ def saliency(
         removal_error += _removal_error(rasterizer, view, n)
         pixels = np.zeros(n, np.int64)
         rasterizer.add_scores(hits=pixels)
-        ids = rasterizer.visible()
-        mask_penalty[ids] += (
-            SHARE * rasterizer.backward({"mask": 2 * F}, ("masks",))["masks"] / np.maximum(pixels[ids], 1)
-        )
+        ids, d_masks = rasterizer.visible(), rasterizer.backward({"mask": 2 * F}, ("masks",))["masks"]
+        mask_penalty[ids] += SHARE * d_masks / np.maximum(pixels[ids], 1)
     return np.divide(removal_error, mask_penalty, out=np.zeros(n), where=mask_penalty > 0)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from ..native.rasterizer import Rasterizer, RenderOptions
@@ -33,11 +35,7 @@ def slopes(
 ) -> np.ndarray:
     """Sum over all views and pixels of the squared derivative of the colour, its channels summed, with
     respect to the value of the Gaussian at the pixel, (N,) float64 (Speedy-Splat)."""
-    sums = np.zeros(scene.count)
-    for camera in cameras:
-        rasterizer.forward(scene, camera, options, outputs=())
-        rasterizer.add_slopes(sums)
-    return sums
+    return _sums(scene, cameras, rasterizer, options, rasterizer.add_slopes)
 
 
 def dominance(
@@ -45,11 +43,22 @@ def dominance(
 ) -> np.ndarray:
     """The number of pixels of all views in which the Gaussian has the largest alpha T of all, (N,)
     float64."""
-    pixels = np.zeros(scene.count)
+    return _sums(scene, cameras, rasterizer, options, rasterizer.add_dominance)
+
+
+def _sums(
+    scene: Scene | Model,
+    cameras: list[Camera],
+    rasterizer: Rasterizer,
+    options: RenderOptions,
+    add: Callable[[np.ndarray], None],
+) -> np.ndarray:
+    """What add() adds for each view, (N,) float64."""
+    sums = np.zeros(scene.count)
     for camera in cameras:
         rasterizer.forward(scene, camera, options, outputs=())
-        rasterizer.add_dominance(pixels)
-    return pixels
+        add(sums)
+    return sums
 
 
 def importance(

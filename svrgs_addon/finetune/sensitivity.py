@@ -23,7 +23,7 @@ from ..native.rasterizer import MOMENTS, Rasterizer, RenderOptions
 from ..scene.camera import Camera
 from ..scene.gaussians import Scene
 from ..scene.rotations import rotation_matrices
-from .views import fitting_reduction
+from .view_order import fitting_reduction
 
 REDUCTION = 4  # views are rendered at a quarter of their size, as published
 K2 = 2 * np.log(2)
@@ -74,12 +74,8 @@ def jacobians(scene: Scene, camera: Camera, ids: np.ndarray) -> np.ndarray:
     """J of the Gaussians `ids`, (V, 5, 6) float64: d ln alpha = t^T J d(mean, log-scale) at every pixel."""
     W, K = camera.viewmat[:3, :3], camera.K
     points = scene.means[ids].astype(np.float64) @ W.T + camera.viewmat[:3, 3]
-    # (V, 3, 3)
-    axes = (
-        W
-        @ rotation_matrices(scene.quats[ids].astype(np.float64))
-        * np.exp(scene.log_scales[ids].astype(np.float64))[:, None, :]
-    )
+    scales = np.exp(scene.log_scales[ids].astype(np.float64))
+    axes = W @ rotation_matrices(scene.quats[ids].astype(np.float64)) * scales[:, None, :]  # (V, 3, 3)
     P, dP = screen_jacobian(points, K, camera.width, camera.height)
     half = P @ axes  # (V, 2, 3): half axes on the screen
     L = whitening(half @ half.swapaxes(1, 2) + thresholds().blur * np.eye(2))
@@ -109,14 +105,9 @@ def whitening(cov: np.ndarray) -> np.ndarray:
 def centre_jacobian(points: np.ndarray, K: np.ndarray) -> np.ndarray:
     """d(pixel)/d(camera point), (V, 2, 3), at points (V, 3) in camera coordinates."""
     x, y, z = points.T
-    zero = np.zeros_like(z)
-    return np.stack(
-        [
-            np.stack([K[0, 0] / z, zero, -K[0, 0] * x / z**2], 1),
-            np.stack([zero, K[1, 1] / z, -K[1, 1] * y / z**2], 1),
-        ],
-        1,
-    )
+    zero, fx, fy = np.zeros_like(z), K[0, 0], K[1, 1]
+    rows = [[fx / z, zero, -fx * x / z**2], [zero, fy / z, -fy * y / z**2]]
+    return np.stack([np.stack(row, 1) for row in rows], 1)
 
 
 def screen_jacobian(
@@ -137,9 +128,7 @@ def screen_jacobian(
     for r in range(2):
         f = focal[r] / z[:, 0]
         P[:, r, r], P[:, r, 2] = f, -f * clamped[:, r]
-        dP[:, 2, r, r], dP[:, 2, r, 2] = (
-            -f / z[:, 0],
-            f * (clamped[:, r] + free[:, r] * slope[:, r]) / z[:, 0],
-        )
+        dP[:, 2, r, r] = -f / z[:, 0]
+        dP[:, 2, r, 2] = f * (clamped[:, r] + free[:, r] * slope[:, r]) / z[:, 0]
         dP[:, r, r, 2] = -f * free[:, r] / z[:, 0]
     return P, dP

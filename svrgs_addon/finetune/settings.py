@@ -178,11 +178,9 @@ class Settings:
     def averaged_count(self, count: int) -> int:
         """The number of Gaussians whose values will be averaged, of `count` in the run; `count` if it is not
         known how many stay. 0 if none are."""
-        return (
-            (self.target or round(self.share * count) or count)
-            if any(phase.averaged for phase in self.phases)
-            else 0
-        )
+        if any(phase.averaged for phase in self.phases):
+            return self.target or round(self.share * count) or count
+        return 0
 
     def at(self, iteration: int) -> tuple[Phase, int]:
         """The phase of iteration 0, 1, ... of the run, and the number of the step in this phase (from 1).

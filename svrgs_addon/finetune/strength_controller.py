@@ -48,8 +48,8 @@ class StrengthController:
 
     def before_step(self, run: RunView):
         """Called before each step of an active phase. At the first one it measures n_0 or the PSNR."""
-        if not self.start and (run.target or run.settings.max_drop):
-            self.start = run.psnr_before if run.settings.max_drop else run.expected_count()
+        if not self.start and (run.target or run.plan.max_drop):
+            self.start = run.psnr_before if run.plan.max_drop else run.expected_count()
 
     def after_step(self, run: RunView, phase: Phase, number: int):
         """Updates the strength after step `number` of the phase."""
@@ -71,16 +71,15 @@ class StrengthController:
         length = max(HOLD_FROM * phase.steps - self.begun, ahead)
         line = min((number + ahead - self.begun) / length, 1.0)
         error = ((line - self.last) / ahead - self.slope) * length
-        self.log_strength = min(
-            max(self.log_strength + GAIN * min(max(error, -1.0), 1.0), -LIMIT), self.largest
-        )
+        changed = self.log_strength + GAIN * min(max(error, -1.0), 1.0)
+        self.log_strength = min(max(changed, -LIMIT), self.largest)
 
     def progress(self, run: RunView, settled: float) -> float:
         """q. For a target, n is a weighted mean: the number that would stay by the masks alone (weight
         `settled`, which rises from 0 to 1) and the sum of all p. So q is smooth at first and exact at the
         end."""
-        if run.settings.max_drop:
-            return (self.start - run.psnr(run.current_mask())) / run.settings.max_drop
+        if run.plan.max_drop:
+            return (self.start - run.psnr(run.current_mask())) / run.plan.max_drop
         if run.target >= self.start:
             return 1.0
         count = settled * self.reached + (1 - settled) * run.expected_count()

@@ -15,9 +15,10 @@ import numpy as np
 
 from ..native.library import GRADS
 from ..native.rasterizer import Rasterizer
+from ..scene.gaussians import PARAMETERS
 from ..system.errors import SceneError
 from .engine import BETAS, EPS, Step, StepResult
-from .model import MASK, PARAMETERS, Model
+from .model import MASK, Model
 from .moments import packed, unpacked
 
 try:
@@ -104,11 +105,9 @@ def _masks(step: Step, leaves: dict[str, Tensor]) -> Tensor | None:
     """The masks of the step, (N,), with a gradient if they are learned; None: all 1."""
     if step.masks is None:
         return None
-    return (
-        torch.from_numpy(step.masks).to(leaves["means"].dtype)
-        if step.slope is None
-        else straight_through(step, leaves[MASK])
-    )
+    if step.slope is None:
+        return torch.from_numpy(step.masks).to(leaves["means"].dtype)
+    return straight_through(step, leaves[MASK])
 
 
 class TorchEngine:

@@ -120,7 +120,7 @@ class JobRecorder:
         camera = camera.reduced(max(1, -(-max(camera.width, camera.height) // PREVIEW_SIDE)))
         kept = masks.most_probable(run.model).astype(np.uint8) if run.model.learns_masks else None
         options = RenderOptions(
-            antialiased=run.antialiased, background=run.settings.background, picture_only=True
+            antialiased=run.antialiased, background=run.plan.background, picture_only=True
         )
         name = f"previews/{iteration:07d}.png"
         write_image(
@@ -177,15 +177,15 @@ class PruneRecorder(JobRecorder):
         source = load_scene(self.folder / "scene.ply").scene
         source_rows = self._checked_rows(source.attributes.get(ROW))
         rank[source_rows] = importance(
-            source, self.run.dataset, Rasterizer(), render_options(source, self.run.settings.background)
+            source, self.run.dataset, Rasterizer(), render_options(source, self.run.plan.background)
         )
-        if self.run.settings.nested:  # its rows are in the order of importance
+        if self.run.plan.nested:  # its rows are in the order of importance
             rank[rows], recovered = (
                 np.linspace(1, 0, recovered.count, dtype=np.float32),
                 recovered.select(np.argsort(rows)),
             )
         _save(self.folder / "kept.npy", kept)
-        _save(self.folder / "score.npy", self.ranking.scores(kept, rank, nested=self.run.settings.nested > 0))
+        _save(self.folder / "score.npy", self.ranking.scores(kept, rank, nested=self.run.plan.nested > 0))
         probability = self.ranking.probabilities()
         if probability is not None:
             _save(self.folder / "probability.npy", probability)

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..scene.gaussians import Scene
-from .library import PARAMETERS, DecimationStruct, MergesStruct, best_level, call_library, check, levels
+from ..scene.gaussians import PARAMETERS, Scene
+from .library import DecimationStruct, MergesStruct, best_level, call_library, check, levels
 from .rasterizer import VISIBILITY
 
 REMOVED = np.uint32(2**32 - 1)  # in the place of b: a is removed
@@ -46,7 +46,7 @@ def decimate(
     """
     n, steps = scene.count, max(scene.count - least, 0)  # the library refuses a wrong `least`
     shapes = {name: (n, *getattr(scene, name).shape[1:]) for name in PARAMETERS}
-    words = DecimationStruct(
+    request = DecimationStruct(
         n,
         scene.sh.shape[1],
         scene.antialiased,
@@ -58,24 +58,11 @@ def decimate(
     )
     a, b, costs = np.empty(steps, np.uint32), np.empty(steps, np.uint32), np.empty(steps, np.float32)
     results = {name: np.empty((steps, *shape[1:]), np.float32) for name, shape in shapes.items()}
-    out = MergesStruct(
-        a.ctypes.data, b.ctypes.data, costs.ctypes.data, *(array.ctypes.data for array in results.values())
-    )
+    out = MergesStruct(*(array.ctypes.data for array in (a, b, costs, *results.values())))
     done, merges = c.c_int64(), c.c_int64()
-    flag = None if cancel is None else check(cancel, "cancel", (1,), np.int32)
+    flag = c.c_void_p(None if cancel is None else check(cancel, "cancel", (1,), np.int32))
     number = c.c_int32(levels()[level or best_level()])
-    call_library(
-        "svrgs_decimate",
-        number,
-        c.byref(words),
-        c.c_void_p(flag),
-        c.byref(out),
-        c.byref(done),
-        c.byref(merges),
-    )
-    return Merges(
-        a[: done.value],
-        b[: done.value],
-        costs[: done.value],
-        {name: array[: merges.value] for name, array in results.items()},
-    )
+    references = map(c.byref, (out, done, merges))
+    call_library("svrgs_decimate", number, c.byref(request), flag, *references)
+    made = {name: array[: merges.value] for name, array in results.items()}
+    return Merges(a[: done.value], b[: done.value], costs[: done.value], made)

@@ -1,8 +1,8 @@
 """Loads the native library and calls its functions: structs of the interface, checks of arrays, names,
 thresholds, threads.
 
-`native/include/svrgs.h` is the manual; names, shapes and units here are the same. Only this module,
-native.py, native_pictures.py and native_decimation.py import ctypes.
+`native/include/svrgs.h` is the manual; names, shapes and units here are the same. Only this room and
+system/ import ctypes.
 """
 
 from __future__ import annotations
@@ -15,140 +15,94 @@ from typing import Any, NamedTuple, get_type_hints
 import numpy as np
 
 from ..scene.camera import Camera
+from ..scene.gaussians import PARAMETERS
 from ..system.errors import Cancelled, NativeError
 from .library_path import library_path
 from .outputs import OUTPUTS
 
 INTERFACE_VERSION = 19
-PARAMETERS = ("means", "log_scales", "quats", "opacity_logits", "sh")  # arrays of a scene
 GRADS = (*PARAMETERS, "masks", "means2d")
 # images whose gradients backward() accepts
 LOSS_IMAGES = tuple(output.name for output in OUTPUTS.values() if output.differentiable)
 _CANCELLED = 3  # of enum svrgs_status
 _LEVEL_NAMES, _MASK_KIND_NAMES, _SKIP_NAMES, _STAGE_NAMES = range(4)  # enum svrgs_names
 
-_real = c.c_void_p
+_int, _long, _double, _pointer = c.c_int32, c.c_int64, c.c_double, c.c_void_p
+_reals = c.c_void_p  # to values in the type of the level
 
 
-def _struct(name: str, **fields) -> Any:
-    return type(name, (c.Structure,), {"_fields_": list(fields.items())})
+def _struct(name: str, *fields: tuple[Any, str]) -> Any:
+    """A struct of svrgs.h. fields: a type, and the names of those that have it, in the order of the
+    header."""
+    listed = [(field, kind) for kind, names in fields for field in names.split()]
+    return type(name, (c.Structure,), {"_fields_": listed})
 
 
+_PARAMETERS = " ".join(PARAMETERS)
 SceneStruct = _struct(
-    "SceneStruct",
-    count=c.c_int64,
-    sh_coefficients=c.c_int32,
-    means=_real,
-    log_scales=_real,
-    quats=_real,
-    opacity_logits=_real,
-    sh=_real,
-    masks=c.c_void_p,
+    "SceneStruct", (_long, "count"), (_int, "sh_coefficients"), (_reals, _PARAMETERS), (_pointer, "masks")
 )
 CameraStruct = _struct(
     "CameraStruct",
-    viewmat=c.c_double * 16,
-    fx=c.c_double,
-    fy=c.c_double,
-    cx=c.c_double,
-    cy=c.c_double,
-    width=c.c_int32,
-    height=c.c_int32,
-    orthographic=c.c_int32,
-    background=c.c_double * 3,
+    (_double * 16, "viewmat"),
+    (_double, "fx fy cx cy"),
+    (_int, "width height orthographic"),
+    (_double * 3, "background"),
 )
 OptionsStruct = _struct(
     "OptionsStruct",
-    sh_degree=c.c_int32,
-    antialiased=c.c_int32,
-    full=c.c_int32,
-    mask_kind=c.c_int32,
-    eps_a=c.c_double,
-    disabled_skips=c.c_int32,
-    max_pairs=c.c_int64,
-    cancel=c.c_void_p,
-    depth_limit=_real,
-    picture_only=c.c_int32,
+    (_int, "sh_degree antialiased full mask_kind"),
+    (_double, "eps_a"),
+    (_int, "disabled_skips"),
+    (_long, "max_pairs"),
+    (_pointer, "cancel"),
+    (_reals, "depth_limit"),
+    (_int, "picture_only"),
 )
-ImagesStruct = _struct("ImagesStruct", **{name: _real for name in OUTPUTS})
-ImageGradsStruct = _struct("ImageGradsStruct", **{name: _real for name in LOSS_IMAGES})
-GradsStruct = _struct("GradsStruct", **{name: _real for name in GRADS})
+ImagesStruct = _struct("ImagesStruct", (_reals, " ".join(OUTPUTS)))
+ImageGradsStruct = _struct("ImageGradsStruct", (_reals, " ".join(LOSS_IMAGES)))
+GradsStruct = _struct("GradsStruct", (_reals, " ".join(GRADS)))
 AdamStruct = _struct(
-    "AdamStruct",
-    lr=c.c_void_p,
-    beta1=c.c_double,
-    beta2=c.c_double,
-    eps=c.c_double,
-    step=c.c_int64,
-    shared=c.c_int32,
+    "AdamStruct", (_pointer, "lr"), (_double, "beta1 beta2 eps"), (_long, "step"), (_int, "shared")
 )
-TrainedStruct = _struct("TrainedStruct", param=_real, moments=c.c_void_p, lr=c.c_void_p)
+TrainedStruct = _struct("TrainedStruct", (_reals, "param"), (_pointer, "moments lr"))
 UpdateStruct = _struct(
-    "UpdateStruct",
-    adam=AdamStruct,
-    **{name: TrainedStruct for name in (*PARAMETERS, "masks")},
-    slope=_real,
-    frozen=_real,
+    "UpdateStruct", (AdamStruct, "adam"), (TrainedStruct, f"{_PARAMETERS} masks"), (_reals, "slope frozen")
 )
-WorkStruct = _struct(
-    "WorkStruct",
-    **{
-        name: c.c_int64
-        for name in ("visible", "pairs", "used_pairs", "blocks", "hit_blocks", "hits", "contributing")
-    },
-)
-TextureStruct = _struct(
-    "TextureStruct", texels=c.c_void_p, width=c.c_int32, height=c.c_int32, repeat=c.c_int32
-)
+WorkStruct = _struct("WorkStruct", (_long, "visible pairs used_pairs blocks hit_blocks hits contributing"))
+TextureStruct = _struct("TextureStruct", (_pointer, "texels"), (_int, "width height repeat"))
 TrianglesStruct = _struct(
     "TrianglesStruct",
-    count=c.c_int64,
-    corners=c.c_void_p,
-    colors=c.c_void_p,
-    light=c.c_void_p,
-    uvs=c.c_void_p,
-    textures=c.c_void_p,
-    holdout=c.c_void_p,
-    texture=c.c_void_p,
-    texture_count=c.c_int32,
-    ambient=c.c_double,
+    (_long, "count"),
+    (_pointer, "corners colors light uvs textures holdout texture"),
+    (_int, "texture_count"),
+    (_double, "ambient"),
 )
-LayersStruct = _struct("LayersStruct", share=c.c_void_p, depth=c.c_void_p, rgba=c.c_void_p)
+LayersStruct = _struct("LayersStruct", (_pointer, "share depth rgba"))
 ViewStruct = _struct(
     "ViewStruct",
-    image=c.c_void_p,
-    width=c.c_int32,
-    height=c.c_int32,
-    channels=c.c_int32,
-    along=c.c_int32,
-    turn=c.c_double * 9,
-    focal=c.c_double,
-    cx=c.c_double,
-    cy=c.c_double,
+    (_pointer, "image"),
+    (_int, "width height channels along"),
+    (_double * 9, "turn"),
+    (_double, "focal cx cy"),
 )
 PanoramaStruct = _struct(
     "PanoramaStruct",
-    sums=c.c_void_p,
-    width=c.c_int32,
-    height=c.c_int32,
-    latitudes=c.c_void_p,
-    row_weights=c.c_void_p,
-    longitudes=c.c_void_p,
-    column_weights=c.c_void_p,
+    (_pointer, "sums"),
+    (_int, "width height"),
+    (_pointer, "latitudes row_weights longitudes column_weights"),
 )
 DecimationStruct = _struct(
     "DecimationStruct",
-    count=c.c_int64,
-    sh_coefficients=c.c_int32,
-    antialiased=c.c_int32,
-    **{name: c.c_void_p for name in PARAMETERS},
-    visibility=c.c_void_p,
-    middle=c.c_double * 3,
-    unit=c.c_double,
-    least=c.c_int64,
+    (_long, "count"),
+    (_int, "sh_coefficients antialiased"),
+    (_pointer, f"{_PARAMETERS} visibility"),
+    (_double * 3, "middle"),
+    (_double, "unit"),
+    (_long, "least"),
 )
-MergesStruct = _struct("MergesStruct", **{name: c.c_void_p for name in ("a", "b", "costs", *PARAMETERS)})
-MachineStruct = _struct("MachineStruct", fma=c.c_double, read=c.c_double, update=c.c_double)
+MergesStruct = _struct("MergesStruct", (_pointer, f"a b costs {_PARAMETERS}"))
+MachineStruct = _struct("MachineStruct", (_double, "fma read update"))
 
 
 @functools.cache
@@ -207,18 +161,10 @@ def check_out(array: np.ndarray, name: str, shape: tuple, dtype) -> int:
 
 def camera_struct(camera: Camera, background=(0.0, 0.0, 0.0)) -> c.Structure:
     """The struct of a camera. background: display sRGB."""
-    K = camera.K
-    return CameraStruct(
-        (c.c_double * 16)(*np.asarray(camera.viewmat, np.float64).ravel()),
-        K[0, 0],
-        K[1, 1],
-        K[0, 2],
-        K[1, 2],
-        camera.width,
-        camera.height,
-        camera.orthographic,
-        (c.c_double * 3)(*background),
-    )
+    (fx, _, cx), (_, fy, cy), _ = camera.K
+    viewmat = (_double * 16)(*np.asarray(camera.viewmat, np.float64).ravel())
+    size = camera.width, camera.height, camera.orthographic
+    return CameraStruct(viewmat, fx, fy, cx, cy, *size, (_double * 3)(*background))
 
 
 class Thresholds(NamedTuple):
@@ -240,7 +186,7 @@ class Thresholds(NamedTuple):
 
 ThresholdsStruct = _struct(
     "ThresholdsStruct",
-    **{name: {float: c.c_double, int: c.c_int32}[kind] for name, kind in get_type_hints(Thresholds).items()},
+    *((_double if kind is float else _int, name) for name, kind in get_type_hints(Thresholds).items()),
 )
 
 

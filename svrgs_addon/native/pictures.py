@@ -126,24 +126,16 @@ def flip_errors(
     image, target: (H, W, 3) display sRGB in [0, 1], float32; float64 at that level. pixels_per_degree: of the
     viewer's visual angle, 1 to 400. Raises NativeError, and TypeError for arrays of another type or shape.
     """
-    level = level or best_level()
-    dtype = np.float64 if level == "float64" else np.float32
-    errors = np.empty(image.shape[:2], dtype)
-    addresses = [
-        check(array, name, (*errors.shape, 3), dtype)
-        for array, name in ((image, "image"), (target, "target"))
-    ]
-    places = [c.c_void_p(address) for address in (*addresses, errors.ctypes.data)]
-    height, width = map(c.c_int32, errors.shape)
+    number, dtype = _level(level)
+    errors: np.ndarray = np.empty(image.shape[:2], dtype)
     call_library(
         "svrgs_flip",
-        c.c_int32(levels()[level]),
-        places[0],
-        places[1],
-        height,
-        width,
+        number,
+        c.c_void_p(check(image, "image", (*errors.shape, 3), dtype)),
+        c.c_void_p(check(target, "target", (*errors.shape, 3), dtype)),
+        *map(c.c_int32, errors.shape),
         c.c_double(pixels_per_degree),
-        places[2],
+        c.c_void_p(errors.ctypes.data),
     )
     return errors
 
@@ -158,16 +150,22 @@ def linear_colours(
     working_space: (3, 3), the rows are linear red, green and blue of sRGB in it. Raises NativeError, and
     TypeError for arrays of another type or shape.
     """
-    level = level or best_level()
-    dtype = np.float64 if level == "float64" else np.float32
-    rgba = np.empty((*alpha.shape, 4), dtype)
+    number, dtype = _level(level)
+    rgba: np.ndarray = np.empty((*alpha.shape, 4), dtype)
     space = np.ascontiguousarray(working_space, np.float64)
-    colours, cover = check(rgb, "rgb", (*alpha.shape, 3), dtype), check(alpha, "alpha", alpha.shape, dtype)
-    places = [
-        c.c_void_p(place)
-        for place in (colours, cover, check(space, "working_space", (3, 3), np.float64), rgba.ctypes.data)
-    ]
     call_library(
-        "svrgs_linear_rgba", c.c_int32(levels()[level]), *places[:2], c.c_int64(alpha.size), *places[2:]
+        "svrgs_linear_rgba",
+        number,
+        c.c_void_p(check(rgb, "rgb", (*alpha.shape, 3), dtype)),
+        c.c_void_p(check(alpha, "alpha", alpha.shape, dtype)),
+        c.c_int64(alpha.size),
+        c.c_void_p(check(space, "working_space", (3, 3), np.float64)),
+        c.c_void_p(rgba.ctypes.data),
     )
     return rgba
+
+
+def _level(name: str | None) -> tuple[c.c_int32, type]:
+    """The number of a SIMD level, and the type of its arrays. None: the fastest."""
+    name = name or best_level()
+    return c.c_int32(levels()[name]), np.float64 if name == "float64" else np.float32

@@ -13,19 +13,17 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..scene.camera import Camera
+from ..scene.gaussians import PARAMETERS
 from ..system.errors import NativeError
 from .library import (
     GRADS,
-    INTERFACE_VERSION,
     LOSS_IMAGES,
-    PARAMETERS,
     AdamStruct,
     GradsStruct,
     ImageGradsStruct,
     ImagesStruct,
     OptionsStruct,
     SceneStruct,
-    Thresholds,
     TrainedStruct,
     UpdateStruct,
     WorkStruct,
@@ -35,25 +33,12 @@ from .library import (
     check_out,
     levels,
     mask_kinds,
-    peaks,
-    set_threads,
     skips,
     stages,
-    supported_levels,
-    threads,
-    thresholds,
 )
 from .library import call_library as _call
 from .library import library as _library
-from .library_path import LIBRARY_VARIABLE
 from .outputs import OUTPUTS
-
-__all__ = [
-    "COUNTS", "GRADS", "IMAGES", "INTERFACE_VERSION", "LIBRARY_VARIABLE", "LOSS_IMAGES", "MOMENTS",
-    "PARAMETERS", "Rasterizer", "RenderOptions", "Thresholds", "VISIBILITY", "best_level", "levels",
-    "mask_kinds", "moments_like", "peaks", "sample_masks", "set_threads", "skips", "stages",
-    "supported_levels", "threads", "thresholds",
-]  # fmt: skip
 
 # trailing channels, 0: none
 IMAGES = {output.name: output.channels for output in OUTPUTS.values() if not output.integer}
@@ -125,11 +110,9 @@ class Rasterizer:
         """
         arrays = self._scene(scene, masks)
         images, pointers = self._images(camera, outputs)
-        limit = (
-            None
-            if depth_limit is None
-            else check(depth_limit, "depth_limit", (camera.height, camera.width), self.dtype)
-        )
+        limit = None
+        if depth_limit is not None:
+            limit = check(depth_limit, "depth_limit", (camera.height, camera.width), self.dtype)
         degree = min(options.sh_degree, int(arrays.sh_coefficients**0.5) - 1)
         native = OptionsStruct(
             degree,
@@ -168,9 +151,8 @@ class Rasterizer:
         _call("svrgs_count_work", self._context, c.c_int32(count_pixels), c.byref(work))
         if not count_pixels:
             return {"visible": work.visible, "pairs": work.pairs}
-        return {name: getattr(work, name) for name, *_ in WorkStruct._fields_} | {
-            "evaluated": 16 * work.blocks
-        }
+        counts = {name: getattr(work, name) for name, *_ in WorkStruct._fields_}
+        return counts | {"evaluated": 16 * work.blocks}
 
     def stage_seconds(self) -> dict[str, float]:
         """Durations in seconds of the stages of the last calls, by name from stages()."""
@@ -213,9 +195,8 @@ class Rasterizer:
         gradient was not finite).
         """
         if both := {*wanted} & {*tensors}:
-            raise ValueError(
-                f"these tensors are updated, so their gradients are not stored: {', '.join(sorted(both))}"
-            )
+            names = ", ".join(sorted(both))
+            raise ValueError(f"these tensors are updated, so their gradients are not stored: {names}")
         grads_in, grads, grads_out = self._gradients(image_grads, wanted)
         columns, update = {}, UpdateStruct(adam=_adam_settings(None, betas, eps, step))
         for name, (param, moments) in tensors.items():
@@ -249,11 +230,9 @@ class Rasterizer:
         which it is blended: sum of alpha T float64, maximum of alpha T float32, number of pixels int64, sum
         of T float64. Marks with 1 in `reached`, uint8, those that hit a ray before it stops (or, if F was
         rendered to the end of rays, any ray); colours are the same without the others."""
-        if self._view is None:
-            raise NativeError("there is no rendered view to score: call forward() first")
         given = {"sum": (sum_, np.float64), "max": (max_, np.float32), "hits": (hits, np.int64)}
         given |= {"transmittance": (transmittance, np.float64), "reached": (reached, np.uint8)}
-        shape = (len(self._view[0]),)
+        shape = (self._count("score"),)
         outs = (
             None if array is None else check_out(array, name, shape, dtype)
             for name, (array, dtype) in given.items()
@@ -264,8 +243,7 @@ class Rasterizer:
         """Moments of each visible Gaussian of the last view, (V, 12) float64: sums over pixels of w u^a v^b
         in the order of MOMENTS. w: sum over channels of (alpha dC/dalpha)^2; (u, v): whitened offset of the
         pixel from the centre; see svrgs.h."""
-        if self._view is None:
-            raise NativeError("there is no rendered view to take moments of: call forward() first")
+        self._count("take moments of")
         rows = np.empty((self.work()["visible"], len(MOMENTS)))
         _call("svrgs_moments", self._context, c.c_void_p(rows.ctypes.data))
         return rows
@@ -278,13 +256,12 @@ class Rasterizer:
         over pixels and channels of d^2 - 2 r d with d = alpha T (c - b). residuals r: (H, W, 3), rendered
         colours minus photograph; see svrgs.h.
         """
-        if self._view is None:
-            raise NativeError("there is no rendered view to score: call forward() first")
+        count = self._count("score")
         _call(
             "svrgs_removal",
             self._context,
             c.c_void_p(check(residuals, "residuals", (*self._shape[:2], 3), self.dtype)),
-            c.c_void_p(check_out(error, "error", (len(self._view[0]),), np.float64)),
+            c.c_void_p(check_out(error, "error", (count,), np.float64)),
         )
 
     def add_slopes(self, sums: np.ndarray):
@@ -298,18 +275,20 @@ class Rasterizer:
         self._add("svrgs_dominance", pixels)
 
     def add_visibility(self, sums: np.ndarray):
-        """Adds the last view to `sums` (N, 9) float64, what native_decimation.decimate() needs of all views;
+        """Adds the last view to `sums` (N, 9) float64, what decimation.decimate() needs of all views;
         its columns are those of VISIBILITY."""
         self._add("svrgs_visibility", sums, (len(VISIBILITY),))
 
     def _add(self, function: str, totals: np.ndarray, columns: tuple[int, ...] = ()):
+        address = check_out(totals, "totals", (self._count("score"), *columns), np.float64)
+        _call(function, self._context, c.c_void_p(address))
+
+    def _count(self, purpose: str) -> int:
+        """The number of Gaussians in the last view. Raises NativeError if there is none. purpose: verb of the
+        message."""
         if self._view is None:
-            raise NativeError("there is no rendered view to score: call forward() first")
-        _call(
-            function,
-            self._context,
-            c.c_void_p(check_out(totals, "totals", (len(self._view[0]), *columns), np.float64)),
-        )
+            raise NativeError(f"there is no rendered view to {purpose}: call forward() first")
+        return len(self._view[0])
 
     def loss(self, image, target, l1_weight=0.8, ssim_weight=0.2, want_grad=True):
         """Image loss L = l1_weight mean|image - target| + ssim_weight (1 - SSIM) of two (H, W, 3) images in
@@ -382,9 +361,8 @@ class Rasterizer:
 
     def _trained(self, param, moments, shape: tuple, of: str = "") -> tuple[int, int]:
         """Checks both arrays and returns their addresses. of: addition to their names in messages."""
-        return check_out(param, f"param{of}", shape, self.dtype), check_out(
-            moments, f"moments{of}", *moments_like(shape, self.dtype)
-        )
+        address = check_out(param, f"param{of}", shape, self.dtype)
+        return address, check_out(moments, f"moments{of}", *moments_like(shape, self.dtype))
 
     def _gradients(self, image_grads: dict, wanted):
         """The struct of image gradients, the arrays {name: (V, ...)} for the gradients, and the struct of
@@ -395,16 +373,18 @@ class Rasterizer:
                 f" {', '.join(LOSS_IMAGES)}, wanted {', '.join(GRADS)}"
             )
         height, width, coefficients = self._shape
-        grads_in = ImageGradsStruct(
-            **{
-                name: check(g, f"d{name}", _image_shape(name, height, width), self.dtype)
-                for name, g in image_grads.items()
-            }
-        )
+        given = {
+            name: check(g, f"d{name}", _image_shape(name, height, width), self.dtype)
+            for name, g in image_grads.items()
+        }
         count = self.work()["visible"]
         widths = {"means": (3,), "log_scales": (3,), "quats": (4,), "sh": (coefficients, 3), "means2d": (2,)}
         grads = {name: self._buffer(name, (count, *widths.get(name, ()))) for name in wanted}
-        return grads_in, grads, GradsStruct(**{name: g.ctypes.data for name, g in grads.items()})
+        return (
+            ImageGradsStruct(**given),
+            grads,
+            GradsStruct(**{name: g.ctypes.data for name, g in grads.items()}),
+        )
 
     def _scene(self, scene, masks):
         """The struct of a scene whose arrays were checked. The arrays are kept alive until the next view."""
@@ -452,9 +432,9 @@ def moments_like(shape: tuple, dtype) -> tuple[tuple, np.dtype]:
     if len(shape) < 3:
         return tuple(shape), np.dtype(np.uint32 if single else np.complex128)
     first = shape[1] * shape[2]
-    return (shape[0], (first + 1) // 2 + 1 if single else first + 1), np.dtype(
-        np.uint32 if single else np.float64
-    )
+    if single:
+        return (shape[0], (first + 1) // 2 + 1), np.dtype(np.uint32)
+    return (shape[0], first + 1), np.dtype(np.float64)
 
 
 def _rates(lr, shape: tuple) -> np.ndarray:

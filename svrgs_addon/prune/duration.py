@@ -111,7 +111,7 @@ class Pace:
         )
         total, grown, left = 0.0, 1.0, share if plan.method.ranks and not plan.prunes else 1.0
         for phase in plan.phases:
-            looks = plan.method.looks(plan, phase.steps, share) if phase.active else []
+            looks = plan.method.ranking_passes(plan, phase.steps, share) if phase.active else []
             if plan.method.ranks:  # in training, the cut comes last
                 looks = [(1.0, after) for _, after in looks]
             parts = gradual(share) if phase.active and not looks else between(looks, left)
@@ -132,7 +132,7 @@ class Pace:
         return (
             first
             + MERGING_STEPS * plan.method.merges * self.step
-            + (self._looks(plan.method.looks(plan, 0, share), 1.0) if plan.method.ranks else 0.0)
+            + (self._looks(plan.method.ranking_passes(plan, 0, share), 1.0) if plan.method.ranks else 0.0)
         )
 
     def _looks(self, looks: list[tuple[float, float]], left: float) -> float:
@@ -174,7 +174,7 @@ def pace_of(scene: Scene, dataset: Dataset, plan: Plan, lpips: Callable | None =
     )
     _read_some(dataset, views)
     looked_at = [dataset.cameras[index] for index in spread(train)[:LOOKED_AT]]
-    looks = bool(plan.method.looks(plan, max(1, plan.total), 1.0))
+    looks = bool(plan.method.ranking_passes(plan, max(1, plan.total), 1.0))
     look = lambda: (plan.method.score if looks else removal_errors)(scene, looked_at, rasterizer, options)
     drawn = _seconds(lambda: mean_psnr(scene, dataset, views, rasterizer, options)) / len(views)
     step = _step(scene, replace(dataset, train_indices=shown), plan)

@@ -16,10 +16,10 @@ from ..finetune.methods.removal import Removal, floor_of_drop
 from ..finetune.plan import Plan
 from ..finetune.quality import LEAST, bisected, quality_views
 from ..finetune.saliency import saliency
-from ..finetune.views import as_real
+from ..finetune.view_order import as_real
 from ..native.rasterizer import Rasterizer
 from ..render.metrics.evaluate import picture_options, render_options, rounded_to_8_bits
-from ..render.metrics.psnr import psnr, with_error
+from ..render.metrics.measures import psnr, with_error
 from ..scene.camera import Camera
 from ..scene.gaussians import Scene
 from ..views.dataset import Dataset

@@ -17,10 +17,10 @@ import numpy as np
 from ..finetune import scores
 from ..finetune.plan import Plan
 from ..finetune.quality import psnr_after
-from ..finetune.views import as_real
+from ..finetune.view_order import as_real
 from ..native.rasterizer import Rasterizer
 from ..render.metrics.evaluate import picture_options, rounded_to_8_bits
-from ..render.metrics.psnr import psnr
+from ..render.metrics.measures import psnr
 from ..scene.gaussians import Scene
 from ..views.dataset import Dataset
 

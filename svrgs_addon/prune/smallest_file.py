@@ -7,10 +7,10 @@ import math
 from collections.abc import Callable
 from pathlib import Path
 
-from ..files.registry import format_to_write, tried
+from ..files.registry import format_to_write, round_trip
 from ..finetune.decimate.order import Order
 from ..finetune.quality import bisected
-from ..render.metrics.format_loss import ASSUMED, refuse_loss
+from ..render.metrics.max_drop import ASSUMED, refuse_loss
 from ..scene.affine import scaled
 from ..scene.gaussians import Scene
 
@@ -32,7 +32,7 @@ def smallest_file(
         return fewest_within(order, least, lambda count: psnr_of(order.at(count)), ASSUMED - allowed), 1.0
 
     def tried_with(count: int, factor: float) -> tuple[float, int]:
-        held, size = tried(scaled(order.at(count), unit), splat_format, factor)
+        held, size = round_trip(scaled(order.at(count), unit), splat_format, factor)
         return psnr_of(scaled(held, 1 / unit)), size
 
     for factor in FACTORS if splat_format.quantises and order.scene.sh_degree else FACTORS[:1]:

@@ -34,11 +34,9 @@ def hex_colors(name: str = "inferno") -> tuple[str, ...]:
 def pixels(values: np.ndarray, top: float, name: str) -> np.ndarray:
     """Maps values (H, W) to linear colours (H, W, 3) of the map `name`. If there is no such map, each channel
     is the value itself."""
-    return (
-        srgb_to_linear(colored(values, top, name))
-        if name in NAMES
-        else np.repeat(values[..., None], 3, axis=2)
-    )
+    if name in NAMES:
+        return srgb_to_linear(colored(values, top, name))
+    return np.repeat(values[..., None], 3, axis=2)
 
 
 def colored(values: np.ndarray, top: float, name: str = "inferno") -> np.ndarray:

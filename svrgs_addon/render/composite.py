@@ -78,16 +78,9 @@ def composite(
     images = _over(rasterizer, scene, camera, options, outputs, surface, surface.depth)
     if surface.rest is not None:
         assert surface.share is not None
-        edges = surface.share < 1
-        behind = _over(
-            rasterizer,
-            scene,
-            camera,
-            options,
-            outputs,
-            surface.rest,
-            np.where(edges, surface.rest.depth, np.float32(0)),
-        )
+        edges, rest = surface.share < 1, surface.rest
+        limit = np.where(edges, rest.depth, np.float32(0))
+        behind = _over(rasterizer, scene, camera, options, outputs, rest, limit)
         share = surface.share[edges]
         for name, image in images.items():
             part = share if image.ndim == 2 else share[:, None]
@@ -116,9 +109,7 @@ def split(
     limit = np.full_like(whole.coverage, np.inf) if surface is None else surface.depth
     if catcher is not None:
         limit = np.minimum(limit, catcher.depth * np.float32(1 - ON_CATCHER))
-    front = composite(
-        rasterizer, scene, camera, surface=Surface(limit, np.zeros((*limit.shape, 4), np.float32))
-    )
+    front = composite(rasterizer, scene, camera, surface=Surface.black(limit))
     T = 1 - front.alpha[..., None]  # sums of the whole picture: front + T * behind
     sums = np.concatenate([whole.rgb - front.rgb, (whole.alpha - front.alpha)[..., None]], axis=2)
     behind = np.divide(sums, T, out=np.zeros_like(sums), where=T > 0).clip(

@@ -56,6 +56,11 @@ class Surface:
     share: np.ndarray | None = None  # (H, W) float32, how much of each pixel it has; None: all of every pixel
     rest: Surface | None = None  # what the rest of each pixel shows
 
+    @classmethod
+    def black(cls, depth: np.ndarray) -> Surface:
+        """A surface that hides what is behind the depths (H, W), and shows nothing itself."""
+        return cls(depth, np.zeros((*depth.shape, 4), np.float32))
+
     @property
     def holes(self) -> np.ndarray:
         """(H, W) float32: how much of each pixel shows a holdout."""
@@ -79,8 +84,6 @@ def surface(triangles: Triangles, camera: Camera) -> Surface | None:
     if not np.isfinite(depth[0]).any():
         return None
     whole = share == 1
-    return (
-        Surface(depth[0], rgba[0])
-        if whole.all()
-        else Surface(depth[0], rgba[0], share, Surface(depth[1], rgba[1]))
-    )
+    if whole.all():
+        return Surface(depth[0], rgba[0])
+    return Surface(depth[0], rgba[0], share, Surface(depth[1], rgba[1]))

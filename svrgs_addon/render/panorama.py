@@ -75,25 +75,19 @@ def patches(panorama: Panorama) -> Iterator[Patch]:
     for band in range(BANDS + 1):
         latitude = (band - BANDS / 2) * CELL
         row_weights = np.maximum(0, 1 - np.abs(panorama.latitudes - latitude) / CELL)
-        count = (
-            1
-            if band in (0, BANDS)
-            else int(np.ceil(2 * np.pi * np.cos(max(abs(latitude) - CELL / 2, 0)) / CELL))
-        )
+        count = int(np.ceil(2 * np.pi * np.cos(max(abs(latitude) - CELL / 2, 0)) / CELL))
+        if band in (0, BANDS):
+            count = 1
         for number in range(count):
             longitude = -np.pi + 2 * np.pi * (number + 0.5) / count
             apart = np.abs((panorama.longitudes - longitude + np.pi) % (2 * np.pi) - np.pi)
-            column_weights = (
-                np.maximum(0, 1 - apart * count / (2 * np.pi)) if count > 1 else np.ones(panorama.width)
-            )
+            column_weights = np.ones(panorama.width)
+            if count > 1:
+                column_weights = np.maximum(0, 1 - apart * count / (2 * np.pi))
             if row_weights.any() and column_weights.any():
                 turn = _facing(latitude, longitude)
-                yield Patch(
-                    _view(panorama, turn, row_weights > 0, column_weights > 0),
-                    turn,
-                    row_weights,
-                    column_weights,
-                )
+                camera = _view(panorama, turn, row_weights > 0, column_weights > 0)
+                yield Patch(camera, turn, row_weights, column_weights)
 
 
 def directions(latitudes: np.ndarray, longitudes: np.ndarray) -> np.ndarray:
@@ -131,23 +125,14 @@ def _view(panorama: Panorama, turn: np.ndarray, rows: np.ndarray, columns: np.nd
 def composite_panorama(draw: Callable[[Camera], Composite], panorama: Panorama) -> Composite:
     """The picture of a panorama. draw: renders a perspective view. Depths are distances from the camera, as
     in Cycles' panoramas."""
-    sums, latitudes, longitudes = None, panorama.latitudes, panorama.longitudes
+    sums, directions = None, (panorama.latitudes, panorama.longitudes)
     for patch in patches(panorama):
         picture = draw(patch.camera)
         layers = _layers(picture)
         if sums is None:
             sums = np.zeros((panorama.height, panorama.width, layers.shape[2]), np.float32)
-        add_view(
-            layers,
-            patch.turn,
-            patch.camera.K,
-            DEPTH,
-            sums,
-            latitudes,
-            longitudes,
-            patch.row_weights,
-            patch.column_weights,
-        )
+        weights = patch.row_weights, patch.column_weights
+        add_view(layers, patch.turn, patch.camera.K, DEPTH, sums, *directions, *weights)
     assert sums is not None
     return _picture(sums, picture)
 
@@ -162,9 +147,8 @@ def _layers(picture: Composite) -> np.ndarray:
     depth = np.where(picture.coverage > 0, picture.depth, 0) * picture.coverage
     rest = [image for name, image in picture.images.items() if name != "depth"]
     flat = np.stack([picture.coverage, picture.holes, depth, *rest], axis=2)
-    return np.concatenate(
-        [picture.rgb, flat, *([] if picture.behind is None else [picture.behind])], axis=2, dtype=np.float32
-    )
+    behind = [] if picture.behind is None else [picture.behind]
+    return np.concatenate([picture.rgb, flat, *behind], axis=2, dtype=np.float32)
 
 
 def _picture(layers: np.ndarray, like: Composite) -> Composite:
@@ -174,9 +158,9 @@ def _picture(layers: np.ndarray, like: Composite) -> Composite:
     depth = np.divide(layers[..., DEPTH], coverage, out=np.full_like(coverage, FAR), where=coverage > 0)
     names = [name for name in like.images if name != "depth"]
     images = {name: layers[..., REST + k].clip(0, None) for k, name in enumerate(names)} | {"depth": depth}
-    behind = (
-        None if like.behind is None else layers[..., REST + len(names) :].clip(0, (np.inf, np.inf, np.inf, 1))
-    )
+    behind = None
+    if like.behind is not None:
+        behind = layers[..., REST + len(names) :].clip(0, (np.inf, np.inf, np.inf, 1))
     return replace(
         like, rgb=layers[..., RGB].copy(), coverage=coverage, holes=holes, images=images, behind=behind
     )

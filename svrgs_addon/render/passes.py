@@ -47,9 +47,8 @@ def passes(
     transparent, working_space: as in linear_rgba. unit: length of one unit of the picture's depth, in units
     of Blender's scene.
     """
-    images = {
-        found[0]: image for name, image in picture.images.items() if (found := OUTPUTS[name].render_pass)
-    }
+    kinds = {name: OUTPUTS[name].render_pass for name in picture.images}
+    images = {kind[0]: picture.images[name] for name, kind in kinds.items() if kind}
     depth = np.where(picture.depth < FAR, picture.depth * np.float32(unit), np.float32(FAR))
     layers = {"Combined": linear_rgba(picture, transparent, working_space), **images, "Depth": depth}
     if picture.behind is not None:
@@ -59,14 +58,9 @@ def passes(
 
 def blank(height: int, width: int, kinds: Sequence = PASSES) -> dict[str, np.ndarray]:
     """Combined and the passes of these kinds with zeros, for a picture that could not be drawn."""
-    shapes = {
-        name: (height, width) if len(channels) == 1 else (height, width, len(channels))
-        for name, channels, _ in kinds
-    }
-    return {
-        name: np.zeros(shape, np.float32)
-        for name, shape in {"Combined": (height, width, 4), **shapes}.items()
-    }
+    channels = {"Combined": 4} | {name: len(letters) for name, letters, _ in kinds}
+    shape = lambda count: (height, width) if count == 1 else (height, width, count)
+    return {name: np.zeros(shape(count), np.float32) for name, count in channels.items()}
 
 
 def _linear(rgb: np.ndarray, alpha: np.ndarray, working_space: Sequence) -> np.ndarray:
@@ -83,7 +77,5 @@ def overlay_rgba(rasterizer: Rasterizer, scene: Scene, camera: Camera, hidden: n
     hidden: camera z (H, W) of that picture, infinite where it is empty; a pixel blends only Gaussians with a
     smaller z.
     """
-    picture = composite(
-        rasterizer, scene, camera, surface=Surface(hidden, np.zeros((*hidden.shape, 4), np.float32))
-    )
+    picture = composite(rasterizer, scene, camera, surface=Surface.black(hidden))
     return np.concatenate([picture.rgb, picture.alpha[..., None]], axis=-1)

@@ -39,10 +39,8 @@ def quads(scene: Scene, count: int) -> Quads:
     geometry = np.zeros((len(rows), 3, 4), np.float32)
     for start in range(0, len(rows), BLOCK):
         part = rows[start : start + BLOCK]
-        axes = (
-            rotation_matrices(scene.quats[part])
-            * np.exp(scene.log_scales[part].astype(np.float64))[:, None, :]
-        )
+        scales = np.exp(scene.log_scales[part].astype(np.float64))
+        axes = rotation_matrices(scene.quats[part]) * scales[:, None, :]
         S = axes @ axes.swapaxes(1, 2)
         block = geometry[start : start + BLOCK]
         block[:, 0, :3], block[:, 0, 3] = scene.means[part], activation.opacities(scene.opacity_logits[part])
@@ -53,29 +51,24 @@ def quads(scene: Scene, count: int) -> Quads:
 def painted(scene: Scene, values: list[np.ndarray | None]) -> Scene:
     """The scene in colours of a value per Gaussian, with the colour map inferno.
 
-    values: arrays (N_i,) of its parts, joined in order. If one is None, the scene is returned unchanged.
+    values: arrays (N_i,) of its parts, one after the other. If one is None, the scene is returned unchanged.
     """
     known = [part for part in values if part is not None]
     if len(known) < len(values):
         return scene
-    joined = np.concatenate(known)
-    return recolored(
-        scene, colored(joined, float(np.percentile(joined, TOP_PERCENTILE)) if len(joined) else 1.0)
-    )
+    whole = np.concatenate(known)
+    top = float(np.percentile(whole, TOP_PERCENTILE)) if len(whole) else 1.0
+    return recolored(scene, colored(whole, top))
 
 
 def highlighted(scene: Scene, counts: list[int], values: list[np.ndarray | None]) -> Scene:
     """The scene with marked Gaussians tinted with HIGHLIGHT. Their shading stays visible.
 
-    counts: of the Gaussians of its parts, joined in order. values: arrays (N_i,), above 0 where marked; None:
-    nothing of the part is.
+    counts: of the Gaussians of its parts, one after the other. values: arrays (N_i,), above 0 where marked;
+    None: nothing of the part is.
     """
-    marks = np.concatenate(
-        [
-            np.zeros(count, bool) if part is None else part > 0
-            for count, part in zip(counts, values, strict=True)
-        ]
-    )
+    parts = zip(counts, values, strict=True)
+    marks = np.concatenate([np.zeros(count, bool) if part is None else part > 0 for count, part in parts])
     sh = scene.sh.copy()
     sh[marks] *= 1 - TINT
     sh[marks, 0] += (TINT * (np.array(HIGHLIGHT) - 0.5) / SH_C0).astype(np.float32)

@@ -6,35 +6,29 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..files.memory_mapped import rows
 from ..native.rasterizer import Rasterizer
+from ..scene.concatenate import concatenated
 from ..scene.gaussians import Scene
 
 GROUP = 4  # Gaussians that one stands for
-MOST = 500_000  # that are seen: of so many, all are drawn
+MAX_SEEN = 500_000  # Gaussians that are all drawn
 PART = 1 << 16  # groups that are made together
 
 
 def thinned(scene: Scene) -> Scene:
     """One Gaussian for each GROUP that follow each other, which are neighbours in Morton order: the one that
     covers most, as large as all of them together, in their mean colour. Further columns are left out."""
-    parts = [
-        _thinned(scene.select(np.arange(start, min(start + GROUP * PART, scene.count))))
-        for start in range(0, scene.count, GROUP * PART)
-    ]
-    arrays = {
-        name: np.concatenate([getattr(part, name) for part in parts])
-        for name in ("means", "log_scales", "quats", "opacity_logits", "sh")
-    }
-    return replace(scene, **arrays, attributes={}, property_order=())
+    starts = range(0, scene.count, GROUP * PART)
+    return concatenated([_thinned(rows(scene, start, start + GROUP * PART)) for start in starts])
 
 
 def _thinned(scene: Scene) -> Scene:
     count = -(-scene.count // GROUP)
     weights = np.zeros(count * GROUP, np.float32)
     logs = np.sort(np.clip(scene.log_scales, -40, 40), axis=1)
-    weights[: scene.count] = np.exp(logs[:, 1] + logs[:, 2]) / (
-        1 + np.exp(-np.clip(scene.opacity_logits, -40, 40))
-    ) + np.float32(1e-30)
+    inverse_opacities = 1 + np.exp(-np.clip(scene.opacity_logits, -40, 40))
+    weights[: scene.count] = np.exp(logs[:, 1] + logs[:, 2]) / inverse_opacities + np.float32(1e-30)
     groups = weights.reshape(count, GROUP)
     largest = groups.argmax(axis=1) + GROUP * np.arange(count)
     growth = np.minimum(groups.sum(axis=1) / weights[largest], GROUP)
@@ -57,7 +51,7 @@ class Thinning:
 
     def draws(self) -> Scene:
         """The Gaussians of the next coarse picture."""
-        if self._seen <= MOST:
+        if self._seen <= MAX_SEEN:
             return self._scene
         self._thin = self._thin or thinned(self._scene)
         return self._thin

@@ -67,10 +67,8 @@ def scaled(scene: Scene, factor: float) -> Scene:
 def _linear(matrix: np.ndarray) -> np.ndarray:
     """The linear part A (3, 3) float64 of a 4x4 matrix. Raises SceneError if it is singular or not finite."""
     A = np.asarray(matrix, np.float64)[:3, :3]
-    if (
-        not np.isfinite(A).all()
-        or not abs(np.linalg.det(A)) > 1e-12 * max(float(np.linalg.norm(A)), 1e-300) ** 3
-    ):
+    smallest = 1e-12 * max(float(np.linalg.norm(A)), 1e-300) ** 3
+    if not np.isfinite(A).all() or not abs(np.linalg.det(A)) > smallest:
         raise SceneError(
             "a scale of the object is zero or not finite, so its Gaussians have no shape in the world; set it"
             " to 1 first"

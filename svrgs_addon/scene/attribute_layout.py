@@ -5,13 +5,11 @@ Blender's attributes hold activated values, from which float32 cannot restore ev
 also has:
 
 - raw values, as attributes svrgs:log_scale, svrgs:quaternion, svrgs:opacity_logit. They count while their
-  activation still equals
-  Blender's attribute. After an edit, or without raw values (a splat that Blender imported), the activated
-  values are inverted
-  (activation.py).
+  activation still equals Blender's attribute. After an edit, or without raw values (a splat that Blender
+  imported), the activated values are inverted (activation.py).
 - the position, as svrgs:position. Blender's Apply and Join move points and leave shapes and colours as they
-  were. Where points were
-  moved together since, shapes and colours are transformed when the splat is read (scene/moved_points.py).
+  were. Where points were moved together since, shapes and colours are transformed when the splat is read
+  (scene/moved_points.py).
 - each further column of the file, as an attribute of its own.
 - types, order and comments of the file, as a property of the data-block: a JSON text (notes_of).
 
@@ -55,11 +53,8 @@ def to_attributes(scene: Scene) -> Iterator[tuple[str, str, np.ndarray]]:
     yield POSITION, "FLOAT_VECTOR", scene.means
     yield SCALE, "FLOAT_VECTOR", activation.scales(scene.log_scales)
     yield ROTATION, "QUATERNION", activation.rotations(scene.quats)
-    yield (
-        BASE,
-        "FLOAT_COLOR",
-        np.concatenate([scene.sh[:, 0], activation.opacities(scene.opacity_logits)[:, None]], axis=1),
-    )
+    opacities = activation.opacities(scene.opacity_logits)
+    yield BASE, "FLOAT_COLOR", np.concatenate([scene.sh[:, 0], opacities[:, None]], axis=1)
     for k in range(1, scene.sh.shape[1]):
         yield f"{SH}{k - 1}", "FLOAT_VECTOR", scene.sh[:, k]
     yield RAW_POSITION, "FLOAT_VECTOR", scene.means
@@ -95,6 +90,12 @@ def from_attributes(get: Get, float_names: list[str], notes: str) -> Scene:
     """
     position, scale, rotation, base = (_required(get, name) for name in (POSITION, SCALE, ROTATION, BASE))
     file_facts = json.loads(notes or "{}")
+    if file_facts:
+        attributes = _columns(get, file_facts["further"])
+    else:
+        printable = re.compile("[!-~]+")  # what a PLY can store
+        free = [name for name in float_names if printable.fullmatch(name) and not RESERVED.match(name)]
+        attributes = {name: _required(get, name) for name in free}
     scene = Scene(
         means=position,
         log_scales=activation.raw_scales(scale, get(RAW_SCALE)),
@@ -102,9 +103,7 @@ def from_attributes(get: Get, float_names: list[str], notes: str) -> Scene:
         opacity_logits=activation.raw_opacities(base[:, 3], get(RAW_OPACITY)),
         sh=_harmonics(get, base),
         antialiased=file_facts.get("antialiased", False),
-        attributes=_columns(get, file_facts["further"])
-        if file_facts
-        else {name: _required(get, name) for name in float_names if _is_free_ply_name(name)},
+        attributes=attributes,
         comments=tuple(file_facts.get("comments", ())),
         property_order=tuple(file_facts.get("order", ())),
     )
@@ -148,8 +147,3 @@ def _columns(get: Get, further: dict) -> dict[str, np.ndarray]:
         if values is not None:
             columns[name] = values.reshape(-1).view(code) if code in STORED_AS else values.astype(code)
     return columns
-
-
-def _is_free_ply_name(name: str) -> bool:
-    """Whether a PLY can store a property with this name, and the name is not reserved."""
-    return bool(re.fullmatch("[!-~]+", name)) and not RESERVED.match(name)

@@ -12,7 +12,7 @@ from .camera import Camera
 MIDDLE = 0.2, 0.8  # quantiles along each axis; outliers and a background all around are outside
 # of the box between them: it then holds a body of even density as a whole
 WIDER = 1 / (MIDDLE[1] - MIDDLE[0])
-SAMPLES = 200_000  # points that are looked at, at most, evenly spaced in the list
+SAMPLES = 200_000  # points that count, at most, evenly spaced in the list
 # clipping distances over the distance of the view; far over near
 CLIP_NEAR, CLIP_FAR, CLIP_RATIO = 0.01, 100.0, 1e6
 
@@ -27,10 +27,9 @@ def robust_box(points: np.ndarray, weights: np.ndarray | None = None) -> np.ndar
     points, weights = _usable(points, weights)
     if not len(points):
         return None
-    low, high = np.array([_quantiles(points[:, axis], weights, MIDDLE) for axis in range(3)]).T
-    return np.array(
-        [(low + high) / 2 - WIDER * (high - low) / 2, (low + high) / 2 + WIDER * (high - low) / 2]
-    )
+    low, high = np.array([weighted_quantiles(axis, weights, MIDDLE) for axis in points.T]).T
+    middle, reach = (low + high) / 2, WIDER * (high - low) / 2
+    return np.array([middle - reach, middle + reach])
 
 
 def median_depth(camera: Camera, points: np.ndarray, weights: np.ndarray | None = None) -> float | None:
@@ -43,7 +42,7 @@ def median_depth(camera: Camera, points: np.ndarray, weights: np.ndarray | None 
     local = points @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
     (x, y), z = camera.pixels(local).T, local[:, 2]
     shown = (z > 0) & (x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height)
-    return float(_quantiles(z[shown], weights[shown], (0.5,))[0]) if shown.any() else None
+    return float(weighted_quantiles(z[shown], weights[shown], 0.5)) if shown.any() else None
 
 
 def corners(box: np.ndarray, matrix: np.ndarray) -> np.ndarray:
@@ -89,8 +88,11 @@ def _usable(points: np.ndarray, weights: np.ndarray | None) -> tuple[np.ndarray,
     return points[good], weights[good]
 
 
-def _quantiles(values: np.ndarray, weights: np.ndarray, shares: tuple[float, ...]) -> np.ndarray:
-    """The weighted quantiles of values (P,), P > 0."""
+def weighted_quantiles(
+    values: np.ndarray, weights: np.ndarray, shares: float | tuple[float, ...]
+) -> np.ndarray:
+    """The values below which these shares of the weights lie, in the shape of `shares`. values, weights:
+    (P,), P > 0."""
     order = np.argsort(values, kind="stable")
     total = np.cumsum(weights[order])
     return np.interp(shares, (total - weights[order] / 2) / total[-1], values[order])

@@ -4,6 +4,7 @@ file."""
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from ..system.errors import SceneError
 
 SH_C0 = 0.28209479177387814
 SH_COEFFICIENTS = (1, 4, 9, 16)
+PARAMETERS = ("means", "log_scales", "quats", "opacity_logits", "sh")  # arrays of a scene
 
 
 @dataclass(frozen=True)
@@ -72,13 +74,8 @@ class Scene:
     def select(self, index: np.ndarray) -> Scene:
         """Returns the scene with the Gaussians that a boolean mask (N,) marks, or that an integer array
         lists, in this order."""
-        pick = lambda a: np.ascontiguousarray(a[index])
-        return replace(
-            self,
-            means=pick(self.means),
-            log_scales=pick(self.log_scales),
-            quats=pick(self.quats),
-            opacity_logits=pick(self.opacity_logits),
-            sh=pick(self.sh),
-            attributes={name: pick(column) for name, column in self.attributes.items()},
-        )
+        arrays: dict[str, Any] = {
+            name: np.ascontiguousarray(getattr(self, name)[index]) for name in PARAMETERS
+        }
+        attributes = {name: np.ascontiguousarray(column[index]) for name, column in self.attributes.items()}
+        return replace(self, **arrays, attributes=attributes)

@@ -17,10 +17,10 @@ from .affine import transformed
 from .gaussians import Scene
 
 TOLERANCE = 1e-5  # of a point's coordinates, for what float32 rounds
-PARTS = 64  # groups that are looked for
-SAMPLE, TRIES = 2000, 40  # points in which groups are looked for, and guesses of each kind
-SMALLEST = {"similarity": 4, "affine": 8}  # points that a group must have: more equations than unknowns
-SMALLEST_SHARE = 0.004  # of the points that were moved
+MAX_GROUPS = 64
+SAMPLE, TRIES = 2000, 40  # points in which a group is searched, and guesses of each kind
+MIN_POINTS = {"similarity": 4, "affine": 8}  # of a group: more equations than unknowns
+MIN_SHARE = 0.004  # of a group, of the points that were moved
 BLOCK = 65_536  # points that are computed at a time
 
 
@@ -60,11 +60,9 @@ def common_motion(before: np.ndarray, after: np.ndarray) -> np.ndarray | None:
     if np.array_equal(before, after):
         return np.eye(4)
     _, matrix = next(_groups(before, after), (None, None))
-    return (
-        matrix
-        if matrix is not None and _all_moved_by(matrix, before, after, np.arange(len(before))).all()
-        else None
-    )
+    if matrix is not None and _all_moved_by(matrix, before, after, np.arange(len(before))).all():
+        return matrix
+    return None
 
 
 def _groups(before: np.ndarray, after: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -75,9 +73,9 @@ def _groups(before: np.ndarray, after: np.ndarray) -> Iterator[tuple[np.ndarray,
         & np.isfinite(before[rows]).all(axis=1)
         & np.isfinite(after[rows]).all(axis=1)
     ]
-    least, rng = SMALLEST_SHARE * len(rows), np.random.default_rng(0)
-    for _ in range(PARTS):
-        if len(rows) < max(least, min(SMALLEST.values())):
+    least, rng = MIN_SHARE * len(rows), np.random.default_rng(0)
+    for _ in range(MAX_GROUPS):
+        if len(rows) < max(least, min(MIN_POINTS.values())):
             return
         some = rows[np.sort(rng.choice(len(rows), min(SAMPLE, len(rows)), replace=False))]
         x, y = before[some].astype(np.float64), after[some].astype(np.float64)
@@ -93,13 +91,12 @@ def _groups(before: np.ndarray, after: np.ndarray) -> Iterator[tuple[np.ndarray,
 
 def _all_moved_by(matrix: np.ndarray, before: np.ndarray, after: np.ndarray, rows: np.ndarray) -> np.ndarray:
     """Whether the matrix moves these rows, (n,) bool."""
-    blocks = [rows[start : start + BLOCK] for start in range(0, len(rows), BLOCK)]
-    return np.concatenate(
-        [
-            _moves(matrix, before[block].astype(np.float64), after[block].astype(np.float64), TOLERANCE)
-            for block in blocks
-        ]
-    )
+    belongs = np.empty(len(rows), bool)
+    for start in range(0, len(rows), BLOCK):
+        block = rows[start : start + BLOCK]
+        x, y = before[block].astype(np.float64), after[block].astype(np.float64)
+        belongs[start : start + BLOCK] = _moves(matrix, x, y, TOLERANCE)
+    return belongs
 
 
 def _most_common(x: np.ndarray, y: np.ndarray, rng: np.random.Generator) -> np.ndarray | None:
@@ -122,7 +119,7 @@ def _most_common(x: np.ndarray, y: np.ndarray, rng: np.random.Generator) -> np.n
 def _guesses(count: int, rng: np.random.Generator) -> Iterator[np.ndarray]:
     """Rows of small samples: neighbours in the list (joined splats lie one after the other), and rows from
     anywhere."""
-    size = min(count, max(SMALLEST.values()))
+    size = min(count, max(MIN_POINTS.values()))
     for _ in range(TRIES):
         yield rng.integers(0, count - size + 1) + np.arange(size)
         yield rng.choice(count, min(size, 4), replace=False)
@@ -135,12 +132,12 @@ def _refined(x: np.ndarray, y: np.ndarray, some: np.ndarray) -> tuple[np.ndarray
     for name, fit in (("similarity", _similarity), ("affine", _affine)):
         belongs = some
         for tolerance in (1e-2, 1e-3, TOLERANCE, TOLERANCE):
-            matrix = fit(x[belongs], y[belongs]) if belongs.sum() >= SMALLEST[name] else None
+            matrix = fit(x[belongs], y[belongs]) if belongs.sum() >= MIN_POINTS[name] else None
             if matrix is None:
                 break
             belongs = _moves(matrix, x, y, tolerance)
         else:
-            if belongs.sum() > max(1.01 * best[1], SMALLEST[name] - 1, SMALLEST_SHARE * len(x)):
+            if belongs.sum() > max(1.01 * best[1], MIN_POINTS[name] - 1, MIN_SHARE * len(x)):
                 best = matrix, int(belongs.sum())
     return best
 

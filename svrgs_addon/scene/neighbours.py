@@ -12,7 +12,7 @@ import numpy as np
 
 LEAF = 32  # points, or more where many neighbours are wanted
 GROUP = 64  # leaves that are tested together
-FIRST = 16  # leaves that are looked at first where there are many
+FIRST = 16  # leaves that are searched first where there are many
 
 
 def nearest_distances(points: np.ndarray, count: int) -> np.ndarray:
@@ -44,10 +44,8 @@ def _searches(
     sorted_points = points[order]
     low, high = (ufunc.reduceat(sorted_points, starts[:-1], axis=0) for ufunc in (np.minimum, np.maximum))
     groups = np.arange(0, len(low), GROUP)
-    low_of_groups, high_of_groups = (
-        np.minimum.reduceat(low, groups, axis=0),
-        np.maximum.reduceat(high, groups, axis=0),
-    )
+    low_of_groups = np.minimum.reduceat(low, groups, axis=0)
+    high_of_groups = np.maximum.reduceat(high, groups, axis=0)
     for leaf in range(len(low)):
         rows = slice(starts[leaf], starts[leaf + 1])
         own = sorted_points[rows]
@@ -97,11 +95,9 @@ def _rows(starts: np.ndarray, leaves: np.ndarray) -> np.ndarray:
 def _reach(own: np.ndarray, others: np.ndarray, count: int, places: np.ndarray) -> np.ndarray:
     """Squared distances (A,) of points to their `count`-th nearest of the others, of which `places` (A,) are
     these points; inf with too few."""
-    return (
-        _smallest(_squares(own, others), count, places)[:, -1]
-        if len(others) > count
-        else np.full(len(own), np.inf)
-    )
+    if len(others) > count:
+        return _smallest(_squares(own, others), count, places)[:, -1]
+    return np.full(len(own), np.inf)
 
 
 def _any_within(points: np.ndarray, lows: np.ndarray, highs: np.ndarray, reach: np.ndarray) -> np.ndarray:

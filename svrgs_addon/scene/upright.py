@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-LEAST_VIEWS = 3
+MIN_VIEWS = 3
 # a photograph counts as level if its right-hand side is no further above or below the horizon
 LEVEL = np.sin(np.radians(20))
 CONSENSUS = 2 / 3  # share of the views that must be level and not upside down
@@ -28,7 +28,7 @@ def up_direction(rotations: np.ndarray) -> np.ndarray | None:
     photographs in portrait format.
     """
     rotations = np.asarray(rotations, np.float64).reshape(-1, 3, 3)
-    if len(rotations) < LEAST_VIEWS:
+    if len(rotations) < MIN_VIEWS:
         return None
     right, top, forward = rotations[:, 0], -rotations[:, 1], rotations[:, 2]
     # the second for views straight down, whose upper sides cancel out

@@ -24,8 +24,8 @@ STOPPED = 130
 CONTROLS = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
 
 
-def guarded(run: Callable[[], int], tell: Callable[[str], None]) -> int:
-    """Calls run() and returns its exit status. An expected error is passed to tell() as one sentence and
+def guarded(run: Callable[[], int], report: Callable[[str], None]) -> int:
+    """Calls run() and returns its exit status. An expected error is passed to report() as one sentence and
     becomes a status (see above).
 
     Other exceptions pass through.
@@ -33,24 +33,24 @@ def guarded(run: Callable[[], int], tell: Callable[[str], None]) -> int:
     try:
         return run()
     except SplatError as error:
-        tell(printable(str(error)))
+        report(printable(str(error)))
         return 2
     except Cancelled as stopped:
-        tell(str(stopped) or "stopped; continue from the last checkpoint with --resume")
+        report(str(stopped) or "stopped; continue from the last checkpoint with --resume")
         return STOPPED
     except KeyboardInterrupt:
-        tell("interrupted")
+        report("interrupted")
         return STOPPED
     except ImportError as error:
-        tell(f"the package {error.name or 'that is needed'} cannot be loaded ({import_reason(error)})")
+        report(f"the package {error.name or 'that is needed'} cannot be loaded ({import_reason(error)})")
     except MemoryError as error:
-        tell("out of memory" + (f": {printable(str(error))}" if str(error) else ""))
+        report("out of memory" + (f": {printable(str(error))}" if str(error) else ""))
     except (NativeError, OSError) as error:
-        tell(printable(str(error)))
+        report(printable(str(error)))
     except RuntimeError as error:
         if "start new thread" not in str(error):
             raise
-        tell(
+        report(
             "no further thread can be started: memory or the number of threads is limited (ulimit -v, -u);"
             " raise the limit, or use fewer --threads"
         )

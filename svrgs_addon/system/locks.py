@@ -33,11 +33,8 @@ def create_owned(path: Path) -> BinaryIO:
     Raises FileExistsError if there is one, OSError if it cannot be created.
     """
     if here.WINDOWS:
-        return _opened(
-            windows.create_file(
-                path, windows.GENERIC_READ | windows.GENERIC_WRITE, windows.SHARE_ALL, windows.CREATE_NEW
-            )
-        )
+        access = windows.GENERIC_READ | windows.GENERIC_WRITE
+        return open(windows.create_file(path, access, windows.SHARE_ALL, windows.CREATE_NEW), "wb")
     while True:
         file = open(path, "xb")  # noqa: SIM115 (owned until it is closed)
         with contextlib.suppress(OSError):  # a file system without locks
@@ -51,11 +48,8 @@ def create_owned(path: Path) -> BinaryIO:
 def remove_abandoned(path: Path) -> None:
     """Removes the file unless a process owns it. Raises OSError if it was not removed."""
     if here.WINDOWS:
-        os.close(
-            windows.create_file(
-                path, windows.DELETE, windows.SHARE_NOTHING, windows.OPEN_EXISTING, windows.DELETE_ON_CLOSE
-            )
-        )
+        how = windows.OPEN_EXISTING, windows.DELETE_ON_CLOSE
+        os.close(windows.create_file(path, windows.DELETE, windows.SHARE_NOTHING, *how))
         return
     with open(path, "r+b") as file:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -69,7 +63,7 @@ def exclusive(path: Path) -> Iterator[bool]:
 
     The other one may be a thread of this process. Raises OSError if the file cannot be created.
     """
-    file = _taken_on_windows(path) if here.WINDOWS else _taken(path)
+    file = _open_alone(path) if here.WINDOWS else _lock(path)
     if file is None:
         yield False
         return
@@ -81,7 +75,7 @@ def exclusive(path: Path) -> Iterator[bool]:
                 path.unlink(missing_ok=True)
 
 
-def _taken(path: Path) -> BinaryIO | None:
+def _lock(path: Path) -> BinaryIO | None:
     """The file, locked; None if another one has locked it."""
     while True:
         file = open(path, "ab")  # noqa: SIM115 (owned until it is closed)
@@ -97,24 +91,22 @@ def _taken(path: Path) -> BinaryIO | None:
         file.close()
 
 
-def _taken_on_windows(path: Path) -> BinaryIO | None:
+def _open_alone(path: Path) -> BinaryIO | None:
     """The file, open for this process alone; None if another one has it open for longer than PATIENCE_S."""
     end = time.monotonic() + PATIENCE_S
     while True:
         try:
-            access = windows.GENERIC_WRITE | windows.DELETE
-            return _opened(
-                windows.create_file(
-                    path, access, windows.SHARE_NOTHING, windows.OPEN_ALWAYS, windows.DELETE_ON_CLOSE
-                )
+            descriptor = windows.create_file(
+                path,
+                windows.GENERIC_WRITE | windows.DELETE,
+                windows.SHARE_NOTHING,
+                windows.OPEN_ALWAYS,
+                windows.DELETE_ON_CLOSE,
             )
+            return open(descriptor, "wb")
         except PermissionError as error:
             if time.monotonic() > end:
                 if getattr(error, "winerror", 0) == windows.SHARING_VIOLATION:
                     return None
                 raise
         time.sleep(PAUSE_S)
-
-
-def _opened(descriptor: int) -> BinaryIO:
-    return open(descriptor, "wb")

@@ -158,10 +158,8 @@ def _trained_row(coefficients: int) -> tuple[int, int]:
 
 
 # advice
-BY_BLOCKS, IN_PARTS = (
-    "svrgs large prunes it by blocks, with less",
-    "svrgs convert and svrgs large read it in parts",
-)
+BY_BLOCKS = "svrgs large prunes it by blocks, with less"
+IN_PARTS = "svrgs convert and svrgs large read it in parts"
 
 
 def without_advice(sentence: str) -> str:
@@ -222,8 +220,6 @@ def part_text(part: int, whole: int) -> str:
     are missing'."""
     number, unit = size_text(whole).split()
     shown = f"{part * float(number) / whole:.1f}" if unit != "bytes" else str(part)
-    return (
-        f"{shown} of {number} {unit}"
-        if shown != number
-        else f"{size_text(whole - part)} of {number} {unit} are missing"
-    )
+    if shown != number:
+        return f"{shown} of {number} {unit}"
+    return f"{size_text(whole - part)} of {number} {unit} are missing"

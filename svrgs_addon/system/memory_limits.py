@@ -110,13 +110,10 @@ def _cgroups() -> Iterator[tuple[Path, tuple[str, str, str]]]:
     which is the container's, does.
     """
     try:
-        lines = [
-            line.split(":", 2)
-            for line in OWN_CGROUPS.read_text(encoding="utf-8", errors="surrogateescape").splitlines()
-        ]
+        text = OWN_CGROUPS.read_text(encoding="utf-8", errors="surrogateescape")
     except OSError:
-        lines = []
-    paths = {controllers: path for _, controllers, path in lines}
+        text = ""
+    paths = {controllers: path for _, controllers, path in (line.split(":", 2) for line in text.splitlines())}
     own_2 = paths.get("", "/")
     own_1 = next((path for controllers, path in paths.items() if "memory" in controllers.split(",")), "/")
     for root, own, names in (

@@ -19,28 +19,24 @@ from .packages import MISSING_VARIABLE
 from .processes import ChildProcess
 from .wheels import ROOT, importable, missing
 
-Tell = Callable[..., None]
-
 
 def run(
     words: list[str],
     module: str = "svrgs_addon",
     request: dict | None = None,
     capture: bool = True,
-    tell: Tell = lambda *_: None,
+    progress: Callable[..., None] = lambda *_: None,
 ) -> tuple[int, dict]:
     """Runs `python -m MODULE WORDS…` and waits for it. Returns (exit status, JSON object in the last line of
     its stdout).
 
     request: sent as JSON to its stdin. If there is no JSON, the object is {"error": last line of stderr} for
     an exit status that is not 0, else {}. capture=False: the child process uses stdout and stderr of this
-    process, and the object is {}. tell: called with the values of each line {"progress": [value, …]} as it
-    comes.
+    process, and the object is {}. progress: called with the values of each line {"progress": [value, …]} as
+    it comes.
     """
-    command, asked = (
-        [sys.executable, "-m", module, *words],
-        json.dumps(request) if request is not None else "",
-    )
+    command = [sys.executable, "-m", module, *words]
+    asked = json.dumps(request) if request is not None else ""
     if not capture:
         with ChildProcess(command, env=environment(), encoding="utf-8", stdin=subprocess.PIPE) as child:
             child.communicate(asked)
@@ -58,7 +54,7 @@ def run(
                 child.stdin.close()
             for last in child.stdout:
                 if last.startswith('{"progress"'):
-                    tell(*json.loads(last)["progress"])
+                    progress(*json.loads(last)["progress"])
         errors.seek(0)
         error_lines = [line.strip() for line in errors if line.strip()]
     return child.returncode, _result(child.returncode, last, error_lines)

@@ -49,15 +49,11 @@ def find(folders: Iterable[Path] = (), extensions: Iterable[Path] = ()) -> dict[
     found = importable()
     for folder in folders:
         found |= {name: folder for name in PACKAGES if name not in found and (folder / name).is_dir()}
-    wheels = _wheels(extensions)
-    for name in PACKAGES:
-        fitting = [
-            wheel
-            for wheel in wheels
-            if _package(wheel) == name and _fits_platform(wheel) and _python(wheel) == _this_python()
-        ]
-        if name not in found and fitting:
-            found[name] = _unpacked(fitting[0])
+    this_python = f"cp{sys.version_info[0]}{sys.version_info[1]}"
+    for wheel in _wheels(extensions):
+        name = _package(wheel)
+        if name and name not in found and _fits_platform(wheel) and _python(wheel) == this_python:
+            found[name] = _unpacked(wheel)
     if "numpy" not in found:
         raise SceneError(missing(found, extensions))
     return found
@@ -87,10 +83,6 @@ def _python(wheel: Path) -> str:
     return wheel.stem.rsplit("-", 3)[1]
 
 
-def _this_python() -> str:
-    return f"cp{sys.version_info[0]}{sys.version_info[1]}"
-
-
 def _fits_platform(wheel: Path) -> bool:
     """The version of the C library is not compared: Blender needs at least as new a one."""
     tags = wheel.stem.rsplit("-", 1)[1].split(".")
@@ -98,9 +90,8 @@ def _fits_platform(wheel: Path) -> bool:
 
 
 def _what_to_do(lacking: list[str], wheels: list[Path]) -> str:
-    lacks = (
-        f"Python {sys.version_info[0]}.{sys.version_info[1]} ({sys.executable}) lacks {' and '.join(lacking)}"
-    )
+    python = f"Python {sys.version_info[0]}.{sys.version_info[1]} ({sys.executable})"
+    lacks = f"{python} lacks {' and '.join(lacking)}"
     install = f"{sys.executable} -m pip install {' '.join(lacking)}"
     if "numpy" in lacking:
         return (
@@ -118,20 +109,16 @@ def _what_to_do(lacking: list[str], wheels: list[Path]) -> str:
         )
     if not wheels:
         return f"{lacks}: run {install}"
+    fitting = [wheel for wheel in wheels if _fits_platform(wheel)]
     pythons = set.intersection(
-        *(
-            {_python(wheel) for wheel in wheels if _package(wheel) == name and _fits_platform(wheel)}
-            for name in lacking
-        )
+        *({_python(wheel) for wheel in fitting if _package(wheel) == name} for name in lacking)
     )
     if not pythons:
         return (
             f"{lacks}, and the wheels in {wheels[0].parent} are not for {platform.system()}"
             f" {platform.machine()}: run {install}"
         )
-    versions = ", ".join(
-        sorted((f"{tag[2]}.{tag[3:]}" for tag in pythons), key=lambda version: int(version[2:]))
-    )
+    versions = ", ".join(f"{tag[2]}.{tag[3:]}" for tag in sorted(pythons, key=lambda tag: int(tag[3:])))
     return (
         f"{lacks}, and the wheels in {wheels[0].parent} are for Python {versions}: use a Blender with one of"
         f" these, or run {install}"

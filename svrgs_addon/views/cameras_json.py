@@ -26,9 +26,8 @@ def load_cameras_json(path: str | os.PathLike) -> list[Camera]:
     world). Extensions of this project: cx, cy (pixels) name another principal point; with "orthographic":
     true, fx and fy are pixels per unit of length. Raises FormatError.
     """
-    entries = _read_entries(path)
     cameras = []
-    for number, entry in enumerate(entries):
+    for number, entry in enumerate(_read_entries(path)):
         try:
             cameras.append(_camera(entry))
         except (KeyError, TypeError, ValueError, OverflowError, FormatError) as error:
@@ -39,8 +38,9 @@ def load_cameras_json(path: str | os.PathLike) -> list[Camera]:
 
 def write_cameras_json(path: str | os.PathLike, cameras: Sequence[Camera]):
     """Writes the cameras. The file is replaced as a whole. Raises SceneError if it cannot be written."""
-    entries = [
-        {
+    entries = []
+    for number, camera in enumerate(cameras):
+        entry: dict[str, object] = {
             "id": number,
             "img_name": camera.name,
             "width": camera.width,
@@ -50,18 +50,14 @@ def write_cameras_json(path: str | os.PathLike, cameras: Sequence[Camera]):
             "fy": float(camera.K[1, 1]),
             "fx": float(camera.K[0, 0]),
         }
-        | ({"orthographic": True} if camera.orthographic else {})
-        | _shift(camera)
-        for number, camera in enumerate(cameras)
-    ]
+        if camera.orthographic:
+            entry["orthographic"] = True
+        centre = {"cx": float(camera.K[0, 2]), "cy": float(camera.K[1, 2])}
+        if centre != {"cx": camera.width / 2, "cy": camera.height / 2}:
+            entry |= centre
+        entries.append(entry)
     with atomic_write(path) as file:
         file.write(json.dumps(entries, indent=1).encode())
-
-
-def _shift(camera: Camera) -> dict[str, float]:
-    """The keys of a principal point that is not the image centre."""
-    shift = {"cx": float(camera.K[0, 2]), "cy": float(camera.K[1, 2])}
-    return {} if shift == {"cx": camera.width / 2, "cy": camera.height / 2} else shift
 
 
 def _read_entries(path: str | os.PathLike) -> list:
@@ -109,9 +105,8 @@ def _camera(entry: dict) -> Camera:
     with np.errstate(all="ignore"):  # the camera is checked below
         viewmat[:3, 3] = -rotation.T @ position
     cx, cy = float(entry.get("cx", width / 2)), float(entry.get("cy", height / 2))
-    camera = Camera(
-        viewmat, np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), width, height, name, orthographic
-    )
+    K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+    camera = Camera(viewmat, K, width, height, name, orthographic)
     if not camera.usable:
         raise FormatError("its focal length or position is not usable")
     return camera

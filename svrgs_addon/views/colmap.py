@@ -32,6 +32,10 @@ if TYPE_CHECKING:
 
 MODEL_FOLDERS = (".", "sparse/0", "0", "sparse")  # searched below the given folder, in this order
 ROUNDING_PX = 1.0  # tolerance of each side of a scaled photograph
+UNUSABLE = (
+    "its camera has a focal length or pose that is not usable; remove the view from the model, or run COLMAP"
+    " again"
+)
 
 
 @dataclass(frozen=True)
@@ -124,30 +128,19 @@ def pinhole_camera(view: View, width: int, height: int) -> tuple[Camera, pycolma
     """
     _check_aspect(view, width, height)
     if not (np.isfinite(view.camera.params).all() and np.isfinite(view.viewmat).all()):
-        raise SceneError(
-            f"{view.name}: its camera has a focal length or pose that is not usable; remove the view from the"
-            " model, or run COLMAP again"
-        )
+        raise SceneError(f"{view.name}: {UNUSABLE}")
     K = view.camera.pinhole()
     if K is not None:
-        return (
-            _checked_camera(
-                Camera(view.viewmat, K, view.camera.width, view.camera.height, view.name).resized(
-                    width, height
-                )
-            ),
-            None,
-        )
+        camera = Camera(view.viewmat, K, view.camera.width, view.camera.height, view.name)
+        return _checked_camera(camera.resized(width, height)), None
     distorted, flat = _undistort_camera(view.camera, (width, height))
     if flat is None:
         raise SceneError(
             f"{view.name}: its camera model is {view.camera.model}, a panorama, which is not supported; cut"
             " it into perspective views first"
         )
-    return (
-        _checked_camera(Camera(view.viewmat, flat.calibration_matrix(), flat.width, flat.height, view.name)),
-        distorted,
-    )
+    camera = Camera(view.viewmat, flat.calibration_matrix(), flat.width, flat.height, view.name)
+    return _checked_camera(camera), distorted
 
 
 def undistort_image(pixels: np.ndarray, distorted: pycolmap.Camera) -> np.ndarray:
@@ -224,9 +217,7 @@ def _undistort_camera(
     """The distorted camera at the scaled (width, height) in pixels, and the pinhole camera that COLMAP makes
     of it; None of a panorama."""
     library = import_pycolmap("undistorting photographs")
-    distorted = library.Camera(
-        model=camera.model, width=camera.width, height=camera.height, params=camera.params
-    )
+    distorted = library.Camera(**vars(camera))
     if not distorted.is_perspective():
         return distorted, None
     distorted.rescale(*scaled)
@@ -236,10 +227,7 @@ def _undistort_camera(
 def _checked_camera(camera: Camera) -> Camera:
     """Returns the camera. Raises SceneError if its pose or intrinsics are not usable."""
     if not camera.usable:
-        raise SceneError(
-            f"{camera.name}: its camera has a focal length or pose that is not usable; remove the view from"
-            " the model, or run COLMAP again"
-        )
+        raise SceneError(f"{camera.name}: {UNUSABLE}")
     return camera
 
 

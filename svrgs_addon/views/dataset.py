@@ -25,7 +25,7 @@ from ..scene.camera import Camera
 from ..system.errors import SceneError
 from ..system.file_names import extended
 from .cameras_json import load_cameras_json
-from .colmap import View, pinhole_camera, undistort_image
+from .colmap import pinhole_camera, undistort_image
 from .photo_files import photograph, present
 from .sources import read_source
 
@@ -125,18 +125,24 @@ class Dataset:
     def inputs(self) -> Iterator[bytes]:
         """Digests and texts of all cameras and photographs: equal ones give equal runs. Raises SceneError if
         a photograph cannot be read."""
-        for camera in self.cameras:
-            yield repr(
-                (camera.name, camera.width, camera.height, camera.viewmat.tolist(), camera.K.tolist())
-            ).encode()
+        for one in self.cameras:
+            yield repr((one.name, one.width, one.height, one.viewmat.tolist(), one.K.tolist())).encode()
         for photo in self.photos:
-            yield _file_digest(photo.path)
+            try:
+                with open(photo.path, "rb") as file:
+                    yield hashlib.file_digest(file, "sha256").digest()
+            except OSError as error:
+                raise SceneError(f"{photo.path}: cannot be read ({error.strerror or error})") from error
 
     def _read(self, index: int) -> np.ndarray:
-        """Reads and caches an image. Raises FormatError, SceneError."""
+        """Reads an image, and caches it if it fits into the budget. Cached images are never replaced: in a
+        random order, no other rule gives more hits. Raises FormatError, SceneError."""
         image = self._pixels(index)
         image.flags.writeable = False
-        self._cache_image(index, image)
+        with self._lock:
+            used = sum(cached.nbytes for cached in self._cache.values())
+            if used + image.nbytes <= self.memory_budget:
+                self._cache[index] = image
         return image
 
     def _pixels(self, index: int) -> np.ndarray:
@@ -150,14 +156,6 @@ class Dataset:
         if image.shape != (camera.height, camera.width, 3):
             raise SceneError(f"{photo.path}: its size has changed since the dataset was loaded; start again")
         return image
-
-    def _cache_image(self, index: int, image: np.ndarray) -> None:
-        """Caches the image if it fits into the budget. Images are never replaced: in a random order, no other
-        rule gives more hits."""
-        with self._lock:
-            used = sum(cached.nbytes for cached in self._cache.values())
-            if used + image.nbytes <= self.memory_budget:
-                self._cache[index] = image
 
 
 def load_dataset(
@@ -197,8 +195,14 @@ def load_dataset(
         cameras = [pinhole_camera(v, v.camera.width, v.camera.height)[0] for v in model.views]
     else:
         numbers, missing = present([view.name for view in model.views], source.image_folder)
-        cameras, photos = _fit_photos([model.views[i] for i in numbers], source.image_folder)
         notes += missing
+        cameras = []
+        for view in (model.views[i] for i in numbers):
+            # reading a photograph that has gone meanwhile says so
+            path = photograph(source.image_folder, view.name) or source.image_folder / view.name
+            camera, distorted = pinhole_camera(view, *image_size(path, upright=False))
+            cameras.append(camera)
+            photos.append(Photo(path, distorted))
     for note in notes:
         logging.warning("%s", note)
     test = [k for k, i in enumerate(numbers) if holdout and i % holdout == 0]
@@ -206,23 +210,3 @@ def load_dataset(
     return Dataset(
         cameras, model.points, model.point_colors, train, test, photos, background, memory_budget, notes
     )
-
-
-def _fit_photos(views: list[View], folder: Path) -> tuple[list[Camera], list[Photo]]:
-    """The pinhole camera of each view at the size of its photograph, and the photographs. Raises SceneError,
-    FormatError."""
-    cameras, photos = [], []
-    for view in views:
-        path = photograph(folder, view.name) or folder / view.name  # reading it then says that it is gone
-        camera, distorted = pinhole_camera(view, *image_size(path, upright=False))
-        cameras.append(camera)
-        photos.append(Photo(path, distorted))
-    return cameras, photos
-
-
-def _file_digest(path: Path) -> bytes:
-    try:
-        with open(path, "rb") as file:
-            return hashlib.file_digest(file, "sha256").digest()
-    except OSError as error:
-        raise SceneError(f"{path}: cannot be read ({error.strerror or error})") from error

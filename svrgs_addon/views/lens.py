@@ -65,13 +65,9 @@ def camera_of_projection(projection: np.ndarray, viewmat: np.ndarray, width: int
     P, viewmat = np.asarray(projection, np.float64), np.array(viewmat, np.float64)
     orthographic = P[3, 3] != 0
     x, y = P[:2, 3] if orthographic else -P[:2, 2]
-    K = np.array(
-        [
-            [P[0, 0] * width / 2, 0, (1 + x) * width / 2],
-            [0, P[1, 1] * height / 2, (1 - y) * height / 2],
-            [0, 0, 1],
-        ]
-    )
+    fx, cx = P[0, 0] * width / 2, (1 + x) * width / 2
+    fy, cy = P[1, 1] * height / 2, (1 - y) * height / 2
+    K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
     viewmat[2, 3] += step_back(P)
     return Camera(viewmat, K, width, height, orthographic=bool(orthographic))
 
@@ -92,9 +88,8 @@ def depth_of_projection(projection: np.ndarray, values: np.ndarray) -> np.ndarra
     """
     P, z = np.asarray(projection, np.float64), 2.0 * values - 1
     with np.errstate(divide="ignore"):
-        return np.where(
-            values < 1, (P[2, 3] - z * P[3, 3]) / (P[2, 2] - z * P[3, 2]) + step_back(P), np.inf
-        ).astype(np.float32)
+        depth = (P[2, 3] - z * P[3, 3]) / (P[2, 2] - z * P[3, 2]) + step_back(P)
+        return np.where(values < 1, depth, np.inf).astype(np.float32)
 
 
 def _fitted(lens: Lens) -> tuple[float, float, float]:

@@ -10,20 +10,14 @@ from ..system.errors import SceneError
 from ..system.exit_status import printable
 
 MISSING_SHOWN = 3  # names of missing photographs in a message
-LEAST_PRESENT = 1 / 3  # share of the photographs that must be there
+MIN_PRESENT = 1 / 3  # share of the photographs that must be there
 EXTENSIONS = (".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")  # that some exporters leave out
 
 
 def photograph(folder: Path, name: str) -> Path | None:
     """The file of a photograph; None if it is missing. The name may lack one of EXTENSIONS."""
-    return next(
-        (
-            folder / f"{name}{extension}"
-            for extension in ("", *EXTENSIONS)
-            if os.path.isfile(folder / f"{name}{extension}")
-        ),
-        None,
-    )
+    files = (folder / f"{name}{extension}" for extension in ("", *EXTENSIONS))
+    return next(filter(os.path.isfile, files), None)
 
 
 def present(names: Sequence[str], folder: Path) -> tuple[list[int], tuple[str, ...]]:
@@ -33,11 +27,10 @@ def present(names: Sequence[str], folder: Path) -> tuple[list[int], tuple[str, .
     missing = [names[i] for i in sorted(set(range(len(names))) - set(found))]
     if not missing:
         return found, ()
-    shown = ", ".join(map(printable, missing[:MISSING_SHOWN])) + (
-        ", ..." if len(missing) > MISSING_SHOWN else ""
-    )
+    shown = ", ".join(map(printable, missing[:MISSING_SHOWN]))
+    shown += ", ..." if len(missing) > MISSING_SHOWN else ""
     sentence = f"{folder}: {len(missing)} of {len(names)} photographs are missing: {shown}"
-    if len(found) < LEAST_PRESENT * len(names):
+    if len(found) < MIN_PRESENT * len(names):
         raise SceneError(
             f"{sentence}; at least a third must be there: give the name or path of the folder that holds them"
         )

@@ -22,7 +22,7 @@ from ..system import subprocess_python
 from ..system.errors import FormatError, SceneError, SplatError
 from ..system.exit_status import answer
 
-Tell = Callable[[int, int], None]  # (photographs done, photographs to undistort)
+Progress = Callable[[int, int], None]  # (photographs done, photographs to undistort)
 
 
 @dataclass(frozen=True)
@@ -43,30 +43,29 @@ class PosedPhotos:
 
 
 def read_in_child(
-    folder: Path, images: str = "", undistorted: Path | None = None, tell: Tell = lambda *_: None
+    folder: Path, images: str = "", undistorted: Path | None = None, progress: Progress = lambda *_: None
 ) -> PosedPhotos:
     """Reads the dataset in `folder` in a child process. images: name or path of the image folder, "" for the
     default.
 
     undistorted: folder for undistorted copies of photographs that have distortion; writing them takes time,
-    and tell() is called after each. None: views with distortion have no file. If the photographs cannot be
-    found or read, the result has only cameras and points, and a warning. Raises SceneError.
+    and progress() is called after each. None: views with distortion have no file. If the photographs cannot
+    be found or read, the result has only cameras and points, and a warning. Raises SceneError.
     """
     with tempfile.TemporaryDirectory() as temp_dir:
         out = Path(temp_dir) / "photos.npz"
-        request = {
-            "folder": str(folder),
-            "images": images,
-            "undistorted": str(undistorted or ""),
-            "out": str(out),
-        }
-        status, result = subprocess_python.run([], "svrgs_addon.views.posed_photos", request, tell=tell)
+        request = {"folder": str(folder), "images": images, "undistorted": str(undistorted or "")}
+        status, result = subprocess_python.run(
+            [], "svrgs_addon.views.posed_photos", request | {"out": str(out)}, progress=progress
+        )
         if status or not out.exists():
             raise SceneError(result.get("error", f"{folder}: reading it failed"))
         return _unpack(out)
 
 
-def read(folder: Path, images: str, undistorted: Path | None, tell: Tell = lambda *_: None) -> PosedPhotos:
+def read(
+    folder: Path, images: str, undistorted: Path | None, progress: Progress = lambda *_: None
+) -> PosedPhotos:
     """As read_in_child, but in this process. Raises SceneError, FormatError."""
     from .dataset import load_dataset
 
@@ -87,7 +86,7 @@ def read(folder: Path, images: str, undistorted: Path | None, tell: Tell = lambd
             warnings.append(f"{error}; it is not shown")
         if undistorted is not None and photo.distorted is not None:
             done += 1
-            tell(done, distorted)
+            progress(done, distorted)
     return PosedPhotos(
         dataset.cameras, files, dataset.points, dataset.point_colors, distorted, tuple(warnings)
     )
@@ -135,15 +134,14 @@ def _unpack(path: Path) -> PosedPhotos:
         ]
         files = [Path(str(file)) if file else None for file in data["files"]]
         warnings = tuple(str(sentence) for sentence in data["warnings"])
-        return PosedPhotos(
-            cameras, files, data["points"], data["point_colors"], int(data["distorted"]), warnings
-        )
+        points, colors = data["points"], data["point_colors"]
+        return PosedPhotos(cameras, files, points, colors, int(data["distorted"]), warnings)
 
 
 def _read_request(request: dict) -> dict:
     undistorted = Path(request["undistorted"]) if request["undistorted"] else None
-    tell = lambda done, total: print(json.dumps({"progress": [done, total]}), flush=True)
-    _pack(Path(request["out"]), read(Path(request["folder"]), request["images"], undistorted, tell))
+    progress = lambda done, total: print(json.dumps({"progress": [done, total]}), flush=True)
+    _pack(Path(request["out"]), read(Path(request["folder"]), request["images"], undistorted, progress))
     return {}
 
 

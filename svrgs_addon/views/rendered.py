@@ -11,10 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from ..native.library import PARAMETERS
 from ..native.rasterizer import Rasterizer, RenderOptions
 from ..scene.camera import Camera
-from ..scene.gaussians import Scene
+from ..scene.gaussians import PARAMETERS, Scene
 from .dataset import Dataset
 
 PHOTOGRAPHED = 1e-3  # mean squared error of a usual splat against photographs of what it shows: 30 dB
@@ -34,11 +33,10 @@ class RenderedDataset(Dataset):
     def of(cls, scene: Any, train: list[Camera], test: list[Camera], **more: Any) -> RenderedDataset:
         """The dataset of some views to train on and others to test on. scene: a Scene, or what
         more["rasterizer"] renders. more: further fields."""
-        none, views = (
-            (np.empty((0, 3), np.float32), np.empty((0, 3), np.uint8)),
-            list(range(len(train) + len(test))),
-        )
-        return cls(train + test, *none, views[: len(train)], views[len(train) :], scene=scene, **more)
+        points, colors = np.empty((0, 3), np.float32), np.empty((0, 3), np.uint8)
+        views = list(range(len(train) + len(test)))
+        split = views[: len(train)], views[len(train) :]
+        return cls(train + test, points, colors, *split, scene=scene, **more)
 
     @property
     def unexplained(self) -> float:

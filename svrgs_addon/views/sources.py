@@ -10,7 +10,7 @@ from ..system.errors import SceneError
 from .colmap import Model, find_model, read_model
 from .transforms_json import NAME, read_transforms
 
-LOOKED_AT = 64 * 1024  # bytes of a file that may be of another program
+HEAD_BYTES = 64 * 1024  # read of a file that may be of another program
 EXPORTS = {
     "Metashape": "in Metashape 2.2 or later, choose File > Export > Export Cameras and the file type Colmap",
     "RealityScan": (
@@ -40,26 +40,16 @@ def read_source(folder: Path, images: str | None, with_images: bool = True) -> S
     location, is_model = find_cameras(folder)
     if not is_model:
         found = read_transforms(location)
-        image_folder = (
-            None
-            if not with_images
-            else _image_folder(location.parent, None, images)
-            if images
-            else found.image_folder
-        )
-        return Source(
-            found.model, location, image_folder, (f"the cameras are those of {location}", *found.notes)
-        )
-    transforms = folder / NAME
-    notes = (
-        (f"the cameras are those of {location}, not those of {transforms}",) if transforms.is_file() else ()
-    )
-    return Source(
-        read_model(location),
-        location,
-        _image_folder(folder, location, images or "images") if with_images else None,
-        notes,
-    )
+        notes = (f"the cameras are those of {location}", *found.notes)
+        image_folder = found.image_folder if with_images else None
+        if with_images and images:
+            image_folder = _image_folder(location.parent, None, images)
+        return Source(found.model, location, image_folder, notes)
+    other = folder / NAME
+    notes = (f"the cameras are those of {location}, not those of {other}",) if other.is_file() else ()
+    model = read_model(location)
+    image_folder = _image_folder(folder, location, images or "images") if with_images else None
+    return Source(model, location, image_folder, notes)
 
 
 def find_cameras(folder: Path) -> tuple[Path, bool]:
@@ -105,7 +95,7 @@ def _program(path: Path) -> str:
         return ""
     try:
         with open(path, "rb") as file:
-            start = file.read(LOOKED_AT)
+            start = file.read(HEAD_BYTES)
     except OSError:
         return ""
     if suffix == ".xml":

@@ -123,27 +123,23 @@ def _view(name: str, facts: Mapping, folder: Path) -> View:
 def _pose(rows: object) -> np.ndarray:
     """(4, 4) camera to world, in the camera frame of COLMAP, of a transform_matrix."""
     matrix = _matrix(rows)
-    R = matrix[:3, :3]
-    if (
-        not np.abs(R).max() < 2
-        or not np.abs(R.T @ R - np.eye(3)).max() < MAX_ROTATION_ERROR
-        or np.linalg.det(R) < 0
-    ):
+    if not np.abs(matrix[:3, :3]).max() < 2 or not _is_rotation(matrix[:3, :3]):
         raise FormatError("its transform_matrix does not hold a rotation")
     return matrix @ FLIP
+
+
+def _is_rotation(R: np.ndarray) -> bool:
+    return bool(np.abs(R.T @ R - np.eye(3)).max() < MAX_ROTATION_ERROR and np.linalg.det(R) >= 0)
 
 
 def _matrix(rows: object) -> np.ndarray:
     """A (4, 4) matrix of which the last row may be missing. Raises FormatError if a number is not finite or
     far too large."""
-    matrix = np.array(rows, np.float64)
+    matrix, last = np.array(rows, np.float64), [[0, 0, 0, 1]]
     if matrix.shape == (3, 4):
-        matrix = np.concatenate([matrix, [[0, 0, 0, 1]]])
-    if (
-        matrix.shape != (4, 4)
-        or not (np.abs(matrix) < LARGEST).all()
-        or not np.array_equal(matrix[3], (0, 0, 0, 1))
-    ):
+        matrix = np.concatenate([matrix, last])
+    finite = (np.abs(matrix) < LARGEST).all()
+    if matrix.shape != (4, 4) or not finite or not np.array_equal(matrix[3:], last):
         raise FormatError("a matrix of 4 x 4 finite numbers is expected")
     return matrix
 
@@ -156,9 +152,7 @@ def _size(facts: Mapping, folder: Path, name: str) -> tuple[int, int]:
             raise FormatError("neither w and h nor its photograph is there")
         return image_size(file, upright=False)
     width, height = (_number(facts, key) for key in ("w", "h"))
-    if not (
-        0 < width <= MAX_SIDE and 0 < height <= MAX_SIDE and width == int(width) and height == int(height)
-    ):
+    if not all(0 < side <= MAX_SIDE and side == int(side) for side in (width, height)):
         raise FormatError(
             f"its size is {width:g} x {height:g}; whole numbers of 1 to {MAX_SIDE} are expected"
         )
@@ -199,18 +193,14 @@ def _focal(facts: Mapping, axis: str, side: int) -> float:
     pixels."""
     if f"fl_{axis}" in facts:
         focal = _number(facts, f"fl_{axis}")
-    else:
-        angle = (
-            _number(facts, f"camera_angle_{axis}") if f"camera_angle_{axis}" in facts else _missing_focal()
-        )
+    elif f"camera_angle_{axis}" in facts:
+        angle = _number(facts, f"camera_angle_{axis}")
         focal = side / 2 / math.tan(angle / 2) if 0 < angle < math.pi else 0.0
+    else:
+        raise FormatError("neither fl_x nor camera_angle_x is there")
     if not 0 < focal < LARGEST:
         raise FormatError("its focal length is not usable")
     return focal
-
-
-def _missing_focal() -> float:
-    raise FormatError("neither fl_x nor camera_angle_x is there")
 
 
 def _number(facts: Mapping, key: str, default: float | None = None) -> float:
@@ -262,20 +252,10 @@ def _parser_matrix(parser: dict, facts: dict) -> np.ndarray:
     dataparser_transforms.json leads there from the world before applied_transform and applied_scale, which
     transforms.json holds.
     """
-    matrix, scale = (
-        _matrix(parser["transform"]),
-        _number(parser, "scale") / _number(facts, "applied_scale", 1.0),
-    )
-    matrix = (
-        matrix @ np.linalg.inv(_matrix(facts["applied_transform"]))
-        if "applied_transform" in facts
-        else matrix
-    )
-    R = matrix[:3, :3]
-    if (
-        not 0 < scale < LARGEST
-        or not np.abs(R.T @ R - np.eye(3)).max() < MAX_ROTATION_ERROR
-        or np.linalg.det(R) < 0
-    ):
+    matrix = _matrix(parser["transform"])
+    scale = _number(parser, "scale") / _number(facts, "applied_scale", 1.0)
+    if "applied_transform" in facts:
+        matrix = matrix @ np.linalg.inv(_matrix(facts["applied_transform"]))
+    if not 0 < scale < LARGEST or not _is_rotation(matrix[:3, :3]):
         raise FormatError("it is no rotation with a scale")
     return np.diag([scale, scale, scale, 1.0]) @ matrix

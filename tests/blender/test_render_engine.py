@@ -99,7 +99,7 @@ def test_several_splats_are_one_picture(tmp_path, stage, bridge, gaussians, room
     moved = part("svrgs_addon.scene.affine").transformed(parts[0], np.array(away.inverted()))
     first = bridge.object_from_scene("first", moved, stage.collection, bridge.AXES @ away)
     bridge.object_from_scene("second", parts[1], stage.collection)
-    both = part("svrgs_addon.scene.merge").merged(parts)
+    both = part("svrgs_addon.scene.concatenate").concatenated(parts)
     expected = drawn(both, camera, bridge.AXES)["rgb"]
     assert np.abs(f12(tmp_path / "two.png")[..., :3] - expected).max() <= 2 * LEVEL
     assert np.abs(expected - whole[..., :3]).max() > 0.05, "colours that depend on the direction count"

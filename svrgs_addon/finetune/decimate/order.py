@@ -14,10 +14,9 @@ from functools import cached_property
 import numpy as np
 
 from ...native.decimation import REMOVED, Merges, decimate
-from ...native.library import PARAMETERS
 from ...native.rasterizer import VISIBILITY, Rasterizer, RenderOptions
 from ...scene.camera import Camera
-from ...scene.gaussians import Scene
+from ...scene.gaussians import PARAMETERS, Scene
 from ...system.errors import SceneError
 
 HIDDEN = 0.01  # mean transmittance up to which a Gaussian is hidden
@@ -71,7 +70,7 @@ class Order:
         }
 
 
-def looks(
+def visibility_sums(
     scene: Scene,
     cameras: Sequence[Camera],
     rasterizer: Rasterizer,
@@ -90,14 +89,14 @@ def looks(
 
 def hidden(sums: np.ndarray) -> int:
     """The number of Gaussians that no view sees, or whose mean transmittance is at most HIDDEN. sums: (N, 9),
-    from looks()."""
+    from visibility_sums()."""
     columns = dict(zip(VISIBILITY, sums.T, strict=True))
     return int((columns["transmittance"] <= HIDDEN * columns["pixels"]).sum())
 
 
 def order_of(scene: Scene, sums: np.ndarray, least: int) -> Order:
-    """The order that leaves `least` of the Gaussians, 1 to N. sums: from looks(). Raises SceneError if no
-    view sees any."""
+    """The order that leaves `least` of the Gaussians, 1 to N. sums: from visibility_sums(). Raises SceneError
+    if no view sees any."""
     columns = dict(zip(VISIBILITY, sums.T, strict=True))
     seen = columns["views"] > 0
     if not seen.any():

@@ -1,8 +1,9 @@
 """The files of an order, from which the scene with any number of Gaussians is put together at once.
 
-merged.ply   the M Gaussians that merging makes order.npy    (n, 3) int32: row of a Gaussian, among the N of
-the source and those M; the number of operations after which it is there, and after
-             which it is gone again. Gaussians that are close in space are close in the file.
+merged.ply    the M Gaussians that merging makes
+order.npy     (n, 3) int32: row of a Gaussian, among the N of the source and those M; the number of
+              operations after which it is there, and after which it is gone again. Gaussians that are
+              close in space are close in the file.
 """
 
 from __future__ import annotations
@@ -14,10 +15,9 @@ import numpy as np
 
 from ...files.atomic import atomic_write
 from ...files.registry import read_scene, write_scene
-from ...native.library import PARAMETERS
 from ...scene.affine import scaled, transformed
-from ...scene.gaussians import Scene
-from ...scene.merge import merged
+from ...scene.concatenate import concatenated
+from ...scene.gaussians import PARAMETERS, Scene
 from ...scene.morton_order import morton_order
 from ...system.errors import FormatError
 from .order import Order
@@ -71,7 +71,7 @@ def read_order(folder: Path, source: Scene) -> SavedOrder:
     rows, born, gone = _checked(folder / ORDER, source.count + made.count).T.copy()
     most = int((born == 0).sum())
     return SavedOrder(
-        merged([source, made]).select(rows), born, gone, least=most - int(gone.max()) + 1, most=most
+        concatenated([source, made]).select(rows), born, gone, least=most - int(gone.max()) + 1, most=most
     )
 
 

@@ -83,10 +83,8 @@ class Method:
     def paced(self, phases: list[Phase]) -> list[Phase]:
         """The phases, with the learning rates that their numbers of steps call for. It depends on nothing
         else, so it may be called again. Here those of training from points."""
-        return [
-            replace(phase, rates=rates_for(phase.steps, phase.rates)) if phase.densify else phase
-            for phase in phases
-        ]
+        paced = lambda phase: replace(phase, rates=rates_for(phase.steps, phase.rates))
+        return [paced(phase) if phase.densify else phase for phase in phases]
 
     def weights(self, trained: bool) -> tuple[float, float]:
         """Defaults of lambda_F and lambda_m. trained: whether the run starts from a trained scene."""
@@ -96,11 +94,11 @@ class Method:
         """Whether settings.lambda_f has an effect in a run with these settings."""
         return self.lambda_f > 0
 
-    def looks(self, settings: Settings, steps: int, share: float) -> list[tuple[float, float]]:
-        """The looks of an active phase that keeps the share `share` of the Gaussians: those times at which
-        score() ranks all of them over all training views. (share of the steps before it, roughly the share of
-        the Gaussians after it) each. For methods that rank, those of their cut. Empty: Gaussians go
-        gradually. prune/duration.py foresees the time of a run with it."""
+    def ranking_passes(self, settings: Settings, steps: int, share: float) -> list[tuple[float, float]]:
+        """The ranking passes of an active phase that keeps the share `share` of the Gaussians: each measures
+        all Gaussians in all training views. (share of the steps before it, roughly the share of the Gaussians
+        after it) each. For methods that rank, those of their cut. Empty: Gaussians go gradually.
+        prune/duration.py foresees the time of a run with it."""
         return []
 
     def rates(self, run: RunView, phase: Phase, number: int) -> dict[str, float]:

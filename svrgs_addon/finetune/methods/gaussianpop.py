@@ -1,7 +1,7 @@
 """GaussianPOP (arXiv 2602.06830): ranks by Delta SE, the squared error that the removal of a Gaussian causes
-(../saliency.py), in 8 looks.
+(../saliency.py), in 8 passes.
 
-After each look the Gaussians of lowest error are removed and the errors of the others are measured again,
+After each pass the Gaussians of lowest error are removed and the errors of the others are measured again,
 without training in between: only one of two Gaussians that can replace each other has a small error once the
 other one is gone.
 """
@@ -14,32 +14,31 @@ from ..saliency import removal_errors
 from ..scores import top
 from .ranked import Ranked
 
-LOOKS = 8  # published as C, the number of times that errors are quantified
+PASSES = 8  # published as C, the number of times that errors are quantified
 
 
 class GaussianPOP(Ranked):
-    def looks(self, settings, steps, share):
+    def ranking_passes(self, settings, steps, share):
         # Gaussians that are left out of a rendering take nearly as long
-        return [(0.0, 1.0)] * (LOOKS - 1) + [(0.0, share)]
+        return [(0.0, 1.0)] * (PASSES - 1) + [(0.0, share)]
 
     def score(self, scene, cameras, rasterizer, options):
         return removal_errors(scene, cameras, rasterizer, options)
 
     def cut(self, scene, cameras, rasterizer, options, count):
-        """The number of Gaussians falls by the same ratio at each look."""
+        """The number of Gaussians falls by the same ratio at each pass."""
         kept, start = np.ones(scene.count, bool), scene.count
-        for look in range(1, LOOKS + 1):
+        for number in range(1, PASSES + 1):
             errors = removal_errors(scene, cameras, rasterizer, options, kept)
-            kept = top(
-                np.where(kept, errors, -1.0), round(start * (min(count, start) / start) ** (look / LOOKS))
-            )
+            left = round(start * (min(count, start) / start) ** (number / PASSES))
+            kept = top(np.where(kept, errors, -1.0), left)
         return kept
 
 
 METHODS = (
     GaussianPOP(
         "gaussianpop",
-        "removes, in 8 looks, the Gaussians whose removal changes the photographs least",
+        "removes, in 8 passes, the Gaussians whose removal changes the photographs least",
         19,
         "GaussianPOP",
         source="GaussianPOP, arXiv 2602.06830",

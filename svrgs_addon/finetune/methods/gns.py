@@ -6,10 +6,9 @@ Densification is that of 3DGS.
 
 l are the opacity logits, o the opacities. r is adapted so that the opacity at the rank of the budget falls
 linearly to 0. Published: 8000 steps, the penalty in every 50th step, r adapted every 100 steps, Gaussians
-with o < 0.001 pruned after step 1000, the goal 0 after step
-7000. All these numbers scale with the length of the phase, except that two penalties are at least
-      LEAST_BETWEEN steps apart: in
-between, the photographs must have time to raise the opacity of the Gaussians that they need.
+with o < 0.001 pruned after step 1000, the goal 0 after step 7000. All these numbers scale with the length of
+the phase, except that two penalties are at least MIN_BETWEEN steps apart: in between, the photographs must
+have time to raise the opacity of the Gaussians that they need.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ from .base import REMOVE, Method
 # published; EASE: steps with the first form of the penalty, and with OPACITY_RATE after the trim
 STEPS, PRESS_EVERY, EASE = 8_000, 50, 1_000
 GOAL_ZERO = 7_000 / STEPS  # share of the phase after which the goal is 0
-LEAST_BETWEEN = 8  # least number of steps between two pressed steps
+MIN_BETWEEN = 8  # steps from one pressed step to the next
 SHARE_OF_TRAINING = 8 / 23  # published: pressure from step 15 000 to 23 000 of 23 000
 OPACITY_RATE = 4 * 0.025  # learning rate of opacity logits until EASE steps after the trim
 FINAL_OPACITY_RATE = 0.025  # the same, after that
@@ -59,13 +58,8 @@ class GNS(Method):
         press = round(iterations * SHARE_OF_TRAINING)
         train, *recover = super().train_phases(iterations, recovery, densify, coarse_until)
         train = replace(train, steps=iterations - press, active=False)
-        return [
-            train,
-            *pressure_phase(
-                press, *(train.rates.at(step, 1.0)["means"] for step in (train.steps, iterations))
-            ),
-            *recover,
-        ]
+        first, last = (train.rates.at(step, 1.0)["means"] for step in (train.steps, iterations))
+        return [train, *pressure_phase(press, first, last), *recover]
 
     def prune_phases(self, iterations: int, recovery: int, prune_every: int) -> list[Phase]:
         return [
@@ -77,7 +71,7 @@ class GNS(Method):
         """With an allowed drop: the number of Gaussians, those of highest saliency, that are needed to hold
         it before any learning."""
         value = saliency(run.model, run.training_cameras, run.rasterizer, run.score_options)
-        return int(fewest_within(run, value, run.psnr_before - run.settings.max_drop).sum())
+        return int(fewest_within(run, value, run.psnr_before - run.plan.max_drop).sum())
 
     def prepare(self, run: RunView, phase: Phase, number: int):
         """Adapts r at every other pressed step. r falls if the opacity at the rank of the budget is below the
@@ -89,26 +83,21 @@ class GNS(Method):
             self.first_goal = FIRST_GOAL * reached
         elif (number - 1) % (2 * self.press_every(phase)) == 0:
             goal = max(0.0, 1 - (number - 1) / (phase.steps * GOAL_ZERO)) * self.first_goal
-            self.factor *= (
-                LOWER
-                if reached < (1 - TOLERANCE) * goal
-                else RAISE
-                if reached > (1 + TOLERANCE) * goal
-                else 1
-            )
+            if reached < (1 - TOLERANCE) * goal:
+                self.factor *= LOWER
+            elif reached > (1 + TOLERANCE) * goal:
+                self.factor *= RAISE
 
     def terms(self, run: RunView, phase: Phase, number: int) -> dict:
         if self.trimmed:
             late = number > self.trimmed + phase.steps * EASE / STEPS
-            return (
-                {"rates": phase.rates.at(number, run.extent) | {"opacity_logits": FINAL_OPACITY_RATE}}
-                if late
-                else {}
-            )
+            if late:
+                return {"rates": phase.rates.at(number, run.extent) | {"opacity_logits": FINAL_OPACITY_RATE}}
+            return {}
         if not self._presses(phase, number):
             return {}
         early = number <= phase.steps * EASE / STEPS
-        r = run.settings.lambda_m * self.factor
+        r = run.plan.lambda_m * self.factor
         return {"penalty": OpacityPressure(r if early else 3 * r, early)}
 
     def after_step(self, run: RunView, phase: Phase, number: int) -> Keep:
@@ -116,14 +105,14 @@ class GNS(Method):
             return None
         if run.model.count < NEAR * run.target or number == phase.steps:
             self.trimmed = number
-            return drawn_by_opacity(run.model, run.target, [run.settings.seed, 2, run.iteration])
+            return drawn_by_opacity(run.model, run.target, [run.plan.seed, 2, run.iteration])
         if number % self.press_every(phase) or number < phase.steps * EASE / STEPS:
             return None
         return (run.model.opacity_logits >= logit(MIN_OPACITY)) | top(run.model.opacity_logits, run.target)
 
     def press_every(self, phase: Phase) -> int:
         """The number of steps from one pressed step to the next."""
-        return max(LEAST_BETWEEN, round(phase.steps * PRESS_EVERY / STEPS))
+        return max(MIN_BETWEEN, round(phase.steps * PRESS_EVERY / STEPS))
 
     def _presses(self, phase: Phase, number: int) -> bool:
         return not self.trimmed and (number - 1) % self.press_every(phase) == 0

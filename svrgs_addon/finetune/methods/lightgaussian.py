@@ -1,8 +1,8 @@
 """LightGaussian (arXiv 2311.17245): one cut by global significance GS removes 66 % of the Gaussians; its
 recovery follows.
 
-    GS_j = gamma_j * (sum over views and the pixels that j hits of opacity_j T),    gamma_j = min(1, V_j /
-                                                                                    V_90)^0.1
+    GS_j = gamma_j * (sum over views and the pixels that j hits of opacity_j T)
+    gamma_j = min(1, V_j / V_90)^0.1
 
 V_j is the product of the three scales, V_90 its 90th percentile. This is the form of the paper, with T and
 with the clamp at 1. The first published code left T out, used the 10th percentile and did not clamp.

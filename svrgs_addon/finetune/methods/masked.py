@@ -35,30 +35,28 @@ class Masked(Method):
 
     def prepare(self, run: RunView, phase: Phase, number: int):
         if not run.model.learns_masks:
-            run.model.add_masks(run.settings.mask_init)
+            run.model.add_masks(run.plan.mask_init)
 
     def terms(self, run: RunView, phase: Phase, number: int) -> dict:
-        drawn, slope = masks.draw(run.model, run.settings.seed, run.iteration)
+        drawn, slope = masks.draw(run.model, run.plan.seed, run.iteration)
         return {
             "masks": drawn,
             "slope": slope,
-            "lambda_f": run.settings.lambda_f * run.strength,
-            "lambda_m": run.settings.lambda_m * run.strength,
+            "lambda_f": run.plan.lambda_f * run.strength,
+            "lambda_m": run.plan.lambda_m * run.strength,
         }
 
     def survivors(self, run: RunView) -> Keep:
-        return masks.ever_drawn(run.model, run.settings.seed, run.iteration, run.settings.draws)
+        return masks.ever_drawn(run.model, run.plan.seed, run.iteration, run.plan.draws)
 
     def final_mask(self, run: RunView) -> Keep:
         """Without a target, the Gaussians with p > 0.5 stay. With a target, exactly so many of the most
         probable ones; with an allowed drop, the fewest most probable ones that hold it."""
-        if run.settings.max_drop:
-            return fewest_within(run, run.model.values[MASK], run.psnr_before - run.settings.max_drop)
-        return (
-            masks.most_probable(run.model, run.target, run.own)
-            if run.target
-            else self.current_mask(run.model)
-        )
+        if run.plan.max_drop:
+            return fewest_within(run, run.model.values[MASK], run.psnr_before - run.plan.max_drop)
+        if run.target:
+            return masks.most_probable(run.model, run.target, run.own)
+        return self.current_mask(run.model)
 
     def current_mask(self, model: Model) -> Keep:
         return masks.most_probable(model)

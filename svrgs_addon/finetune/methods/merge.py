@@ -11,19 +11,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...native.library import PARAMETERS
 from ...native.rasterizer import Rasterizer, RenderOptions
 from ...scene.camera import Camera, evenly
-from ...scene.gaussians import Scene
-from ..decimate.order import Order, looks, order_of
+from ...scene.gaussians import PARAMETERS, Scene
+from ..decimate.order import Order, order_of, visibility_sums
 from ..model import Model
 from ..refit import FASTER, LAST, POSITION, middle_scale, pace_at
 from ..run_view import Keep, RunView
 from ..settings import Phase, Rates
 from .base import Method
 
-VIEWS = 32  # training views, at most, in which the order is measured
-PARTS = 16  # of the recovery: the rates fall after each
+MAX_VIEWS = 32  # training views in which the order is measured
+RATE_FALLS = 16  # in the recovery
 
 
 @dataclass
@@ -34,10 +33,9 @@ class Merge(Method):
     kept: float = 1.0  # state: share of the Gaussians that the cut leaves
 
     def prune_phases(self, iterations: int, recovery: int, prune_every: int) -> list[Phase]:
-        rates = Rates(decay=LAST ** (1 / PARTS), decay_every=max(1, recovery // PARTS))
-        return [
-            replace(phase, rates=rates) for phase in super().prune_phases(iterations, recovery, prune_every)
-        ]
+        rates = Rates(decay=LAST ** (1 / RATE_FALLS), decay_every=max(1, recovery // RATE_FALLS))
+        phases = super().prune_phases(iterations, recovery, prune_every)
+        return [replace(phase, rates=rates) for phase in phases]
 
     def train_phases(self, iterations, recovery, densify, coarse_until) -> list[Phase]:
         train, *_ = super().train_phases(iterations, 0, densify, coarse_until)
@@ -51,17 +49,9 @@ class Merge(Method):
             return rates
         self.middle = self.middle or middle_scale(run.model.log_scales)
         pace = pace_at(self.kept)
-        larger = {name: pace * factor * rates[name] for name, factor in FASTER.items()}
-        return (
-            rates
-            | larger
-            | {
-                "means": pace
-                * POSITION
-                * self.middle
-                * phase.rates.decay ** (number // phase.rates.decay_every)
-            }
-        )
+        rates |= {name: pace * factor * rates[name] for name, factor in FASTER.items()}
+        falls = number // phase.rates.decay_every
+        return rates | {"means": pace * POSITION * self.middle * phase.rates.decay**falls}
 
     def reduced(
         self, scene: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions, count: int
@@ -74,9 +64,8 @@ class Merge(Method):
         """The Gaussians that stay at the end of training; merged ones are added to the model."""
         model, count = run.model, min(run.target, run.model.count)
         self.kept = count / model.count
-        rows, made = _order(model, run.training_cameras, run.rasterizer, run.score_options, count).rows_at(
-            count
-        )
+        order = _order(model, run.training_cameras, run.rasterizer, run.score_options, count)
+        rows, made = order.rows_at(count)
         keep = np.zeros(model.count, bool)
         keep[rows] = True
         model.append(made)
@@ -93,13 +82,11 @@ def _order(
     scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions, least: int
 ) -> Order:
     """The order by some of the views, evenly spread in the list."""
-    whole = (
-        replace(Scene.of(*(getattr(scene, name) for name in PARAMETERS)), antialiased=options.antialiased)
-        if isinstance(scene, Model)
-        else scene
-    )
-    sums, _ = looks(whole, evenly(cameras, VIEWS), rasterizer, options, pictures=False)
-    return order_of(whole, sums, least)
+    if isinstance(scene, Model):
+        arrays = Scene.of(*(getattr(scene, name) for name in PARAMETERS))
+        scene = replace(arrays, antialiased=options.antialiased)
+    sums, _ = visibility_sums(scene, evenly(cameras, MAX_VIEWS), rasterizer, options, pictures=False)
+    return order_of(scene, sums, least)
 
 
 METHODS = (

@@ -21,8 +21,8 @@ class MiniSplatting(Stepwise):
     EVENTS: ClassVar = (0.0, 1 / 3)
     by_area: bool = False
 
-    def looks(self, settings, steps, share):
-        return [(0.0, share)] if settings.target else super().looks(settings, steps, share)
+    def ranking_passes(self, settings, steps, share):
+        return [(0.0, share)] if settings.target else super().ranking_passes(settings, steps, share)
 
     def score(self, scene, cameras, rasterizer, options):
         return importance(scene, cameras, rasterizer, options, self.by_area)
@@ -35,7 +35,7 @@ class MiniSplatting(Stepwise):
         scores = self.score(run.model, run.training_cameras, run.rasterizer, run.score_options)
         if first:
             return drawn(
-                scores, run.target or int(SAMPLED * (scores > 0).sum()), [run.settings.seed, 5, run.iteration]
+                scores, run.target or int(SAMPLED * (scores > 0).sum()), [run.plan.seed, 5, run.iteration]
             )
         order = np.argsort(scores, kind="stable")
         keep = np.empty(len(scores), bool)

@@ -12,8 +12,9 @@ from ..saliency import removal_errors
 from ..settings import Phase, Settings
 from .stepwise import Stepwise
 
-# EVERY: of the steps, one in which ADMM pulls, then projects; LEAST: steps from one to the next
-RHO, EVERY, LEAST = 5e-4, 50 / 5_000, 10
+RHO = 5e-4
+PULL_EVERY = 50 / 5_000  # share of the steps from one in which ADMM pulls, then projects, to the next
+MIN_PULL_STEPS = 10  # the same, at least
 
 
 @dataclass
@@ -29,8 +30,8 @@ class POPSpa(Stepwise):
         pull = (admm.pull(run.model, RHO),) if self.count and self._pulls(phase, number) else ()
         return {"penalty": (EffectiveRank(), *pull)} if self.count else {}
 
-    def looks(self, settings: Settings, steps: int, share: float) -> list[tuple[float, float]]:
-        first, last = super().looks(settings, steps, share)
+    def ranking_passes(self, settings: Settings, steps: int, share: float) -> list[tuple[float, float]]:
+        first, last = super().ranking_passes(settings, steps, share)
         pulls = steps // pull_every(steps)
         return [first, *((k / pulls, first[1]) for k in range(pulls)), last]
 
@@ -43,7 +44,7 @@ class POPSpa(Stepwise):
 
 def pull_every(steps: int) -> int:
     """The number of steps from one pull to the next."""
-    return max(LEAST, round(EVERY * steps))
+    return max(MIN_PULL_STEPS, round(PULL_EVERY * steps))
 
 
 METHODS = (

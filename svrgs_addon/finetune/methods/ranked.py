@@ -23,7 +23,7 @@ class Ranked(Method):
 
     ranks: bool = True
 
-    def looks(self, settings: Settings, steps: int, share: float) -> list[tuple[float, float]]:
+    def ranking_passes(self, settings: Settings, steps: int, share: float) -> list[tuple[float, float]]:
         return [(0.0, share)]
 
     def cut(

@@ -23,11 +23,11 @@ class Reduced3DGS(Stepwise):
     EVENTS: ClassVar = tuple(k / 15 for k in range(13))
     lambda_m: float = 1e-3
 
-    def looks(self, settings: Settings, steps: int, share: float) -> list[tuple[float, float]]:
+    def ranking_passes(self, settings: Settings, steps: int, share: float) -> list[tuple[float, float]]:
         return []  # its events render nothing
 
     def terms(self, run: RunView, phase: Phase, number: int) -> dict:
-        return {"penalty": MeanSeenOpacity(run.settings.lambda_m)}
+        return {"penalty": MeanSeenOpacity(run.plan.lambda_m)}
 
     def after_densification(self, run: RunView, phase: Phase, number: int) -> Keep:
         due = phase.densify and number % (10 * EVERY) == 0 and number % phase.densify.reset_every
@@ -42,11 +42,9 @@ class Reduced3DGS(Stepwise):
 
     def after_step(self, run: RunView, phase: Phase, number: int) -> Keep:
         keep, logits = super().after_step(run, phase, number), run.model.opacity_logits
-        return (
-            keep
-            if keep is not None or number % EVERY
-            else (sigmoid(logits, np) >= INVISIBLE) | top(logits, run.target)
-        )
+        if keep is not None or number % EVERY:
+            return keep
+        return (sigmoid(logits, np) >= INVISIBLE) | top(logits, run.target)
 
 
 METHODS = (

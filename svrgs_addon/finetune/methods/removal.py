@@ -1,15 +1,15 @@
 """Iterative removal: the default method `removal`, and `saliency` (docs/methods.md, "`removal`, the
 default").
 
-Budget: the target, or the number of Gaussians with a saliency above lambda_F. In LOOKS looks, spread evenly
-over the phase, the Gaussians that rank lowest are removed. The first looks remove most, because these
-Gaussians are needed least; the last ones remove few. The looks measure the ranking again, because only one of
-two Gaussians that can replace each other may go. Between the looks and in the recovery the others are
+Budget: the target, or the number of Gaussians with a saliency above lambda_F. PASSES times, spread evenly
+over the phase, all Gaussians are ranked, and those that rank lowest are removed. The first passes remove
+most, because these Gaussians are needed least; the last ones remove few. Each ranks anew, because only one of
+two Gaussians that can replace each other may go. Between the passes and in the recovery the others are
 trained, with the position rate that 3DGS begins with: the few that stay must move to where the others were,
 and grow. A short run takes larger steps, else they would not get there, and so does one that keeps few
 Gaussians, which must reach farther; otherwise large steps stretch Gaussians that few views see.
 
-Before the first look all opacities are lowered once; after that nothing but the image loss acts on a
+Before the first pass all opacities are lowered once; after that nothing but the image loss acts on a
 Gaussian. What the photographs need, the steps raise again, with larger steps at first; what only fitted a few
 photographs too closely stays faint, and is removed. A scene whose opacities were kept low in training, as
 MCMC does, is left as it is.
@@ -39,17 +39,16 @@ from ..scores import top
 from ..settings import LARGEST, LARGEST_OF_POSITION, Densify, Phase, Rates, Settings, rates_for
 from .base import REMOVE, Method
 
-LOOKS, FEWEST = 16, 4  # looks in a long phase, and in a short one
-# a look takes as long as 20 to 40 steps: with more looks in a short phase, the same time would leave few
-# steps
-STEPS_PER_LOOK = 36
+PASSES, FEWEST = 16, 4  # ranking passes in a long phase, and in a short one
+# a pass takes as long as 20 to 40 steps: more passes in a short phase would leave few steps in the same time
+STEPS_PER_PASS = 36
 # share of the iterations of `svrgs train` in which Gaussians are removed: the last ones, as in GNS
 SHARE_OF_TRAINING = 8 / 23
 # share of the Gaussians; if fewer are left, the other rates are larger by the root of the ratio, up to
 # settings.LARGEST
 MANY = 0.25
 # least factors by which opacities, and then their odds, are lowered before the phase
-FAINTEST, LEAST_ODDS = 0.1, 0.1
+MIN_OPACITY_FACTOR, MIN_ODDS_FACTOR = 0.1, 0.1
 # if fewer Gaussians than this share are so opaque, opacities were kept low in training: nothing is lowered
 OPAQUE, OPAQUE_SHARE = 0.9, 0.05
 # steps of the phase that see a Gaussian; with more, opacities are lowered too; with fewer, their odds less
@@ -67,14 +66,14 @@ AVERAGED = 0.25  # share of the recovery, its last steps, over which the values 
 
 @dataclass
 class Removal(Method):
-    """The method. ranking: what the looks measure."""
+    """The method. ranking: what a pass measures."""
 
     # (scene, cameras, rasterizer, options) -> (N,); the lowest are removed
     ranking: Callable = field(default=removal_errors, repr=False)
     lambda_f: float = 1e-4
     lambda_f_help: str = field(default="the saliency above which a Gaussian stays", repr=False)
     supports_max_drop: bool = True
-    count: int = 0  # state: number of Gaussians before the first look
+    count: int = 0  # state: number of Gaussians before the first pass
     lowered: bool = False  # state: whether opacities were lowered
 
     def train_phases(
@@ -89,21 +88,12 @@ class Removal(Method):
         ]
 
     def prune_phases(self, iterations: int, recovery: int, prune_every: int) -> list[Phase]:
-        looks = (
-            [
-                Phase(
-                    "prune", iterations, Rates(opacity=OPACITY_RATE), active=True, prune_every=0, label=REMOVE
-                )
-            ]
-            if iterations
-            else []
-        )
+        rates = Rates(opacity=OPACITY_RATE)
+        removal = Phase("prune", iterations, rates, active=True, prune_every=0, label=REMOVE)
+        recovery_phases = super().prune_phases(iterations, recovery, prune_every)
         return [
-            *looks,
-            *(
-                replace(phase, averaged=AVERAGED)
-                for phase in super().prune_phases(iterations, recovery, prune_every)
-            ),
+            *([removal] if iterations else []),
+            *(replace(phase, averaged=AVERAGED) for phase in recovery_phases),
         ]
 
     def paced(self, phases: list[Phase]) -> list[Phase]:
@@ -122,13 +112,10 @@ class Removal(Method):
         if phase.densify:
             return rates
         if phase.active and self.lowered:
-            rates = rates | {
-                "opacity_logits": rates["opacity_logits"] * _opacity_rate_factor(phase.steps, number)
-            }
+            rates["opacity_logits"] *= _opacity_rate_factor(phase.steps, number)
         more, already = sqrt(max(1.0, MANY * self.count / run.model.count)), phase.rates.scale / Rates().scale
-        larger = {
-            name: min(more, max(1.0, LARGEST / already)) for name in ("log_scales", "quats", "sh", "sh_rest")
-        }
+        others = min(more, max(1.0, LARGEST / already))
+        larger = dict.fromkeys(("log_scales", "quats", "sh", "sh_rest"), others)
         larger["means"] = min(more, max(1.0, LARGEST_OF_POSITION / already))
         return rates | {name: factor * rates[name] for name, factor in larger.items()}
 
@@ -138,11 +125,10 @@ class Removal(Method):
     def budget(self, run: RunView) -> int:
         """The number of Gaussians with a saliency above lambda_F. Raises SceneError if almost none has. With
         an allowed drop: the fewest that are foreseen to hold it at the end of the run."""
-        if run.settings.max_drop:
+        if run.plan.max_drop:
             return self.budget_of_drop(run)
         stays = (
-            saliency(run.model, run.training_cameras, run.rasterizer, run.score_options)
-            > run.settings.lambda_f
+            saliency(run.model, run.training_cameras, run.rasterizer, run.score_options) > run.plan.lambda_f
         )
         stays = stays if run.protected is None else stays | run.protected
         masks.refuse_emptying(stays, run.initial_count)
@@ -151,7 +137,7 @@ class Removal(Method):
     def budget_of_drop(self, run: RunView) -> int:
         """The fewest Gaussians of highest rank that are foreseen to hold the allowed drop."""
         rank = self.score(run.model, run.training_cameras, run.rasterizer, run.score_options)
-        return int(fewest_within(run, rank, floor_of_drop(run.psnr_before, run.settings)).sum())
+        return int(fewest_within(run, rank, floor_of_drop(run.psnr_before, run.plan)).sum())
 
     def prepare(self, run: RunView, phase: Phase, number: int):
         """Before the first step, lowers the opacities of the Gaussians that a view sees and that are not
@@ -165,16 +151,16 @@ class Removal(Method):
                 lower_opacity(run.model, lowered, *lowering(steps))
 
     def after_step(self, run: RunView, phase: Phase, number: int) -> Keep:
-        """A look after the first step of each of number_of_looks() equal parts of the phase."""
-        looks = number_of_looks(phase.steps)
-        earlier, these = ((number - back) * looks // phase.steps for back in (2, 1))
+        """A pass after the first step of each of number_of_passes() equal parts of the phase."""
+        passes = number_of_passes(phase.steps)
+        earlier, these = ((number - back) * passes // phase.steps for back in (2, 1))
         if earlier == these:
             return None
         self.count = self.count or run.model.count
-        return self.stays(run, (these + 1) / looks)
+        return self.stays(run, (these + 1) / passes)
 
     def stays(self, run: RunView, done: float) -> np.ndarray:
-        """The Gaussians that stay at a look, (N,) bool. done: share of the looks that have been, this one
+        """The Gaussians that stay after a pass, (N,) bool. done: share of the passes that have been, this one
         included."""
         rank = self.score(run.model, run.training_cameras, run.rasterizer, run.score_options)
         rank = rank if run.protected is None else np.where(run.protected, np.inf, rank)
@@ -183,11 +169,12 @@ class Removal(Method):
     def score(self, scene, cameras, rasterizer, options) -> np.ndarray:
         return self.ranking(scene, cameras, rasterizer, options)
 
-    def looks(self, settings: Settings, steps: int, share: float) -> list[tuple[float, float]]:
-        """Also the lowering takes a look at all views, and so does the budget of an allowed drop; that of
-        lambda_F costs twice as much."""
-        looks, before = number_of_looks(steps), 1 + bool(settings.max_drop) + 2 * self.uses_lambda_f(settings)
-        return [(0.0, 1.0)] * before + [(k / looks, share ** sqrt((k + 1) / looks)) for k in range(looks)]
+    def ranking_passes(self, settings: Settings, steps: int, share: float) -> list[tuple[float, float]]:
+        """Also the lowering takes a pass, and so does the budget of an allowed drop; that of lambda_F costs
+        twice as much."""
+        passes = number_of_passes(steps)
+        before = 1 + bool(settings.max_drop) + 2 * self.uses_lambda_f(settings)
+        return [(0.0, 1.0)] * before + [(k / passes, share ** sqrt((k + 1) / passes)) for k in range(passes)]
 
     def state(self) -> dict:
         return {"count": self.count, "lowered": self.lowered}
@@ -196,10 +183,10 @@ class Removal(Method):
         self.count, self.lowered = state["count"], state.get("lowered", False)
 
 
-def number_of_looks(steps: int) -> int:
-    """The number of looks in a phase of so many steps: LOOKS, in a short phase one in STEPS_PER_LOOK steps,
+def number_of_passes(steps: int) -> int:
+    """The number of passes in a phase of so many steps: PASSES, in a short phase one in STEPS_PER_PASS steps,
     but FEWEST if there are as many steps."""
-    return min(LOOKS, max(FEWEST, steps // STEPS_PER_LOOK), steps)
+    return min(PASSES, max(FEWEST, steps // STEPS_PER_PASS), steps)
 
 
 def floor_of_drop(before: float, settings: Settings) -> float:
@@ -220,7 +207,7 @@ def lowering(steps: float) -> tuple[float, float]:
     that see a Gaussian, in the mean. More steps can raise opacities further again, so with more steps the
     factors are smaller."""
     share = max(steps, 1e-9) / RISING
-    return max(FAINTEST, sqrt(min(1.0, 1 / share))), LEAST_ODDS ** min(1.0, share)
+    return max(MIN_OPACITY_FACTOR, sqrt(min(1.0, 1 / share))), MIN_ODDS_FACTOR ** min(1.0, share)
 
 
 def _opacity_rate_factor(steps: int, number: int) -> float:

@@ -28,7 +28,7 @@ class Stepwise(Method):
             *super().prune_phases(iterations, recovery, prune_every),
         ]
 
-    def looks(self, settings: Settings, steps: int, share: float) -> list[tuple[float, float]]:
+    def ranking_passes(self, settings: Settings, steps: int, share: float) -> list[tuple[float, float]]:
         return [(event, share ** ((k + 1) / len(self.EVENTS))) for k, event in enumerate(self.EVENTS)]
 
     def after_step(self, run: RunView, phase: Phase, number: int) -> Keep:

@@ -29,7 +29,7 @@ from typing import Any
 
 from ... import __version__
 from ...files.atomic import atomic_write
-from ...files.opened import json_object
+from ...files.reading import json_object
 from ...files.registry import suffixes
 from ...prune.options import PruneOptions
 from ...system.errors import FormatError, SceneError

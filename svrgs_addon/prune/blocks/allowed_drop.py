@@ -15,8 +15,8 @@ from ...files.registry import format_to_write
 from ...finetune.methods.removal import floor_of_drop
 from ...finetune.plan import Plan
 from ...finetune.quality import LEAST, bisected, squared_error
-from ...render.metrics.format_loss import ASSUMED, refuse_loss
-from ...render.metrics.psnr import with_error
+from ...render.metrics.max_drop import ASSUMED, refuse_loss
+from ...render.metrics.measures import with_error
 from ...scene.camera import Camera
 from ...system.errors import FormatError, SceneError
 from ...views.rendered import PHOTOGRAPHED

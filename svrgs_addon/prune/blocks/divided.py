@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from ...files.atomic import atomic_write, check_space
-from ...files.opened import json_object
+from ...files.reading import json_object
 from ...files.registry import load_parts, size_on_disk
 from ...finetune.decimate.order import NORMALS
 from ...scene.gaussians import Scene

@@ -21,15 +21,14 @@ import numpy as np
 
 from ...files.atomic import atomic_write, check_space
 from ...files.npz import write_arrays
-from ...files.opened import json_object
+from ...files.reading import json_object
 from ...finetune.decimate.order import Order
 from ...finetune.scores import top
 from ...native.decimation import REMOVED, Merges, decimate
-from ...native.library import PARAMETERS
 from ...native.rasterizer import VISIBILITY
 from ...scene.camera import Camera
-from ...scene.gaussians import Scene
-from ...scene.merge import joined
+from ...scene.concatenate import concatenated
+from ...scene.gaussians import PARAMETERS, Scene
 from ...system.errors import FormatError, SceneError
 from .divided import Block, Divided, Tell, leaves, scene_of
 from .scoring import SQUARES, UNITS, total, visibility
@@ -110,11 +109,9 @@ def merged(divided: Divided, kept: Sequence[Sequence[int]], tell: Tell = lambda 
     for block, wanted in zip(divided.blocks, kept, strict=True):
         tell("writes what stays", block.number / len(divided.blocks))
         scene = scene_of(divided, block)
-        yield joined(
-            [
-                Order(scene.select(rows), one).at(count)
-                for rows, one, count in zip(_cells(block), _merges(block), wanted, strict=True)
-            ]
+        cells = zip(_cells(block), _merges(block), wanted, strict=True)
+        yield concatenated(
+            [Order(scene.select(rows), one).at(count) for rows, one, count in cells], columns=True
         )
 
 

@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from ...files import streamed_sog
-from ...files.opened import MAX_IN_PARTS
+from ...files.memory_mapped import mapped_scene
+from ...files.reading import MAX_IN_PARTS
 from ...files.registry import load_parts, size_on_disk, write_scene
-from ...files.spooled import spooled
 from ...render.metrics.explained import mismatch_of
-from ...render.metrics.format_loss import loss_notes
+from ...render.metrics.max_drop import loss_notes
 from ...views.dataset import Dataset
 from .block_rasterizer import BlockRasterizer
 from .divided import Divided, Tell, divide, gathered, scene_of
@@ -89,7 +89,7 @@ def _settled(divided: Divided, likeness: Likeness) -> tuple[Divided, dict[str, f
 
 def write_joined(divided: Divided, out: Path):
     """Writes all blocks, one after the other, in the format of the output. Raises SplatError."""
-    with spooled((scene_of(divided, block) for block in divided.blocks), out) as scene:
+    with mapped_scene((scene_of(divided, block) for block in divided.blocks), out) as scene:
         write_scene(out, scene)
 
 
@@ -100,7 +100,7 @@ def join_levels(
     first. Returns for each the part of finish()'s result that comes from the output. Raises SplatError."""
     with contextlib.ExitStack() as stack:
         streamed_sog.write_levels(
-            out, [stack.enter_context(spooled(load_parts(path), out)) for path in files]
+            out, [stack.enter_context(mapped_scene(load_parts(path), out)) for path in files]
         )
     results = []
     for level in range(len(files)):

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ...files.atomic import atomic_write
-from ...files.opened import json_object
+from ...files.reading import json_object
 from ...finetune.methods import METHODS, method_named
 from ...finetune.methods.removal import Removal
 from ...finetune.plan import Plan, prune_plan

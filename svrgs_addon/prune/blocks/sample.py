@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 
 from ...files.registry import load_parts
-from ...finetune.decimate.order import MOST_HIDDEN, hidden, looks
+from ...finetune.decimate.order import MOST_HIDDEN, hidden, visibility_sums
 from ...native.rasterizer import Rasterizer
 from ...render.metrics.evaluate import render_options
 from ...scene.camera import Camera
+from ...scene.concatenate import concatenated
 from ...scene.gaussians import Scene
-from ...scene.merge import joined
 from ...system.errors import SceneError
 
 MOST = 500_000  # Gaussians
@@ -29,8 +29,9 @@ def sample_of(source: Path) -> tuple[Scene, float]:
         parts.append(_lighter(part, np.arange(-start % step, part.count, step)))
         start += part.count
         while sum(one.count for one in parts) > MOST:
-            parts, step = [joined(parts).select(np.arange(0, sum(one.count for one in parts), 2))], 2 * step
-    scene = joined(parts)
+            whole = concatenated(parts, columns=True)
+            parts, step = [whole.select(np.arange(0, whole.count, 2))], 2 * step
+    scene = concatenated(parts, columns=True)
     enlarged = step**0.5
     return replace(scene, log_scales=scene.log_scales + np.float32(np.log(enlarged))), enlarged
 
@@ -38,7 +39,7 @@ def sample_of(source: Path) -> tuple[Scene, float]:
 def refuse_hidden(scene: Scene, cameras: Sequence[Camera], source: Path):
     """Raises SceneError if cameras that were placed leave many Gaussians hidden: these would be removed
     first. scene: from sample_of()."""
-    sums, _ = looks(scene, cameras, Rasterizer(), render_options(scene), pictures=False)
+    sums, _ = visibility_sums(scene, cameras, Rasterizer(), render_options(scene), pictures=False)
     share = hidden(sums) / scene.count
     if share > MOST_HIDDEN:
         raise SceneError(

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ...files.atomic import atomic_write
-from ...files.opened import json_object
+from ...files.reading import json_object
 from ...system.errors import FormatError
 
 if TYPE_CHECKING:  # jobs of Blender need no more of it

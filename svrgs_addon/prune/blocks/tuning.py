@@ -21,14 +21,13 @@ from statistics import fmean
 import numpy as np
 
 from ...files.atomic import atomic_write
-from ...files.opened import json_object
-from ...finetune.refit import SHARES, Look, interpolated, middle_scale, pace_for, refit
+from ...files.reading import json_object
+from ...finetune.refit import SHARES, TrainingView, interpolated, middle_scale, pace_for, refit
 from ...finetune.saliency import reduced
-from ...native.library import PARAMETERS
 from ...native.rasterizer import Rasterizer
 from ...render.metrics.evaluate import picture_options, render_options
 from ...scene.camera import Camera
-from ...scene.gaussians import Scene
+from ...scene.gaussians import PARAMETERS, Scene
 from ...system import memory
 from ...system.errors import FormatError
 from .discs import Window
@@ -160,9 +159,9 @@ def tuned_blocks(divided: Divided) -> Divided | None:
     return gathered(folder, left) if any(folder.glob("*.rows")) else None
 
 
-def _look(divided: Divided, view: int, camera: Camera, window: Window | None) -> Look | None:
+def _look(divided: Divided, view: int, camera: Camera, window: Window | None) -> TrainingView | None:
     return (
-        Look(camera, _picture(divided, view, camera)[window.slices].astype(np.float32), window.slices)
+        TrainingView(camera, _picture(divided, view, camera)[window.slices].astype(np.float32), window.slices)
         if window
         else None
     )

@@ -16,8 +16,7 @@ from ...files.atomic import check_space
 from ...files.digests import scene_sha256
 from ...files.level_files import holds_levels
 from ...finetune.quality import LEAST
-from ...render.metrics.format_loss import loss_notes
-from ...render.metrics.missed_drop import missed_drop
+from ...render.metrics.max_drop import loss_notes, missed_drop
 from ...scene.camera import Camera
 from ...system.errors import Cancelled
 from ...views.dataset import Dataset

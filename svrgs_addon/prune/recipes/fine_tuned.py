@@ -18,8 +18,8 @@ from ...files.registry import (
     format_to_write,
     invisible,
     load_scene,
+    read_back,
     size_on_disk,
-    stored,
     write_scene,
 )
 from ...finetune import checkpoint, loop, masks, scores
@@ -33,8 +33,7 @@ from ...finetune.run import Run
 from ...native.rasterizer import Rasterizer, RenderOptions
 from ...render.metrics.evaluate import evaluate, mean_psnr, render_options
 from ...render.metrics.explained import mismatch_of
-from ...render.metrics.format_loss import format_loss
-from ...render.metrics.missed_drop import missed_drop
+from ...render.metrics.max_drop import format_loss, missed_drop
 from ...scene.gaussians import Scene
 from ...system import memory
 from ...system.errors import SceneError
@@ -113,7 +112,7 @@ class Tuned:
 
     def facts(self) -> dict[str, Any]:
         """The keys of the JSON result that describe the run, not the quality of the scene."""
-        run, plan = self.run, self.run.settings
+        run, plan = self.run, self.run.plan
         tuned = sum(run.seconds.values())
         return {
             "out": str(self.job.out),
@@ -213,13 +212,13 @@ class FineTuned(Tuned):
                 level = self.scene.select(np.arange(max(1, round(share * self.scene.count))))
                 write_scene(path, level)
                 self.levels.append(
-                    {"share": share, "out": str(path), **self.measured(stored(path, level), path)}
+                    {"share": share, "out": str(path), **self.measured(read_back(path, level), path)}
                 )
 
     def measure(self) -> dict[str, Any]:
         job, dataset = self.job, self.dataset
         with self.clock.phase("evaluate after"):
-            scene = stored(job.out, self.scene)
+            scene = read_back(job.out, self.scene)
             after = self.measured(scene, job.out)
             self.run.drop = self.held - psnr_to_hold(scene, dataset, self.plan) if self.allowed else None
             dataset.notes += tuple(missed_drop(self.run.drop, self.allowed))
@@ -374,7 +373,7 @@ def curve_psnr(run: Run) -> float | None:
     if not views:
         return None
     kept = run.method.current_mask(model) if model.learns_masks else None
-    options = RenderOptions(antialiased=run.antialiased, background=run.settings.background)
+    options = RenderOptions(antialiased=run.antialiased, background=run.plan.background)
     return mean_psnr(
         model, dataset, views, run.engine.rasterizer, options, None if kept is None else kept.astype(np.uint8)
     )

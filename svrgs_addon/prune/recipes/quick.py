@@ -19,17 +19,24 @@ import numpy as np
 
 from ...files.level_files import write_with_levels
 from ...files.registry import format_to_write, invisible, load_scene, size_on_disk
-from ...finetune.decimate.order import MOST_HIDDEN, NORMALS, Order, hidden, looks, lost_columns, order_of
+from ...finetune.decimate.order import (
+    MOST_HIDDEN,
+    NORMALS,
+    Order,
+    hidden,
+    lost_columns,
+    order_of,
+    visibility_sums,
+)
 from ...finetune.decimate.saved_order import write_order
 from ...finetune.quality import LEAST
-from ...finetune.refit import SHARES, USUAL, Look, interpolated, middle_scale, pace_at, refit
+from ...finetune.refit import SHARES, USUAL, TrainingView, interpolated, middle_scale, pace_at, refit
 from ...native.library import thresholds
 from ...native.rasterizer import Rasterizer
 from ...render.metrics import flip, psnr, ssim
 from ...render.metrics.evaluate import picture_options, render_options, rounded_to_8_bits
-from ...render.metrics.format_loss import ASSUMED, loss_notes
-from ...render.metrics.missed_drop import missed_drop
-from ...render.metrics.psnr import with_error
+from ...render.metrics.max_drop import ASSUMED, loss_notes, missed_drop
+from ...render.metrics.measures import with_error
 from ...scene.affine import scaled
 from ...scene.camera import Camera, evenly
 from ...scene.gaussians import Scene
@@ -106,10 +113,10 @@ class Quick:
     def rank(self):
         options, scene, job = self.options, self.scene, self.job
         self.rasterizer, settings = Rasterizer(), render_options(scene, options.background)
-        sums, self.pictures = looks(self.enlarged, self.cameras, self.rasterizer, settings)
+        sums, self.pictures = visibility_sums(self.enlarged, self.cameras, self.rasterizer, settings)
         if not options.colmap and (unseen := hidden(sums)) > MOST_HIDDEN * scene.count:
             self.cameras, self.test, self.notes = _views_within(self.enlarged, options, unseen)
-            sums, self.pictures = looks(self.enlarged, self.cameras, self.rasterizer, settings)
+            sums, self.pictures = visibility_sums(self.enlarged, self.cameras, self.rasterizer, settings)
         if job.stop():
             raise Cancelled(NOT_FINISHED)
         self.hidden, self.wanted = hidden(sums), min(_wanted(options, self.source.count), scene.count)
@@ -131,7 +138,7 @@ class Quick:
         self.scenes = [self.order.at(count) for count in counts]
 
     def tune(self):
-        shown = list(map(Look, self.cameras, self.pictures))
+        shown = list(map(TrainingView, self.cameras, self.pictures))
         self.scenes = [
             _tuned(small, small.count / self.scene.count, self.likeness, shown, self.options, self.job.stop)
             for small in self.scenes
@@ -259,7 +266,7 @@ def _tuned(
     small: Scene,
     share: float,
     likeness: _Likeness,
-    shown: list[Look],
+    shown: list[TrainingView],
     options: PruneOptions,
     stop: Callable[[], bool],
 ) -> Scene:

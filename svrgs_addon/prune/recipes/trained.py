@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from ...files.registry import stored
+from ...files.registry import read_back
 from ...finetune.model import Model, scene_from_points
 from ...finetune.plan import Plan
 from ...finetune.settings import Densify
@@ -67,7 +67,7 @@ class Trained(Tuned):
 
     def measure(self) -> dict[str, Any]:
         with self.clock.phase("evaluate"):
-            after = self.measured(stored(self.job.out, self.scene), self.job.out)
+            after = self.measured(read_back(self.job.out, self.scene), self.job.out)
         return {**after, **self.facts(), "time": self.time_facts()}
 
 

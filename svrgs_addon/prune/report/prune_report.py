@@ -98,7 +98,7 @@ def _versions() -> dict[str, str]:
 
 def _phases(run: Run, seconds_by_phase: dict[str, float]) -> tuple[Phase, ...]:
     starts, start = {}, 0
-    for phase in run.settings.phases:
+    for phase in run.plan.phases:
         starts[phase.name] = start
         start += phase.steps
     return tuple(Phase(name, seconds, starts.get(name)) for name, seconds in seconds_by_phase.items())

@@ -5,9 +5,7 @@ or a value is not finite. Values are used as given. So a render must be clamped 
 where results are compared with published ones, because 3DGS measures saved PNG files (evaluate.py does both).
 """
 
-from .flip import flip, flip_map
 from .lpips import Lpips, load_lpips
-from .psnr import psnr
-from .ssim import ssim
+from .measures import flip, flip_map, psnr, ssim
 
 __all__ = ["Lpips", "flip", "flip_map", "load_lpips", "psnr", "ssim"]

@@ -18,7 +18,7 @@ from ...scene.camera import Camera
 from ...system.errors import SceneError
 from ...views.dataset import Dataset
 from . import flip, psnr, ssim
-from .psnr import with_error
+from .measures import with_error
 
 # Limits of refuse_unseen() and any_in_view().
 VISIBLE_CAMERAS = 32  # approximate number of cameras that are checked, evenly spaced in the list
@@ -28,7 +28,7 @@ VISIBLE_REACH = 100.0
 
 
 class Renderable(Protocol):
-    """A scene: in memory (scene.Scene), or larger than that (large.blocks.Divided)."""
+    """A scene: in memory (scene.gaussians.Scene), or larger than that (prune.blocks.divided.Divided)."""
 
     @property
     def count(self) -> int: ...
@@ -74,11 +74,8 @@ def picture_options(scene: Renderable, background=(0.0, 0.0, 0.0), mask_kind: st
 
 def split_indices(dataset: Dataset, split: str) -> Sequence[int]:
     """Indices of the views of split 'test', 'train' or 'all'. Raises SceneError if there are none."""
-    chosen = {
-        "test": dataset.test_indices,
-        "train": dataset.train_indices,
-        "all": range(len(dataset.cameras)),
-    }[split]
+    everything = range(len(dataset.cameras))
+    chosen = {"test": dataset.test_indices, "train": dataset.train_indices, "all": everything}[split]
     if not len(chosen):
         raise SceneError(f"the dataset has no {split} views; choose another split")
     return chosen
@@ -123,14 +120,8 @@ def evaluate(
         seconds.append(time.perf_counter() - started)
         image, photo = rounded_to_8_bits(rgb), to_float(dataset.image(i))
         del rgb
-        rows.append(
-            (
-                psnr(image, photo),
-                ssim(image, photo),
-                lpips(image, photo) if lpips else math.nan,
-                flip(image, photo),
-            )
-        )
+        perceived = lpips(image, photo) if lpips else math.nan
+        rows.append((psnr(image, photo), ssim(image, photo), perceived, flip(image, photo)))
     means = np.mean(rows, axis=0)
     return {
         "psnr": float(means[0]),
@@ -148,8 +139,8 @@ def refuse_unseen(scene: Renderable, cameras: Sequence[Camera], name: str):
 
     name: name of the scene's file, for the message.
     """
-    looking = cameras[:: max(1, len(cameras) // VISIBLE_CAMERAS)]
-    if not any_in_view(scene.means, cameras, looking):
+    some = cameras[:: max(1, len(cameras) // VISIBLE_CAMERAS)]
+    if not any_in_view(scene.means, cameras, some):
         near = thresholds().near
         raise SceneError(
             f"{name}: none of its Gaussians is near a camera and in view of it, more than {near:g} in front;"
@@ -157,8 +148,8 @@ def refuse_unseen(scene: Renderable, cameras: Sequence[Camera], name: str):
         )
 
 
-def any_in_view(points: np.ndarray, cameras: Sequence[Camera], looking: Sequence[Camera]) -> bool:
-    """Whether one of the cameras `looking` sees one of the points (N, 3), world, where it would be rendered,
+def any_in_view(points: np.ndarray, cameras: Sequence[Camera], some: Sequence[Camera]) -> bool:
+    """Whether one of the cameras `some` sees one of the points (N, 3), world, where it would be rendered,
     and within VISIBLE_REACH.
 
     cameras: all of them, which give the scale. Of many points, about VISIBLE_POINTS are checked.
@@ -167,7 +158,7 @@ def any_in_view(points: np.ndarray, cameras: Sequence[Camera], looking: Sequence
     # a single camera gives no scale
     reach = VISIBLE_REACH * np.linalg.norm(centres - centres.mean(axis=0), axis=1).max() or np.inf
     near, points = thresholds().near, points[:: max(1, len(points) // VISIBLE_POINTS)].astype(np.float64)
-    for camera in looking:
+    for camera in some:
         local = points @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
         x, y, z = *camera.pixels(local).T, local[:, 2]
         inside = (z > near) & (z < reach) & (x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height)

@@ -9,16 +9,15 @@ import numpy as np
 
 from ...files.images import to_float
 from ...native.rasterizer import Rasterizer
-from ...scene.camera import Camera
+from ...scene.camera import Camera, evenly
 from ...views.dataset import Dataset
-from .arrays import image_pair
 from .evaluate import Renderable, Renderer, picture_options
-from .psnr import psnr
+from .measures import image_pair, psnr
 
 # Splats of four captures explain 0.82 to 0.98 of their own photographs, and less than -0.6 of those of
 # another capture. Objects before a black background explain up to 0.3 of each other.
 ENOUGH = 0.5
-VIEWS, SIDE = 4, 320  # views that are compared, spread evenly, and their longer side in pixels
+SAMPLED_VIEWS, SAMPLED_SIDE = 4, 320  # views that are compared, and their longer side in pixels
 
 
 def explained(image: np.ndarray, photo: np.ndarray) -> float:
@@ -35,19 +34,17 @@ def explained(image: np.ndarray, photo: np.ndarray) -> float:
 
 
 def sample_views(dataset: Dataset) -> list[tuple[Camera, np.ndarray]]:
-    """Some views of the dataset and their photographs (H, W, 3) float32, reduced to about SIDE pixels. Raises
-    FormatError, SceneError."""
-    chosen = np.unique(np.linspace(0, len(dataset.cameras) - 1, VIEWS).round().astype(int))
-    return [_reduced(dataset.cameras[index], to_float(dataset.image(index))) for index in chosen]
-
-
-def _reduced(camera: Camera, photo: np.ndarray) -> tuple[Camera, np.ndarray]:
-    factor = max(1, max(camera.width, camera.height) // SIDE)
-    small = camera.reduced(factor)
-    blocks = photo[: small.height * factor, : small.width * factor].reshape(
-        small.height, factor, small.width, factor, 3
-    )
-    return small, blocks.mean(axis=(1, 3), dtype=np.float32)
+    """Some views of the dataset and their photographs (H, W, 3) float32, reduced to about SAMPLED_SIDE
+    pixels. Raises FormatError, SceneError."""
+    views = []
+    for index in evenly(range(len(dataset.cameras)), SAMPLED_VIEWS):
+        camera, photo = dataset.cameras[index], to_float(dataset.image(index))
+        factor = max(1, max(camera.width, camera.height) // SAMPLED_SIDE)
+        small = camera.reduced(factor)
+        height, width = small.height, small.width
+        blocks = photo[: height * factor, : width * factor].reshape(height, factor, width, factor, 3)
+        views.append((small, blocks.mean(axis=(1, 3), dtype=np.float32)))
+    return views
 
 
 def fit(

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from ...system.errors import FormatError, SceneError
-from .arrays import image_pair
+from .measures import image_pair
 
 # VGG16 up to relu5_3: (index in torchvision's `features`, output channels) of each convolution, one row per
 # stage.
@@ -172,11 +172,9 @@ def _checked(found: dict[str, Any], key: str, shape: tuple[int, ...], path: Path
         )
     tensor = found[key]
     if not isinstance(tensor, torch.Tensor) or not tensor.is_floating_point() or tuple(tensor.shape) != shape:
-        kind = (
-            f"{tensor.dtype}{tuple(tensor.shape)}"
-            if isinstance(tensor, torch.Tensor)
-            else type(tensor).__name__
-        )
+        kind = type(tensor).__name__
+        if isinstance(tensor, torch.Tensor):
+            kind = f"{tensor.dtype}{tuple(tensor.shape)}"
         raise FormatError(f"{path}: {key} is {kind}; expected floats of shape {shape}")
     if not tensor.isfinite().all():
         raise FormatError(f"{path}: {key} holds NaN or infinite values; write the file again")

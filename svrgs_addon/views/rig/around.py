@@ -1,4 +1,4 @@
-"""Cameras evenly all around a scene that is seen from outside. Nothing is looked at, so it takes no time."""
+"""Cameras evenly all around a scene that is seen from outside. Nothing is rendered, so it takes no time."""
 
 from __future__ import annotations
 
@@ -34,10 +34,8 @@ def cameras_around(
     """`count` cameras on a sphere around the scene that look at its middle; pictures are side x side pixels.
     turn: of all cameras around the vertical axis, radians. nearer: factor on their distance. Raises
     SceneError."""
-    return [
-        view.camera(side, f"around_{number:03}")
-        for number, view in enumerate(views_around(scene, count, turn, nearer))
-    ]
+    views = views_around(scene, count, turn, nearer)
+    return [view.camera(side, f"around_{number:03}") for number, view in enumerate(views)]
 
 
 def views_around(scene: Scene, count: int, turn: float = 0.0, nearer: float = 1.0) -> list[View]:

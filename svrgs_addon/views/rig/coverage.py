@@ -28,10 +28,8 @@ class Coverage:
         self._seen: list[np.ndarray] = []  # packed bits, (N,) of each view
         # smallest width of a pixel at the Gaussian, of the views that see it
         self._nearest = np.full(scene.count, np.inf, np.float32)
-        self._rasterizer, self._options = (
-            Rasterizer(),
-            RenderOptions(sh_degree=0, antialiased=scene.antialiased),
-        )
+        self._rasterizer = Rasterizer()
+        self._options = RenderOptions(sh_degree=0, antialiased=scene.antialiased)
 
     def add(self, cameras: list[Camera]):
         """Renders further candidates."""
@@ -55,10 +53,8 @@ class Coverage:
 
     def _pixel(self, camera: Camera, rows: np.ndarray) -> np.ndarray:
         """The width of a pixel in the world, where the Gaussians are, (P,) float32."""
-        z = self.scene.means[rows] @ camera.viewmat[2, :3].astype(np.float32) + np.float32(
-            camera.viewmat[2, 3]
-        )
-        return z / np.float32(camera.K[0, 0])
+        axis, offset = camera.viewmat[2, :3].astype(np.float32), np.float32(camera.viewmat[2, 3])
+        return (self.scene.means[rows] @ axis + offset) / np.float32(camera.K[0, 0])
 
 
 class Choice:
@@ -73,11 +69,14 @@ class Choice:
 
     def share(self) -> float:
         """The share of the weights of all Gaussians that TIMES chosen views see."""
-        return float(self.weights[self.counts >= TIMES].sum() / max(self.weights.sum(), 1e-300))
+        return self._share(self.counts)
 
     def possible(self) -> float:
         """The share of the weights of all Gaussians that TIMES candidates see."""
-        return float(self.weights[self._times_seen() >= TIMES].sum() / max(self.weights.sum(), 1e-300))
+        return self._share(self._times_seen())
+
+    def _share(self, counts: np.ndarray) -> float:
+        return float(self.weights[counts >= TIMES].sum() / max(self.weights.sum(), 1e-300))
 
     def few(self) -> np.ndarray:
         """(N,) bool: the Gaussians that candidates see, but fewer than TIMES of them."""

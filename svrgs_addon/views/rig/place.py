@@ -11,19 +11,19 @@ from ...scene.camera import Camera
 from ...scene.gaussians import Scene
 from .around import views_around
 from .coverage import TIMES, Choice, Coverage
-from .space import Matter, Space, matter_of, usable_rows
+from .space import Space, matter_of, usable_rows
 from .viewpoints import Around, View, Within, setting_of, side_of
 
 # candidates: spread over the scene; aimed at what few of the first see, if they are needed
 FIRST, SECOND = 96, 48
-# views that are chosen by what they see; share of what can be seen that TIMES of them must see
-LEAST, MOST, ENOUGH = 32, 128, 0.995
-USUAL = 192  # views of a rig: steps would fit fewer pictures, but not what lies between them
+MIN_CHOSEN, MAX_CHOSEN = 32, 128  # views that are chosen by what they see
+ENOUGH = 0.995  # share of what can be seen that TIMES of them must see
+USUAL_VIEWS = 192  # of a rig: steps would fit fewer pictures, but not what lies between them
 HELD_OUT, QUICK_HELD_OUT = 16, 8
 # views from outside of a scene that is seen from within, if they show at least this share of its Gaussians,
 # too
 OUTSIDE, OPEN = 32, 0.7
-SCORED = 384  # side, in pixels, at which candidates are looked at, at most
+SCORED = 384  # side, in pixels, at which candidates are rendered, at most
 LARGE = 1_000_000  # a scene with more Gaussians has the fewer candidates, at least half as many
 
 
@@ -64,8 +64,8 @@ class Rig:
 def place_rig(
     scene: Scene, *, views: int | None = None, held_out: int = HELD_OUT, seed: int = 0, enlarged: float = 1.0
 ) -> Rig:
-    """The fewest cameras that see ENOUGH of what can be seen from free space in at least 3 views each, LEAST
-    to MOST, and further ones, evenly spread, up to USUAL.
+    """The fewest cameras that see ENOUGH of what can be seen from free space in at least 3 views each,
+    MIN_CHOSEN to MAX_CHOSEN, and further ones, evenly spread, up to USUAL_VIEWS.
 
     views: their number instead, each chosen by what it sees. held_out: further cameras for testing. enlarged:
     as for side_of(). The result depends on the seed, not on the number of threads. Raises SceneError if the
@@ -75,22 +75,23 @@ def place_rig(
     setting = _setting(scene)
     side = side_of(setting, enlarged)
     outside, coverage = _outside(scene, min(side, SCORED)) if setting.inside_out else ([], _coverage(scene))
-    looked, choice = _candidates(coverage, setting, outside, min(side, SCORED), rng)
-    choice.run(views or LEAST, views or MOST, 2.0 if views else ENOUGH)
-    chosen = [looked[view] for view in choice.chosen] or looked[: views or LEAST]
+    candidates, choice = _candidates(coverage, setting, outside, min(side, SCORED), rng)
+    choice.run(views or MIN_CHOSEN, views or MAX_CHOSEN, 2.0 if views else ENOUGH)
+    chosen = [candidates[view] for view in choice.chosen] or candidates[: views or MIN_CHOSEN]
     if not views:
-        chosen += [looked[view] for view in range(len(outside)) if view not in choice.chosen]
-        chosen += setting.views(max(0, USUAL - len(chosen)), rng)[: max(0, USUAL - len(chosen))]
+        chosen += [candidates[view] for view in range(len(outside)) if view not in choice.chosen]
+        missing = max(0, USUAL_VIEWS - len(chosen))
+        chosen += setting.views(missing, rng)[:missing]
     others = views_around(scene, held_out // 4, turn=1.0, nearer=0.9) if outside else []
     others += setting.other_views(held_out - len(others), np.random.default_rng([seed, 1]))
     return Rig(_named(chosen, "rig", side), _named(others, "off", side), setting.inside_out, choice.share())
 
 
 def quick_rig(scene: Scene, views: int = 24, *, held_out: int = QUICK_HELD_OUT, seed: int = 0) -> Rig:
-    """About so many cameras, spread evenly and without a look at what they see.
+    """About so many cameras, spread evenly, whatever they see.
 
-    Around an object they stand on a sphere. Within a scene, a few places look all around. Raises SceneError
-    as place_rig().
+    Around an object they stand on a sphere. Within a scene, cameras at a few places show all around. Raises
+    SceneError as place_rig().
     """
     setting = _setting(scene)
     rng = np.random.default_rng([seed, 0])
@@ -101,20 +102,17 @@ def quick_rig(scene: Scene, views: int = 24, *, held_out: int = QUICK_HELD_OUT, 
 
 
 def _setting(scene: Scene) -> Around | Within:
-    matter: Matter = matter_of(scene)
+    matter = matter_of(scene)
     return setting_of(matter, Space.of(matter))
 
 
 def _outside(scene: Scene, side: int) -> tuple[list[View], Coverage]:
-    """Views from outside of the whole scene, if they show most of it: then it will be looked at from there,
-    too. And what they see."""
+    """Views from outside of the whole scene, if they show most of it, and what they see."""
     views, coverage = views_around(scene, OUTSIDE), _coverage(scene)
     coverage.add([view.camera(side) for view in views])
-    return (
-        (views, coverage)
-        if (coverage.peaks >= thresholds().alpha_cut).mean() >= OPEN
-        else ([], _coverage(scene))
-    )
+    if (coverage.peaks >= thresholds().alpha_cut).mean() >= OPEN:
+        return views, coverage
+    return [], _coverage(scene)
 
 
 def _coverage(scene: Scene) -> Coverage:
@@ -132,20 +130,20 @@ def _candidates(
     scene = coverage.scene
     share = min(1.0, max(0.5, LARGE / scene.count))
     within = setting.views(int(share * FIRST), rng)
-    looked = outside + within
+    first = outside + within
     coverage.add([view.camera(side) for view in within])
     choice = Choice(coverage)
     if choice.possible() >= ENOUGH:
-        return looked, choice
-    more = _aimed(scene, setting, looked, choice, int(share * SECOND), rng)
+        return first, choice
+    more = _aimed(scene, setting, first, choice, int(share * SECOND), rng)
     coverage.add([view.camera(side) for view in more])
-    return looked + more, Choice(coverage)
+    return first + more, Choice(coverage)
 
 
 def _aimed(
     scene: Scene,
     setting: Around | Within,
-    looked: list[View],
+    candidates: list[View],
     choice: Choice,
     count: int,
     rng: np.random.Generator,
@@ -153,13 +151,13 @@ def _aimed(
     """Further views of the Gaussians that fewer than TIMES candidates see, each near one that sees them."""
     few, views = choice.few(), list[View]()
     for _ in range(count // (TIMES - 1)):
-        rows = [choice.rows(view, few) for view in range(len(looked))]
+        rows = [choice.rows(view, few) for view in range(len(candidates))]
         view = int(np.argmax([choice.weights[found].sum() for found in rows]))
         if not len(rows[view]):
             break
         for _ in range(TIMES - 1):
             target = scene.means[rows[view][rng.integers(len(rows[view]))]].astype(np.float64)
-            found = setting.varied(looked[view], target, rng)
+            found = setting.varied(candidates[view], target, rng)
             views += [found] if found is not None else []
         few[rows[view]] = False
     return views

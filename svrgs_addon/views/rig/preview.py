@@ -12,37 +12,30 @@ from ...scene.gaussians import Scene
 from .place import Rig
 from .viewpoints import View
 
-SIDE = 900  # pixels
+SIDE_PIXELS = 900
 # from the middle, world y down; tangent of half the angle of view
 DIRECTION, TANGENT = np.array([0.6, -0.55, 0.6]), 0.4
 FARTHER = 1.15  # of the distance at which all cameras fit into the picture
 LENGTH = 0.07  # of a pyramid, in the largest distance of a camera from the middle
-OPENED = 3.0  # what is shown of a scene that is seen from within, in the same
+SHOWN = 3.0  # radius of what is shown of a scene that is seen from within, in the same
 POINTS = 48  # drawn of each edge
 COLORS = {"rig": (255, 160, 30), "held_out": (70, 150, 255)}
 EDGES = ((0, 1), (0, 2), (0, 3), (0, 4), (1, 2), (2, 3), (3, 4), (4, 1))  # of a pyramid; 0 is its tip
 
 
 def preview(scene: Scene, rig: Rig) -> np.ndarray:
-    """The picture, (SIDE, SIDE, 3) uint8: cameras in orange, those held out in blue. Of a scene that is seen
-    from within, what is nearer than the cameras is left out, and what is far away."""
+    """The picture, (SIDE_PIXELS, SIDE_PIXELS, 3) uint8: cameras in orange, those held out in blue. Of a scene
+    that is seen from within, what is nearer than the cameras is left out, and what is far away."""
     eyes = np.array([camera.position for camera in (*rig.cameras, *rig.held_out)])
     middle = np.median(eyes, axis=0)
     reach = float(np.linalg.norm(eyes - middle, axis=1).max()) or 1.0
-    view = View(
-        middle + FARTHER * reach * np.sqrt(1 + TANGENT**-2) * DIRECTION / np.linalg.norm(DIRECTION),
-        middle,
-        TANGENT,
-    )
-    camera = view.camera(SIDE)
+    distance = FARTHER * reach * np.sqrt(1 + TANGENT**-2)
+    eye = middle + distance * DIRECTION / np.linalg.norm(DIRECTION)
+    camera = View(eye, middle, TANGENT).camera(SIDE_PIXELS)
     if rig.inside_out:
         scene = _cut_open(scene, camera, middle, reach)
-    images = Rasterizer().forward(
-        scene,
-        camera,
-        RenderOptions(antialiased=scene.antialiased, picture_only=True),
-        outputs=("rgb", "depth", "alpha"),
-    )
+    options = RenderOptions(antialiased=scene.antialiased, picture_only=True)
+    images = Rasterizer().forward(scene, camera, options, outputs=("rgb", "depth", "alpha"))
     picture = np.rint(images["rgb"].clip(0, 1) * 255).astype(np.uint8)
     walls = np.where((images["alpha"] > 0.5) & (not rig.inside_out), images["depth"], np.inf)
     for name, cameras in (("rig", rig.cameras), ("held_out", rig.held_out)):
@@ -54,7 +47,7 @@ def _cut_open(scene: Scene, camera: Camera, middle: np.ndarray, reach: float) ->
     """The scene without what is nearer to the camera than the middle (3,) of the rig, or far from it. reach:
     radius of the rig."""
     depths = scene.means @ camera.viewmat[2, :3].astype(np.float32) + np.float32(camera.viewmat[2, 3])
-    near = np.linalg.norm(scene.means - middle.astype(np.float32), axis=1) < OPENED * reach
+    near = np.linalg.norm(scene.means - middle.astype(np.float32), axis=1) < SHOWN * reach
     return scene.select(near & (depths > np.linalg.norm(camera.position - middle)))
 
 

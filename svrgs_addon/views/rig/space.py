@@ -15,19 +15,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...native.library import thresholds
+from ...scene.bounds import weighted_quantiles
 from ...scene.gaussians import Scene
 from ...scene.rotations import rotated
 from ...system.errors import SceneError
 
-SAMPLES = 100_000  # Gaussians that are looked at, at most, evenly spaced in the list
+SAMPLES = 100_000  # Gaussians that count, at most, evenly spaced in the list
 # the cube |u| <= 1 is WIDER times as wide as that which holds this share of the opacity
 MIDDLE, WIDER = 0.4, 1.5
 CELLS = 64  # along each axis
 PIECES = 64  # points, at most, by which a Gaussian larger than a cell is spread over cells
-# optical depths: below, a cell is free; above, it is matter; a ray that has gathered so much is blocked
+# optical depths: below, a cell is free; above, it is matter; a ray that has met so much is blocked
 FREE, SOLID, OPAQUE = 0.05, 0.5, 1.0
 CLEARANCE = 1.25  # a camera keeps this multiple of the nearest rendered depth from matter
-RAYS, MARCH = 32, 128  # directions in which a place looks for matter; steps of a ray
+RAYS, MARCH = 32, 128  # directions in which the enclosure of a place is measured; steps of a ray
 LARGEST_LOG, SMALLEST_LOG = 40.0, -40.0  # of log-scales that are taken as they are
 
 
@@ -88,14 +89,6 @@ def matter_of(scene: Scene) -> Matter:
     return Matter(scene.means[rows].astype(np.float64), scales, quats, opacities, step)
 
 
-def share_below(values: np.ndarray, weights: np.ndarray, share: float) -> float:
-    """The value (weighted quantile) below which this share of the weights lies. values, weights: (P,), P >
-    0."""
-    order = np.argsort(values, kind="stable")
-    total = np.cumsum(weights[order])
-    return float(np.interp(share, (total - weights[order] / 2) / total[-1], values[order]))
-
-
 @dataclass(frozen=True)
 class Space:
     """The grid, and where it lies in the world."""
@@ -108,12 +101,10 @@ class Space:
     def of(cls, matter: Matter) -> Space:
         """The space around the matter."""
         weights = matter.opacities
-        centre = np.array([share_below(axis, weights, 0.5) for axis in matter.means.T])
-        half = WIDER * share_below(np.abs(matter.means - centre).max(axis=1), weights, MIDDLE)
-        least = share_below(matter.widths, weights, 0.5)
-        space = cls(
-            centre, max(half, least, 1e-6 * float(np.abs(centre).max()), 1e-6), np.zeros((CELLS,) * 3)
-        )
+        centre = np.array([weighted_quantiles(axis, weights, 0.5) for axis in matter.means.T])
+        half = WIDER * weighted_quantiles(np.abs(matter.means - centre).max(axis=1), weights, MIDDLE)
+        least = max(weighted_quantiles(matter.widths, weights, 0.5), 1e-6 * np.abs(centre).max(), 1e-6)
+        space = cls(centre, float(max(half, least)), np.zeros((CELLS,) * 3))
         space._fill(matter)
         return space
 

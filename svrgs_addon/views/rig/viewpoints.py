@@ -1,5 +1,4 @@
-"""Places from which a splat can be looked at, and the cameras there: around an object, or within a room, a
-street or a sky."""
+"""Viewpoints for a splat, and the cameras there: around an object, or within a room, a street or a sky."""
 
 from __future__ import annotations
 
@@ -9,15 +8,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...native.library import thresholds
+from ...scene.bounds import weighted_quantiles
 from ...scene.camera import Camera
-from .space import CELLS, FREE, Matter, Space, connected, share_below, sphere
+from .space import CELLS, FREE, Matter, Space, connected, sphere
 
 AROUND_FOV, WITHIN_FOV = 0.9, 1.3  # angle of view in radians, of a square picture
 SMALLEST, LARGEST, STEP = 512, 1024, 32  # side of a picture, pixels; a multiple of STEP
 # a place counts as within matter from this enclosure on; a scene is inside-out from this share of such places
 # on
 ENCLOSED, INSIDE_OUT = 0.5, 0.4
-PROBED = 128  # places whose enclosure is looked at, to tell both kinds of scene apart
+PROBED = 128  # places whose enclosure is measured, to tell both kinds of scene apart
 STANDING = 512  # places within a scene from which cameras are chosen
 BULK = 0.05, 0.95  # quantiles of opacity along each axis: the box in which the middle of the scene is
 FRAME = 0.99  # share of the opacity of a body that fits into a picture of it
@@ -33,7 +33,7 @@ PER_PLACE, AIMED = 8, 3
 
 @dataclass(frozen=True)
 class View:
-    """A place, a point that is looked at, and the tangent of half the angle of view."""
+    """An eye, its target, and the tangent of half the angle of view."""
 
     eye: np.ndarray  # (3,) world
     target: np.ndarray  # (3,) world
@@ -50,9 +50,8 @@ class View:
         viewmat[:3, :3] = right, np.cross(forward, right), forward
         viewmat[:3, 3] = -viewmat[:3, :3] @ self.eye
         focal = side / 2 / self.tangent
-        return Camera(
-            viewmat, np.array([[focal, 0, side / 2], [0, focal, side / 2], [0, 0, 1]]), side, side, name
-        )
+        K = np.array([[focal, 0, side / 2], [0, focal, side / 2], [0, 0, 1]])
+        return Camera(viewmat, K, side, side, name)
 
 
 @dataclass(frozen=True)
@@ -70,17 +69,13 @@ class Body:
 
     def view(self, direction: np.ndarray, nearness: float = 1.0, aim: np.ndarray | float = 0.0) -> View:
         """The view from a direction (3,), a unit vector. nearness: factor on the distance. aim: (3,) offset
-        of the point that is looked at."""
+        of the target from the centre."""
         tangent = math.tan(AROUND_FOV / 2)
         distance = self.distance(tangent)
         # of a small body from as near as can be: a smaller angle
         fitting = math.tan(math.asin(min(1.0, self.radius / distance)))
-        least = self.radius + ROOM * thresholds().near
-        return View(
-            self.centre + max(least, nearness * distance) * direction,
-            self.centre + aim,
-            min(tangent, fitting),
-        )
+        distance = max(self.radius + ROOM * thresholds().near, nearness * distance)
+        return View(self.centre + distance * direction, self.centre + aim, min(tangent, fitting))
 
 
 class Around:
@@ -103,11 +98,10 @@ class Around:
         return math.tan(AROUND_FOV / 2)
 
     def distances(self) -> tuple[np.ndarray, np.ndarray]:
-        """Rows of the matter, (P,), and how far away they are looked at, (P,)."""
+        """Rows of the matter, (P,), and the distances from which views show them, (P,)."""
         rows = np.concatenate([body.rows for body in self.bodies])
-        return rows, np.concatenate(
-            [np.full(len(body.rows), body.distance(self.tangent)) for body in self.bodies]
-        )
+        counts = [len(body.rows) for body in self.bodies]
+        return rows, np.repeat([body.distance(self.tangent) for body in self.bodies], counts)
 
     def views(self, count: int, rng: np.random.Generator, close: float = 0.1) -> list[View]:
         """About `count` views. close: share of those that show a part from nearer."""
@@ -116,9 +110,8 @@ class Around:
         total = sum(len(body.rows) for body in self.shown)
         for body in self.shown:
             for direction in sphere(max(OF_BODY, wide * len(body.rows) // total), rng.uniform(0, 2 * np.pi)):
-                views.append(
-                    body.view(direction, math.exp(rng.uniform(math.log(NEAREST), math.log(FARTHEST))))
-                )
+                nearness = math.exp(rng.uniform(math.log(NEAREST), math.log(FARTHEST)))
+                views.append(body.view(direction, nearness))
         views += [self.close_view(rng) for _ in range(count - wide)]
         return [view for view in map(self.freed, views) if view is not None]
 
@@ -131,20 +124,16 @@ class Around:
         return part.view(outward / np.linalg.norm(outward))
 
     def other_views(self, count: int, rng: np.random.Generator) -> list[View]:
-        """Views for testing: other directions, distances and points that are looked at."""
+        """Views for testing: other directions, distances and targets."""
         views: list[View] = []
         for _ in range(TRIES * count):
             body = self.shown[0 if len(views) % 8 else len(views) // 8 % len(self.shown)]
             if len(views) % 8 == 7:
                 view = self.freed(self.close_view(rng))
             else:
-                view = self.freed(
-                    body.view(
-                        _direction(rng),
-                        rng.uniform(NEAREST, FARTHEST),
-                        0.2 * body.radius * rng.standard_normal(3),
-                    )
-                )
+                direction, nearness = _direction(rng), rng.uniform(NEAREST, FARTHEST)
+                aim = 0.2 * body.radius * rng.standard_normal(3)
+                view = self.freed(body.view(direction, nearness, aim))
             views += [view] if view is not None else []
             if len(views) == count:
                 break
@@ -157,9 +146,8 @@ class Around:
         length = np.linalg.norm(arm)
         arm = arm / length + 0.35 * _direction(rng)
         eye = view.target + length * rng.uniform(0.75, 1.1) * arm / np.linalg.norm(arm)
-        return self.freed(
-            View(eye, view.target + rng.uniform(0.3, 0.9) * (target - view.target), view.tangent)
-        )
+        target = view.target + rng.uniform(0.3, 0.9) * (target - view.target)
+        return self.freed(View(eye, target, view.tangent))
 
     def freed(self, view: View) -> View | None:
         """The view from the nearest free place farther away in its direction; None if there is none."""
@@ -178,7 +166,8 @@ class Within:
     def __init__(self, matter: Matter, space: Space):
         self.matter, self.space = matter, space
         self.places = standing_places(matter, space)  # (P, 3)
-        self.middle = _middle(matter)
+        middle = np.flatnonzero(_in_bulk(matter, matter.means))
+        self.middle = middle if len(middle) else np.arange(len(matter.means))  # rows of the matter
 
     @property
     def tangent(self) -> float:
@@ -245,7 +234,7 @@ def enclosed_share(matter: Matter, space: Space) -> float:
 
     An object leaves much of its box empty, but outside of it; a room is empty inside.
     """
-    inside = np.flatnonzero(_in_bulk(matter, space))
+    inside = np.flatnonzero(_in_bulk(matter, space.places(np.arange(CELLS**3))))
     empty = inside[space.depth.reshape(-1)[inside] < FREE]
     if not len(empty):
         return 0.0
@@ -257,7 +246,7 @@ def standing_places(matter: Matter, space: Space) -> np.ndarray:
     """(P, 3) the middles of free cells within the scene, at most STANDING, that are connected to each other.
     P may be 0."""
     free = space.free()
-    cells = np.flatnonzero(free.reshape(-1) & _in_bulk(matter, space))
+    cells = np.flatnonzero(free.reshape(-1) & _in_bulk(matter, space.places(np.arange(CELLS**3))))
     cells = cells[np.linspace(0, len(cells) - 1, min(STANDING, len(cells))).astype(np.int64)]
     cells = cells[space.enclosure(space.places(cells)) >= ENCLOSED] if len(cells) else cells
     best, left = cells[:0], cells
@@ -299,36 +288,24 @@ def bodies_of(matter: Matter, space: Space) -> list[Body]:
 def body_of(matter: Matter, rows: np.ndarray) -> Body:
     """The sphere around some rows of the matter."""
     means, weights = matter.means[rows], matter.opacities[rows]
-    ends = [[share_below(axis, weights, share) for share in (1 - FRAME, FRAME)] for axis in means.T]
-    centre = np.mean(ends, axis=1)
-    radius = share_below(np.linalg.norm(means - centre, axis=1) + matter.widths[rows], weights, FRAME)
-    return Body(centre, radius, rows)
+    centre = np.mean([weighted_quantiles(axis, weights, (1 - FRAME, FRAME)) for axis in means.T], axis=1)
+    reach = np.linalg.norm(means - centre, axis=1) + matter.widths[rows]
+    return Body(centre, float(weighted_quantiles(reach, weights, FRAME)), rows)
 
 
 def side_of(setting: Around | Within, enlarged: float = 1.0) -> int:
     """The side of a picture in pixels at which a pixel is as wide as half of all Gaussians, within limits.
-    enlarged: how much wider they are than those that are looked at in the end."""
+    enlarged: how much wider they are than those of the result."""
     rows, distances = setting.distances()
-    focal = share_below(distances / setting.matter.widths[rows], setting.matter.opacities[rows], 0.5)
+    matter = setting.matter
+    focal = float(weighted_quantiles(distances / matter.widths[rows], matter.opacities[rows], 0.5))
     return int(np.clip(round(2 * setting.tangent * focal * enlarged / STEP) * STEP, SMALLEST, LARGEST))
 
 
-def _in_bulk(matter: Matter, space: Space) -> np.ndarray:
-    """(CELLS³,) bool: cells in the box between the quantiles BULK."""
-    low, high = np.array(
-        [[share_below(axis, matter.opacities, share) for share in BULK] for axis in matter.means.T]
-    ).T
-    places = space.places(np.arange(CELLS**3))
-    return ((places > low) & (places < high)).all(axis=1)
-
-
-def _middle(matter: Matter) -> np.ndarray:
-    """Rows of the matter between the quantiles BULK along each axis; all if there are none."""
-    low, high = np.array(
-        [[share_below(axis, matter.opacities, share) for share in BULK] for axis in matter.means.T]
-    ).T
-    rows = np.flatnonzero(((matter.means >= low) & (matter.means <= high)).all(axis=1))
-    return rows if len(rows) else np.arange(len(matter.means))
+def _in_bulk(matter: Matter, places: np.ndarray) -> np.ndarray:
+    """(P,) bool: the places (P, 3) in the box between the quantiles BULK of the matter."""
+    low, high = np.array([weighted_quantiles(axis, matter.opacities, BULK) for axis in matter.means.T]).T
+    return ((places >= low) & (places <= high)).all(axis=1)
 
 
 def _direction(rng: np.random.Generator) -> np.ndarray:

@@ -9,7 +9,7 @@ RECENT = 0.5  # weight of the newest loss in the smoothed loss of a view
 MIN_SIDE = 16  # pixels: no photograph is reduced to a shorter side
 
 
-class Views:
+class ViewOrder:
     """The order of the training views. Each epoch has its own permutation, keyed by (seed, epoch).
 
     by_loss: an epoch leaves out a quarter of the views: those of lowest smoothed loss among the ones that the
@@ -32,9 +32,8 @@ class Views:
     def shown(self, view: int, loss: float):
         """Records that `view`, the first of rest(), was shown, and its image loss."""
         k = self.places[view]
-        self.losses[k] = (
-            loss if np.isnan(self.losses[k]) else self.losses[k] + RECENT * (loss - self.losses[k])
-        )
+        before = self.losses[k]
+        self.losses[k] = loss if np.isnan(before) else before + RECENT * (loss - before)
         self.position += 1
         if self.position == len(self.indices) - self.left_out.sum():
             self.epoch, self.position = self.epoch + 1, 0
@@ -64,10 +63,8 @@ def as_real(image: np.ndarray, dtype, factor: int = 1) -> np.ndarray:
     if factor == 1:
         return np.ascontiguousarray(image, dtype) if scale == 1 else np.multiply(image, scale, dtype=dtype)
     height, width = image.shape[0] // factor, image.shape[1] // factor
-    rows = sum_of(
-        np.uint16 if image.dtype == np.uint8 else dtype,
-        [image[k : height * factor : factor] for k in range(factor)],
-    )
+    sums = np.uint16 if image.dtype == np.uint8 else dtype
+    rows = sum_of(sums, [image[k : height * factor : factor] for k in range(factor)])
     reduced = np.empty((height, width, 3), dtype)
     # one channel at a time, so that NumPy's inner loop runs along rows: 2 to 9 times as fast
     for channel in range(3):

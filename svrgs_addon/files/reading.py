@@ -19,7 +19,7 @@ SHORTER = "became shorter while it was read; try again when no program writes it
 
 
 @contextlib.contextmanager
-def opened(path: str | os.PathLike) -> Iterator[BinaryIO]:
+def open_splat(path: str | os.PathLike) -> Iterator[BinaryIO]:
     """Yields the file. FormatErrors of the block get its name in front; an OSError becomes a FormatError."""
     try:
         if not Path(path).is_file():

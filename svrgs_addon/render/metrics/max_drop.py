@@ -1,5 +1,5 @@
-"""What the format of an output loses in PSNR: the values that it stores in few bits. It counts in an allowed
-drop (--max-drop)."""
+"""An allowed drop in PSNR (--max-drop): what the format of the output takes of it, because it stores values
+in few bits, and whether the result holds it."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ import math
 from collections.abc import Callable
 from pathlib import Path
 
-from ...files.registry import as_held, format_to_write
+from ...files.registry import as_stored, format_to_write
 from ...scene.gaussians import Scene
 from ...system.errors import SceneError
 from ...views.rendered import PHOTOGRAPHED
-from .psnr import with_error
+from .measures import with_error
 
 HALF = 3.01  # dB: half of the squared error
+CLEARLY = 1.2  # times the allowed drop: a larger one is reported
 # PSNR of a scene in dB, where a drop is allowed and there are no photographs
 ASSUMED = with_error(math.inf, PHOTOGRAPHED)
 
@@ -24,7 +25,7 @@ def format_loss(out: Path, scene: Scene, psnr_of: Callable[[Scene], float], allo
     splat_format = format_to_write(out)
     if splat_format.lossless:
         return 0.0
-    loss = max(0.0, psnr_of(scene) - psnr_of(as_held(scene, splat_format)))
+    loss = max(0.0, psnr_of(scene) - psnr_of(as_stored(scene, splat_format)))
     refuse_loss(out, loss, allowed)
     return loss
 
@@ -46,4 +47,15 @@ def loss_notes(values: float, stored: float) -> list[str]:
     return [
         f"the format of the output loses more than pruning: {values:.1f} dB before it was written,"
         f" {stored:.1f} dB after; another one may lose less"
+    ]
+
+
+def missed_drop(lost: float | None, allowed: float) -> list[str]:
+    """A sentence if a result has lost clearly more PSNR than was allowed, both in dB: what the steps will win
+    back is estimated before them. lost: None where no drop is allowed."""
+    if lost is None or not lost > CLEARLY * allowed:
+        return []
+    return [
+        f"the result loses {lost:.2f} dB, more than the {allowed:g} dB that were allowed; allow less, or set"
+        " a number of Gaussians that keeps more of them"
     ]

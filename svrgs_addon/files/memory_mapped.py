@@ -13,8 +13,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from ..native.library import PARAMETERS
-from ..scene.gaussians import Scene
+from ..scene.gaussians import PARAMETERS, Scene
 from ..system.errors import SceneError
 from .disk_space import existing_parent
 
@@ -22,7 +21,7 @@ LARGE = 1 << 29  # bytes of an array that array_for() puts into a file
 
 
 @contextlib.contextmanager
-def spooled(parts: Iterable[Scene], out: str | os.PathLike) -> Iterator[Scene]:
+def mapped_scene(parts: Iterable[Scene], out: str | os.PathLike) -> Iterator[Scene]:
     """Yields the scene of parts with the same columns, at least one; each is done with before the next one is
     asked for. out: the output, in whose folder there is space. Raises SceneError if there is not."""
     with contextlib.ExitStack() as stack:
@@ -33,13 +32,18 @@ def spooled(parts: Iterable[Scene], out: str | os.PathLike) -> Iterator[Scene]:
             for name, column in columns.items():
                 if name not in files:
                     files[name] = stack.enter_context(_file_beside(out))
-                _append(files[name], column, out)
+                with _errors_of(out):
+                    files[name].write(np.ascontiguousarray(column).data.cast("B") if column.size else b"")
             count += part.count
         assert first is not None
-        arrays: dict[str, Any] = {
-            name: _mapped(files[name], column.dtype, (count, *column.shape[1:]))
-            for name, column in _columns(first).items()
-        }
+        arrays: dict[str, Any] = {}
+        for name, column in _columns(first).items():
+            shape = (count, *column.shape[1:])
+            files[name].flush()
+            if np.prod(shape):
+                arrays[name] = np.asarray(np.memmap(files[name], column.dtype, "r", shape=shape))
+            else:
+                arrays[name] = np.empty(shape, column.dtype)
         yield replace(
             first,
             **{name: arrays[name] for name in PARAMETERS},
@@ -79,16 +83,6 @@ def _columns(scene: Scene) -> dict[str, np.ndarray]:
 def _file_beside(out: str | os.PathLike) -> Any:
     with _errors_of(out):
         return tempfile.TemporaryFile(dir=existing_parent(Path(out).absolute().parent))  # noqa: SIM115 (callers close it)
-
-
-def _append(file: IO[bytes], column: np.ndarray, out: str | os.PathLike):
-    with _errors_of(out):
-        file.write(np.ascontiguousarray(column).data.cast("B") if column.size else b"")
-
-
-def _mapped(file: IO[bytes], dtype: np.dtype, shape: tuple[int, ...]) -> np.ndarray:
-    file.flush()
-    return np.asarray(np.memmap(file, dtype, "r", shape=shape)) if np.prod(shape) else np.empty(shape, dtype)
 
 
 @contextlib.contextmanager
