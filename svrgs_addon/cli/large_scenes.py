@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import functools
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -12,11 +13,10 @@ from ..files.registry import format_to_read
 from ..jobs.farm.engine_messages import Messages
 from ..native import library
 from ..prune.blocks.divided import Divided, clear, divide
-from ..prune.blocks.folder import measured_views, prepare, refuse_foreign, scored_views
+from ..prune.blocks.folder import prepare, refuse_foreign, scored_views
 from ..prune.blocks.learning import decide, prepare_around, recover, targets
-from ..prune.blocks.likeness import Likeness
 from ..prune.blocks.merging import merge, reduce
-from ..prune.blocks.pruning import finish, finish_learned
+from ..prune.blocks.pruning import finish, finish_learned, original_likeness
 from ..prune.blocks.request import Request
 from ..prune.blocks.sample import finer, refuse_hidden, sample_of
 from ..prune.blocks.scoring import score
@@ -69,7 +69,8 @@ def as_text(words: argparse.Namespace, result: dict[str, Any]) -> str:
     merged = (
         f" ({result['psnr_merged']:.2f} dB before fine-tuning)" if result["psnr_merged"] is not None else ""
     )
-    against = f"; PSNR {result['psnr']:.2f} dB against {measure}{merged}" if result["views"] else ""
+    psnr = result["psnr"]  # NaN without views that are held out
+    against = "" if math.isnan(psnr) else f"; PSNR {psnr:.2f} dB against {measure}{merged}"
     lines = [
         f"kept {after['count']:,} of {before['count']:,} Gaussians"
         f" ({after['count'] / before['count']:.1%}){against}; saved {result['out']}"
@@ -230,8 +231,10 @@ def _finish(words: argparse.Namespace) -> dict[str, Any]:
     check_files(divided.source, [words.out])
     told = functools.partial(_told, words)
     if request is not None:
-        return finish_learned(divided, request, request.dataset(), words.out, told)
-    return finish(divided, Likeness(divided, measured_views(words.work), told), words.out, told)
+        result = finish_learned(divided, request, request.dataset(), words.out, told)
+    else:
+        result = finish(divided, original_likeness(divided, told), words.out, told)
+    return result | {"views": len(scored_views(words.work))}
 
 
 def _views(words: argparse.Namespace) -> tuple[list[Camera], list[Camera]]:

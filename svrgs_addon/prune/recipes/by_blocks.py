@@ -22,7 +22,6 @@ from ...scene.camera import Camera
 from ...system.errors import Cancelled
 from ...views.dataset import Dataset
 from ..blocks.allowed_drop import (
-    drop,
     errors_of_format,
     fewest_above,
     fewest_within,
@@ -30,28 +29,27 @@ from ..blocks.allowed_drop import (
     read_number,
     write_number,
 )
-from ..blocks.block_rasterizer import opened
+from ..blocks.block_rasterizer import BlockRasterizer, opened
 from ..blocks.block_size import as_memory_allows
 from ..blocks.divided import Divided, Tell, Told, divide
 from ..blocks.folder import (
     LEVEL,
     SCORED,
     blocks_of,
-    measured_views,
     prepare,
     refuse_foreign,
     remove,
     scored_views,
 )
 from ..blocks.learning import AROUND_SHARE, decide, prepare_around, recover, targets
-from ..blocks.likeness import Likeness, PhotographLikeness
 from ..blocks.merging import merge, reduce
-from ..blocks.pruning import finish, finish_learned, join_levels, write_left
+from ..blocks.pruning import finish, finish_learned, join_levels, original_likeness, write_left
 from ..blocks.request import Request
 from ..blocks.scoring import score
 from ..blocks.tasks import Overall, Tasks
 from ..blocks.tuning import EPOCHS, cut, tune
 from ..context import JobContext
+from ..likeness import PhotographLikeness, assumed_drop
 from ..report.prune_report import write_report_of_files
 
 # views that are scored and tuned on; those on which the result is measured; what the user must know of them
@@ -138,7 +136,7 @@ class ByBlocks:
         }
         after |= result["after"]
         notes = [f"{self.reason}; so it was pruned by blocks{how}", *self.notes, *result["notes"]]
-        facts = {"views": len(self.scored), "seconds": time.perf_counter() - self.begun, "notes": notes}
+        facts = {"seconds": time.perf_counter() - self.begun, "notes": notes}
         return {**result, **after, "after": after, **facts}
 
 
@@ -163,7 +161,8 @@ class MergedByBlocks(ByBlocks):
         block = self.block or as_memory_allows(self.scored, PICTURES)
         self.divided = divide(self.source, work, block, self.overall("divide"))
         _check_room(work, self.divided, goal)
-        self.likeness, self.errors = Likeness(self.divided, measured_views(work), self.overall), list[float]()
+        self.likeness = original_likeness(self.divided, self.overall)
+        self.errors = list[float]()
         if goal.max_drop:
             self.errors = errors_of_format(
                 self.divided, self.likeness, goal.max_drop, self.job.out, self.overall
@@ -209,9 +208,10 @@ class MergedByBlocks(ByBlocks):
             for share, result in zip(goal.levels, results[1:], strict=True)
         ]
         notes = loss_notes(results[0]["psnr_values"], results[0]["psnr"])
-        result = {**results[0], "levels": levels, "drop": None, "notes": notes}
+        facts = {"views": len(self.scored), "levels": levels, "drop": None, "notes": notes}
+        result = {**results[0], **facts}
         if goal.max_drop:
-            result |= _of_drop(result, drop(result["psnr"]), goal)
+            result |= _of_drop(result, assumed_drop(result["psnr"]), goal)
         return self.of_prune(result, f", and fine-tuned in {EPOCHS} steps for each view")
 
     def close(self):
@@ -257,7 +257,7 @@ class LearnedByBlocks(ByBlocks):
         blocks = len(divided.blocks)
         self.wanted = goal.number(divided.count) if goal.count or goal.share else 0
         self.tasks.total = 3 + bool(goal.max_drop) + blocks * (2 if self.request.recovery else 1)
-        self.likeness, self.floor = PhotographLikeness(dataset, self.told), 0.0
+        self.likeness, self.floor = PhotographLikeness(dataset, BlockRasterizer, self.told), 0.0
         if goal.max_drop and ALLOWED not in self.tasks.done:  # may refuse
             self.floor = floor_on_photographs(
                 divided, self.likeness, goal.max_drop, plan, self.job.out, self.told
@@ -300,7 +300,7 @@ class LearnedByBlocks(ByBlocks):
         self.finished = True
 
     def measure(self) -> dict[str, Any]:
-        result = self.result
+        result = self.result | {"views": len(self.scored)}
         if self.goal.max_drop:
             result |= _of_drop(result, result["before"]["psnr"] - result["psnr"], self.goal)
         result = self.of_prune(result, "")

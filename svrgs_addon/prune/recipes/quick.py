@@ -8,11 +8,9 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import replace
-from functools import cached_property
 from pathlib import Path
-from statistics import fmean
 from typing import Any
 
 import numpy as np
@@ -21,27 +19,26 @@ from ...files.level_files import write_with_levels
 from ...files.registry import format_to_write, invisible, load_scene, size_on_disk
 from ...finetune.decimate.order import MOST_HIDDEN, NORMALS, Order, hidden, looks, lost_columns, order_of
 from ...finetune.decimate.saved_order import write_order
-from ...finetune.quality import LEAST
-from ...finetune.refit import SHARES, USUAL, Look, interpolated, middle_scale, pace_at, refit
+from ...finetune.quality import LEAST, best_share
+from ...finetune.refit import USUAL, Look, interpolated, middle_scale, pace_at, refit
 from ...native.library import thresholds
 from ...native.rasterizer import Rasterizer
-from ...render.metrics import flip, psnr, ssim
-from ...render.metrics.evaluate import picture_options, render_options, rounded_to_8_bits
-from ...render.metrics.format_loss import ASSUMED, loss_notes
+from ...render.metrics.evaluate import render_options
+from ...render.metrics.format_loss import loss_notes
 from ...render.metrics.missed_drop import missed_drop
-from ...render.metrics.psnr import with_error
 from ...scene.affine import scaled
 from ...scene.camera import Camera, evenly
 from ...scene.gaussians import Scene
 from ...system import memory
 from ...system.errors import Cancelled, SceneError
 from ...views.dataset import load_dataset
-from ...views.rendered import PHOTOGRAPHED, RenderedDataset
+from ...views.rendered import RenderedDataset
 from ...views.rig.around import DISTANCE, cameras_around, middle_and_radius
 from ...views.rig.place import quick_rig
 from ..context import JobContext
 from ..disk_room import ROW
 from ..door import check_options, check_views
+from ..likeness import Likeness, assumed_drop, assumed_psnr
 from ..options import PruneOptions
 from ..smallest_file import smallest_file
 
@@ -119,11 +116,11 @@ class Quick:
 
     def budget(self):
         options = self.options
-        self.likeness = _Likeness(self.enlarged, evenly(self.test, DROP_VIEWS), self.rasterizer, options)
+        self.likeness = self._likeness(evenly(self.test, DROP_VIEWS))
         self.count, self.quantise = self.wanted, 1.0
         if options.max_drop:
             self.count, self.quantise = smallest_file(
-                self.order, self.wanted, self.likeness.psnr, self.job.out, options.max_drop, 1 / self.factor
+                self.order, self.wanted, self._psnr, self.job.out, options.max_drop, 1 / self.factor
             )
 
     def select(self):
@@ -131,11 +128,8 @@ class Quick:
         self.scenes = [self.order.at(count) for count in counts]
 
     def tune(self):
-        shown = list(map(Look, self.cameras, self.pictures))
-        self.scenes = [
-            _tuned(small, small.count / self.scene.count, self.likeness, shown, self.options, self.job.stop)
-            for small in self.scenes
-        ]
+        looks = list(map(Look, self.cameras, self.pictures))
+        self.scenes = [self._tuned(small, looks) for small in self.scenes]
 
     def write(self):
         scenes = [scaled(scene, 1 / self.factor) for scene in self.scenes]
@@ -144,7 +138,7 @@ class Quick:
             self.notes += _kept(self.job.order, self.order, self.visible, self.source.count, 1 / self.factor)
 
     def measure(self) -> dict[str, Any]:
-        options, job = self.options, self.job
+        options = self.options
         facts: dict[str, Any] = {
             "method": "quick",
             "seconds": time.perf_counter() - self.begun,
@@ -153,21 +147,15 @@ class Quick:
             "hidden": self.hidden,
         }
         before = {"count": self.source.count, "bytes": size_on_disk(options.scene or "")}
+        likeness = self._likeness(self.test)
         after, *levels = (
-            _measured(scaled(one.scene, self.factor), self.enlarged, self.test, self.rasterizer, options)
-            | {"bytes": one.bytes, "out": str(one.path)}
+            likeness.measured(scaled(one.scene, self.factor))
+            | {"lpips": None, "count": one.scene.count, "bytes": one.bytes, "out": str(one.path)}
             for one in self.written
         )
         facts["levels"] = [{"share": share, **one} for share, one in zip(options.levels, levels, strict=True)]
-        facts["drop"] = ASSUMED - with_error(after["psnr"], PHOTOGRAPHED) if options.max_drop else None
-        stored = self.written[0].scene
-        notes = [
-            *self.notes,
-            *_of_hidden(self.hidden),
-            *_of_quantise(self.quantise),
-            *_lost(job.out, self.source, self.scenes[0], stored, self.factor, self.likeness),
-            *missed_drop(facts["drop"], options.max_drop),
-        ]
+        facts["drop"] = assumed_drop(after["psnr"]) if options.max_drop else None
+        notes = [*self.notes, *self._result_notes(), *missed_drop(facts["drop"], options.max_drop)]
         return {
             **after,
             "scene": str(options.scene),
@@ -179,6 +167,43 @@ class Quick:
 
     def close(self):
         """It holds nothing."""
+
+    def _likeness(self, cameras: list[Camera]) -> Likeness:
+        return Likeness(self.enlarged, cameras, lambda: self.rasterizer, self.options.background)
+
+    def _psnr(self, scene: Scene) -> float:
+        """PSNR in dB on some views, if the original had the error PHOTOGRAPHED."""
+        return assumed_psnr(self.likeness.psnrs(scene))
+
+    def _tuned(self, small: Scene, looks: list[Look]) -> Scene:
+        """The scene fine-tuned on the pictures. Where that does harm in other views, it is interpolated with
+        the scene before the steps. Raises Cancelled."""
+        options, share = self.options, small.count / self.scene.count
+        if share == 1:
+            return small
+        steps, pace, middle = _steps(share), pace_at(share), middle_scale(small.log_scales)
+        settings = render_options(small, options.background)
+        try:
+            tuned = refit(small, looks, steps, pace, middle, settings, options.seed, self.job.stop)
+        except Cancelled:
+            raise Cancelled(NOT_FINISHED) from None
+        mixed = lambda part: interpolated(small, tuned, part) if part < 1 else tuned
+        return mixed(best_share(lambda part: self._psnr(mixed(part)))[0])
+
+    def _result_notes(self) -> Iterator[str]:
+        """What the user must know of the result that was written."""
+        pruned, stored = self.scenes[0], self.written[0].scene
+        if self.hidden:
+            yield f"{self.hidden:,} Gaussians are hidden in all views, so they are removed or merged first"
+        if self.quantise != 1:
+            yield (
+                "spherical harmonics are stored more coarsely, as by svrgs convert --quantise"
+                f" {self.quantise:g}: that makes the smallest file"
+            )
+        yield from lost_columns(self.source, stored, (*NORMALS, ROW))
+        if not format_to_write(self.job.out).lossless:
+            psnr = self.likeness.psnr
+            yield from loss_notes(psnr(pruned), psnr(scaled(stored, self.factor)))
 
 
 def like_quick(options: PruneOptions, scene: Scene) -> tuple[PruneOptions, RenderedDataset]:
@@ -201,19 +226,6 @@ def refuse_options(options: PruneOptions):
         )
 
 
-def _lost(
-    out: Path, source: Scene, pruned: Scene, stored: Scene, factor: float, likeness: _Likeness
-) -> list[str]:
-    """Sentences about what the output cannot hold. pruned: the scene that was written, enlarged by `factor`.
-    stored: the scene that is read from the output."""
-    columns = lost_columns(source, stored, (*NORMALS, ROW))
-    return (
-        columns
-        if format_to_write(out).lossless
-        else [*columns, *loss_notes(likeness.psnr(pruned, 0.0), likeness.psnr(scaled(stored, factor), 0.0))]
-    )
-
-
 def _kept(folder: Path, order: Order, rows: np.ndarray, total: int, factor: float) -> list[str]:
     """Writes the order. The result counts without it: a sentence if it cannot be written."""
     try:
@@ -229,82 +241,6 @@ def _wanted(options: PruneOptions, count: int) -> int:
     if options.max_drop:
         return math.ceil(LEAST * count)
     return options.target_count or max(1, round((options.target or 1.0) * count))
-
-
-class _Likeness:
-    """How much scenes look like the original, in some views. The original's pictures are rendered when they
-    are needed for the first time."""
-
-    def __init__(self, original: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: PruneOptions):
-        self._original, self._cameras, self._rasterizer = original, cameras, rasterizer
-        self._settings = picture_options(original, options.background)
-
-    @cached_property
-    def _originals(self) -> list[np.ndarray]:
-        return [self._picture(self._original, camera) for camera in self._cameras]
-
-    def psnr(self, scene: Scene, error: float = PHOTOGRAPHED) -> float:
-        """Mean PSNR in dB against the original. error: mean squared error of the original itself, colours in
-        0..1."""
-        pairs = zip(self._cameras, self._originals, strict=True)
-        return fmean(
-            with_error(psnr(self._picture(scene, camera), original), error) for camera, original in pairs
-        )
-
-    def _picture(self, scene: Scene, camera: Camera) -> np.ndarray:
-        return rounded_to_8_bits(self._rasterizer.forward(scene, camera, self._settings)["rgb"])
-
-
-def _tuned(
-    small: Scene,
-    share: float,
-    likeness: _Likeness,
-    shown: list[Look],
-    options: PruneOptions,
-    stop: Callable[[], bool],
-) -> Scene:
-    """The scene fine-tuned on the pictures. Where that does harm in other views, it is interpolated with the
-    scene before the steps. share: of the Gaussians of the original. Raises Cancelled."""
-    if share == 1:
-        return small
-    try:
-        settings = render_options(small, options.background)
-        tuned = refit(
-            small,
-            shown,
-            _steps(share),
-            pace_at(share),
-            middle_scale(small.log_scales),
-            settings,
-            options.seed,
-            stop,
-        )
-    except Cancelled:
-        raise Cancelled(NOT_FINISHED) from None
-    best, highest = tuned, likeness.psnr(tuned)
-    for part in SHARES:
-        scene = interpolated(small, tuned, part)
-        if (found := likeness.psnr(scene)) <= highest:
-            break
-        best, highest = scene, found
-    return best
-
-
-def _of_hidden(count: int) -> list[str]:
-    return (
-        [f"{count:,} Gaussians are hidden in all views, so they are removed or merged first"] if count else []
-    )
-
-
-def _of_quantise(factor: float) -> list[str]:
-    return (
-        [
-            f"spherical harmonics are stored more coarsely, as by svrgs convert --quantise {factor:g}: that"
-            " makes the smallest file"
-        ]
-        if factor != 1
-        else []
-    )
 
 
 def _steps(share: float) -> int:
@@ -363,26 +299,3 @@ def _enlarged(scene: Scene) -> tuple[Scene, float]:
     _, radius = middle_and_radius(scene)
     least = NEAREST * thresholds().near / DISTANCE
     return (scene, 1.0) if radius >= least else (scaled(scene, least / radius), least / radius)
-
-
-def _measured(
-    scene: Scene, original: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: PruneOptions
-) -> dict:
-    """Means over the views of psnr (dB), ssim and flip against the original, and the count. The PSNR of equal
-    pictures counts as 100 dB."""
-    settings, rows, seconds = picture_options(original, options.background), [], []
-    for camera in cameras:
-        started = time.perf_counter()
-        image = rounded_to_8_bits(rasterizer.forward(scene, camera, settings)["rgb"])
-        seconds.append(time.perf_counter() - started)
-        target = rounded_to_8_bits(rasterizer.forward(original, camera, settings)["rgb"])
-        rows.append((min(psnr(image, target), 100.0), ssim(image, target), flip(image, target)))
-    values = [fmean(column) for column in zip(*rows, strict=True)]
-    return {
-        "psnr": values[0],
-        "ssim": values[1],
-        "flip": values[2],
-        "lpips": None,
-        "count": scene.count,
-        "ms_per_frame": 1e3 * fmean(seconds),
-    }

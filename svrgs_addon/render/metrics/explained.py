@@ -9,7 +9,7 @@ import numpy as np
 
 from ...files.images import to_float
 from ...native.rasterizer import Rasterizer
-from ...scene.camera import Camera
+from ...scene.camera import Camera, evenly
 from ...views.dataset import Dataset
 from .arrays import image_pair
 from .evaluate import Renderable, Renderer, picture_options
@@ -37,7 +37,7 @@ def explained(image: np.ndarray, photo: np.ndarray) -> float:
 def sample_views(dataset: Dataset) -> list[tuple[Camera, np.ndarray]]:
     """Some views of the dataset and their photographs (H, W, 3) float32, reduced to about SIDE pixels. Raises
     FormatError, SceneError."""
-    chosen = np.unique(np.linspace(0, len(dataset.cameras) - 1, VIEWS).round().astype(int))
+    chosen = evenly(range(len(dataset.cameras)), VIEWS)
     return [_reduced(dataset.cameras[index], to_float(dataset.image(index))) for index in chosen]
 
 
