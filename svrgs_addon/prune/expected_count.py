@@ -20,7 +20,7 @@ from ..finetune.views import as_real
 from ..native.rasterizer import Rasterizer
 from ..render.metrics.evaluate import picture_options, render_options, rounded_to_8_bits
 from ..render.metrics.psnr import psnr, with_error
-from ..scene.camera import Camera
+from ..scene.camera import Camera, spaced
 from ..scene.gaussians import Scene
 from ..views.dataset import Dataset
 from .quality_forecast import spread
@@ -89,14 +89,8 @@ def expected_order(plan: Plan, scene: Scene, dataset: Dataset, seen: Seen) -> np
 
 def _from_some(ranking: Callable, scene: Scene, dataset: Dataset) -> np.ndarray:
     """Saliency or removal error (N,), from some of the views."""
-    train = _views(dataset)
-    chosen = train[:: max(1, len(train) // RANKING_VIEWS)][:RANKING_VIEWS]
-    return ranking(
-        scene,
-        [_reduced(dataset, index) for index in chosen],
-        Rasterizer(),
-        render_options(scene, dataset.background),
-    )
+    views = [_reduced(dataset, index) for index in spaced(_views(dataset), RANKING_VIEWS)]
+    return ranking(scene, views, Rasterizer(), render_options(scene, dataset.background))
 
 
 def _views(dataset: Dataset) -> list[int]:
