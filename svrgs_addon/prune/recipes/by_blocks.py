@@ -19,6 +19,7 @@ from ...finetune.quality import LEAST
 from ...render.metrics.format_loss import loss_notes
 from ...render.metrics.missed_drop import missed_drop
 from ...scene.camera import Camera
+from ...scene.gaussians import Scene
 from ...system.errors import Cancelled
 from ...views.dataset import Dataset
 from ..blocks.allowed_drop import (
@@ -45,15 +46,16 @@ from ..blocks.learning import AROUND_SHARE, decide, prepare_around, recover, tar
 from ..blocks.merging import merge, reduce
 from ..blocks.pruning import finish, finish_learned, join_levels, original_likeness, write_left
 from ..blocks.request import Request
+from ..blocks.sample import sample_of
 from ..blocks.scoring import score
 from ..blocks.tasks import Overall, Tasks
 from ..blocks.tuning import EPOCHS, cut, tune
 from ..context import JobContext
+from ..door import check_visible
+from ..job_views import Views
 from ..likeness import PhotographLikeness, assumed_drop
 from ..report.prune_report import write_report_of_files
 
-# views that are scored and tuned on; those on which the result is measured; what the user must know of them
-Views = tuple[Sequence[Camera], Sequence[Camera], list[str]]
 # bytes: no limit, because fine-tuning on pictures of the scene keeps all of them in memory
 PICTURES = 1 << 62
 # space that the steps need at least: for sums and orders, in sizes of all blocks; copies of what stays
@@ -84,14 +86,15 @@ class ByBlocks:
         source: Path,
         job: JobContext,
         goal: Goal,
-        views_of: Callable[[], Views],
+        views_of: Callable[[Scene, float], Views],
         work: Path | None = None,
         block: int | None = None,
         reason: str = "",
     ):
-        """views_of: gives the views. work: folder for the blocks; None: beside the output. block: Gaussians
-        of a block, at most; None: as memory allows. reason: why `svrgs prune` goes over to blocks, a
-        sentence; "": blocks were asked for."""
+        """views_of: gives the views for a sample of the scene, and by how much its Gaussians are enlarged
+        (blocks/sample.py). work: folder for the blocks; None: beside the output. block: Gaussians of a block,
+        at most; None: as memory allows. reason: why `svrgs prune` goes over to blocks, a sentence; "": blocks
+        were asked for."""
         self.source, self.goal, self.views_of = source.absolute(), goal, views_of
         self.job = replace(job, scene=source, levels=goal.levels)
         self.work, self.block, self.reason = work or blocks_of(job.out), block, reason
@@ -107,10 +110,12 @@ class ByBlocks:
         refuse_foreign(self.work)
 
     def views(self):
-        self.scored, self.measured, self.notes = self.views_of()
+        sample, enlarged = sample_of(self.source)
+        check_visible(sample, str(self.job.scene))
+        self.scored, self.measured, self.notes, _ = self.views_of(sample, enlarged)
 
     def check(self):
-        """views() has asked a sample of the scene."""
+        """views() has checked a sample of the scene."""
 
     def left_by_a_stop(self) -> str:
         """A sentence on what a job that is stopped leaves; "" for one that can be resumed."""
@@ -233,8 +238,8 @@ class LearnedByBlocks(ByBlocks):
     def views(self):
         if self.goal.max_drop:
             self.request.refuse_drop()
-        super().views()
         self.dataset = self.request.dataset()
+        super().views()
 
     def told(self, step: str) -> Tell:
         return self.tasks.told(step, super().told(step))

@@ -45,7 +45,7 @@ from ...views.rendered import RenderedDataset
 from ..blocks.folder import remove_blocks
 from ..context import JobContext
 from ..disk_room import ROW, DiskRoom
-from ..door import check_training, check_views
+from ..door import check_training, check_views, check_visible
 from ..first_cut import first_cut
 from ..planning import pruning_within
 from ..report.prune_report import report_pictures, write_prune_report
@@ -163,6 +163,7 @@ class FineTuned(Tuned):
     def open(self):
         with self.clock.phase("read"):
             self.source = load_scene(self.path).scene
+        check_visible(self.source, str(self.path))
 
     def views(self):
         self.dataset = self.dataset_of(self.source)

@@ -31,19 +31,17 @@ from ...scene.camera import Camera, evenly
 from ...scene.gaussians import Scene
 from ...system import memory
 from ...system.errors import Cancelled, SceneError
-from ...views.dataset import load_dataset
 from ...views.rendered import RenderedDataset
-from ...views.rig.around import DISTANCE, cameras_around, middle_and_radius
-from ...views.rig.place import quick_rig
+from ...views.rig.around import DISTANCE, middle_and_radius
+from .. import job_views
 from ..context import JobContext
 from ..disk_room import ROW
-from ..door import check_options, check_views
+from ..door import check_options, check_visible
 from ..likeness import Likeness, assumed_drop, assumed_psnr
 from ..options import PruneOptions
 from ..smallest_file import smallest_file
 
-SIDE = 512  # pixels of the longer side of a picture
-VIEWS, TEST_VIEWS, DROP_VIEWS = 32, 16, 6  # to decide on; to measure on; of those, for an allowed drop
+DROP_VIEWS = 6  # of those that it is measured in, for an allowed drop
 STEPS, MOST_STEPS = 60, 120  # of fine-tuning, with USUAL of the Gaussians and at most
 # least distance of a camera from the scene, in near depths: smaller scenes are measured enlarged
 NEAREST = 20.0
@@ -83,18 +81,14 @@ class Quick:
     def open(self):
         assert self.options.scene is not None
         self.source = load_scene(self.options.scene).scene
+        check_visible(self.source, str(self.options.scene))
         self.visible = np.flatnonzero(~invisible(self.source))
         self.scene = self.source.select(self.visible)
-        if not self.scene.count:
-            raise SceneError(
-                f"{self.options.scene}: all of its Gaussians have an opacity below 1/255, so there is nothing"
-                " to keep"
-            )
 
     def views(self):
         options, scene = self.options, self.scene
         self.enlarged, self.factor = (scene, 1.0) if options.colmap else _enlarged(scene)
-        self.cameras, self.test, self.notes = _views(self.enlarged, options)
+        self.cameras, self.test, self.notes, _ = job_views.quick(options, self.enlarged)
 
     def check(self):
         needed = memory.decimating(self.scene.count, self.scene.sh.shape[1], self.cameras)
@@ -105,7 +99,7 @@ class Quick:
         self.rasterizer, settings = Rasterizer(), render_options(scene, options.background)
         sums, self.pictures = looks(self.enlarged, self.cameras, self.rasterizer, settings)
         if not options.colmap and (unseen := hidden(sums)) > MOST_HIDDEN * scene.count:
-            self.cameras, self.test, self.notes = _views_within(self.enlarged, options, unseen)
+            self.cameras, self.test, self.notes, _ = job_views.quick_within(options, self.enlarged, unseen)
             sums, self.pictures = looks(self.enlarged, self.cameras, self.rasterizer, settings)
         if job.stop():
             raise Cancelled(NOT_FINISHED)
@@ -210,7 +204,7 @@ def like_quick(options: PruneOptions, scene: Scene) -> tuple[PruneOptions, Rende
     """A fine-tuned job that takes about as long as the quick one, and its views: to foresee the time. Raises
     SceneError, FormatError."""
     refuse_options(options)
-    train, test, notes = _views(scene, options)
+    train, test, notes, _ = job_views.quick(options, scene)
     dataset = RenderedDataset.of(scene, train, test, background=options.background, notes=tuple(notes))
     share = options.target or (options.target_count or LIKELY * scene.count) / scene.count
     return replace(options, quick=False, method="merge", recovery=_steps(min(1.0, share))), dataset
@@ -247,51 +241,6 @@ def _steps(share: float) -> int:
     """The number of steps of fine-tuning for this share of the Gaussians: with few of them, a step is quick
     and more is to be gained."""
     return round(min(MOST_STEPS, STEPS * (USUAL / share) ** (0.5 if share < USUAL else 0.25)))
-
-
-def _views(scene: Scene, options: PruneOptions) -> tuple[list[Camera], list[Camera], list[str]]:
-    """Views to decide and fine-tune on, others to measure on, and a sentence on where they come from. Raises
-    SceneError, FormatError."""
-    if options.colmap is None:
-        where = "from outside all around"
-        return (
-            cameras_around(scene, VIEWS, SIDE),
-            cameras_around(scene, TEST_VIEWS, SIDE, turn=1.0, nearer=0.9),
-            _of_views(where),
-        )
-    dataset = load_dataset(options.colmap, options.images or None, holdout=options.holdout, cameras_only=True)
-    check_views(scene, dataset.cameras, dataset.train_indices, str(options.scene))
-    train, test = (
-        [dataset.cameras[i].fitted(SIDE) for i in indices]
-        for indices in (dataset.train_indices, dataset.test_indices or dataset.train_indices)
-    )
-    return evenly(train, VIEWS), evenly(test, TEST_VIEWS), _of_views("from the cameras of the dataset")
-
-
-def _views_within(
-    scene: Scene, options: PruneOptions, unseen: int
-) -> tuple[list[Camera], list[Camera], list[str]]:
-    """As _views(), for a scene that is seen from inside. unseen: number of Gaussians that views from outside
-    do not show. Raises SceneError if no free space is found inside."""
-    rig = quick_rig(scene, VIEWS, held_out=TEST_VIEWS, seed=options.seed)
-    if not rig.inside_out:
-        raise SceneError(
-            f"{options.scene}: {unseen:,} of its {scene.count:,} Gaussians are hidden in all views from"
-            " outside, and no free space was found inside; give the cameras with --colmap DIR"
-        )
-    where = (
-        "from places inside; what is seen only from outside is not measured. To choose the cameras, give"
-        " --colmap"
-    )
-    return (
-        [camera.fitted(SIDE) for camera in rig.cameras],
-        [camera.fitted(SIDE) for camera in rig.held_out],
-        _of_views(where),
-    )
-
-
-def _of_views(where: str) -> list[str]:
-    return [f"the quality is measured against the original's own pictures, {where}"]
 
 
 def _enlarged(scene: Scene) -> tuple[Scene, float]:
