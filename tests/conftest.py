@@ -58,9 +58,9 @@ def data(tiny):
 def small_pictures(monkeypatch):
     """Quick jobs in this process decide on smaller pictures than those of users, in a fraction of the
     time."""
-    from svrgs_addon.prune.recipes import quick
+    from svrgs_addon.prune import job_views
 
-    monkeypatch.setattr(quick, "SIDE", 192)
+    monkeypatch.setattr(job_views, "QUICK_SIDE", 192)
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ from svrgs_addon.files.streamed_sog import read_level
 from svrgs_addon.finetune.decimate.order import hidden, visibility_sums
 from svrgs_addon.finetune.saliency import reduced
 from svrgs_addon.native.rasterizer import Rasterizer
-from svrgs_addon.prune import by_blocks, pipeline, plans
+from svrgs_addon.prune import by_blocks, job_views, pipeline, plans
 from svrgs_addon.prune.blocks.sample import MOST, finer, refuse_hidden, sample_of
 from svrgs_addon.prune.blocks.tuning import tune
 from svrgs_addon.prune.options import PruneOptions
@@ -46,7 +46,7 @@ def short(monkeypatch):
 
 @pytest.fixture(autouse=True)
 def few_views(monkeypatch):
-    monkeypatch.setattr(by_blocks, "QUICK_VIEWS", 12)
+    monkeypatch.setattr(job_views, "PLACED_FOR_QUICK", 12)
     monkeypatch.setattr(place, "USUAL_VIEWS", 20)
 
 
@@ -56,7 +56,7 @@ def test_a_quick_job_goes_over_to_blocks_where_memory_is_short(svrgs, short, sou
     assert (
         result["count"] == result["after"]["count"] == COUNT // 4
         and result["before"]["count"] == COUNT
-        and result["views"] == by_blocks.QUICK_VIEWS
+        and result["views"] == job_views.PLACED_FOR_QUICK
     )
     assert result["psnr"] > 25 and result["ssim"] > 0.8 and 0 < result["flip"] < 0.2 and result["blocks"] == 1
     assert (
@@ -86,7 +86,7 @@ def test_advice_that_is_followed_is_not_given(svrgs, monkeypatch, source, tmp_pa
 
 def test_outputs_are_checked_before_cameras_are_placed(svrgs, monkeypatch, source, tmp_path):
     monkeypatch.setattr(
-        "svrgs_addon.cli.large_scenes.place_rig", lambda *_, **__: pytest.fail("cameras were placed")
+        "svrgs_addon.prune.job_views.place_rig", lambda *_, **__: pytest.fail("cameras were placed")
     )
     assert "is the input itself" in svrgs("large", "prune", source, "--target", 0.5, "--out", source).err
     (tmp_path / "work").mkdir()
@@ -116,7 +116,7 @@ def test_the_text_of_the_result_has_no_time_per_frame(svrgs, short, source, tmp_
 @pytest.mark.slow
 def test_a_merge_without_photographs_goes_over_to_blocks_too(svrgs, short, source, tmp_path):
     result = svrgs("prune", source, "--target-count", 700, "--out", tmp_path / "o.ply", "--json").json
-    assert result["count"] == 700 and result["views"] > by_blocks.QUICK_VIEWS
+    assert result["count"] == 700 and result["views"] > job_views.PLACED_FOR_QUICK
 
 
 @pytest.mark.slow
@@ -176,7 +176,7 @@ def test_the_cameras_of_a_dataset_are_taken_for_a_quick_job(svrgs, short, tiny, 
     ).json
     assert (
         result["count"] == round(result["before"]["count"] / 2)
-        and result["views"] < by_blocks.QUICK_VIEWS
+        and result["views"] < job_views.PLACED_FOR_QUICK
         and len(result["notes"]) == 1
     )
 

@@ -277,6 +277,6 @@ def test_an_output_that_cannot_be_written_is_found_before_the_work(tiny, svrgs, 
 
 def test_options_of_photographs_are_refused_without_them(tiny, svrgs, tmp_path):
     scene = shutil.copy(tiny.splat, tmp_path / "alone.ply")
-    refused(svrgs("prune", scene, "--images", "images_4"), "--images", "--colmap")
-    refused(svrgs("prune", scene, "--seen-from-only"), "--seen-from-only", "--cameras")
+    refused(svrgs("prune", scene, "--images", "images_4"), "--images", "--data")
+    refused(svrgs("prune", scene, "--seen-from-only"), "--seen-from-only", "with --seen-from")
     assert list(files(tmp_path)) == ["alone.ply"]

@@ -15,16 +15,18 @@ import pytest
 
 from svrgs_addon.files.registry import read_scene, write_scene
 from svrgs_addon.finetune.decimate.order import order_of, visibility_sums
+from svrgs_addon.finetune.quality import best_share
 from svrgs_addon.finetune.refit import TrainingView, middle_scale, pace_for, refit
 from svrgs_addon.finetune.saliency import reduced
 from svrgs_addon.native.rasterizer import VISIBILITY, Rasterizer
+from svrgs_addon.prune.blocks.block_rasterizer import BlockRasterizer
 from svrgs_addon.prune.blocks.divided import Divided, divide, scene_of
-from svrgs_addon.prune.blocks.likeness import Likeness
 from svrgs_addon.prune.blocks.merging import LEAST, counts, merge, merged, reduce
 from svrgs_addon.prune.blocks.pruning import write_joined
 from svrgs_addon.prune.blocks.scoring import UNITS, picture_path, score, total, visibility
-from svrgs_addon.prune.blocks.tuning import best_share, cut, mixed, tune, tuned_blocks
+from svrgs_addon.prune.blocks.tuning import cut, mixed, tune, tuned_blocks
 from svrgs_addon.prune.blocks.visible import seen
+from svrgs_addon.prune.likeness import Likeness
 from svrgs_addon.render.metrics.evaluate import render_options
 from svrgs_addon.scene.gaussians import PARAMETERS
 from svrgs_addon.system.errors import FormatError, SceneError
@@ -199,7 +201,7 @@ def test_orders_of_other_cells_are_refused(source, cameras, tmp_path, monkeypatc
 
 
 def test_blocks_and_formats_change_the_result_little(ordered, source, cameras, tmp_path):
-    likeness, left = Likeness(ordered, cameras), cut(ordered, cameras, COUNT // 4)
+    likeness, left = Likeness(ordered, cameras, BlockRasterizer), cut(ordered, cameras, COUNT // 4)
 
     def psnr_of(name: str) -> float:
         write_joined(left, tmp_path / name)
@@ -262,7 +264,7 @@ def test_one_block_is_tuned_as_the_scene_in_memory(ordered, source, cameras):
 
 
 def test_tuned_blocks_are_as_good_as_the_tuned_whole_in_any_order(ordered, cameras):
-    likeness, left = Likeness(ordered, cameras), cut(ordered, cameras, FEW)
+    likeness, left = Likeness(ordered, cameras, BlockRasterizer), cut(ordered, cameras, FEW)
     with (
         pytest.raises(SceneError, match="the block 0 is missing; do the step before it first")
         if len(left.blocks) > 1
@@ -292,22 +294,20 @@ def test_where_fine_tuning_does_harm_less_of_it_is_taken(ordered, cameras):
     tuned, asked = tuned_blocks(ordered), []
 
     def likes(share: float):
-        def quality(scene: Divided) -> float:
-            change = [
-                np.abs(one.geometry[:, :3] - other.geometry[:, :3]).max()
-                for one, other in zip(scene.blocks, left.blocks, strict=True)
-            ]
-            asked.append(max(change))
-            return -abs(max(change) - share * asked[0])
+        def quality(part: float) -> float:
+            pairs = zip(mixed(ordered, tuned, part).blocks, left.blocks, strict=True)
+            change = max(np.abs(one.geometry[:, :3] - other.geometry[:, :3]).max() for one, other in pairs)
+            asked.append(change)
+            return -abs(change - share * asked[0])
 
         return quality
 
-    assert best_share(ordered, tuned, likes(0.5))[0] == 0.5 and len(asked) == 4
+    assert best_share(likes(0.5))[0] == 0.5 and len(asked) == 4
     assert mixed(ordered, tuned, 0.0).folder == left.folder and mixed(ordered, tuned, 1.0) is tuned
     asked.clear()
-    assert best_share(ordered, tuned, likes(1.0))[0] == 1.0 and len(asked) == 2
+    assert best_share(likes(1.0))[0] == 1.0 and len(asked) == 2
     asked.clear()
-    assert best_share(ordered, tuned, likes(0.0))[0] == 0.0 and len(asked) == 5
+    assert best_share(likes(0.0))[0] == 0.0 and len(asked) == 5
 
 
 def test_pictures_that_are_missing_are_named(source, cameras, tmp_path):

@@ -25,11 +25,12 @@ from svrgs_addon.finetune.run import Run
 from svrgs_addon.jobs.job_recorder import PruneRecorder
 from svrgs_addon.native.rasterizer import Rasterizer
 from svrgs_addon.prune import pipeline
+from svrgs_addon.prune.blocks.block_rasterizer import BlockRasterizer
 from svrgs_addon.prune.blocks.divided import Divided, divide, gathered, scene_of
 from svrgs_addon.prune.blocks.learning import decide, recover, targets
-from svrgs_addon.prune.blocks.likeness import PhotographLikeness
 from svrgs_addon.prune.blocks.request import FILE, Request, methods
 from svrgs_addon.prune.blocks.tuning import CUT, TUNED
+from svrgs_addon.prune.likeness import PhotographLikeness
 from svrgs_addon.prune.options import PruneOptions
 from svrgs_addon.render.metrics.evaluate import evaluate
 from svrgs_addon.scene.gaussians import PARAMETERS, Scene
@@ -102,7 +103,7 @@ def inside(tmp_path_factory) -> tuple[SimpleNamespace, Dataset]:
 def test_blocks_are_decided_and_recovered_in_any_order_and_nearly_as_well(inside, tmp_path):
     room, photographs = inside
     plan = prune_settings("removal", 60, 160, full=False)
-    quality = PhotographLikeness(photographs).psnr
+    quality = PhotographLikeness(photographs, BlockRasterizer).psnr
     _, best = learned(room, photographs, tmp_path / "one", 6_000, plan, wanted=3_000)
     left, recovered = learned(room, photographs, tmp_path / "many", 2_000, plan, wanted=3_000)
     again = learned(room, photographs, tmp_path / "again", 2_000, plan, reversed, wanted=3_000)
@@ -130,7 +131,7 @@ def test_masks_decide_in_blocks_as_in_the_whole_scene(inside, tmp_path):
     be lost."""
     room, photographs = inside
     plan = prune_settings("svr", 200, 60, full=False, lambda_f=1e-3, mask_init=1.0)
-    quality = PhotographLikeness(photographs).psnr
+    quality = PhotographLikeness(photographs, BlockRasterizer).psnr
     (_, whole), (_, parts) = (
         learned(room, photographs, tmp_path / str(most), most, plan) for most in (6_000, 1_500)
     )

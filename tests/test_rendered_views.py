@@ -16,9 +16,10 @@ from svrgs_addon.jobs.estimate import estimate
 from svrgs_addon.jobs.job_folder import JobFolder
 from svrgs_addon.jobs.job_process import Job
 from svrgs_addon.native.rasterizer import Rasterizer
+from svrgs_addon.prune.job_views import LONGEST
 from svrgs_addon.prune.options import PruneOptions
 from svrgs_addon.prune.pipeline import prune_scene
-from svrgs_addon.prune.rendered_views import LONGEST, rendered_dataset
+from svrgs_addon.prune.plans import dataset_of_pruning
 from svrgs_addon.render.metrics.evaluate import render_options
 from svrgs_addon.render.metrics.measures import psnr, with_error
 from svrgs_addon.scene.camera import Camera
@@ -49,7 +50,7 @@ def splat(tmp_path):
 
 def dataset_of(options: PruneOptions):
     """The splat's own pictures."""
-    return rendered_dataset(options, read_ply(options.scene))
+    return dataset_of_pruning(options, read_ply(options.scene))
 
 
 def prune(path, **more) -> dict:
@@ -276,11 +277,11 @@ def test_large_views_are_reduced(splat):
 @pytest.mark.parametrize(
     ("more", "words"),
     [
-        ({"seen_from_only": True}, "name them with --cameras"),
+        ({"seen_from_only": True}, "name them with --seen-from"),
         ({"images": "images_4"}, "--images names a folder of photographs"),
         ({"cameras": "missing.json"}, "missing.json: cannot be read"),
         ({"cameras": "away.json", "seen_from_only": True}, "none of its Gaussians is near a camera"),
-        ({"cameras": "away.json", "colmap": "data"}, "leave them out, or --colmap"),
+        ({"cameras": "away.json", "colmap": "data"}, "leave them out, or --data"),
     ],
 )
 def test_what_cannot_be_is_one_sentence(splat, more, words):

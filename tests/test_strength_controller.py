@@ -89,7 +89,7 @@ def test_only_what_is_asked_for_is_steered(changes, steered):
 def steered_run(tiny, data, method: str, steps: int = 1_200, seed: int = 3, **goal) -> Run:
     scene = load_scene(tiny.splat).scene
     settings = prune_settings(method, steps, 0, seed=seed, **goal)
-    return Run(Model.of(fine_tuned.first_cut(scene, data, settings)), data, settings, NativeEngine())
+    return Run(Model.of(fine_tuned.first_scene(scene, data, settings)), data, settings, NativeEngine())
 
 
 def to_the_end(run: Run) -> Run:

@@ -90,7 +90,7 @@ def test_the_first_cut_is_that_of_one_look_after_the_other(tiny, data, method, m
     ):
         score, peaks, _ = scores.contribution(left, views, Rasterizer(), RenderOptions())
         left = left.select((peaks >= limit) | scores.top(peaks if np.isfinite(limit) else score, count))
-    cut = fine_tuned.first_cut(scene, data, settings)
+    cut = fine_tuned.first_scene(scene, data, settings)
     assert 0 < cut.count < scene.count
     np.testing.assert_array_equal(cut.means, left.means)
 

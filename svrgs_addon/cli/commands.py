@@ -23,54 +23,52 @@ from .option_parser import options_from
 if TYPE_CHECKING:
     from .batch_list import Item
 
-Words = argparse.Namespace  # as parsed
+
+def info(args: argparse.Namespace) -> int:
+    facts = registry.describe(args.scene)
+    return _print(facts, args, "\n".join(f"{name:12} {value}" for name, value in facts.items()))
 
 
-def info(words: Words) -> int:
-    facts = registry.describe(words.scene)
-    return _print(facts, words, "\n".join(f"{name:12} {value}" for name, value in facts.items()))
-
-
-def render(words: Words) -> int:
+def render(args: argparse.Namespace) -> int:
     from .render_views import render_views
 
-    _set_threads(words)
-    saved = render_views(words)
+    _set_threads(args)
+    saved = render_views(args)
     return _print(
-        {"files": [str(path) for path in saved]}, words, "\n".join(f"Saved: '{path}'" for path in saved)
+        {"files": [str(path) for path in saved]}, args, "\n".join(f"Saved: '{path}'" for path in saved)
     )
 
 
-def train(words: Words) -> int:
+def train(args: argparse.Namespace) -> int:
     from ..prune.pipeline import train_scene
 
-    result = train_scene(options_from(TrainOptions, words))
-    return _print(result, words, _figures(result))
+    result = train_scene(options_from(TrainOptions, args))
+    return _print(result, args, _figures(result))
 
 
-def prune(words: Words) -> int:
+def prune(args: argparse.Namespace) -> int:
     from ..jobs.worker import run_in_child
     from ..prune.pipeline import prune_scene
     from ..prune.plans import method_of
     from . import batch_list
 
-    options = options_from(PruneOptions, words, out=None, report=None)
+    options = options_from(PruneOptions, args, out=None, report=None)
     method_of(options)  # raises for an unknown method once, not for each scene
-    items = batch_list.expand(words.scenes, words.colmap, words.out, words.report, options.levels)
-    if len(items) == 1 and not words.batch:
-        result = prune_scene(_of_item(options, items[0], words.report))
-        return _print(result, words, _figures(result))
+    items = batch_list.expand(args.scenes, args.colmap, args.out, args.report, options.levels)
+    if len(items) == 1 and not args.batch:
+        result = prune_scene(_of_item(options, items[0], args.report))
+        return _print(result, args, _figures(result))
     failed = stopped = False
     for item in items:
         line = {"scene": str(item.scene), "out": str(item.out)}
-        if item.out.exists() and not words.overwrite and not batch_list.same_file(item.out, item.scene):
+        if item.out.exists() and not args.overwrite and not batch_list.same_file(item.out, item.scene):
             line["skipped"] = (
                 "the output exists"
                 if all(level.exists() for level in item.levels)
                 else "the output exists, not all its levels: add --overwrite"
             )
         else:
-            status, result = run_in_child(_of_item(options, item, words.report and words.report / item.name))
+            status, result = run_in_child(_of_item(options, item, args.report and args.report / item.name))
             line, failed, stopped = {**line, **result}, failed or status != 0, status == STOPPED
         print(json.dumps(plain(line)), flush=True)
         if stopped:
@@ -83,66 +81,66 @@ def _of_item(options: PruneOptions, item: Item, report: Path | None) -> PruneOpt
     return replace(options, scene=item.scene, colmap=item.colmap, out=item.out, report=report)
 
 
-def select(words: Words) -> int:
+def select(args: argparse.Namespace) -> int:
     from .select_gaussians import as_text, select_gaussians
 
-    _set_threads(words)
-    result = select_gaussians(words)
-    return _print(result, words, as_text(result))
+    _set_threads(args)
+    result = select_gaussians(args)
+    return _print(result, args, as_text(result))
 
 
-def convert(words: Words) -> int:
+def convert(args: argparse.Namespace) -> int:
     from .convert_scenes import as_text, convert_scenes
 
     failed = False
-    for line in convert_scenes(words):
-        _print(line, words, as_text(line))
+    for line in convert_scenes(args):
+        _print(line, args, as_text(line))
         failed = failed or "error" in line
     return 1 if failed else 0
 
 
-def rig(words: Words) -> int:
+def rig(args: argparse.Namespace) -> int:
     from .place_cameras import as_text, place_cameras
 
-    _set_threads(words)
-    result = place_cameras(words)
-    return _print(result, words, as_text(result))
+    _set_threads(args)
+    result = place_cameras(args)
+    return _print(result, args, as_text(result))
 
 
-def evaluate(words: Words) -> int:
+def evaluate(args: argparse.Namespace) -> int:
     from ..prune.blocks.block_rasterizer import opened
     from ..prune.plans import dataset_of
     from ..render.metrics import load_lpips
     from ..render.metrics.evaluate import evaluate as measure
     from ..render.metrics.evaluate import refuse_unseen, split_indices
 
-    _set_threads(words)
-    registry.check_readable(words.scene)
+    _set_threads(args)
+    registry.check_readable(args.scene)
     # each photograph is read once
-    dataset = dataset_of(options_from(DatasetOptions, words, image_memory=0.0))
-    lpips, reason = load_lpips(words.lpips_weights)
-    views = split_indices(dataset, words.split)
+    dataset = dataset_of(options_from(DatasetOptions, args, image_memory=0.0))
+    lpips, reason = load_lpips(args.lpips_weights)
+    views = split_indices(dataset, args.split)
     needed = functools.partial(
         memory.measuring,
         cameras=[dataset.cameras[i] for i in views],
         kept_photographs=0,
         lpips=lpips is not None,
     )
-    with opened(words.scene, "measuring", needed) as (scene, rasterizer):
-        refuse_unseen(scene, dataset.cameras, str(words.scene))
+    with opened(args.scene, "measuring", needed) as (scene, rasterizer):
+        refuse_unseen(scene, dataset.cameras, str(args.scene))
         result = measure(scene, dataset, views, rasterizer, lpips)
-    result |= {"bytes": registry.size_on_disk(words.scene), "notes": list(dataset.notes)}
-    return _print(result, words, _figures(result, reason))
+    result |= {"bytes": registry.size_on_disk(args.scene), "notes": list(dataset.notes)}
+    return _print(result, args, _figures(result, reason))
 
 
-def compare(words: Words) -> int:
+def compare(args: argparse.Namespace) -> int:
     from .compare_scenes import compare_scenes
 
-    _set_threads(words)
-    result = compare_scenes(words)
+    _set_threads(args)
+    result = compare_scenes(args)
     return _print(
         result,
-        words,
+        args,
         "\n".join(
             [
                 *(f"{name}: {_figures(result[name])}" for name in ("a", "b")),
@@ -153,30 +151,30 @@ def compare(words: Words) -> int:
     )
 
 
-def methods(words: Words) -> int:
+def methods(args: argparse.Namespace) -> int:
     from .method_list import as_text, method_list
 
     found = method_list()
-    return _print({"methods": found}, words, as_text(found))
+    return _print({"methods": found}, args, as_text(found))
 
 
-def farm(words: Words) -> int:
+def farm(args: argparse.Namespace) -> int:
     from .farm_commands import as_text
     from .farm_commands import farm as run
 
-    result = run(words)
-    return _print(result, words, as_text(words, result))
+    result = run(args)
+    return _print(result, args, as_text(args, result))
 
 
-def large(words: Words) -> int:
+def large(args: argparse.Namespace) -> int:
     from .large_scenes import as_text
     from .large_scenes import large as run
 
-    result = run(words)
-    return _print(result, words, as_text(words, result))
+    result = run(args)
+    return _print(result, args, as_text(args, result))
 
 
-def bench(words: Words) -> int:
+def bench(args: argparse.Namespace) -> int:
     from ..system.errors import SceneError
     from ..system.packages import is_installed, load
 
@@ -184,23 +182,21 @@ def bench(words: Words) -> int:
         raise SceneError(
             "svrgs bench is not part of the extension: use a checkout after make setup, or install the wheel"
         )
-    result = load("svrgs_bench.run", "svrgs bench").bench(words)
-    return _print(
-        result, words, "" if words.json else load("svrgs_bench.text", "svrgs bench").as_text(result)
-    )
+    result = load("svrgs_bench.run", "svrgs bench").bench(args)
+    return _print(result, args, "" if args.json else load("svrgs_bench.text", "svrgs bench").as_text(result))
 
 
-COMMANDS: dict[str, Callable[[Words], int]] = {
+COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
     "info": info, "render": render, "train": train, "prune": prune, "select": select, "convert": convert,
     "rig": rig, "eval": evaluate, "compare": compare, "methods": methods, "farm": farm, "large": large,
     "bench": bench,
 }  # fmt: skip
 
 
-def _set_threads(words: Words):
+def _set_threads(args: argparse.Namespace):
     from ..native import library
 
-    library.set_threads(words.threads)
+    library.set_threads(args.threads)
 
 
 def _figures(result: dict, lpips_missing: str = "") -> str:
@@ -240,8 +236,6 @@ def _figures(result: dict, lpips_missing: str = "") -> str:
     return "\n".join(lines + ([f"LPIPS left out: {lpips_missing}"] if lpips_missing else []))
 
 
-def _print(result: dict, words: Words, text: str) -> int:
-    print(
-        json.dumps(plain(result)) if words.json else "\n".join(map(printable, text.split("\n"))), flush=True
-    )
+def _print(result: dict, args: argparse.Namespace, text: str) -> int:
+    print(json.dumps(plain(result)) if args.json else "\n".join(map(printable, text.split("\n"))), flush=True)
     return 0

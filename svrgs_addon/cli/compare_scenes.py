@@ -11,9 +11,9 @@ from ..files.atomic import check_writable
 from ..files.registry import check_readable
 from ..prune.blocks.block_rasterizer import opened
 from ..prune.blocks.sample import sample_of
+from ..prune.job_views import LONGEST
 from ..prune.options import DatasetOptions
 from ..prune.plans import dataset_of
-from ..prune.rendered_views import LONGEST
 from ..prune.report.compare import compare
 from ..scene.camera import evenly
 from ..system.errors import SceneError
@@ -25,35 +25,35 @@ from .option_parser import options_from
 MOST = 32  # given views, evenly spread in the file
 
 
-def compare_scenes(words: argparse.Namespace) -> dict:
+def compare_scenes(args: argparse.Namespace) -> dict:
     """Writes the report. Returns the result of report.compare.compare(). Raises SplatError."""
-    if words.colmap and words.cameras:
+    if args.colmap and args.cameras:
         raise SceneError("--data and --cameras both name views; leave one out")
-    check_writable(words.out / "index.html")  # before cameras are placed
-    for path in (words.a, words.b):
+    check_writable(args.out / "index.html")  # before cameras are placed
+    for path in (args.a, args.b):
         check_readable(path)
-    dataset = dataset_of(options_from(DatasetOptions, words)) if words.colmap else _views_alone(words)
-    return compare(words.a, words.b, dataset, words.out, opened, words.lpips_weights)
+    dataset = dataset_of(options_from(DatasetOptions, args)) if args.colmap else _views_alone(args)
+    return compare(args.a, args.b, dataset, args.out, opened, args.lpips_weights)
 
 
-def _views_alone(words: argparse.Namespace) -> Dataset:
+def _views_alone(args: argparse.Namespace) -> Dataset:
     """Given or placed cameras, without photographs. Raises SplatError."""
-    if words.images or words.holdout != HOLDOUT:
+    if args.images or args.holdout != HOLDOUT:
         raise SceneError("--images and --holdout are of photographs: give --data, or leave them out")
-    if words.cameras:
+    if args.cameras:
         cameras, where = (
-            [camera.fitted(LONGEST) for camera in evenly(load_cameras(words.cameras), MOST)],
-            f"from {words.cameras.name}",
+            [camera.fitted(LONGEST) for camera in evenly(load_cameras(args.cameras), MOST)],
+            f"from {args.cameras.name}",
         )
     else:
-        scene, enlarged = sample_of(words.a)
+        scene, enlarged = sample_of(args.a)
         cameras, where = place_rig(scene, enlarged=enlarged).held_out, "that were placed"
     note = (
-        f"no photographs: {words.b.name} is measured against pictures of {words.a.name}, in {len(cameras)}"
+        f"no photographs: {args.b.name} is measured against pictures of {args.a.name}, in {len(cameras)}"
         f" views {where}"
     )
     points = np.empty((0, 3))
-    budget = int(words.image_memory * 1e9)
+    budget = int(args.image_memory * 1e9)
     return Dataset(
         cameras,
         points.astype(np.float32),
@@ -61,7 +61,7 @@ def _views_alone(words: argparse.Namespace) -> Dataset:
         [],
         list(range(len(cameras))),
         [],
-        words.background,
+        args.background,
         budget,
         (note,),
     )

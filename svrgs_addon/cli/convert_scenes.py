@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 
 from ..files import registry
-from ..files.atomic import check_writable
 from ..files.level_files import holds_levels
 from ..files.memory_mapped import mapped_scene
 from ..files.streamed_sog import write_levels
+from ..prune.door import check_files, outputs
 from ..prune.selection.criteria import in_box
 from ..scene.affine import scaled, transformed
 from ..scene.gaussians import SH_COEFFICIENTS, Scene
@@ -29,16 +29,16 @@ from .option_parser import options_from
 LARGE = 1 << 28  # bytes of a file that is read in parts, by way of the disk
 
 
-def convert_scenes(words: argparse.Namespace) -> Iterator[dict]:
+def convert_scenes(args: argparse.Namespace) -> Iterator[dict]:
     """Converts one file after another. Yields scene and out of each, with count, sh_degree and the bytes
     before and after; or skipped; or, with several inputs, the error of one. Raises SplatError."""
-    options = options_from(ConvertOptions, words)
-    if holds_levels(words.out) and len(words.inputs) > 1:
+    options = options_from(ConvertOptions, args)
+    if holds_levels(args.out) and len(args.inputs) > 1:
         yield _convert_levels(
-            [scene for path in words.inputs for scene in _files(Path(path))], words.out, options
+            [scene for path in args.inputs for scene in _files(Path(path))], args.out, options
         )
         return
-    pairs = _pairs([Path(path) for path in words.inputs], words.out, options)
+    pairs = _pairs([Path(path) for path in args.inputs], args.out, options)
     for scene, out in pairs:
         line = {"scene": str(scene), "out": str(out)}
         if len(pairs) > 1 and out.exists() and not options.overwrite:
@@ -63,10 +63,8 @@ def as_text(line: dict) -> str:
 
 
 def _convert(path: Path, out: Path, options: ConvertOptions) -> dict:
-    registry.refuse_input(out, path)
-    check_writable(out)
     splat_format = registry.format_to_write(out)
-    with _loaded(path, out, options) as scene:
+    with outputs(path, [out]), _loaded(path, out, options) as scene:
         if not scene.count:
             raise SceneError(f"{path}: no Gaussian is inside the box, so no file was written")
         registry.write_scene(out, scene, options.spz_version or 0, options.quantise)
@@ -76,15 +74,18 @@ def _convert(path: Path, out: Path, options: ConvertOptions) -> dict:
 
 def _convert_levels(paths: list[Path], out: Path, options: ConvertOptions) -> dict:
     """Levels of detail in files of their own as one streamed SOG, the largest one first."""
-    check_writable(out)
     for path in paths:
-        registry.refuse_input(out, path)
-    scenes = sorted(
-        (_changed(registry.load_scene(path).scene, options) for path in paths), key=lambda scene: -scene.count
-    )
-    if not scenes[-1].count:
-        raise SceneError(f"{out}: no Gaussian of one of the levels is inside the box, so no file was written")
-    write_levels(out, scenes, options.quantise)
+        check_files(path, [out])
+    with outputs(None, [out]):
+        scenes = sorted(
+            (_changed(registry.load_scene(path).scene, options) for path in paths),
+            key=lambda scene: -scene.count,
+        )
+        if not scenes[-1].count:
+            raise SceneError(
+                f"{out}: no Gaussian of one of the levels is inside the box, so no file was written"
+            )
+        write_levels(out, scenes, options.quantise)
     facts = {
         "scene": ", ".join(map(str, paths)),
         "out": str(out),
@@ -101,7 +102,6 @@ def _convert_levels(paths: list[Path], out: Path, options: ConvertOptions) -> di
 @contextlib.contextmanager
 def _loaded(path: Path, out: Path, options: ConvertOptions) -> Iterator[Scene]:
     """The changed scene; the values of a large one lie in files."""
-    registry.format_to_read(path)  # raises for what cannot be read
     if whole := _whole(path):
         yield _changed(whole, options)
         return

@@ -24,47 +24,47 @@ from .batch_list import expand
 from .option_parser import options_from
 
 
-def farm(words: argparse.Namespace) -> dict[str, Any]:
+def farm(args: argparse.Namespace) -> dict[str, Any]:
     """Does one action. Raises SplatError, Cancelled."""
-    return {"export": _export, "files": _files, "run": _run, "report": _report}[words.action](words)
+    return {"export": _export, "files": _files, "run": _run, "report": _report}[args.action](args)
 
 
-def as_text(words: argparse.Namespace, result: dict[str, Any]) -> str:
+def as_text(args: argparse.Namespace, result: dict[str, Any]) -> str:
     """The result in a sentence; of a run, its messages have said everything."""
-    if words.action in ("export", "files"):
+    if args.action in ("export", "files"):
         return (
             f"tasks: {result['tasks']}; memory of each: up to {size_text(result['memory'])}; saved"
             f" {result['folder']}"
         )
     return (
         result["report"]
-        if words.action == "report"
+        if args.action == "report"
         else "\n".join(f"{one['sha256']}  {one['out']}" for one in result["tasks"])
     )
 
 
-def _export(words: argparse.Namespace) -> dict[str, Any]:
-    folder: Path = words.out
+def _export(args: argparse.Namespace) -> dict[str, Any]:
+    folder: Path = args.out
     refuse_folder(folder)
-    suffix = words.to if words.to.startswith(".") else f".{words.to}"
+    suffix = args.to if args.to.startswith(".") else f".{args.to}"
     format_to_write(f"x{suffix}")
-    options = options_from(PruneOptions, words)
-    if words.targets and (options.target_count or options.max_drop):
+    options = options_from(PruneOptions, args)
+    if args.targets and (options.target_count or options.max_drop):
         raise SceneError(
             "--targets and --target-count or --max-drop each say how many Gaussians stay: leave one out"
         )
-    items = expand(words.scenes, words.colmap, folder / "results")
+    items = expand(args.scenes, args.colmap, folder / "results")
     folders = [item.scene.absolute().parent for item in items] + [
         item.colmap.absolute() for item in items if item.colmap
     ]
     root = common_folder(folders) or folders[0]
-    scenes = [(item.name, item.scene, None if words.no_photographs else item.colmap) for item in items]
-    job = FarmJob(folder.absolute(), root, tasks_of(root, scenes, list(_ways(words)), options), suffix)
+    scenes = [(item.name, item.scene, None if args.no_photographs else item.colmap) for item in items]
+    job = FarmJob(folder.absolute(), root, tasks_of(root, scenes, list(_ways(args)), options), suffix)
     return _write(job)
 
 
-def _files(words: argparse.Namespace) -> dict[str, Any]:
-    return _write(FarmJob.read(words.folder.absolute(), words.root and words.root.absolute()))
+def _files(args: argparse.Namespace) -> dict[str, Any]:
+    return _write(FarmJob.read(args.folder.absolute(), args.root and args.root.absolute()))
 
 
 def _write(job: FarmJob) -> dict[str, Any]:
@@ -81,17 +81,17 @@ def _write(job: FarmJob) -> dict[str, Any]:
     }
 
 
-def _ways(words: argparse.Namespace) -> Iterator[dict[str, Any]]:
+def _ways(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
     """The methods times the targets. Raises SceneError for a method that there is not."""
-    for method in words.methods.split(",") if words.methods else [""]:
+    for method in args.methods.split(",") if args.methods else [""]:
         method_of(PruneOptions(method=method))
-        for target in words.targets or [None]:
+        for target in args.targets or [None]:
             yield ({"method": method} if method else {}) | ({"target": target} if target else {})
 
 
-def _run(words: argparse.Namespace) -> dict[str, Any]:
-    job, messages = FarmJob.read(words.folder, words.root), Messages(words.messages)
-    numbers = numbers_of(words.tasks, len(job.tasks)) if words.tasks else list(range(len(job.tasks)))
+def _run(args: argparse.Namespace) -> dict[str, Any]:
+    job, messages = FarmJob.read(args.folder, args.root), Messages(args.messages)
+    numbers = numbers_of(args.tasks, len(job.tasks)) if args.tasks else list(range(len(job.tasks)))
     try:
         return {"tasks": run_tasks(job, numbers, messages)}
     except SplatError as error:
@@ -99,5 +99,5 @@ def _run(words: argparse.Namespace) -> dict[str, Any]:
         raise
 
 
-def _report(words: argparse.Namespace) -> dict[str, Any]:
-    return summarise(FarmJob.read(words.folder))
+def _report(args: argparse.Namespace) -> dict[str, Any]:
+    return summarise(FarmJob.read(args.folder))

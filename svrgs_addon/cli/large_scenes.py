@@ -4,43 +4,39 @@
 from __future__ import annotations
 
 import argparse
-import functools
+import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
-from ..files.registry import format_to_read
 from ..jobs.farm.engine_messages import Messages
 from ..native import library
+from ..prune import job_views
 from ..prune.blocks.divided import Divided, clear, divide
-from ..prune.blocks.folder import measured_views, prepare, refuse_foreign, scored_views
+from ..prune.blocks.folder import prepare, refuse_foreign, scored_views
 from ..prune.blocks.learning import decide, prepare_around, recover, targets
-from ..prune.blocks.likeness import Likeness
 from ..prune.blocks.merging import merge, reduce
-from ..prune.blocks.pruning import finish, finish_learned
+from ..prune.blocks.pruning import finish, finish_learned, original_likeness
 from ..prune.blocks.request import Request
-from ..prune.blocks.sample import finer, refuse_hidden, sample_of
+from ..prune.blocks.sample import sample_of
 from ..prune.blocks.scoring import score
 from ..prune.blocks.tuning import EPOCHS, TUNED, cut, tune
-from ..prune.by_blocks import request_of
+from ..prune.by_blocks import OF_METHODS, request_of
 from ..prune.context import JobContext
-from ..prune.door import check_files
+from ..prune.door import check_files, check_view_options, check_visible, given, outputs
+from ..prune.job_views import Views
 from ..prune.options import PruneOptions
 from ..prune.pipeline import run
 from ..prune.recipes.by_blocks import Goal, LearnedByBlocks, MergedByBlocks
-from ..scene.camera import Camera
+from ..scene.gaussians import Scene
 from ..system.errors import SceneError
-from ..system.option_kinds import default_of
-from ..views.camera_files import load_cameras
-from ..views.dataset import HOLDOUT, load_dataset
-from ..views.rig import place_rig
+from ..system.option_kinds import flag_of
 from .option_parser import options_from
 
-OF_METHODS = ("lambda_f", "iterations", "recovery", "schedule", "min_contribution")  # options
 
-
-def large(words: argparse.Namespace) -> dict[str, Any]:
+def large(args: argparse.Namespace) -> dict[str, Any]:
     """Does one step, or all. Raises SplatError."""
-    library.set_threads(words.threads)
+    library.set_threads(args.threads)
     steps = {
         "divide": _divide,
         "score": _score,
@@ -51,25 +47,26 @@ def large(words: argparse.Namespace) -> dict[str, Any]:
         "tune": _tune,
         "finish": _finish,
     }
-    return (steps | {"prune": _prune})[words.action](words)
+    return (steps | {"prune": _prune})[args.action](args)
 
 
-def as_text(words: argparse.Namespace, result: dict[str, Any]) -> str:
-    if words.action == "divide":
+def as_text(args: argparse.Namespace, result: dict[str, Any]) -> str:
+    if args.action == "divide":
         return (
             f"{result['count']:,} Gaussians in {result['blocks']} blocks, {result['views']} views; saved"
             f" {result['work']}"
         )
-    if words.action == "score":
+    if args.action == "score":
         return result["scores"]
-    if words.action in ("reduce", "merge", "decide", "cut", "tune"):
+    if args.action in ("reduce", "merge", "decide", "cut", "tune"):
         return f"{result['blocks']} blocks done in {result['work']}"
     before, after = result["before"], result["after"]
     measure = f"the photographs, the original {before['psnr']:.2f} dB" if "psnr" in before else "the original"
     merged = (
         f" ({result['psnr_merged']:.2f} dB before fine-tuning)" if result["psnr_merged"] is not None else ""
     )
-    against = f"; PSNR {result['psnr']:.2f} dB against {measure}{merged}" if result["views"] else ""
+    psnr = result["psnr"]  # NaN without views that are held out
+    against = "" if math.isnan(psnr) else f"; PSNR {psnr:.2f} dB against {measure}{merged}"
     lines = [
         f"kept {after['count']:,} of {before['count']:,} Gaussians"
         f" ({after['count'] / before['count']:.1%}){against}; saved {result['out']}"
@@ -82,184 +79,159 @@ def as_text(words: argparse.Namespace, result: dict[str, Any]) -> str:
     return "\n".join([*lines, *result["notes"]])
 
 
-def _prune(words: argparse.Namespace) -> dict[str, Any]:
-    format_to_read(words.scene)
-    goal, request = (
-        Goal(words.target_count or 0, words.target or 0.0, words.max_drop or 0.0, words.levels),
-        _request(words),
-    )
+def _prune(args: argparse.Namespace) -> dict[str, Any]:
+    options, request = options_from(PruneOptions, args), _request(args)
+    goal = Goal(args.target_count or 0, args.target or 0.0, args.max_drop or 0.0, args.levels)
     if request is None and not (goal.count or goal.share or goal.max_drop):
         raise SceneError("how many Gaussians stay is not given: add --target, --target-count or --max-drop")
-    if request is not None and (words.steps is not None or goal.levels):
+    if request is not None and (args.steps is not None or goal.levels):
         raise SceneError(
             "--tuning-steps and --levels are for removals and merges: leave them out, or --method"
         )
-    if words.resume and request is None:
+    if args.resume and request is None:
         raise SceneError(
             "--resume is for methods that decide on photographs: removals and merges begin again"
         )
-    messages = Messages(words.messages)
-    job = JobContext(words.out, resume=words.resume, part=messages.progress)
-    more: dict[str, Any] = {"work": words.work, "block": words.block}
-    views = lambda: (*_views(words), list[str]())
+    job = JobContext(args.out, resume=args.resume, part=Messages(args.messages).progress)
+    views, more = partial(_views, args, options), {"work": args.work, "block": args.block}
     if request is not None:
-        return run(LearnedByBlocks(words.scene, job, goal, views, request=request, **more))
-    return run(MergedByBlocks(words.scene, job, goal, views, steps=words.steps, **more))
+        return run(LearnedByBlocks(args.scene, job, goal, views, request=request, **more))
+    return run(MergedByBlocks(args.scene, job, goal, views, steps=args.steps, **more))
 
 
-def _request(words: argparse.Namespace) -> Request | None:
+def _request(args: argparse.Namespace) -> Request | None:
     """What is asked of a method on photographs. Raises SceneError for options that do not go together."""
-    if words.method:
-        if not words.colmap:
+    options = options_from(PruneOptions, args)
+    check_view_options(options)
+    if args.method:
+        if not args.colmap:
             raise SceneError("--method decides on photographs: add --data, or leave it out")
-        request = request_of(options_from(PruneOptions, words))
-        request.dataset()  # raises before anything is written
-        return request
-    given = [
-        name
-        for name in OF_METHODS
-        if getattr(words, name, None) not in (None, default_of(PruneOptions, name))
-    ]
-    if given:
+        return request_of(options)
+    if others := [name for name in given(options) if name in OF_METHODS]:
         raise SceneError(
-            f"--{given[0].replace('_', '-')} is for methods that decide on photographs: add --method, or"
+            f"{flag_of(PruneOptions, others[0])} is for methods that decide on photographs: add --method, or"
             " leave it out"
         )
     return None
 
 
-def _divide(words: argparse.Namespace) -> dict[str, Any]:
-    format_to_read(words.scene)
-    refuse_foreign(words.work)
-    request, (scored, measured) = _request(words), _views(words)
-    prepare(words.work, scored, measured, request)
-    divided = divide(words.scene.absolute(), words.work, words.block, _told(words, "divide"))
+def _divide(args: argparse.Namespace) -> dict[str, Any]:
+    check_files(args.scene, [])
+    refuse_foreign(args.work)
+    request = _request(args)
+    if request is not None:
+        request.dataset()  # raises before anything is written
+    sample, enlarged = sample_of(args.scene)
+    check_visible(sample, str(args.scene))
+    scored, measured, *_ = _views(args, options_from(PruneOptions, args), sample, enlarged)
+    prepare(args.work, scored, measured, request)
+    divided = divide(args.scene.absolute(), args.work, args.block, _told(args, "divide"))
     return {
-        "work": str(words.work),
+        "work": str(args.work),
         "count": divided.count,
         "blocks": len(divided.blocks),
         "views": len(scored),
     }
 
 
-def _score(words: argparse.Namespace) -> dict[str, Any]:
-    divided = Divided.read(words.work)
+def _score(args: argparse.Namespace) -> dict[str, Any]:
+    divided = Divided.read(args.work)
     return {
-        "scores": str(
-            score(divided, scored_views(words.work), words.part, words.parts, _told(words, "score"))
-        )
+        "scores": str(score(divided, scored_views(args.work), args.part, args.parts, _told(args, "score")))
     }
 
 
-def _reduce(words: argparse.Namespace) -> dict[str, Any]:
-    divided = Divided.read(words.work)
-    reduce(divided, scored_views(words.work))
-    return {"work": str(words.work), "blocks": len(divided.blocks)}
+def _reduce(args: argparse.Namespace) -> dict[str, Any]:
+    divided = Divided.read(args.work)
+    reduce(divided, scored_views(args.work))
+    return {"work": str(args.work), "blocks": len(divided.blocks)}
 
 
-def _merge(words: argparse.Namespace) -> dict[str, Any]:
-    divided, tell = Divided.read(words.work), _told(words, "merge")
-    numbers = range(len(divided.blocks))[words.part :: words.parts]
+def _merge(args: argparse.Namespace) -> dict[str, Any]:
+    divided, tell = Divided.read(args.work), _told(args, "merge")
+    numbers = range(len(divided.blocks))[args.part :: args.parts]
     for place, number in enumerate(numbers):
         tell(f"block {number}", place / len(numbers))
         merge(divided, number)
-    return {"work": str(words.work), "blocks": len(numbers)}
+    return {"work": str(args.work), "blocks": len(numbers)}
 
 
-def _decide(words: argparse.Namespace) -> dict[str, Any]:
+def _decide(args: argparse.Namespace) -> dict[str, Any]:
     divided, request, goal = (
-        Divided.read(words.work),
-        Request.read(words.work),
-        Goal(words.target_count or 0, words.target or 0.0),
+        Divided.read(args.work),
+        Request.read(args.work),
+        Goal(args.target_count or 0, args.target or 0.0),
     )
     if request is None:
-        raise SceneError(
-            f"{words.work}: was divided without --method, so no method decides: merge and cut it"
-        )
+        raise SceneError(f"{args.work}: was divided without --method, so no method decides: merge and cut it")
     wanted = goal.number(divided.count) if goal.count or goal.share else 0
     plan, dataset, targets_of = request.plan(), request.dataset(), targets(divided, wanted)
-    numbers = range(len(divided.blocks))[words.part :: words.parts]
+    numbers = range(len(divided.blocks))[args.part :: args.parts]
     for number in numbers:
-        decide(divided, number, dataset, plan, targets_of[number], _told(words, "decide"))
-    return {"work": str(words.work), "blocks": len(numbers)}
+        decide(divided, number, dataset, plan, targets_of[number], _told(args, "decide"))
+    return {"work": str(args.work), "blocks": len(numbers)}
 
 
-def _cut(words: argparse.Namespace) -> dict[str, Any]:
-    divided = Divided.read(words.work)
-    if Request.read(words.work) is not None:
-        prepare_around(divided, _told(words, "cut"))
-        return {"work": str(words.work), "blocks": len(divided.blocks), "count": divided.count}
-    goal = Goal(words.target_count or 0, words.target or 0.0)
+def _cut(args: argparse.Namespace) -> dict[str, Any]:
+    divided = Divided.read(args.work)
+    if Request.read(args.work) is not None:
+        prepare_around(divided, _told(args, "cut"))
+        return {"work": str(args.work), "blocks": len(divided.blocks), "count": divided.count}
+    goal = Goal(args.target_count or 0, args.target or 0.0)
     if not (goal.count or goal.share):
         raise SceneError("how many Gaussians stay is not given: add --target or --target-count")
-    left = cut(divided, scored_views(words.work), goal.number(divided.count), _told(words, "cut"))
-    return {"work": str(words.work), "blocks": len(left.blocks), "count": left.count}
+    left = cut(divided, scored_views(args.work), goal.number(divided.count), _told(args, "cut"))
+    return {"work": str(args.work), "blocks": len(left.blocks), "count": left.count}
 
 
-def _tune(words: argparse.Namespace) -> dict[str, Any]:
-    divided, cameras, request = Divided.read(words.work), scored_views(words.work), Request.read(words.work)
+def _tune(args: argparse.Namespace) -> dict[str, Any]:
+    divided, cameras, request = Divided.read(args.work), scored_views(args.work), Request.read(args.work)
     if request is not None:
-        return _recover(words, divided, request)
-    steps = EPOCHS * len(cameras) if words.steps is None else words.steps
+        return _recover(args, divided, request)
+    steps = EPOCHS * len(cameras) if args.steps is None else args.steps
     if not steps:
-        clear(words.work / TUNED)  # no steps: remove what an earlier call has tuned
-    numbers = range(len(divided.blocks))[words.part :: words.parts] if steps else range(0)
+        clear(args.work / TUNED)  # no steps: remove what an earlier call has tuned
+    numbers = range(len(divided.blocks))[args.part :: args.parts] if steps else range(0)
     for number in numbers:
-        tune(divided, number, cameras, steps, _told(words, "tune"))
-    return {"work": str(words.work), "blocks": len(numbers)}
+        tune(divided, number, cameras, steps, _told(args, "tune"))
+    return {"work": str(args.work), "blocks": len(numbers)}
 
 
-def _recover(words: argparse.Namespace, divided: Divided, request: Request) -> dict[str, Any]:
-    if words.steps is not None:
+def _recover(args: argparse.Namespace, divided: Divided, request: Request) -> dict[str, Any]:
+    if args.steps is not None:
         raise SceneError(
             "--tuning-steps is for removals and merges: leave it out; --recovery of svrgs large divide gives"
             " the steps of a method"
         )
     numbers, plan, dataset = (
-        range(len(divided.blocks) if request.recovery else 0)[words.part :: words.parts],
+        range(len(divided.blocks) if request.recovery else 0)[args.part :: args.parts],
         request.plan(),
         request.dataset(),
     )
     for number in numbers:
-        recover(divided, number, dataset, plan, _told(words, "recover"))
-    return {"work": str(words.work), "blocks": len(numbers)}
+        recover(divided, number, dataset, plan, _told(args, "recover"))
+    return {"work": str(args.work), "blocks": len(numbers)}
 
 
-def _finish(words: argparse.Namespace) -> dict[str, Any]:
-    divided, request = Divided.read(words.work), Request.read(words.work)
-    check_files(divided.source, [words.out])
-    told = functools.partial(_told, words)
-    if request is not None:
-        return finish_learned(divided, request, request.dataset(), words.out, told)
-    return finish(divided, Likeness(divided, measured_views(words.work), told), words.out, told)
+def _finish(args: argparse.Namespace) -> dict[str, Any]:
+    divided, request = Divided.read(args.work), Request.read(args.work)
+    told = partial(_told, args)
+    with outputs(divided.source, [args.out]):
+        if request is not None:
+            result = finish_learned(divided, request, request.dataset(), args.out, told)
+        else:
+            result = finish(divided, original_likeness(divided, told), args.out, told)
+    return result | {"views": len(scored_views(args.work))}
 
 
-def _views(words: argparse.Namespace) -> tuple[list[Camera], list[Camera]]:
-    """The views that are scored, and those on which the result is measured: given, or placed. Raises
-    SceneError."""
-    if words.colmap:
-        dataset = load_dataset(words.colmap, words.images or None, holdout=words.holdout, cameras_only=True)
-        scored, measured = (
-            [dataset.cameras[k] for k in indices] for indices in (dataset.train_indices, dataset.test_indices)
-        )
-    elif words.cameras:
-        cameras = load_cameras(words.cameras)
-        scored, measured = (
-            [camera for k, camera in enumerate(cameras) if (k % HOLDOUT == 0) is held_out]
-            for held_out in (False, True)
-        )
-    else:
-        _told(words, "rig")("looks for places of cameras", 0.0)
-        scene, enlarged = sample_of(words.scene)
-        rig = place_rig(scene, enlarged=enlarged)
-        refuse_hidden(scene, rig.cameras, words.scene)
-        scored, measured = finer(rig.cameras), rig.held_out
-    if not scored:
-        raise SceneError("one view is held out for the test, and no other is there: give at least two")
-    return scored, measured
+def _views(args: argparse.Namespace, options: PruneOptions, sample: Scene, enlarged: float) -> Views:
+    """The views of a sample of the scene, and a message before some are placed."""
+    if not (options.colmap or options.cameras):
+        _told(args, "rig")("looks for places of cameras", 0.0)
+    return job_views.large(options, sample, enlarged)
 
 
-def _told(words: argparse.Namespace, step: str) -> Callable[[str, float], None]:
+def _told(args: argparse.Namespace, step: str) -> Callable[[str, float], None]:
     """Reports progress of a step."""
-    messages = Messages(words.messages)
+    messages = Messages(args.messages)
     return lambda text, share: messages.progress(f"{step}: {text}", share)

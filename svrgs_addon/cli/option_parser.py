@@ -29,10 +29,10 @@ class Parser(argparse.ArgumentParser):
 
     options: type | None = None  # the dataclass of options of a job
 
-    def __init__(self, *words, **more):
+    def __init__(self, *args, **more):
         self.former: dict[str, str] = {}  # older names of options, which are still read
         self.grouped: dict[str, argparse._ArgumentGroup] = {}
-        super().__init__(*words, **more)
+        super().__init__(*args, **more)
 
     def groups(self):
         """Sorts the options that are added from now on by the groups of their fields."""
@@ -114,11 +114,11 @@ def _joined_numbers(words: Sequence[str]) -> list[str]:
     return joined
 
 
-def options_from(cls: type, words: argparse.Namespace, **more: Any) -> Any:
+def options_from(cls: type, args: argparse.Namespace, **more: Any) -> Any:
     """An object of a dataclass of options, from the parsed command line; defaults for options that are not
     there. more: values of further fields."""
-    names = {field.name for field in fields(cls)} & set(vars(words))
-    return cls(**({name: getattr(words, name) for name in names} | more))
+    names = {field.name for field in fields(cls)} & set(vars(args))
+    return cls(**({name: getattr(args, name) for name in names} | more))
 
 
 def command_of(commands, name: str, help_: str, grouped: bool = False, hidden: bool = False) -> Parser:
@@ -170,17 +170,17 @@ def add_option(command: Parser, container, name: str, option: Option, default: A
     shown = option.default_help or (
         "" if default is None or required else f"{default:g}" if isinstance(default, float) else str(default)
     )
-    words: dict[str, Any] = {
+    keywords: dict[str, Any] = {
         "type": reader(option.kind),
         "default": argparse.SUPPRESS if option.steps else default,
         "required": required,
     }
     if choices := CHOICES.get(name) or option.kind.choices:
-        words["choices"] = choices
+        keywords["choices"] = choices
     elif option.metavar:
-        words["metavar"] = option.metavar
+        keywords["metavar"] = option.metavar
     said = f" (default: {shown})" if shown else ""
-    added = container.add_argument(flag, dest=name, help=option.help + said, **words)
+    added = container.add_argument(flag, dest=name, help=option.help + said, **keywords)
     added.brief = option.brief + said
 
 

@@ -17,23 +17,23 @@ from ..views.cameras_json import write_cameras_json
 from ..views.rig import place_rig
 
 
-def place_cameras(words: argparse.Namespace) -> dict:
+def place_cameras(args: argparse.Namespace) -> dict:
     """Places the cameras that `svrgs prune` uses without photographs. Returns their facts and the files.
     Raises SplatError."""
-    for out in (words.out, words.preview):
+    for out in (args.out, args.preview):
         if out is not None:
-            refuse_input(out, words.scene)
+            refuse_input(out, args.scene)
             check_writable(out)
-    if words.preview is not None and words.preview.suffix.lower() != ".png":
-        raise SceneError(f"{words.preview}: the preview is a PNG; give it the suffix .png")
-    scene, enlarged = _scene(words.scene)
-    rig = place_rig(scene, views=words.views, seed=words.seed, enlarged=enlarged)
-    write_cameras_json(words.out, [*rig.cameras, *rig.held_out])
-    if words.preview is not None:
+    if args.preview is not None and args.preview.suffix.lower() != ".png":
+        raise SceneError(f"{args.preview}: the preview is a PNG; give it the suffix .png")
+    scene, enlarged = _scene(args.scene)
+    rig = place_rig(scene, views=args.views, seed=args.seed, enlarged=enlarged)
+    write_cameras_json(args.out, [*rig.cameras, *rig.held_out])
+    if args.preview is not None:
         from ..views.rig.preview import preview
 
-        write_image(words.preview, preview(scene, rig))
-    return {**rig.facts(), "out": str(words.out), "preview": words.preview and str(words.preview)}
+        write_image(args.preview, preview(scene, rig))
+    return {**rig.facts(), "out": str(args.out), "preview": args.preview and str(args.preview)}
 
 
 def _scene(path: Path) -> tuple[Scene, float]:

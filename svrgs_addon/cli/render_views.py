@@ -22,22 +22,22 @@ from ..views.dataset import HOLDOUT, load_dataset
 MAX_DIGITS = 20  # of the number of a view; Python refuses to read thousands of digits
 
 
-def render_views(options: argparse.Namespace) -> list[Path]:
-    """Renders options.outputs of options.views and returns the files. All masks are 1, and F counts every hit
+def render_views(args: argparse.Namespace) -> list[Path]:
+    """Renders args.outputs of args.views and returns the files. All masks are 1, and F counts every hit
     of a ray. Raises SplatError."""
-    outputs = _outputs(options.outputs)
-    check_writable(options.out / "view.png")
-    chosen = choose(_cameras(options), options.views)
+    outputs = _outputs(args.outputs)
+    check_writable(args.out / "view.png")
+    chosen = choose(_cameras(args), args.views)
     refuse_same_stems(chosen, "render them one at a time, into separate folders")
     largest = max(chosen, key=lambda camera: camera.width * camera.height)
     with opened(
-        options.scene, "rendering", lambda count: memory.rendering(count, largest.width, largest.height)
+        args.scene, "rendering", lambda count: memory.rendering(count, largest.width, largest.height)
     ) as (scene, rasterizer):
-        settings = picture_options(scene, options.background, "svr" if "mask" in outputs else "none")
+        settings = picture_options(scene, args.background, "svr" if "mask" in outputs else "none")
         saved = []
         for camera in chosen:
             images = rasterizer.forward(scene, camera, settings, outputs=outputs)
-            saved += [_save(options.out, camera, name, images[name], options.format) for name in outputs]
+            saved += [_save(args.out, camera, name, images[name], args.format) for name in outputs]
         return saved
 
 
@@ -49,10 +49,10 @@ def _outputs(text: str) -> tuple[str, ...]:
     return names
 
 
-def _cameras(options: argparse.Namespace) -> list[Camera]:
-    if options.cameras:
-        return load_cameras(options.cameras)
-    return load_dataset(options.colmap, cameras_only=True).cameras
+def _cameras(args: argparse.Namespace) -> list[Camera]:
+    if args.cameras:
+        return load_cameras(args.cameras)
+    return load_dataset(args.colmap, cameras_only=True).cameras
 
 
 def choose(cameras: list[Camera], views: str) -> list[Camera]:

@@ -8,10 +8,10 @@ import logging
 from collections.abc import Iterator
 from pathlib import Path
 
-from ..files.atomic import check_writable
 from ..files.memory_mapped import mapped_scene
-from ..files.registry import format_to_write, read_parts, read_scene, refuse_input, write_scene
+from ..files.registry import read_parts, read_scene, write_scene
 from ..files.repair import unusable
+from ..prune.door import outputs
 from ..prune.selection.options import OF_ONE, OF_VIEWS, SelectOptions
 from ..prune.selection.select import selected
 from ..scene.camera import Camera
@@ -24,24 +24,30 @@ from .option_parser import options_from
 from .render_views import choose
 
 
-def select_gaussians(words: argparse.Namespace) -> dict:
+def select_gaussians(args: argparse.Namespace) -> dict:
     """Selects, and writes options.out if it is given: rows and columns as they are in the file. Raises
     SplatError.
 
     Returns count (Gaussians of the file), selected, unusable (Gaussians that cannot be rendered: never
     selected and never written), and out.
     """
-    options = options_from(SelectOptions, words)
-    _refuse_outputs(words.scene, options)
+    options = options_from(SelectOptions, args)
+    if options.colmap and options.cameras:
+        raise SceneError("--data and --cameras both name views; leave one out")
+    with outputs(args.scene, [options.out] if options.out else []):
+        return _select(args, options)
+
+
+def _select(args: argparse.Namespace, options: SelectOptions) -> dict:
     needs_views = any(name in OF_VIEWS for name in options.given())
-    cameras = views_of(words) if needs_views or options.colmap or options.cameras else []
+    cameras = views_of(args) if needs_views or options.colmap or options.cameras else []
     result = {"count": 0, "selected": 0, "unusable": 0, "out": options.out and str(options.out)}
-    some = _selected(_parts(words.scene, options, cameras), options, cameras, result)
+    some = _selected(_parts(args.scene, options, cameras), options, cameras, result)
     if options.out:
         with mapped_scene(some, options.out) as scene:
             if not scene.count:
                 raise SceneError(
-                    f"{words.scene}: no Gaussian fulfils the criteria, so no file was written; leave out"
+                    f"{args.scene}: no Gaussian fulfils the criteria, so no file was written; leave out"
                     " --out to see counts only"
                 )
             write_scene(options.out, scene)
@@ -50,7 +56,7 @@ def select_gaussians(words: argparse.Namespace) -> dict:
     if result["unusable"]:
         logging.warning(
             "%s: %d Gaussians with values that are not finite are not selected",
-            words.scene,
+            args.scene,
             result["unusable"],
         )
     return result
@@ -87,13 +93,13 @@ def _selected(
         yield part.select(mask) if options.out else part
 
 
-def views_of(words: argparse.Namespace) -> list[Camera]:
+def views_of(args: argparse.Namespace) -> list[Camera]:
     """The views that criteria are measured in: those of --data or --cameras. Raises SceneError if neither
     is given."""
-    if words.cameras:
-        return load_cameras(words.cameras)
-    if words.colmap:
-        return load_dataset(words.colmap, cameras_only=True).cameras
+    if args.cameras:
+        return load_cameras(args.cameras)
+    if args.colmap:
+        return load_dataset(args.colmap, cameras_only=True).cameras
     raise SceneError(
         "contribution, removal error and seen-by are measured in views; name them with --data or --cameras"
     )
@@ -102,15 +108,3 @@ def views_of(words: argparse.Namespace) -> list[Camera]:
 def as_text(result: dict) -> str:
     text = f"{result['selected']:,} of {result['count']:,} Gaussians selected"
     return f"{text}; saved {result['out']}" if result["out"] else text
-
-
-def _refuse_outputs(scene, options: SelectOptions) -> None:
-    """Raises SceneError for two sources of views, and for an output that cannot be written or is the
-    input."""
-    if options.colmap and options.cameras:
-        raise SceneError("--data and --cameras both name views; leave one out")
-    if options.out is None:
-        return
-    refuse_input(options.out, scene)
-    format_to_write(options.out)
-    check_writable(options.out)

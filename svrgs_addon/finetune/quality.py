@@ -1,5 +1,5 @@
-"""PSNR on a few views, the fewest Gaussians that reach a given PSNR, and the law of what the steps of a run
-win back of a removal.
+"""Searches by quality: the fewest Gaussians that reach a given PSNR, and the share of fine-tuning that does
+best; and the law of what the steps of a run win back of a removal.
 
 The law, in mean squared errors of the scene as it is (now), after a removal without any learning (removed),
 and at the end of the run (after):
@@ -30,6 +30,8 @@ if TYPE_CHECKING:  # reads files; a Blender that only starts needs none of it
 # least share of the Gaussians that an allowed drop keeps: in a poor scene, PSNR alone would be held by some
 # large blurs
 LEAST = 0.05
+# shares of the fine-tuned scene in a result, the rest is the scene before the steps; tried after 1
+SHARES = (0.75, 0.5, 0.25, 0.0)
 VIEWS = 16  # most views on which a drop in PSNR is measured, spread evenly over the test views
 
 
@@ -44,19 +46,29 @@ def quality_views(dataset: Dataset) -> list[int]:
 def fewest_within(run: RunView, score: np.ndarray, floor: float) -> np.ndarray:
     """(N,) bool: the Gaussians of highest score, as few as have a PSNR of at least `floor` dB, but at least
     LEAST of those at the start. score (N,). To 0.1 % of N."""
-    few, count = min(math.ceil(LEAST * run.initial_count) - 1, run.model.count), run.model.count
-    return top(
-        score, bisected(few, count, count // 1_000, lambda middle: run.psnr(top(score, middle)) >= floor)
-    )
+    least, count = math.ceil(LEAST * run.initial_count), run.model.count
+    return top(score, fewest(least, count, lambda some: run.psnr(top(score, some)) >= floor, 1_000))
 
 
-def bisected(few: int, enough: int, step: int, within: Callable[[int], bool]) -> int:
-    """The smallest number above `few` for which within() holds, or up to `step` more. It holds for `enough`,
-    and for more than any for which it does."""
-    while enough - few > max(1, step):
+def fewest(least: int, count: int, within: Callable[[int], bool], parts: int = 100) -> int:
+    """The smallest number of `count` Gaussians, at least `least`, for which within() holds; too large by one
+    `parts`-th of them at most. It holds for all, and for more than any for which it does."""
+    few, enough = min(least - 1, count), count
+    while enough - few > max(1, count // parts):
         middle = (few + enough) // 2
         few, enough = (few, middle) if within(middle) else (middle, enough)
     return enough
+
+
+def best_share(quality: Callable[[float], float]) -> tuple[float, float]:
+    """The share of the fine-tuned scene in the result, less than 1 where fine-tuning does harm, and its
+    quality. quality: of a share. Shares are tried from 1 down, as long as the quality rises."""
+    best, highest = 1.0, quality(1.0)
+    for share in SHARES:
+        if (found := quality(share)) <= highest:
+            break
+        best, highest = share, found
+    return best, highest
 
 
 def psnr_after(before: float, removed: float, steps: int, halved: float) -> float:

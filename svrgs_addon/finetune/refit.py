@@ -21,8 +21,6 @@ FASTER = {"sh": 3.0, "sh_rest": 24.0, "log_scales": 3.0, "quats": 3.0, "opacity_
 LAST = 0.1
 LARGE_ERROR = 0.02  # of a picture; 34 dB
 USUAL = 0.25  # share of the Gaussians down to which the rates are smaller
-# of the fine-tuned scene in the result, the rest is the one before the steps; tried after 1
-SHARES = (0.75, 0.5, 0.25, 0.0)
 POSITION = 0.025  # rate of position, in median middle scales: Gaussians move by fractions of their size
 
 

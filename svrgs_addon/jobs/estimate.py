@@ -15,6 +15,7 @@ from ..files.registry import invisible, load_scene
 from ..finetune.plan import at_schedule
 from ..native import library
 from ..prune.context import PROCESS
+from ..prune.door import check_view_options, check_views, check_visible
 from ..prune.duration import pace_of
 from ..prune.expected_count import expected_count, expected_order, seen_by_some
 from ..prune.options import PruneOptions
@@ -22,7 +23,6 @@ from ..prune.plans import dataset_of_pruning, plan_of_pruning
 from ..prune.quality_forecast import forecast
 from ..prune.recipes.quick import like_quick
 from ..prune.time_plan import fitted
-from ..render.metrics.evaluate import refuse_unseen
 from ..render.metrics.explained import mismatch_of
 from ..system.exit_status import answer
 from ..system.file_names import extended
@@ -44,13 +44,15 @@ def estimate(options: PruneOptions) -> dict:
     begun = time.perf_counter()
     library.set_threads(options.threads)
     assert options.scene is not None
+    check_view_options(options)
     scene = load_scene(options.scene).scene
+    check_visible(scene, "the splat")
     read = time.perf_counter() - begun
     options, dataset = (
         like_quick(options, scene) if options.quick else (options, dataset_of_pruning(options, scene))
     )
     loaded = time.perf_counter() - begun
-    refuse_unseen(scene, dataset.cameras, "the splat")
+    check_views(scene, dataset.cameras, dataset.train_indices, "the splat")
     plan = plan_of_pruning(options)
     pace, seen = pace_of(scene, dataset, plan), seen_by_some(scene, dataset, plan)
     measured = time.perf_counter() - begun

@@ -7,20 +7,18 @@ from collections.abc import Collection
 from dataclasses import replace
 
 from ..finetune.methods import DEFAULT, method_named
-from ..scene.camera import Camera, evenly
 from ..scene.gaussians import Scene
 from ..system import memory
 from ..system.errors import MemoryShort, TooMany
-from ..views.dataset import load_dataset
+from . import job_views
 from .blocks.folder import blocks_of
 from .blocks.request import Request, methods, methods_of_drop
-from .blocks.sample import finer, refuse_hidden, sample_of
 from .blocks.tasks import progress
 from .context import JobContext
-from .door import check_views, given
+from .door import given
+from .job_views import Views
 from .options import MIN_CONTRIBUTION, PruneOptions
 from .recipes.by_blocks import Goal, LearnedByBlocks, MergedByBlocks
-from .rendered_views import LONGEST, MOST, refuse_options, views_of
 
 TAKES = (  # options; with others, the scene must be read as a whole
     "colmap",
@@ -39,7 +37,6 @@ TAKES = (  # options; with others, the scene must be read as a whole
     "out",
     "resume",
 )
-QUICK_VIEWS = 64  # that are placed for a quick job
 OF_QUICK = ("max_drop", "levels")  # options that only a quick job has there
 OF_METHODS = (  # those of methods on photographs
     "lambda_f",
@@ -143,32 +140,10 @@ def recipe_of(options: PruneOptions, job: JobContext, reason: str) -> MergedByBl
     goal = Goal(options.target_count or 0, options.target or 0.0, options.max_drop or 0.0, options.levels)
     scene, reason = options.scene, memory.without_advice(reason)
 
-    def views_of() -> tuple[list[Camera], list[Camera], list[str]]:
-        train, test, notes = _views(options, *sample_of(scene))
-        return train, test or train, notes
+    def views_of(sample: Scene, enlarged: float) -> Views:
+        views = job_views.by_blocks(options, sample, enlarged)
+        return views._replace(test=views.test or views.train)
 
     if _learns(options):
         return LearnedByBlocks(scene, job, goal, views_of, request=request_of(options), reason=reason)
     return MergedByBlocks(scene, job, goal, views_of, reason=reason)
-
-
-def _views(
-    options: PruneOptions, scene: Scene, enlarged: float
-) -> tuple[list[Camera], list[Camera], list[str]]:
-    """Views to score and tune on, others to measure on, and what the user must know of them. scene, enlarged:
-    from sample_of(). Raises SceneError, FormatError."""
-    assert options.scene is not None
-    if options.colmap is None:
-        refuse_options(options)
-        train, test, notes, facts = views_of(options, scene, enlarged, QUICK_VIEWS if options.quick else None)
-        if not options.seen_from_only:
-            refuse_hidden(scene, train, options.scene)
-        given = len(train) - facts.get("views", 0)
-        return train[:given] + finer(train[given:]), test, notes
-    dataset = load_dataset(options.colmap, options.images or None, holdout=options.holdout, cameras_only=True)
-    check_views(scene, dataset.cameras, dataset.train_indices, str(options.scene))
-    train, test = (
-        [dataset.cameras[i].fitted(LONGEST) for i in indices]
-        for indices in (dataset.train_indices, dataset.test_indices)
-    )
-    return evenly(train, MOST), test, []

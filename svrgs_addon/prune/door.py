@@ -1,17 +1,23 @@
-"""The door: what is checked of a job before any work, once, whatever its recipe."""
+"""The door: what is checked of a job before any work, once, whatever its recipe.
+
+Files and options are checked before anything is read; the scene and its views as soon as they are known.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+import contextlib
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from ..files.atomic import check_writable
-from ..files.registry import format_to_read, format_to_write, refuse_input
+from ..files.atomic import check_writable, reserved
+from ..files.registry import format_to_read, format_to_write, invisible, refuse_input
 from ..render.metrics.evaluate import Renderable, refuse_unseen
 from ..scene.camera import Camera
+from ..scene.gaussians import Scene
 from ..system.errors import SceneError
-from ..system.option_kinds import default_of
+from ..system.option_kinds import default_of, flag_of
+from .options import PruneOptions
 
 
 def check_files(scene: Path | None, outs: Sequence[Path], further: Sequence[Path] = ()):
@@ -28,18 +34,50 @@ def check_files(scene: Path | None, outs: Sequence[Path], further: Sequence[Path
         format_to_read(scene)
 
 
+@contextlib.contextmanager
+def outputs(scene: Path | None, outs: Sequence[Path], further: Sequence[Path] = ()) -> Iterator[None]:
+    """check_files(); as long as the context lasts, no other job can write to these outputs. Raises
+    SplatError."""
+    check_files(scene, outs, further)
+    with contextlib.ExitStack() as held:
+        for out in outs:
+            held.enter_context(reserved(out))
+        yield
+
+
+def check_view_options(options: PruneOptions):
+    """Raises SceneError for options of views that do not go together."""
+    if options.colmap is not None and (options.cameras or options.seen_from_only):
+        raise SceneError(
+            "--seen-from and --seen-from-only are for scenes without photographs: leave them out, or --data"
+        )
+    if options.seen_from_only and options.cameras is None:
+        raise SceneError("--seen-from-only keeps what given cameras see: name them with --seen-from")
+    if options.images and options.colmap is None:
+        raise SceneError("--images names a folder of photographs in a dataset: give --data, or leave it out")
+
+
 def check_options(options: Any, takes: Collection[str], way: str):
     """Raises SceneError for an option that is given, but is not one of those that this way takes. options: of
     a dataclass of prune/options.py."""
     others = [name for name in given(options) if name not in takes]
     if others:
-        raise SceneError(f"{way} takes no --{others[0].replace('_', '-')}: leave it out, or leave {way} out")
+        flag = flag_of(type(options), others[0])
+        raise SceneError(f"{way} takes no {flag}: leave it out, or leave {way} out")
 
 
 def given(options: Any) -> list[str]:
     """The names of the options that differ from their defaults."""
     cls = type(options)
     return [name for name in cls.__dataclass_fields__ if getattr(options, name) != default_of(cls, name)]
+
+
+def check_visible(scene: Scene, name: str):
+    """Raises SceneError if no pixel can show any Gaussian. name: of the scene, for the sentence."""
+    if invisible(scene).all():
+        raise SceneError(
+            f"{name}: all of its Gaussians have an opacity below 1/255, so there is nothing to keep"
+        )
 
 
 def check_views(scene: Renderable, cameras: Sequence[Camera], training: Collection, name: str):

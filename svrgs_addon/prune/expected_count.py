@@ -14,13 +14,13 @@ import numpy as np
 from ..finetune import scores
 from ..finetune.methods.removal import Removal, floor_of_drop
 from ..finetune.plan import Plan
-from ..finetune.quality import LEAST, bisected, quality_views
+from ..finetune.quality import LEAST, fewest, quality_views
 from ..finetune.saliency import saliency
 from ..finetune.view_order import as_real
 from ..native.rasterizer import Rasterizer
 from ..render.metrics.evaluate import picture_options, render_options, rounded_to_8_bits
 from ..render.metrics.measures import psnr, with_error
-from ..scene.camera import Camera
+from ..scene.camera import Camera, spaced
 from ..scene.gaussians import Scene
 from ..views.dataset import Dataset
 from .quality_forecast import spread
@@ -70,9 +70,7 @@ def seen_by_some(scene: Scene, dataset: Dataset, plan: Plan) -> Seen:
 def expected_count(plan: Plan, scene: Scene, dataset: Dataset, seen: Seen) -> int:
     """Roughly how many Gaussians stay, at least 1. With an allowed drop an upper bound."""
     if plan.max_drop:
-        return max(
-            1, int(_fewest_within(scene, dataset, expected_order(plan, scene, dataset, seen), plan).sum())
-        )
+        return _fewest_within_drop(scene, dataset, expected_order(plan, scene, dataset, seen), plan)
     if plan.target:
         return plan.target
     kept = seen.peaks >= plan.min_contribution
@@ -91,14 +89,8 @@ def expected_order(plan: Plan, scene: Scene, dataset: Dataset, seen: Seen) -> np
 
 def _from_some(ranking: Callable, scene: Scene, dataset: Dataset) -> np.ndarray:
     """Saliency or removal error (N,), from some of the views."""
-    train = _views(dataset)
-    chosen = train[:: max(1, len(train) // RANKING_VIEWS)][:RANKING_VIEWS]
-    return ranking(
-        scene,
-        [_reduced(dataset, index) for index in chosen],
-        Rasterizer(),
-        render_options(scene, dataset.background),
-    )
+    views = [_reduced(dataset, index) for index in spaced(_views(dataset), RANKING_VIEWS)]
+    return ranking(scene, views, Rasterizer(), render_options(scene, dataset.background))
 
 
 def _views(dataset: Dataset) -> list[int]:
@@ -114,16 +106,13 @@ def _reduction(dataset: Dataset, index: int) -> int:
     return max(1, max(dataset.cameras[index].width, dataset.cameras[index].height) // SIDE)
 
 
-def _fewest_within(scene: Scene, dataset: Dataset, order: np.ndarray, plan: Plan) -> np.ndarray:
-    """(N,) bool: the fewest Gaussians that are highest in `order` (N,) and hold the allowed drop on some
-    views: without learning, or for `removal` and `saliency` by the law of finetune/quality.py. A job keeps
-    fewer."""
+def _fewest_within_drop(scene: Scene, dataset: Dataset, order: np.ndarray, plan: Plan) -> int:
+    """The fewest Gaussians that are highest in `order` (N,) and hold the allowed drop on some views: without
+    learning, or for `removal` and `saliency` by the law of finetune/quality.py. A job keeps fewer."""
     before, psnr_of = _psnr_on_some(scene, dataset)
     floor = floor_of_drop(before, plan) if isinstance(plan.method, Removal) else before - plan.max_drop
     within = lambda count: psnr_of(scores.top(order, count).astype(np.uint8)) >= floor
-    return scores.top(
-        order, bisected(math.ceil(LEAST * scene.count) - 1, scene.count, scene.count // 100, within)
-    )
+    return fewest(math.ceil(LEAST * scene.count), scene.count, within)
 
 
 def _psnr_on_some(scene: Scene, dataset: Dataset) -> tuple[float, Callable[[np.ndarray | None], float]]:

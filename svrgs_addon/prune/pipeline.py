@@ -12,12 +12,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 
-from ..files.atomic import reserved
 from ..native import library
 from ..system.errors import MemoryShort, TooMany
 from . import by_blocks, plans
 from .context import JobContext
-from .door import check_files
+from .door import check_view_options, outputs
 from .options import PruneOptions, TrainOptions
 from .recipes.fine_tuned import FineTuned
 from .recipes.quick import Quick
@@ -61,6 +60,7 @@ def prune_scene(options: PruneOptions, adapt: Adapt = lambda job: job) -> dict[s
     """Runs `svrgs prune` of options.scene. Returns the JSON result. Raises SplatError; Cancelled if
     stopped."""
     library.set_threads(options.threads)
+    check_view_options(options)
     with contextlib.ExitStack() as held:
         return _finished(_begun(options, held), adapt)
 
@@ -102,11 +102,7 @@ def _prepared(recipe: Recipe) -> Iterator[Recipe]:
     lasts, and it is closed at the end."""
     job = recipe.job
     further = [job.report / "index.html"] if job.report else []
-    check_files(job.scene, job.outs, [*further, *recipe.further_files()])
-    with contextlib.ExitStack() as held:
-        for out in job.outs:
-            held.enter_context(reserved(out))
-        held.callback(recipe.close)
+    with outputs(job.scene, job.outs, [*further, *recipe.further_files()]), contextlib.closing(recipe):
         recipe.open()
         recipe.views()
         recipe.check()

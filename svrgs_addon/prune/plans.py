@@ -13,8 +13,10 @@ from ..render.metrics import load_lpips
 from ..scene.gaussians import Scene
 from ..system.errors import SceneError
 from ..views.dataset import Dataset, load_dataset
+from ..views.rendered import RenderedDataset
 from .context import JobContext
 from .door import given
+from .job_views import without_photographs
 from .options import (
     MIN_CONTRIBUTION,
     RECOVERY,
@@ -25,7 +27,6 @@ from .options import (
     refuse_time_and_steps,
 )
 from .progress import Reporter
-from .rendered_views import rendered_dataset
 
 
 def plan_of_training(options: TrainOptions) -> Plan:
@@ -91,14 +92,20 @@ def method_of(options: TuningOptions) -> Method:
 
 
 def dataset_of_pruning(options: PruneOptions, scene: Scene) -> Dataset:
-    """The dataset of the options; without one, views of the scene itself. Raises SceneError, FormatError."""
-    if options.colmap is None:
-        return rendered_dataset(options, scene)
-    if options.cameras or options.seen_from_only:
-        raise SceneError(
-            "--cameras and --seen-from-only are for scenes without photographs: leave them out, or --colmap"
-        )
-    return dataset_of(options)
+    """The dataset of the options; without one, views of the scene itself, which the dataset keeps. Raises
+    SceneError, FormatError."""
+    if options.colmap is not None:
+        return dataset_of(options)
+    train, test, notes, facts = without_photographs(options, scene)
+    return RenderedDataset.of(
+        scene,
+        train,
+        test,
+        background=options.background,
+        memory_budget=int(options.image_memory * 1e9),
+        notes=tuple(notes),
+        facts=facts,
+    )
 
 
 def dataset_of(options: DatasetOptions, need_points: bool = False) -> Dataset:

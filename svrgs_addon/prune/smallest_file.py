@@ -5,11 +5,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from ..files.registry import format_to_write, round_trip
 from ..finetune.decimate.order import Order
-from ..finetune.quality import bisected
+from ..finetune.quality import fewest
 from ..render.metrics.max_drop import ASSUMED, refuse_loss
 from ..scene.affine import scaled
 from ..scene.gaussians import Scene
@@ -27,32 +28,27 @@ def smallest_file(
     psnr_of: PSNR in dB of a scene. unit: length of a unit of the order's scene in the file. Raises SceneError
     if the format alone loses so much.
     """
-    splat_format, best, smallest = format_to_write(out), (order.scene.count, 1.0), math.inf
+    total, floor = order.scene.count, ASSUMED - allowed
+    splat_format, best, smallest = format_to_write(out), (total, 1.0), math.inf
     if splat_format.lossless:
-        return fewest_within(order, least, lambda count: psnr_of(order.at(count)), ASSUMED - allowed), 1.0
+        return fewest(least, total, lambda count: psnr_of(order.at(count)) >= floor), 1.0
 
     def tried_with(count: int, factor: float) -> tuple[float, int]:
         held, size = round_trip(scaled(order.at(count), unit), splat_format, factor)
         return psnr_of(scaled(held, 1 / unit)), size
 
+    def holds(factor: float, count: int) -> bool:
+        return tried_with(count, factor)[0] >= floor
+
     for factor in FACTORS if splat_format.quantises and order.scene.sh_degree else FACTORS[:1]:
-        loss = ASSUMED - tried_with(order.scene.count, factor)[0]
+        loss = ASSUMED - tried_with(total, factor)[0]
         if factor == FACTORS[0]:
             refuse_loss(out, loss, allowed)
         elif loss >= allowed:
             break
-        psnr_of_count = lambda some, factor=factor: tried_with(some, factor)[0]
-        count = fewest_within(order, least, psnr_of_count, ASSUMED - allowed)
+        count = fewest(least, total, partial(holds, factor))
         size = tried_with(count, factor)[1]
         if size >= smallest:
             break
         best, smallest = (count, factor), size
     return best
-
-
-def fewest_within(order: Order, least: int, psnr_of: Callable[[int], float], floor: float) -> int:
-    """The fewest Gaussians, at least `least`, with at least `floor` dB. To 1 % of N. psnr_of: of a number of
-    Gaussians."""
-    return bisected(
-        least - 1, order.scene.count, order.scene.count // 100, lambda count: psnr_of(count) >= floor
-    )

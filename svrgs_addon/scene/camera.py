@@ -116,6 +116,11 @@ def evenly(views: Sequence[View], count: int) -> list[View]:
     ]
 
 
+def spaced(views: Sequence[View], count: int) -> list[View]:
+    """At most `count` of the views: the first one, and others at equal distances in the list."""
+    return list(views[:: max(1, len(views) // count)][:count])
+
+
 def view_stem(name: str) -> str:
     """The image name without its extension. Folders are kept. A suffix that is a number, as in 'frame.0001',
     is no extension and is kept."""

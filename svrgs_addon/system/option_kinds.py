@@ -174,6 +174,12 @@ def default_of(cls: type, name: str) -> Any:
     return next(found.default for found in fields(cls) if found.name == name)
 
 
+def flag_of(cls: type, name: str) -> str:
+    """The name of an option on the command line, with its dashes."""
+    found = options_of(cls).get(name)
+    return f"--{found.flag if found and found.flag else name.replace('_', '-')}"
+
+
 def check_mapping(cls: type, values: object, in_job: bool = True) -> dict[str, Any]:
     """Checks options that were read from JSON by name, type and range and returns them. Texts of path options
     become Path, empty ones None, lists tuples. in_job: only options that are allowed in a job folder.

@@ -12,6 +12,7 @@ from typing import Any
 from ...files.digests import scene_sha256, sha256
 from ...finetune.loop import Progress
 from ...prune.context import JobContext
+from ...prune.door import check_files
 from ...prune.pipeline import prune_scene
 from ...system.errors import SceneError, SplatError
 from ...views.colmap_files import MODEL_FILES
@@ -61,7 +62,6 @@ def _run(job: FarmJob, task: Task, messages: Messages) -> dict[str, Any]:
     ):
         messages.tell(f"{task.name}: is done already", 1.0)
         return {"name": task.name, "out": str(out), "sha256": done["sha256"], "done_before": True}
-    job.result_path(task).unlink(missing_ok=True)
     messages.tell(f"{task.name}: reads {task.scene}", 0.0)
 
     def observed(context: JobContext) -> JobContext:
@@ -74,6 +74,8 @@ def _run(job: FarmJob, task: Task, messages: Messages) -> dict[str, Any]:
         return replace(context, observe=observe, part=part)
 
     try:
+        check_files(options.scene, [out])
+        job.result_path(task).unlink(missing_ok=True)
         result = prune_scene(options, observed)
     except SplatError as error:
         raise type(error)(f"task {task.name}: {error}") from None

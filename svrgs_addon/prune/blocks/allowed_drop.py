@@ -5,29 +5,24 @@ from __future__ import annotations
 import contextlib
 import math
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from statistics import fmean
 
 from ...files.atomic import atomic_write
 from ...files.registry import format_to_write
 from ...finetune.methods.removal import floor_of_drop
 from ...finetune.plan import Plan
-from ...finetune.quality import LEAST, bisected, squared_error
+from ...finetune.quality import LEAST, fewest, squared_error
 from ...render.metrics.max_drop import ASSUMED, refuse_loss
-from ...render.metrics.measures import with_error
 from ...scene.camera import Camera
 from ...system.errors import FormatError, SceneError
-from ...views.rendered import PHOTOGRAPHED
+from ..likeness import Likeness, PhotographLikeness, assumed_psnr
 from .divided import NUMBER, Divided, Told, divide
 from .folder import HELD
-from .likeness import EQUAL, Likeness, PhotographLikeness
 from .merging import most_needed
 from .pruning import write_joined
 from .tuning import CUT, cut, written
-
-STEP = 0.01  # share of the Gaussians to which the number is found
 
 
 def errors_of_format(
@@ -44,7 +39,7 @@ def errors_of_format(
         return [0.0] * len(likeness.views)
     with _held(divided, out, told) as stored:
         errors = [squared_error(value) for value in likeness.psnrs(stored, "try")]
-    refuse_loss(out, ASSUMED - _psnr([EQUAL] * len(errors), errors), allowed)
+    refuse_loss(out, ASSUMED - assumed_psnr([math.inf] * len(errors), errors), allowed)
     return errors
 
 
@@ -57,15 +52,14 @@ def fewest_within(
     told: Told,
 ) -> int:
     """The fewest Gaussians, at least LEAST of them, that hold the allowed drop in dB before fine-tuning,
-    which wins a part of it back. As if PHOTOGRAPHED were the error of the original. scored: the views that
-    were scored. errors: from errors_of_format(). Raises SplatError."""
-    return _fewest(
-        divided,
-        lambda count: (
-            _psnr(likeness.psnrs(cut(divided, scored, count, told("try")), "try"), errors)
-            >= ASSUMED - allowed
-        ),
-    )
+    which wins a part of it back. scored: the views that were scored. errors: from errors_of_format(). Raises
+    SplatError."""
+
+    def within(count: int) -> bool:
+        left = cut(divided, scored, count, told("try"))
+        return assumed_psnr(likeness.psnrs(left, "try"), errors) >= ASSUMED - allowed
+
+    return fewest(math.ceil(LEAST * divided.count), divided.count, within)
 
 
 def floor_on_photographs(
@@ -86,15 +80,11 @@ def fewest_above(divided: Divided, likeness: Likeness, floor: float, told: Told)
     """The fewest Gaussians of highest removal error, at least LEAST of all, with this PSNR in dB. Raises
     SplatError."""
 
-    def left(count: int) -> Divided:
-        return written(divided, most_needed(divided, count, told("try")), CUT)
+    def within(count: int) -> bool:
+        left = written(divided, most_needed(divided, count, told("try")), CUT)
+        return likeness.psnr(left) >= floor
 
-    return _fewest(divided, lambda count: likeness.psnr(left(count)) >= floor)
-
-
-def _fewest(divided: Divided, within: Callable[[int], bool]) -> int:
-    """within: whether a scene with so many Gaussians holds the drop."""
-    return bisected(math.ceil(LEAST * divided.count) - 1, divided.count, int(STEP * divided.count), within)
+    return fewest(math.ceil(LEAST * divided.count), divided.count, within)
 
 
 @contextlib.contextmanager
@@ -125,13 +115,3 @@ def read_number(folder: Path) -> int:
         raise FormatError(
             f"{folder / NUMBER}: is missing or damaged; delete {folder} to start again"
         ) from None
-
-
-def drop(psnr: float) -> float:
-    """The drop in dB of a result with this PSNR against the original."""
-    return ASSUMED - with_error(psnr, PHOTOGRAPHED)
-
-
-def _psnr(values: Sequence[float], errors: Sequence[float]) -> float:
-    """Mean PSNR in dB, of each view with PHOTOGRAPHED and a further mean squared error."""
-    return fmean(with_error(value, PHOTOGRAPHED + error) for value, error in zip(values, errors, strict=True))

@@ -31,19 +31,17 @@ from pathlib import Path
 
 import numpy as np
 
-from ...files.registry import invisible
-from ...finetune import checkpoint, loop, scores
+from ...finetune import checkpoint, loop
 from ...finetune.engine import NativeEngine
 from ...finetune.model import Model
 from ...finetune.plan import Plan, scaled
 from ...finetune.run import Run
 from ...finetune.settings import Phase
-from ...native.rasterizer import Rasterizer
-from ...render.metrics.evaluate import render_options
 from ...scene.gaussians import Scene
 from ...system import memory
 from ...system.errors import Cancelled, FormatError, SceneError
 from ...views.dataset import Dataset
+from ..first_cut import first_cut
 from .divided import Divided, Tell, clear, gathered, write_block
 from .merging import counts
 from .surroundings import BLENDED, Around
@@ -124,7 +122,8 @@ def decide(
     scene, (first, end) = around.scene, around.own
     inside = np.zeros(scene.count, bool)
     inside[first:end] = True
-    kept = ~inside | _first_cut(scene, inside, views, plan, target)
+    cameras = [views.cameras[view] for view in views.train_indices]
+    kept = ~inside | first_cut(scene, cameras, plan, target, inside)
     scene, own = scene if kept.all() else scene.select(kept), (first, first + int(kept[first:end].sum()))
     frozen = 0 if plan.method.learns_masks else scene.count - (own[1] - own[0])
     run_plan = _of_part(plan, True, _share(views, dataset), own, target and target + frozen)
@@ -167,19 +166,6 @@ def _around(
     )
     around.there[number][:] = True
     return around, BlockViews.of(dataset, around)
-
-
-def _first_cut(scene: Scene, inside: np.ndarray, views: BlockViews, plan: Plan, target: int) -> np.ndarray:
-    """The Gaussians inside the block that stay after the first cut (docs/methods.md), as in a job in memory,
-    (N,) bool. inside: (N,) bool."""
-    faint = invisible(scene)
-    if not plan.min_contribution:
-        return inside & ~faint
-    cameras = [views.cameras[view] for view in views.train_indices]
-    _, peaks, _ = scores.contribution(scene, cameras, Rasterizer(), render_options(scene, plan.background))
-    return inside & (
-        (peaks >= plan.min_contribution) & ~faint | scores.top(np.where(inside & ~faint, peaks, -1), target)
-    )
 
 
 def _share(views: BlockViews, dataset: Dataset) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,18 +13,25 @@ from ...files import streamed_sog
 from ...files.memory_mapped import mapped_scene
 from ...files.reading import MAX_IN_PARTS
 from ...files.registry import load_parts, size_on_disk, write_scene
+from ...finetune.quality import best_share
 from ...render.metrics.explained import mismatch_of
 from ...render.metrics.max_drop import loss_notes
+from ...scene.camera import evenly
 from ...views.dataset import Dataset
+from ..likeness import VIEWS, Likeness, PhotographLikeness
 from .block_rasterizer import BlockRasterizer
-from .divided import Divided, Tell, divide, gathered, scene_of
-from .folder import RESULT
-from .likeness import Likeness, PhotographLikeness
+from .divided import Divided, Told, divide, gathered, scene_of
+from .folder import RESULT, measured_views
 from .request import Request
-from .tuning import CUT, best_share, mixed, tuned_blocks
+from .tuning import CUT, mixed, tuned_blocks
 
 
-def finish(divided: Divided, likeness: Likeness, out: Path, told: Callable[[str], Tell]) -> dict[str, Any]:
+def original_likeness(divided: Divided, told: Told) -> Likeness:
+    """Likeness to a divided scene, in VIEWS of those on which its result is measured. Raises SplatError."""
+    return Likeness(divided, evenly(measured_views(divided.folder), VIEWS), BlockRasterizer, told=told)
+
+
+def finish(divided: Divided, likeness: Likeness, out: Path, told: Told) -> dict[str, Any]:
     """Writes what is left of a divided scene, and measures the output. The share of the fine-tuning that is
     used is the one with the highest PSNR.
 
@@ -39,10 +46,10 @@ def finish(divided: Divided, likeness: Likeness, out: Path, told: Callable[[str]
 
 
 def finish_learned(
-    divided: Divided, request: Request, dataset: Dataset, out: Path, told: Callable[[str], Tell]
+    divided: Divided, request: Request, dataset: Dataset, out: Path, told: Told
 ) -> dict[str, Any]:
     """finish() of what a method has decided on photographs, which are the measure. Raises SplatError."""
-    likeness = PhotographLikeness(dataset, told)
+    likeness = PhotographLikeness(dataset, BlockRasterizer, told)
     gathered(divided.folder / CUT, divided)
     result = finish(divided, likeness, out, told)
     before = {**likeness.measured(divided), "lpips": None, "ms_per_frame": None, **result["before"]}
@@ -63,7 +70,6 @@ def write_left(divided: Divided, likeness: Likeness, out: Path) -> dict[str, Any
     return {
         "scene": str(divided.source),
         "method": "merge",
-        "views": len(likeness.views),
         "blocks": len(divided.blocks),
         **facts,
         "before": before,
@@ -73,7 +79,9 @@ def write_left(divided: Divided, likeness: Likeness, out: Path) -> dict[str, Any
 def _figures(written: Divided, likeness: Likeness, out: Path, size: int) -> dict[str, Any]:
     """The part of finish()'s result that comes from the output. written: the output, divided again. size: of
     the output, bytes."""
-    return {"out": str(out), **likeness.measured(written), "after": {"count": written.count, "bytes": size}}
+    measured = likeness.measured(written)
+    figures = {name: measured[name] for name in ("psnr", "ssim", "flip")}
+    return {"out": str(out), **figures, "after": {"count": written.count, "bytes": size}}
 
 
 def _settled(divided: Divided, likeness: Likeness) -> tuple[Divided, dict[str, float | None]]:
@@ -83,7 +91,8 @@ def _settled(divided: Divided, likeness: Likeness) -> tuple[Divided, dict[str, f
     merged = likeness.psnr(left)
     if not tuned:
         return left, {"psnr_merged": None, "tuned_share": 0.0, "psnr_values": merged}
-    share, values = best_share(divided, tuned, likeness.psnr) if likeness.views else (1.0, math.nan)
+    quality = lambda share: likeness.psnr(mixed(divided, tuned, share))
+    share, values = best_share(quality) if likeness.views else (1.0, math.nan)
     return mixed(divided, tuned, share), {"psnr_merged": merged, "tuned_share": share, "psnr_values": values}
 
 
@@ -94,7 +103,7 @@ def write_joined(divided: Divided, out: Path):
 
 
 def join_levels(
-    divided: Divided, likeness: Likeness, files: Sequence[Path], out: Path, told: Callable[[str], Tell]
+    divided: Divided, likeness: Likeness, files: Sequence[Path], out: Path, told: Told
 ) -> list[dict[str, Any]]:
     """Writes levels of detail as one streamed SOG, and measures each. files: their PLYs, the finest one
     first. Returns for each the part of finish()'s result that comes from the output. Raises SplatError."""

@@ -14,7 +14,7 @@ Beside the blocks of the original lie
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from statistics import fmean
 
@@ -22,11 +22,11 @@ import numpy as np
 
 from ...files.atomic import atomic_write
 from ...files.reading import json_object
-from ...finetune.refit import SHARES, TrainingView, interpolated, middle_scale, pace_for, refit
+from ...finetune.refit import TrainingView, interpolated, middle_scale, pace_for, refit
 from ...finetune.saliency import reduced
 from ...native.rasterizer import Rasterizer
 from ...render.metrics.evaluate import picture_options, render_options
-from ...scene.camera import Camera
+from ...scene.camera import Camera, evenly
 from ...scene.gaussians import PARAMETERS, Scene
 from ...system import memory
 from ...system.errors import FormatError
@@ -38,7 +38,7 @@ from .surroundings import Around
 from .visible import seen
 
 CUT, TUNED, MIXED, ERROR = "cut", "tuned", "mixed", "error.json"  # folders, and a file
-LOOKS = 8  # views in which the error is measured, at most
+ERROR_VIEWS = 8  # in which the error is measured, at most
 EPOCHS = 2  # times that each view is shown, if nothing else is asked for
 
 
@@ -78,12 +78,8 @@ def emptied(divided: Divided, name: str) -> Path:
 
 def _error(divided: Divided, left: Divided, views: Sequence[Camera]) -> float:
     """The root mean square error of some views."""
-    some, rasterizer, squares = (
-        np.unique(np.linspace(0, len(views) - 1, min(len(views), LOOKS)).round().astype(int)),
-        Rasterizer(),
-        [],
-    )
-    for view in some.tolist():
+    rasterizer, squares = Rasterizer(), []
+    for view in evenly(range(len(views)), ERROR_VIEWS):
         scene, _ = seen(left, views[view], rasterizer)
         picture = rasterizer.forward(scene, views[view], picture_options(scene))["rgb"]
         squares.append(
@@ -123,17 +119,6 @@ def _error_of(left: Divided) -> float:
         return float((json_object(path, 1 << 16) or {})["error"])
     except (OSError, KeyError, TypeError, ValueError):
         raise FormatError(f"{path}: is missing or damaged; cut the scene again") from None
-
-
-def best_share(divided: Divided, tuned: Divided, quality: Callable[[Divided], float]) -> tuple[float, float]:
-    """The share of the tuned scene in the result, the rest is what was cut: less than 1 where fine-tuning
-    does harm; and its quality. Raises SplatError."""
-    best, highest = 1.0, quality(tuned)
-    for share in SHARES:
-        if (found := quality(mixed(divided, tuned, share))) <= highest:
-            break
-        best, highest = share, found
-    return best, highest
 
 
 def mixed(divided: Divided, tuned: Divided, share: float) -> Divided:

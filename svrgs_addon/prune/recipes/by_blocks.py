@@ -18,10 +18,10 @@ from ...files.level_files import holds_levels
 from ...finetune.quality import LEAST
 from ...render.metrics.max_drop import loss_notes, missed_drop
 from ...scene.camera import Camera
+from ...scene.gaussians import Scene
 from ...system.errors import Cancelled
 from ...views.dataset import Dataset
 from ..blocks.allowed_drop import (
-    drop,
     errors_of_format,
     fewest_above,
     fewest_within,
@@ -29,32 +29,32 @@ from ..blocks.allowed_drop import (
     read_number,
     write_number,
 )
-from ..blocks.block_rasterizer import opened
+from ..blocks.block_rasterizer import BlockRasterizer, opened
 from ..blocks.block_size import as_memory_allows
 from ..blocks.divided import Divided, Tell, Told, divide
 from ..blocks.folder import (
     LEVEL,
     SCORED,
     blocks_of,
-    measured_views,
     prepare,
     refuse_foreign,
     remove,
     scored_views,
 )
 from ..blocks.learning import AROUND_SHARE, decide, prepare_around, recover, targets
-from ..blocks.likeness import Likeness, PhotographLikeness
 from ..blocks.merging import merge, reduce
-from ..blocks.pruning import finish, finish_learned, join_levels, write_left
+from ..blocks.pruning import finish, finish_learned, join_levels, original_likeness, write_left
 from ..blocks.request import Request
+from ..blocks.sample import sample_of
 from ..blocks.scoring import score
 from ..blocks.tasks import Overall, Tasks
 from ..blocks.tuning import EPOCHS, cut, tune
 from ..context import JobContext
+from ..door import check_visible
+from ..job_views import Views
+from ..likeness import PhotographLikeness, assumed_drop
 from ..report.prune_report import write_report_of_files
 
-# views that are scored and tuned on; those on which the result is measured; what the user must know of them
-Views = tuple[Sequence[Camera], Sequence[Camera], list[str]]
 # bytes: no limit, because fine-tuning on pictures of the scene keeps all of them in memory
 PICTURES = 1 << 62
 # space that the steps need at least: for sums and orders, in sizes of all blocks; copies of what stays
@@ -85,14 +85,15 @@ class ByBlocks:
         source: Path,
         job: JobContext,
         goal: Goal,
-        views_of: Callable[[], Views],
+        views_of: Callable[[Scene, float], Views],
         work: Path | None = None,
         block: int | None = None,
         reason: str = "",
     ):
-        """views_of: gives the views. work: folder for the blocks; None: beside the output. block: Gaussians
-        of a block, at most; None: as memory allows. reason: why `svrgs prune` goes over to blocks, a
-        sentence; "": blocks were asked for."""
+        """views_of: gives the views for a sample of the scene, and by how much its Gaussians are enlarged
+        (blocks/sample.py). work: folder for the blocks; None: beside the output. block: Gaussians of a block,
+        at most; None: as memory allows. reason: why `svrgs prune` goes over to blocks, a sentence; "": blocks
+        were asked for."""
         self.source, self.goal, self.views_of = source.absolute(), goal, views_of
         self.job = replace(job, scene=source, levels=goal.levels)
         self.work, self.block, self.reason = work or blocks_of(job.out), block, reason
@@ -108,10 +109,12 @@ class ByBlocks:
         refuse_foreign(self.work)
 
     def views(self):
-        self.scored, self.measured, self.notes = self.views_of()
+        sample, enlarged = sample_of(self.source)
+        check_visible(sample, str(self.job.scene))
+        self.scored, self.measured, self.notes, _ = self.views_of(sample, enlarged)
 
     def check(self):
-        """views() has asked a sample of the scene."""
+        """views() has checked a sample of the scene."""
 
     def left_by_a_stop(self) -> str:
         """A sentence on what a job that is stopped leaves; "" for one that can be resumed."""
@@ -137,7 +140,7 @@ class ByBlocks:
         }
         after |= result["after"]
         notes = [f"{self.reason}; so it was pruned by blocks{how}", *self.notes, *result["notes"]]
-        facts = {"views": len(self.scored), "seconds": time.perf_counter() - self.begun, "notes": notes}
+        facts = {"seconds": time.perf_counter() - self.begun, "notes": notes}
         return {**result, **after, "after": after, **facts}
 
 
@@ -162,7 +165,8 @@ class MergedByBlocks(ByBlocks):
         block = self.block or as_memory_allows(self.scored, PICTURES)
         self.divided = divide(self.source, work, block, self.overall("divide"))
         _check_room(work, self.divided, goal)
-        self.likeness, self.errors = Likeness(self.divided, measured_views(work), self.overall), list[float]()
+        self.likeness = original_likeness(self.divided, self.overall)
+        self.errors = list[float]()
         if goal.max_drop:
             self.errors = errors_of_format(
                 self.divided, self.likeness, goal.max_drop, self.job.out, self.overall
@@ -208,9 +212,10 @@ class MergedByBlocks(ByBlocks):
             for share, result in zip(goal.levels, results[1:], strict=True)
         ]
         notes = loss_notes(results[0]["psnr_values"], results[0]["psnr"])
-        result = {**results[0], "levels": levels, "drop": None, "notes": notes}
+        facts = {"views": len(self.scored), "levels": levels, "drop": None, "notes": notes}
+        result = {**results[0], **facts}
         if goal.max_drop:
-            result |= _of_drop(result, drop(result["psnr"]), goal)
+            result |= _of_drop(result, assumed_drop(result["psnr"]), goal)
         return self.of_prune(result, f", and fine-tuned in {EPOCHS} steps for each view")
 
     def close(self):
@@ -232,8 +237,8 @@ class LearnedByBlocks(ByBlocks):
     def views(self):
         if self.goal.max_drop:
             self.request.refuse_drop()
-        super().views()
         self.dataset = self.request.dataset()
+        super().views()
 
     def told(self, step: str) -> Tell:
         return self.tasks.told(step, super().told(step))
@@ -256,7 +261,7 @@ class LearnedByBlocks(ByBlocks):
         blocks = len(divided.blocks)
         self.wanted = goal.number(divided.count) if goal.count or goal.share else 0
         self.tasks.total = 3 + bool(goal.max_drop) + blocks * (2 if self.request.recovery else 1)
-        self.likeness, self.floor = PhotographLikeness(dataset, self.told), 0.0
+        self.likeness, self.floor = PhotographLikeness(dataset, BlockRasterizer, self.told), 0.0
         if goal.max_drop and ALLOWED not in self.tasks.done:  # may refuse
             self.floor = floor_on_photographs(
                 divided, self.likeness, goal.max_drop, plan, self.job.out, self.told
@@ -299,7 +304,7 @@ class LearnedByBlocks(ByBlocks):
         self.finished = True
 
     def measure(self) -> dict[str, Any]:
-        result = self.result
+        result = self.result | {"views": len(self.scored)}
         if self.goal.max_drop:
             result |= _of_drop(result, result["before"]["psnr"] - result["psnr"], self.goal)
         result = self.of_prune(result, "")

@@ -22,7 +22,7 @@ from ...files.registry import (
     size_on_disk,
     write_scene,
 )
-from ...finetune import checkpoint, loop, masks, scores
+from ...finetune import checkpoint, loop, masks
 from ...finetune.decimate.order import NORMALS, lost_columns
 from ...finetune.engine import NativeEngine
 from ...finetune.loop import CURVE_VIEWS
@@ -34,6 +34,7 @@ from ...native.rasterizer import Rasterizer, RenderOptions
 from ...render.metrics.evaluate import evaluate, mean_psnr, render_options
 from ...render.metrics.explained import mismatch_of
 from ...render.metrics.max_drop import format_loss, missed_drop
+from ...scene.camera import spaced
 from ...scene.gaussians import Scene
 from ...system import memory
 from ...system.errors import SceneError
@@ -43,7 +44,8 @@ from ...views.rendered import RenderedDataset
 from ..blocks.folder import remove_blocks
 from ..context import JobContext
 from ..disk_room import ROW, DiskRoom
-from ..door import check_training, check_views
+from ..door import check_training, check_views, check_visible
+from ..first_cut import first_cut
 from ..planning import pruning_within
 from ..report.prune_report import report_pictures, write_prune_report
 
@@ -160,6 +162,7 @@ class FineTuned(Tuned):
     def open(self):
         with self.clock.phase("read"):
             self.source = load_scene(self.path).scene
+        check_visible(self.source, str(self.path))
 
     def views(self):
         self.dataset = self.dataset_of(self.source)
@@ -196,7 +199,7 @@ class FineTuned(Tuned):
         source = self.source
         del self.source  # frees memory for the optimiser
         with self.clock.phase("first cut"):
-            start = first_cut(source, self.dataset, self.plan)
+            start = first_scene(source, self.dataset, self.plan)
             self.dataset.notes += tuple(lost_columns(source, start, (*NORMALS, ROW)))
             # the dataset renders the source, so that the steps must not change its arrays
             shown = isinstance(self.dataset, RenderedDataset) and np.may_share_memory(
@@ -333,28 +336,20 @@ def without_format_loss(scene: Scene, dataset: Dataset, plan: Plan, out: Path) -
     )
 
 
-def first_cut(scene: Scene, dataset: Dataset, plan: Plan) -> Scene:
-    """The scene after the first removal and the first cut (docs/methods.md, "What all methods share"). Raises
-    SceneError if almost nothing stays.
-
-    First removal: Gaussians with an opacity below 1/255; no picture changes. First cut: those whose alpha T
-    is below plan.min_contribution in every pixel of every training view, but never below a target count.
-    Methods that rank keep only the target count here.
-
-    Both masks are applied in one selection, before other arrays exist: two copies would raise the peak memory
-    of the job.
-    """
-    method, faint = plan.method, invisible(scene)
+def first_scene(scene: Scene, dataset: Dataset, plan: Plan) -> Scene:
+    """The scene of the first step: after the first removal and the first cut; of methods that rank, only the
+    target count. Raises SceneError if almost nothing stays."""
     views = [dataset.cameras[i] for i in dataset.train_indices]
-    keep = ~faint
+    keep = first_cut(scene, views, plan, plan.target)
     if plan.min_contribution:
-        _, peaks, _ = scores.contribution(scene, views, Rasterizer(), render_options(scene, plan.background))
-        keep &= (peaks >= plan.min_contribution) | scores.top(np.where(faint, -1, peaks), plan.target)
-        masks.refuse_emptying(keep, scene.count - int(faint.sum()), plan.target)
+        masks.refuse_emptying(keep, scene.count - int(invisible(scene).sum()), plan.target)
+    # one selection, because two copies would raise the peak memory of the job
     scene = scene if keep.all() else scene.select(keep)
-    if not method.ranks:
+    if not plan.method.ranks:
         return scene
-    return method.reduced(scene, views, Rasterizer(), render_options(scene, plan.background), plan.target)
+    return plan.method.reduced(
+        scene, views, Rasterizer(), render_options(scene, plan.background), plan.target
+    )
 
 
 def make_engine(name: str):
@@ -369,7 +364,7 @@ def curve_psnr(run: Run) -> float | None:
     """PSNR in dB on a few test views, of the Gaussians that would stay if pruning ended now. None without
     test views."""
     dataset, model = run.dataset, run.model
-    views = dataset.test_indices[:: max(1, len(dataset.test_indices) // CURVE_VIEWS)][:CURVE_VIEWS]
+    views = spaced(dataset.test_indices, CURVE_VIEWS)
     if not views:
         return None
     kept = run.method.current_mask(model) if model.learns_masks else None

@@ -8,11 +8,9 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import replace
-from functools import cached_property
 from pathlib import Path
-from statistics import fmean
 from typing import Any
 
 import numpy as np
@@ -29,31 +27,28 @@ from ...finetune.decimate.order import (
     visibility_sums,
 )
 from ...finetune.decimate.saved_order import write_order
-from ...finetune.quality import LEAST
-from ...finetune.refit import SHARES, USUAL, TrainingView, interpolated, middle_scale, pace_at, refit
+from ...finetune.quality import LEAST, best_share
+from ...finetune.refit import USUAL, TrainingView, interpolated, middle_scale, pace_at, refit
 from ...native.library import thresholds
 from ...native.rasterizer import Rasterizer
-from ...render.metrics import flip, psnr, ssim
-from ...render.metrics.evaluate import picture_options, render_options, rounded_to_8_bits
-from ...render.metrics.max_drop import ASSUMED, loss_notes, missed_drop
-from ...render.metrics.measures import with_error
+from ...render.metrics.evaluate import render_options
+from ...render.metrics.max_drop import loss_notes, missed_drop
 from ...scene.affine import scaled
 from ...scene.camera import Camera, evenly
 from ...scene.gaussians import Scene
 from ...system import memory
 from ...system.errors import Cancelled, SceneError
-from ...views.dataset import load_dataset
-from ...views.rendered import PHOTOGRAPHED, RenderedDataset
-from ...views.rig.around import DISTANCE, cameras_around, middle_and_radius
-from ...views.rig.place import quick_rig
+from ...views.rendered import RenderedDataset
+from ...views.rig.around import DISTANCE, middle_and_radius
+from .. import job_views
 from ..context import JobContext
 from ..disk_room import ROW
-from ..door import check_options, check_views
+from ..door import check_options, check_visible
+from ..likeness import Likeness, assumed_drop, assumed_psnr
 from ..options import PruneOptions
 from ..smallest_file import smallest_file
 
-SIDE = 512  # pixels of the longer side of a picture
-VIEWS, TEST_VIEWS, DROP_VIEWS = 32, 16, 6  # to decide on; to measure on; of those, for an allowed drop
+DROP_VIEWS = 6  # of those that it is measured in, for an allowed drop
 STEPS, MOST_STEPS = 60, 120  # of fine-tuning, with USUAL of the Gaussians and at most
 # least distance of a camera from the scene, in near depths: smaller scenes are measured enlarged
 NEAREST = 20.0
@@ -93,18 +88,14 @@ class Quick:
     def open(self):
         assert self.options.scene is not None
         self.source = load_scene(self.options.scene).scene
+        check_visible(self.source, str(self.options.scene))
         self.visible = np.flatnonzero(~invisible(self.source))
         self.scene = self.source.select(self.visible)
-        if not self.scene.count:
-            raise SceneError(
-                f"{self.options.scene}: all of its Gaussians have an opacity below 1/255, so there is nothing"
-                " to keep"
-            )
 
     def views(self):
         options, scene = self.options, self.scene
         self.enlarged, self.factor = (scene, 1.0) if options.colmap else _enlarged(scene)
-        self.cameras, self.test, self.notes = _views(self.enlarged, options)
+        self.cameras, self.test, self.notes, _ = job_views.quick(options, self.enlarged)
 
     def check(self):
         needed = memory.decimating(self.scene.count, self.scene.sh.shape[1], self.cameras)
@@ -115,7 +106,7 @@ class Quick:
         self.rasterizer, settings = Rasterizer(), render_options(scene, options.background)
         sums, self.pictures = visibility_sums(self.enlarged, self.cameras, self.rasterizer, settings)
         if not options.colmap and (unseen := hidden(sums)) > MOST_HIDDEN * scene.count:
-            self.cameras, self.test, self.notes = _views_within(self.enlarged, options, unseen)
+            self.cameras, self.test, self.notes, _ = job_views.quick_within(options, self.enlarged, unseen)
             sums, self.pictures = visibility_sums(self.enlarged, self.cameras, self.rasterizer, settings)
         if job.stop():
             raise Cancelled(NOT_FINISHED)
@@ -126,11 +117,11 @@ class Quick:
 
     def budget(self):
         options = self.options
-        self.likeness = _Likeness(self.enlarged, evenly(self.test, DROP_VIEWS), self.rasterizer, options)
+        self.likeness = self._likeness(evenly(self.test, DROP_VIEWS))
         self.count, self.quantise = self.wanted, 1.0
         if options.max_drop:
             self.count, self.quantise = smallest_file(
-                self.order, self.wanted, self.likeness.psnr, self.job.out, options.max_drop, 1 / self.factor
+                self.order, self.wanted, self._psnr, self.job.out, options.max_drop, 1 / self.factor
             )
 
     def select(self):
@@ -139,10 +130,7 @@ class Quick:
 
     def tune(self):
         shown = list(map(TrainingView, self.cameras, self.pictures))
-        self.scenes = [
-            _tuned(small, small.count / self.scene.count, self.likeness, shown, self.options, self.job.stop)
-            for small in self.scenes
-        ]
+        self.scenes = [self._tuned(small, shown) for small in self.scenes]
 
     def write(self):
         scenes = [scaled(scene, 1 / self.factor) for scene in self.scenes]
@@ -151,7 +139,7 @@ class Quick:
             self.notes += _kept(self.job.order, self.order, self.visible, self.source.count, 1 / self.factor)
 
     def measure(self) -> dict[str, Any]:
-        options, job = self.options, self.job
+        options = self.options
         facts: dict[str, Any] = {
             "method": "quick",
             "seconds": time.perf_counter() - self.begun,
@@ -160,21 +148,15 @@ class Quick:
             "hidden": self.hidden,
         }
         before = {"count": self.source.count, "bytes": size_on_disk(options.scene or "")}
+        likeness = self._likeness(self.test)
         after, *levels = (
-            _measured(scaled(one.scene, self.factor), self.enlarged, self.test, self.rasterizer, options)
-            | {"bytes": one.bytes, "out": str(one.path)}
+            likeness.measured(scaled(one.scene, self.factor))
+            | {"lpips": None, "count": one.scene.count, "bytes": one.bytes, "out": str(one.path)}
             for one in self.written
         )
         facts["levels"] = [{"share": share, **one} for share, one in zip(options.levels, levels, strict=True)]
-        facts["drop"] = ASSUMED - with_error(after["psnr"], PHOTOGRAPHED) if options.max_drop else None
-        stored = self.written[0].scene
-        notes = [
-            *self.notes,
-            *_of_hidden(self.hidden),
-            *_of_quantise(self.quantise),
-            *_lost(job.out, self.source, self.scenes[0], stored, self.factor, self.likeness),
-            *missed_drop(facts["drop"], options.max_drop),
-        ]
+        facts["drop"] = assumed_drop(after["psnr"]) if options.max_drop else None
+        notes = [*self.notes, *self._result_notes(), *missed_drop(facts["drop"], options.max_drop)]
         return {
             **after,
             "scene": str(options.scene),
@@ -187,12 +169,49 @@ class Quick:
     def close(self):
         """It holds nothing."""
 
+    def _likeness(self, cameras: list[Camera]) -> Likeness:
+        return Likeness(self.enlarged, cameras, lambda: self.rasterizer, self.options.background)
+
+    def _psnr(self, scene: Scene) -> float:
+        """PSNR in dB on some views, if the original had the error PHOTOGRAPHED."""
+        return assumed_psnr(self.likeness.psnrs(scene))
+
+    def _tuned(self, small: Scene, shown: list[TrainingView]) -> Scene:
+        """The scene fine-tuned on the pictures. Where that does harm in other views, it is interpolated with
+        the scene before the steps. Raises Cancelled."""
+        options, share = self.options, small.count / self.scene.count
+        if share == 1:
+            return small
+        steps, pace, middle = _steps(share), pace_at(share), middle_scale(small.log_scales)
+        settings = render_options(small, options.background)
+        try:
+            tuned = refit(small, shown, steps, pace, middle, settings, options.seed, self.job.stop)
+        except Cancelled:
+            raise Cancelled(NOT_FINISHED) from None
+        mixed = lambda part: interpolated(small, tuned, part) if part < 1 else tuned
+        return mixed(best_share(lambda part: self._psnr(mixed(part)))[0])
+
+    def _result_notes(self) -> Iterator[str]:
+        """What the user must know of the result that was written."""
+        pruned, stored = self.scenes[0], self.written[0].scene
+        if self.hidden:
+            yield f"{self.hidden:,} Gaussians are hidden in all views, so they are removed or merged first"
+        if self.quantise != 1:
+            yield (
+                "spherical harmonics are stored more coarsely, as by svrgs convert --quantise"
+                f" {self.quantise:g}: that makes the smallest file"
+            )
+        yield from lost_columns(self.source, stored, (*NORMALS, ROW))
+        if not format_to_write(self.job.out).lossless:
+            psnr = self.likeness.psnr
+            yield from loss_notes(psnr(pruned), psnr(scaled(stored, self.factor)))
+
 
 def like_quick(options: PruneOptions, scene: Scene) -> tuple[PruneOptions, RenderedDataset]:
     """A fine-tuned job that takes about as long as the quick one, and its views: to foresee the time. Raises
     SceneError, FormatError."""
     refuse_options(options)
-    train, test, notes = _views(scene, options)
+    train, test, notes, _ = job_views.quick(options, scene)
     dataset = RenderedDataset.of(scene, train, test, background=options.background, notes=tuple(notes))
     share = options.target or (options.target_count or LIKELY * scene.count) / scene.count
     return replace(options, quick=False, method="merge", recovery=_steps(min(1.0, share))), dataset
@@ -206,19 +225,6 @@ def refuse_options(options: PruneOptions):
             "--quick needs --target, --target-count, --max-drop or --levels: it does not choose how many"
             " Gaussians to keep"
         )
-
-
-def _lost(
-    out: Path, source: Scene, pruned: Scene, stored: Scene, factor: float, likeness: _Likeness
-) -> list[str]:
-    """Sentences about what the output cannot hold. pruned: the scene that was written, enlarged by `factor`.
-    stored: the scene that is read from the output."""
-    columns = lost_columns(source, stored, (*NORMALS, ROW))
-    return (
-        columns
-        if format_to_write(out).lossless
-        else [*columns, *loss_notes(likeness.psnr(pruned, 0.0), likeness.psnr(scaled(stored, factor), 0.0))]
-    )
 
 
 def _kept(folder: Path, order: Order, rows: np.ndarray, total: int, factor: float) -> list[str]:
@@ -238,131 +244,10 @@ def _wanted(options: PruneOptions, count: int) -> int:
     return options.target_count or max(1, round((options.target or 1.0) * count))
 
 
-class _Likeness:
-    """How much scenes look like the original, in some views. The original's pictures are rendered when they
-    are needed for the first time."""
-
-    def __init__(self, original: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: PruneOptions):
-        self._original, self._cameras, self._rasterizer = original, cameras, rasterizer
-        self._settings = picture_options(original, options.background)
-
-    @cached_property
-    def _originals(self) -> list[np.ndarray]:
-        return [self._picture(self._original, camera) for camera in self._cameras]
-
-    def psnr(self, scene: Scene, error: float = PHOTOGRAPHED) -> float:
-        """Mean PSNR in dB against the original. error: mean squared error of the original itself, colours in
-        0..1."""
-        pairs = zip(self._cameras, self._originals, strict=True)
-        return fmean(
-            with_error(psnr(self._picture(scene, camera), original), error) for camera, original in pairs
-        )
-
-    def _picture(self, scene: Scene, camera: Camera) -> np.ndarray:
-        return rounded_to_8_bits(self._rasterizer.forward(scene, camera, self._settings)["rgb"])
-
-
-def _tuned(
-    small: Scene,
-    share: float,
-    likeness: _Likeness,
-    shown: list[TrainingView],
-    options: PruneOptions,
-    stop: Callable[[], bool],
-) -> Scene:
-    """The scene fine-tuned on the pictures. Where that does harm in other views, it is interpolated with the
-    scene before the steps. share: of the Gaussians of the original. Raises Cancelled."""
-    if share == 1:
-        return small
-    try:
-        settings = render_options(small, options.background)
-        tuned = refit(
-            small,
-            shown,
-            _steps(share),
-            pace_at(share),
-            middle_scale(small.log_scales),
-            settings,
-            options.seed,
-            stop,
-        )
-    except Cancelled:
-        raise Cancelled(NOT_FINISHED) from None
-    best, highest = tuned, likeness.psnr(tuned)
-    for part in SHARES:
-        scene = interpolated(small, tuned, part)
-        if (found := likeness.psnr(scene)) <= highest:
-            break
-        best, highest = scene, found
-    return best
-
-
-def _of_hidden(count: int) -> list[str]:
-    return (
-        [f"{count:,} Gaussians are hidden in all views, so they are removed or merged first"] if count else []
-    )
-
-
-def _of_quantise(factor: float) -> list[str]:
-    return (
-        [
-            f"spherical harmonics are stored more coarsely, as by svrgs convert --quantise {factor:g}: that"
-            " makes the smallest file"
-        ]
-        if factor != 1
-        else []
-    )
-
-
 def _steps(share: float) -> int:
     """The number of steps of fine-tuning for this share of the Gaussians: with few of them, a step is quick
     and more is to be gained."""
     return round(min(MOST_STEPS, STEPS * (USUAL / share) ** (0.5 if share < USUAL else 0.25)))
-
-
-def _views(scene: Scene, options: PruneOptions) -> tuple[list[Camera], list[Camera], list[str]]:
-    """Views to decide and fine-tune on, others to measure on, and a sentence on where they come from. Raises
-    SceneError, FormatError."""
-    if options.colmap is None:
-        where = "from outside all around"
-        return (
-            cameras_around(scene, VIEWS, SIDE),
-            cameras_around(scene, TEST_VIEWS, SIDE, turn=1.0, nearer=0.9),
-            _of_views(where),
-        )
-    dataset = load_dataset(options.colmap, options.images or None, holdout=options.holdout, cameras_only=True)
-    check_views(scene, dataset.cameras, dataset.train_indices, str(options.scene))
-    train, test = (
-        [dataset.cameras[i].fitted(SIDE) for i in indices]
-        for indices in (dataset.train_indices, dataset.test_indices or dataset.train_indices)
-    )
-    return evenly(train, VIEWS), evenly(test, TEST_VIEWS), _of_views("from the cameras of the dataset")
-
-
-def _views_within(
-    scene: Scene, options: PruneOptions, unseen: int
-) -> tuple[list[Camera], list[Camera], list[str]]:
-    """As _views(), for a scene that is seen from inside. unseen: number of Gaussians that views from outside
-    do not show. Raises SceneError if no free space is found inside."""
-    rig = quick_rig(scene, VIEWS, held_out=TEST_VIEWS, seed=options.seed)
-    if not rig.inside_out:
-        raise SceneError(
-            f"{options.scene}: {unseen:,} of its {scene.count:,} Gaussians are hidden in all views from"
-            " outside, and no free space was found inside; give the cameras with --colmap DIR"
-        )
-    where = (
-        "from places inside; what is seen only from outside is not measured. To choose the cameras, give"
-        " --colmap"
-    )
-    return (
-        [camera.fitted(SIDE) for camera in rig.cameras],
-        [camera.fitted(SIDE) for camera in rig.held_out],
-        _of_views(where),
-    )
-
-
-def _of_views(where: str) -> list[str]:
-    return [f"the quality is measured against the original's own pictures, {where}"]
 
 
 def _enlarged(scene: Scene) -> tuple[Scene, float]:
@@ -370,26 +255,3 @@ def _enlarged(scene: Scene) -> tuple[Scene, float]:
     _, radius = middle_and_radius(scene)
     least = NEAREST * thresholds().near / DISTANCE
     return (scene, 1.0) if radius >= least else (scaled(scene, least / radius), least / radius)
-
-
-def _measured(
-    scene: Scene, original: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: PruneOptions
-) -> dict:
-    """Means over the views of psnr (dB), ssim and flip against the original, and the count. The PSNR of equal
-    pictures counts as 100 dB."""
-    settings, rows, seconds = picture_options(original, options.background), [], []
-    for camera in cameras:
-        started = time.perf_counter()
-        image = rounded_to_8_bits(rasterizer.forward(scene, camera, settings)["rgb"])
-        seconds.append(time.perf_counter() - started)
-        target = rounded_to_8_bits(rasterizer.forward(original, camera, settings)["rgb"])
-        rows.append((min(psnr(image, target), 100.0), ssim(image, target), flip(image, target)))
-    values = [fmean(column) for column in zip(*rows, strict=True)]
-    return {
-        "psnr": values[0],
-        "ssim": values[1],
-        "flip": values[2],
-        "lpips": None,
-        "count": scene.count,
-        "ms_per_frame": 1e3 * fmean(seconds),
-    }

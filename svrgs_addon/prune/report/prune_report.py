@@ -15,6 +15,7 @@ from ...finetune.run import Run
 from ...native.rasterizer import Rasterizer
 from ...render.metrics import psnr
 from ...render.metrics.evaluate import Renderable, Renderer, picture_options, rounded_to_8_bits
+from ...scene.camera import spaced
 from ...scene.gaussians import Scene
 from ...system import memory
 from ...system.memory_limits import peak
@@ -119,8 +120,7 @@ def _series(run: Run) -> tuple[Series, ...]:
 
 def report_indices(dataset: Dataset, count: int = REPORT_VIEWS) -> list[int]:
     """Indices of a few test views, spread over the dataset; of training views if there are no test views."""
-    views = dataset.test_indices or dataset.train_indices
-    return views[:: max(1, len(views) // count)][:count]
+    return spaced(dataset.test_indices or dataset.train_indices, count)
 
 
 def report_pictures(

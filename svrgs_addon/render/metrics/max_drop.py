@@ -15,6 +15,7 @@ from .measures import with_error
 
 HALF = 3.01  # dB: half of the squared error
 CLEARLY = 1.2  # times the allowed drop: a larger one is reported
+EQUAL = 100.0  # dB: the PSNR of equal pictures counts as this
 # PSNR of a scene in dB, where a drop is allowed and there are no photographs
 ASSUMED = with_error(math.inf, PHOTOGRAPHED)
 
@@ -44,6 +45,11 @@ def loss_notes(values: float, stored: float) -> list[str]:
     in dB against the original before and after the result was written."""
     if not values - stored > HALF:
         return []
+    if values >= EQUAL:
+        return [
+            f"all that is lost, the format of the output loses: PSNR {stored:.1f} dB against the original;"
+            " another one may lose less"
+        ]
     return [
         f"the format of the output loses more than pruning: {values:.1f} dB before it was written,"
         f" {stored:.1f} dB after; another one may lose less"

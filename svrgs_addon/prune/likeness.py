@@ -1,0 +1,122 @@
+"""How much scenes look like the original in some views: against its own pictures, or against photographs."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from functools import cached_property
+from statistics import fmean
+from typing import Any
+
+import numpy as np
+
+from ..files.images import to_float
+from ..render.metrics import flip, psnr, ssim
+from ..render.metrics.evaluate import Renderable, Renderer, picture_options, rounded_to_8_bits
+from ..render.metrics.max_drop import ASSUMED, EQUAL
+from ..render.metrics.measures import with_error
+from ..scene.camera import Camera, evenly
+from ..views.dataset import Dataset
+from ..views.rendered import PHOTOGRAPHED
+from .blocks.divided import Told
+
+Colour = tuple[float, float, float]
+VIEWS = 8  # of a scene that is divided into blocks, at most
+SILENT: Told = lambda _: lambda *_: None
+
+
+class Likeness:
+    """Compares scenes with the pictures of the original, which are rendered when they are first needed.
+
+    Scenes are in memory or divided, as their renderer takes them. Pictures are rounded to 8 bits.
+    """
+
+    def __init__(
+        self,
+        original: Renderable,
+        views: Sequence[Camera],
+        renderer_of: Callable[[], Renderer],
+        background: Colour = (0.0, 0.0, 0.0),
+        told: Told = SILENT,
+    ):
+        """renderer_of: gives what renders the views once. background: display sRGB 0..1. told: of the name of
+        a step."""
+        self.views, self._renderer_of, self._background, self._told = views, renderer_of, background, told
+        self._original = original
+
+    def psnrs(self, scene: Renderable, step: str = "compare") -> list[float]:
+        """PSNR in dB of each view; infinite where the pictures are equal. Raises SplatError."""
+        return [psnr(picture, original) for picture, original, _ in self._pairs(scene, step)]
+
+    def psnr(self, scene: Renderable) -> float:
+        """Mean PSNR in dB, that of equal pictures as EQUAL; NaN without views. Raises SplatError."""
+        return fmean(min(value, EQUAL) for value in self.psnrs(scene)) if self.views else math.nan
+
+    def measured(self, scene: Renderable) -> dict[str, Any]:
+        """Means over the views: psnr (dB, that of equal pictures as EQUAL), ssim, flip, and ms_per_frame, the
+        milliseconds to render one; NaN without views. Raises SplatError."""
+        rows = [
+            (
+                min(psnr(picture, original), EQUAL),
+                ssim(picture, original),
+                flip(picture, original),
+                1e3 * seconds,
+            )
+            for picture, original, seconds in self._pairs(scene, "measure")
+        ]
+        means = [fmean(column) for column in zip(*rows, strict=True)] or [math.nan] * 4
+        return dict(zip(("psnr", "ssim", "flip", "ms_per_frame"), means, strict=True))
+
+    @cached_property
+    def _originals(self) -> list[np.ndarray]:
+        return [picture for picture, _ in self._pictures(self._original, "look")]
+
+    def _pairs(self, scene: Renderable, step: str) -> Iterator[tuple[np.ndarray, np.ndarray, float]]:
+        """Of each view the picture of the scene, that of the original, and the seconds of the first one."""
+        originals = self._originals
+        for (picture, seconds), original in zip(self._pictures(scene, step), originals, strict=True):
+            yield picture, original, seconds
+
+    def _pictures(self, scene: Renderable, step: str) -> Iterator[tuple[np.ndarray, float]]:
+        """What each view shows, (H, W, 3), rounded to 8 bits, and the seconds to render it."""
+        renderer, options, tell = (
+            self._renderer_of(),
+            picture_options(scene, self._background),
+            self._told(step),
+        )
+        for number, camera in enumerate(self.views):
+            tell(f"looks at the view {camera.name or number}", number / len(self.views))
+            started = time.perf_counter()
+            picture = rounded_to_8_bits(renderer.forward(scene, camera, options)["rgb"])
+            yield picture, time.perf_counter() - started
+
+
+class PhotographLikeness(Likeness):
+    """The same against the photographs of test views; of training views, if none is held out."""
+
+    def __init__(self, dataset: Dataset, renderer_of: Callable[[], Renderer], told: Told = SILENT):
+        """As for Likeness; of VIEWS of the dataset."""
+        self._dataset = dataset
+        self._indices = evenly(dataset.test_indices or dataset.train_indices, VIEWS)
+        self.views, self._background = [dataset.cameras[index] for index in self._indices], dataset.background
+        self._renderer_of, self._told = renderer_of, told
+
+    @cached_property
+    def _originals(self) -> list[np.ndarray]:
+        return [to_float(self._dataset.image(index)) for index in self._indices]
+
+
+def assumed_psnr(psnrs: Sequence[float], errors: Sequence[float] | None = None) -> float:
+    """Mean PSNR in dB if the original had the error PHOTOGRAPHED. psnrs: against the original, of each view.
+    errors: further mean squared errors of the views."""
+    return fmean(
+        with_error(value, PHOTOGRAPHED + error)
+        for value, error in zip(psnrs, errors or [0.0] * len(psnrs), strict=True)
+    )
+
+
+def assumed_drop(psnr: float) -> float:
+    """The drop in dB of a result with this mean PSNR against the original, if that had the error
+    PHOTOGRAPHED."""
+    return ASSUMED - with_error(psnr, PHOTOGRAPHED)
