@@ -1,8 +1,8 @@
 """What the user can do, in rooms by topic: data, scene, jobs, io, view. Each imports only those before it."""
 
-from . import translation
+from . import registration, translation
 from .data import known, materials, quick_order
-from .io import export_farm, export_levels, export_ply, import_colmap, import_ply, usd_stage
+from .io import export_farm, export_levels, export_ply, import_colmap, import_ply, undistort, usd_stage
 from .jobs import (
     applied_jobs,
     apply,
@@ -48,6 +48,7 @@ MODULES = (
     translation,
     known,
     import_ply,
+    undistort,
     import_colmap,
     export_ply,
     export_farm,
@@ -93,10 +94,8 @@ MODULES = (
 
 
 def register():
-    for module in MODULES:
-        module.register()
+    registration.register(MODULES)
 
 
 def unregister():
-    for module in reversed(MODULES):
-        module.unregister()
+    registration.unregister(MODULES)

@@ -76,13 +76,3 @@ def table(layout, result: dict):
 
 
 CLASSES = (SVRGS_PT_compare, SVRGS_PT_compare_image)
-
-
-def register():
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-
-
-def unregister():
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)

@@ -42,8 +42,10 @@ def shared_panels():
     return [panel for panel in panels if panel.__name__ not in EXCLUDED]
 
 
+CLASSES = (SVRGS_PT_engine,)
+
+
 def register():
-    bpy.utils.register_class(SVRGS_PT_engine)
     for panel in shared_panels():
         panel.COMPAT_ENGINES.add(ENGINE)
 
@@ -51,4 +53,3 @@ def register():
 def unregister():
     for panel in shared_panels():
         panel.COMPAT_ENGINES.discard(ENGINE)
-    bpy.utils.unregister_class(SVRGS_PT_engine)

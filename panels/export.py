@@ -38,9 +38,4 @@ class SVRGS_PT_export(bpy.types.Panel):
             wrapped_label(layout, line)
 
 
-def register():
-    bpy.utils.register_class(SVRGS_PT_export)
-
-
-def unregister():
-    bpy.utils.unregister_class(SVRGS_PT_export)
+CLASSES = (SVRGS_PT_export,)

@@ -45,9 +45,4 @@ def draw_job(column, job: dict):
     wrapped_label(column, job["size"])
 
 
-def register():
-    bpy.utils.register_class(SVRGS_PT_jobs)
-
-
-def unregister():
-    bpy.utils.unregister_class(SVRGS_PT_jobs)
+CLASSES = (SVRGS_PT_jobs,)

@@ -28,9 +28,4 @@ class SVRGS_PT_overlay(bpy.types.Panel):
         column.prop(settings, "overlay_moving")
 
 
-def register():
-    bpy.utils.register_class(SVRGS_PT_overlay)
-
-
-def unregister():
-    bpy.utils.unregister_class(SVRGS_PT_overlay)
+CLASSES = (SVRGS_PT_overlay,)

@@ -37,9 +37,4 @@ class SVRGS_PT_panorama(bpy.types.Panel):
                 column.prop(camera, name, text=text)
 
 
-def register():
-    bpy.utils.register_class(SVRGS_PT_panorama)
-
-
-def unregister():
-    bpy.utils.unregister_class(SVRGS_PT_panorama)
+CLASSES = (SVRGS_PT_panorama,)

@@ -142,13 +142,3 @@ def draw_buttons(layout, context, stage: str, job):
 
 
 CLASSES = (SVRGS_PT_prune, SVRGS_PT_prune_advanced)
-
-
-def register():
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-
-
-def unregister():
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)

@@ -53,13 +53,3 @@ def draw_standard(layout, scene):
 
 
 CLASSES = (SVRGS_PT_rendering, SVRGS_PT_not_drawn)
-
-
-def register():
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-
-
-def unregister():
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)

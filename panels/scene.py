@@ -65,9 +65,4 @@ def draw_cameras(layout, context):
         ).root = name
 
 
-def register():
-    bpy.utils.register_class(SVRGS_PT_scene)
-
-
-def unregister():
-    bpy.utils.unregister_class(SVRGS_PT_scene)
+CLASSES = (SVRGS_PT_scene,)

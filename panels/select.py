@@ -39,9 +39,4 @@ class SVRGS_PT_select(bpy.types.Panel):
         ).what = "OTHERS"
 
 
-def register():
-    bpy.utils.register_class(SVRGS_PT_select)
-
-
-def unregister():
-    bpy.utils.unregister_class(SVRGS_PT_select)
+CLASSES = (SVRGS_PT_select,)

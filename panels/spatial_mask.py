@@ -75,13 +75,3 @@ def legend(layout, top: float):
 
 
 CLASSES = (SVRGS_PT_spatial_mask, SVRGS_PT_spatial_mask_image)
-
-
-def register():
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-
-
-def unregister():
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)

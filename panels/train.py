@@ -29,9 +29,4 @@ class SVRGS_PT_train(bpy.types.Panel):
             wrapped_label(layout, problem, "INFO")
 
 
-def register():
-    bpy.utils.register_class(SVRGS_PT_train)
-
-
-def unregister():
-    bpy.utils.unregister_class(SVRGS_PT_train)
+CLASSES = (SVRGS_PT_train,)

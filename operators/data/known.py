@@ -87,12 +87,5 @@ HANDLERS = {
 }
 
 
-def register():
-    for event, handler in HANDLERS.items():
-        getattr(bpy.app.handlers, event).append(handler)
-
-
 def unregister():
-    for event, handler in HANDLERS.items():
-        getattr(bpy.app.handlers, event).remove(handler)
     _after_load()

@@ -152,10 +152,8 @@ def _after_load(*_):
     _problems.clear()
 
 
-def register():
-    bpy.app.handlers.load_post.append(_after_load)
+HANDLERS = {"load_post": _after_load}
 
 
 def unregister():
-    bpy.app.handlers.load_post.remove(_after_load)
     _after_load()

@@ -136,12 +136,10 @@ def _finished():
 _child_work = ChildWork(done=_finished)
 
 
-def register():
-    bpy.utils.register_class(SVRGS_OT_export_farm_job)
+CLASSES = (SVRGS_OT_export_farm_job,)
 
 
 def unregister():
-    bpy.utils.unregister_class(SVRGS_OT_export_farm_job)
     _child_work.close()
     _lines.clear()
     _answers.clear()

@@ -169,14 +169,11 @@ def _after_load(*_):
     _lines.clear()
 
 
-def register():
-    bpy.utils.register_class(SVRGS_OT_export_levels)
-    bpy.app.handlers.load_post.append(_after_load)
+CLASSES = (SVRGS_OT_export_levels,)
+HANDLERS = {"load_post": _after_load}
 
 
 def unregister():
-    bpy.app.handlers.load_post.remove(_after_load)
-    bpy.utils.unregister_class(SVRGS_OT_export_levels)
     _child_work.close()
     for found in (_running, _lines, _answers):
         found.clear()

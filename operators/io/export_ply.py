@@ -136,11 +136,5 @@ def menu(self, context):
     self.layout.operator(SVRGS_OT_export_ply.bl_idname, text=menu_label(written=True))
 
 
-def register():
-    bpy.utils.register_class(SVRGS_OT_export_ply)
-    bpy.types.TOPBAR_MT_file_export.append(menu)
-
-
-def unregister():
-    bpy.types.TOPBAR_MT_file_export.remove(menu)
-    bpy.utils.unregister_class(SVRGS_OT_export_ply)
+CLASSES = (SVRGS_OT_export_ply,)
+MENUS = {"TOPBAR_MT_file_export": menu}

@@ -201,13 +201,5 @@ def menu(self, context):
     )
 
 
-def register():
-    undistort.register()
-    bpy.utils.register_class(SVRGS_OT_import_colmap)
-    bpy.types.TOPBAR_MT_file_import.append(menu)
-
-
-def unregister():
-    bpy.types.TOPBAR_MT_file_import.remove(menu)
-    bpy.utils.unregister_class(SVRGS_OT_import_colmap)
-    undistort.unregister()
+CLASSES = (SVRGS_OT_import_colmap,)
+MENUS = {"TOPBAR_MT_file_import": menu}

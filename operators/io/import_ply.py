@@ -130,15 +130,4 @@ def menu(self, context):
 
 
 CLASSES = (SVRGS_OT_import_ply, SVRGS_FH_ply)
-
-
-def register():
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-    bpy.types.TOPBAR_MT_file_import.append(menu)
-
-
-def unregister():
-    bpy.types.TOPBAR_MT_file_import.remove(menu)
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)
+MENUS = {"TOPBAR_MT_file_import": menu}

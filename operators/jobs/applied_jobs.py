@@ -66,13 +66,3 @@ def _after_save(path: str = "", *_):
 
 
 HANDLERS = {"save_post": _after_save, "undo_post": _after_undo, "redo_post": _after_undo}
-
-
-def register():
-    for event, handler in HANDLERS.items():
-        getattr(bpy.app.handlers, event).append(handler)
-
-
-def unregister():
-    for event, handler in HANDLERS.items():
-        getattr(bpy.app.handlers, event).remove(handler)

@@ -121,13 +121,3 @@ class SVRGS_OT_discard(bpy.types.Operator):
 
 
 CLASSES = (SVRGS_OT_apply, SVRGS_OT_discard)
-
-
-def register():
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-
-
-def unregister():
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)

@@ -150,10 +150,8 @@ def _work(key: int, request: dict, temp_dir: tempfile.TemporaryDirectory):
     )
 
 
-def register():
-    bpy.utils.register_class(SVRGS_OT_estimate)
+CLASSES = (SVRGS_OT_estimate,)
 
 
 def unregister():
-    bpy.utils.unregister_class(SVRGS_OT_estimate)
     _child_work.close()

@@ -299,13 +299,3 @@ CLASSES = (
     SVRGS_OT_job_start, SVRGS_OT_set_lambda, SVRGS_OT_job_stop, SVRGS_OT_job_resume, SVRGS_OT_job_discard,
     SVRGS_OT_job_load,
 )  # fmt: skip
-
-
-def register():
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-
-
-def unregister():
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)

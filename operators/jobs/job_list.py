@@ -305,18 +305,10 @@ CLASSES = (
     SVRGS_OT_listed_job_stop, SVRGS_OT_listed_job_resume, SVRGS_OT_listed_job_open,
     SVRGS_OT_listed_job_delete, SVRGS_OT_delete_finished_jobs,
 )  # fmt: skip
-
-
-def register():
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-    bpy.app.handlers.load_post.append(_after_load)
+HANDLERS = {"load_post": _after_load}
 
 
 def unregister():
-    bpy.app.handlers.load_post.remove(_after_load)
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)
     _read.clear()
     _sizes.clear()
     forget()

@@ -324,9 +324,4 @@ def _rejoin(original: bpy.types.Object, pruned: bpy.types.Object):
     show(pruned, round(pruned.svrgs_share / 100 * splat_object.count(original)))
 
 
-def register():
-    bpy.app.handlers.depsgraph_update_post.append(_after_update)
-
-
-def unregister():
-    bpy.app.handlers.depsgraph_update_post.remove(_after_update)
+HANDLERS = {"depsgraph_update_post": _after_update}

@@ -224,18 +224,13 @@ HANDLERS = {
     "redo_post": _after_undo,
     "depsgraph_update_post": _after_update,
 }
+TIMERS = (tick,)
 
 
 def register():
     edit_guard.reasons.append(keeps)
-    for event, handler in HANDLERS.items():
-        getattr(bpy.app.handlers, event).append(handler)
 
 
 def unregister():
     edit_guard.reasons.remove(keeps)
-    for event, handler in HANDLERS.items():
-        getattr(bpy.app.handlers, event).remove(handler)
-    if bpy.app.timers.is_registered(tick):
-        bpy.app.timers.unregister(tick)
     job_queue.forget_all()

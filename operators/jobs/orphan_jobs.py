@@ -99,6 +99,7 @@ class SVRGS_OT_adopt_job(ReportingOperator):
         return tr("'{name}' has its job again: {state}").format(name=obj.name, state=state_text(job))
 
 
+CLASSES = (SVRGS_OT_adopt_job,)
 HANDLERS = {
     "undo_post": _forget_all,
     "redo_post": _forget_all,
@@ -106,14 +107,5 @@ HANDLERS = {
 }
 
 
-def register():
-    bpy.utils.register_class(SVRGS_OT_adopt_job)
-    for event, handler in HANDLERS.items():
-        getattr(bpy.app.handlers, event).append(handler)
-
-
 def unregister():
-    for event, handler in HANDLERS.items():
-        getattr(bpy.app.handlers, event).remove(handler)
-    bpy.utils.unregister_class(SVRGS_OT_adopt_job)
     _forget_all()

@@ -258,9 +258,4 @@ def absolute(path: str) -> str:
     return os.path.abspath(bpy.path.abspath(path)) if path else ""
 
 
-def register():
-    bpy.utils.register_class(SVRGS_OT_prune)
-
-
-def unregister():
-    bpy.utils.unregister_class(SVRGS_OT_prune)
+CLASSES = (SVRGS_OT_prune,)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import bpy
 from bpy.app.translations import pgettext_iface as tr
 
 from ...svrgs_addon.jobs.job_folder import JobFolder
@@ -65,9 +64,4 @@ class SVRGS_OT_prune_again(ReportingOperator):
         return waits or tr("Fine-tuning {count:,} Gaussians in the background").format(count=count)
 
 
-def register():
-    bpy.utils.register_class(SVRGS_OT_prune_again)
-
-
-def unregister():
-    bpy.utils.unregister_class(SVRGS_OT_prune_again)
+CLASSES = (SVRGS_OT_prune_again,)

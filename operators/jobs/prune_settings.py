@@ -166,8 +166,10 @@ class SVRGS_PG_prune(bpy.types.PropertyGroup):
     )  # fmt: skip
 
 
+CLASSES = (SVRGS_PG_prune,)
+
+
 def register():
-    bpy.utils.register_class(SVRGS_PG_prune)
     bpy.types.Scene.svrgs_prune = PointerProperty(type=SVRGS_PG_prune)
     bpy.types.Object.svrgs_share = FloatProperty(
         name="Keep", subtype="PERCENTAGE", min=0, max=100, update=_share_changed,
@@ -178,4 +180,3 @@ def register():
 def unregister():
     del bpy.types.Object.svrgs_share
     del bpy.types.Scene.svrgs_prune
-    bpy.utils.unregister_class(SVRGS_PG_prune)

@@ -125,12 +125,8 @@ CLASSES = (SVRGS_OT_train, SVRGS_PG_train)
 
 
 def register():
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
     bpy.types.Scene.svrgs_train = PointerProperty(type=SVRGS_PG_train)
 
 
 def unregister():
     del bpy.types.Scene.svrgs_train
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)

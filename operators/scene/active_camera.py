@@ -33,15 +33,8 @@ def remember(*_):
         _seen[scene.session_uid] = scene.camera.session_uid if scene.camera is not None else 0
 
 
-HANDLERS = (("depsgraph_update_post", follow), ("render_init", follow), ("load_post", remember))
-
-
-def register():
-    for event, handler in HANDLERS:
-        getattr(bpy.app.handlers, event).append(handler)
+HANDLERS = {"depsgraph_update_post": follow, "render_init": follow, "load_post": remember}
 
 
 def unregister():
-    for event, handler in HANDLERS:
-        getattr(bpy.app.handlers, event).remove(handler)
     _seen.clear()

@@ -176,21 +176,12 @@ def _after_load(*_):
 
 
 CLASSES = (SVRGS_OT_use_cameras, SVRGS_OT_part_from_cameras)
-
-
-def register():
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-    bpy.app.handlers.load_post.append(_after_load)
+HANDLERS = {"load_post": _after_load}
+TIMERS = (_work,)
 
 
 def unregister():
-    bpy.app.handlers.load_post.remove(_after_load)
-    if bpy.app.timers.is_registered(_work):
-        bpy.app.timers.unregister(_work)
     for thread in _threads:
         thread.join()
     _threads.clear()
     _after_load()
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)

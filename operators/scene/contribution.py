@@ -94,9 +94,4 @@ def views(context, cameras: list[bpy.types.Object], placed: visible_splats.Place
     ]
 
 
-def register():
-    bpy.utils.register_class(SVRGS_OT_contribution)
-
-
-def unregister():
-    bpy.utils.unregister_class(SVRGS_OT_contribution)
+CLASSES = (SVRGS_OT_contribution,)

@@ -264,17 +264,9 @@ def _beside(file: str, dataset: str) -> str:
         return ""
 
 
+CLASSES = (SVRGS_OT_find_dataset,)
 HANDLERS = {"save_pre": _before_save, "save_post": _after_save, "save_post_fail": _after_save}
 
 
-def register():
-    bpy.utils.register_class(SVRGS_OT_find_dataset)
-    for event, handler in HANDLERS.items():
-        getattr(bpy.app.handlers, event).append(handler)
-
-
 def unregister():
-    for event, handler in HANDLERS.items():
-        getattr(bpy.app.handlers, event).remove(handler)
-    bpy.utils.unregister_class(SVRGS_OT_find_dataset)
     _saved.clear()

@@ -96,11 +96,5 @@ def menu(self, context):
     self.layout.operator(SVRGS_OT_frame.bl_idname)
 
 
-def register():
-    bpy.utils.register_class(SVRGS_OT_frame)
-    bpy.types.VIEW3D_MT_view.append(menu)
-
-
-def unregister():
-    bpy.types.VIEW3D_MT_view.remove(menu)
-    bpy.utils.unregister_class(SVRGS_OT_frame)
+CLASSES = (SVRGS_OT_frame,)
+MENUS = {"VIEW3D_MT_view": menu}

@@ -111,10 +111,8 @@ def _add(splat: bpy.types.Object, cameras: list):
 _child_work = ChildWork(done=_finished)
 
 
-def register():
-    bpy.utils.register_class(SVRGS_OT_place_cameras)
+CLASSES = (SVRGS_OT_place_cameras,)
 
 
 def unregister():
-    bpy.utils.unregister_class(SVRGS_OT_place_cameras)
     _child_work.close()

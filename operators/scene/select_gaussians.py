@@ -249,13 +249,3 @@ def show_selection(context, shown: bool):
 
 
 CLASSES = (SVRGS_OT_select_gaussians, SVRGS_OT_delete_gaussians, SVRGS_OT_clear_selection)
-
-
-def register():
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-
-
-def unregister():
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)

@@ -111,13 +111,3 @@ def _is_no_layer(cls, context) -> bool:
 
 
 CLASSES = (SVRGS_OT_set_up_rendering, SVRGS_OT_use_standard, SVRGS_OT_set_up_compositing)
-
-
-def register():
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-
-
-def unregister():
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)

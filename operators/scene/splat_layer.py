@@ -120,9 +120,4 @@ def _before_render(scene, *_):
             _follow(scene, layer)
 
 
-def register():
-    bpy.app.handlers.render_pre.append(_before_render)
-
-
-def unregister():
-    bpy.app.handlers.render_pre.remove(_before_render)
+HANDLERS = {"render_pre": _before_render}

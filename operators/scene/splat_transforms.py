@@ -186,23 +186,5 @@ def object_menu(self, context):
 
 
 CLASSES = (SVRGS_OT_apply_transforms, SVRGS_OT_join_splats, SVRGS_OT_write_shapes)
-HANDLERS = (
-    ("depsgraph_update_post", _after_update),
-    ("load_post", _after_load),
-)
-
-
-def register():
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-    bpy.types.VIEW3D_MT_object.append(object_menu)
-    for event, handler in HANDLERS:
-        getattr(bpy.app.handlers, event).append(handler)
-
-
-def unregister():
-    for event, handler in HANDLERS:
-        getattr(bpy.app.handlers, event).remove(handler)
-    bpy.types.VIEW3D_MT_object.remove(object_menu)
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)
+HANDLERS = {"depsgraph_update_post": _after_update, "load_post": _after_load}
+MENUS = {"VIEW3D_MT_object": object_menu}

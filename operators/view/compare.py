@@ -220,15 +220,4 @@ def _forget_lost_images(*_):
 
 
 CLASSES = (SVRGS_OT_compare, SVRGS_OT_contact_sheet)
-
-
-def register():
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-    bpy.app.handlers.load_post.append(_forget_lost_images)
-
-
-def unregister():
-    bpy.app.handlers.load_post.remove(_forget_lost_images)
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)
+HANDLERS = {"load_post": _forget_lost_images}

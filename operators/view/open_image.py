@@ -37,9 +37,4 @@ class SVRGS_OT_open_image(bpy.types.Operator):
         return {"FINISHED"}
 
 
-def register():
-    bpy.utils.register_class(SVRGS_OT_open_image)
-
-
-def unregister():
-    bpy.utils.unregister_class(SVRGS_OT_open_image)
+CLASSES = (SVRGS_OT_open_image,)

@@ -307,15 +307,15 @@ def _after_update(scene, *_):
                 obj.display_type = "BOUNDS"
 
 
+HANDLERS = {"depsgraph_update_post": _after_update}
+TIMERS = (_redraw_once,)
+
+
 def register():
-    bpy.app.handlers.depsgraph_update_post.append(_after_update)
     if not bpy.app.background:
         _overlay.append(Overlay())
 
 
 def unregister():
-    bpy.app.handlers.depsgraph_update_post.remove(_after_update)
-    if bpy.app.timers.is_registered(_redraw_once):
-        bpy.app.timers.unregister(_redraw_once)
     while _overlay:
         _overlay.pop().close()

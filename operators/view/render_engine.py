@@ -156,17 +156,9 @@ def _dither_back(scene, *_):
         scene.render.dither_intensity = _dither.pop(scene.session_uid)
 
 
-HANDLERS = (("render_init", _dither_off), ("render_complete", _dither_back), ("render_cancel", _dither_back))
-
-
-def register():
-    bpy.utils.register_class(SVRGS_engine)
-    for event, handler in HANDLERS:
-        getattr(bpy.app.handlers, event).append(handler)
+CLASSES = (SVRGS_engine,)
+HANDLERS = {"render_init": _dither_off, "render_complete": _dither_back, "render_cancel": _dither_back}
 
 
 def unregister():
-    for event, handler in HANDLERS:
-        getattr(bpy.app.handlers, event).remove(handler)
     _dither.clear()
-    bpy.utils.unregister_class(SVRGS_engine)

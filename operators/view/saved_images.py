@@ -3,7 +3,6 @@ only if they are packed."""
 
 from __future__ import annotations
 
-import bpy
 from bpy.app.handlers import persistent
 
 from ..data import image_pixels
@@ -19,14 +18,4 @@ def _after_load(*_):
     image_pixels.forget_written()
 
 
-HANDLERS = (("save_pre", _before_save), ("load_post", _after_load))
-
-
-def register():
-    for event, handler in HANDLERS:
-        getattr(bpy.app.handlers, event).append(handler)
-
-
-def unregister():
-    for event, handler in HANDLERS:
-        getattr(bpy.app.handlers, event).remove(handler)
+HANDLERS = {"save_pre": _before_save, "load_post": _after_load}

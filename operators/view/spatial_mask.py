@@ -103,24 +103,15 @@ def _after_load(*_):
             scene.svrgs_looking.mask_result = ""
 
 
-HANDLERS = (
-    ("depsgraph_update_post", _after_change),
-    ("frame_change_post", _after_change),
-    ("load_post", _after_load),
-)
-
-
-def register():
-    bpy.utils.register_class(SVRGS_OT_spatial_mask)
-    for event, handler in HANDLERS:
-        getattr(bpy.app.handlers, event).append(handler)
+CLASSES = (SVRGS_OT_spatial_mask,)
+HANDLERS = {
+    "depsgraph_update_post": _after_change,
+    "frame_change_post": _after_change,
+    "load_post": _after_load,
+}
+TIMERS = (_follow,)
 
 
 def unregister():
-    for event, handler in HANDLERS:
-        getattr(bpy.app.handlers, event).remove(handler)
-    if bpy.app.timers.is_registered(_follow):
-        bpy.app.timers.unregister(_follow)
     _changed.clear()
     mask_image.forget()
-    bpy.utils.unregister_class(SVRGS_OT_spatial_mask)

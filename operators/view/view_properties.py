@@ -141,11 +141,12 @@ class SVRGS_PG_view(bpy.types.PropertyGroup):
     )
 
 
+CLASSES = (SVRGS_PG_view,)
+
+
 def register():
-    bpy.utils.register_class(SVRGS_PG_view)
     bpy.types.Scene.svrgs_looking = PointerProperty(type=SVRGS_PG_view)
 
 
 def unregister():
     del bpy.types.Scene.svrgs_looking
-    bpy.utils.unregister_class(SVRGS_PG_view)

@@ -176,10 +176,4 @@ def _refresh() -> float | None:
     return REFRESH if any(viewport.busy for viewport in _open) else None
 
 
-def register():
-    pass
-
-
-def unregister():
-    if bpy.app.timers.is_registered(_refresh):
-        bpy.app.timers.unregister(_refresh)
+TIMERS = (_refresh,)

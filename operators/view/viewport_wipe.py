@@ -232,16 +232,8 @@ def _after_load(*_):
 
 
 CLASSES = (SVRGS_OT_viewport_wipe, SVRGS_GT_wipe, SVRGS_GGT_wipe)
-
-
-def register():
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-    bpy.app.handlers.load_post.append(_after_load)
+HANDLERS = {"load_post": _after_load}
 
 
 def unregister():
-    bpy.app.handlers.load_post.remove(_after_load)
     _after_load()
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)
