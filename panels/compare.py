@@ -1,16 +1,12 @@
 """Step 3: original and pruned splat compared, in images and figures. In the 3D View and in the Image
 Editor."""
 
-import json
-
 import bpy
 from bpy.app.translations import pgettext_iface as tr
 
-from ..operators.view import viewport_wipe
+from ..operators.view import compare, viewport_wipe
 from .spatial_mask import draw_image
 from .wrapped_label import native_library_works, wrapped_label
-
-WIPE = "SVR-GS Wipe"
 
 
 class ComparePanel:  # the base of Panel classes, which have a layout
@@ -35,7 +31,7 @@ class ComparePanel:  # the base of Panel classes, which have a layout
         row = column.row(align=True)
         row.operator("svrgs.compare", icon="IMAGE_ALPHA")
         row.operator("svrgs.contact_sheet", icon="RENDERLAYERS", text="All Cameras")
-        image = bpy.data.images.get(WIPE) if settings.compare_result else None
+        image = bpy.data.images.get(compare.WIPE)
         if image is not None or wiping:
             layout.prop(settings, "wipe", slider=True)
         if image is None:
@@ -43,8 +39,9 @@ class ComparePanel:  # the base of Panel classes, which have a layout
             return
         if not wiping:
             draw_image(layout, image)
-            layout.operator("svrgs.open_image", icon="WINDOW").name = WIPE
-        table(layout, json.loads(settings.compare_result))
+            layout.operator("svrgs.open_image", icon="WINDOW").name = compare.WIPE
+        if figures := compare.figures():
+            table(layout, figures)
 
 
 class SVRGS_PT_compare(ComparePanel, bpy.types.Panel):

@@ -6,8 +6,18 @@ from __future__ import annotations
 import bpy
 
 from ..operators.data import quick_order
-from ..operators.jobs import depths, goals, job_pictures, job_result, job_watch, orphan_jobs, prune_state
+from ..operators.jobs import (
+    depths,
+    goals,
+    job_pictures,
+    job_result,
+    job_state,
+    job_watch,
+    orphan_jobs,
+    prune_state,
+)  # fmt: skip
 from ..operators.scene.dataset_paths import dataset_of
+from .jobs import draw_actions
 from .wrapped_label import wrapped_label
 
 PAPER_VALUES = (1e-4, 1.25e-4, 1.6e-4, 2e-4)  # values of λ_F in the paper
@@ -118,16 +128,8 @@ def draw_strength(column, settings):
 def draw_buttons(layout, context, stage: str, job):
     original, pruned = job_result.pair_of(context.object)
     row = layout.row(align=True)
-    if stage == "BUSY":
-        row.operator(
-            "svrgs.job_stop", icon="PAUSE", text="Stop Now" if job.stopping else "Stop"
-        ).now = job.stopping
-    elif stage == "WAITING":
-        row.operator("svrgs.job_resume", icon="PLAY")
-        row.operator("svrgs.job_discard", icon="TRASH")
-    elif stage == "FINISHED":
-        row.operator("svrgs.job_load", icon="IMPORT")
-        row.operator("svrgs.job_discard", icon="TRASH")
+    if job is not None:
+        draw_actions(row, job, job_state.of(job).actions)
     elif stage == "RESULT":
         if quick_order.is_shown(pruned):
             row.operator("svrgs.prune_again", icon="PLAY")

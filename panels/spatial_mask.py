@@ -1,14 +1,12 @@
 """The spatial mask: its image and the scale of its colours. In the 3D View and in the Image Editor."""
 
-import json
-
 import bpy
 from bpy.app.translations import pgettext_iface as tr
 
 from ..operators.data.native_check import native_problem
+from ..operators.view import mask_image
 from .wrapped_label import native_library_works, sidebar_units, wrapped_label
 
-IMAGE = "SVR-GS Spatial Mask"
 TICKS = 5
 
 
@@ -25,17 +23,16 @@ class SpatialMaskPanel:  # the base of Panel classes, which have a layout
         row = layout.row(align=True)
         row.operator("svrgs.spatial_mask", icon="FILE_REFRESH", text="Refresh")
         row.prop(settings, "mask_follow", text="", icon="CAMERA_DATA")
-        image = bpy.data.images.get(IMAGE)
-        if image is None or not settings.mask_result:
+        image, figures = bpy.data.images.get(mask_image.NAME), mask_image.figures()
+        if image is None or not figures:
             wrapped_label(
                 layout, tr("Refresh draws F, the normalised number of Gaussians in each pixel"), "INFO"
             )
             return
         draw_image(layout, image)
-        result = json.loads(settings.mask_result)
-        legend(layout, settings.mask_top or result["largest"])
+        legend(layout, settings.mask_top or figures["largest"])
         layout.label(
-            text=tr("{camera}: mean {mean:.3g}, {milliseconds} ms").format(**result), translate=False
+            text=tr("{camera}: mean {mean:.3g}, {milliseconds} ms").format(**figures), translate=False
         )
         column = layout.column()
         column.use_property_split = True

@@ -23,6 +23,7 @@ from ...svrgs_addon.views.sources import find_cameras
 from ..data import camera_object, splat_object
 from ..data.job_paths import FOLDER, folder_of
 from ..data.option_properties import RELATIVE
+from ..data.reporting import ReportingOperator
 
 UNDISTORTED = "images_undistorted"  # folder of undistorted copies in a dataset
 
@@ -163,7 +164,7 @@ def _after_save(*_):
 # --- a dataset that was moved
 
 
-class SVRGS_OT_find_dataset(bpy.types.Operator):
+class SVRGS_OT_find_dataset(ReportingOperator):
     bl_idname = "svrgs.find_dataset"
     bl_label = "Find Dataset"
     bl_description = (
@@ -181,31 +182,25 @@ class SVRGS_OT_find_dataset(bpy.types.Operator):
     filter_folder: BoolProperty(default=True, options={"HIDDEN", "SKIP_SAVE"})
 
     @classmethod
-    def poll(cls, context):
+    def problem(cls, context) -> str:
         root = splat_object.root_of(context.object)
         if root is not None and dataset_of_root(root):
-            return True
-        cls.poll_message_set(tr("Select a splat or a camera of the dataset first"))
-        return False
+            return ""
+        return tr("Select a splat or a camera of the dataset first")
 
-    def execute(self, context):
+    def work(self, context) -> str:
         root, folder = splat_object.root_of(context.object), absolute(self.directory)
-        assert root is not None  # see poll
-        try:
-            find_cameras(Path(folder))
-            shown, found = find_photographs(root, folder)
-        except SplatError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        assert root is not None  # see problem()
+        find_cameras(Path(folder))
+        shown, found = find_photographs(root, folder)
         root[splat_object.DATASET] = stored(folder)
         settings = context.scene.svrgs_prune
         if settings.colmap and not os.path.exists(absolute(settings.colmap)):
             settings.colmap = stored(folder)
         text = tr("Found {found:,} of {count:,} photographs in {folder}")
-        self.report(
-            {"INFO"} if found == shown else {"WARNING"}, text.format(found=found, count=shown, folder=folder)
-        )
-        return {"FINISHED"}
+        text = text.format(found=found, count=shown, folder=folder)
+        self.report({"INFO"} if found == shown else {"WARNING"}, text)
+        return ""
 
     def invoke(self, context, event):
         context.window_manager.fileselect_add(self)

@@ -66,21 +66,16 @@ class SplatOperator(ReportingOperator):
 
     @classmethod
     def problem(cls, context) -> str:
-        """What the user must do first; empty if the operator can run on the active splat."""
-        if quick_order.is_shown(context.object):
-            return tr("Apply or discard the result first")
-        return edit_guard.problem(context, context.object)
+        if not splat_object.is_splat(context.object):
+            return tr("Make a splat the active object first")
+        return cls.problem_of(context, context.object)
 
     @classmethod
-    def poll(cls, context):
-        problem = (
-            cls.problem(context)
-            if splat_object.is_splat(context.object)
-            else tr("Make a splat the active object first")
-        )
-        if problem:
-            cls.poll_message_set(problem)
-        return not problem
+    def problem_of(cls, context, obj: bpy.types.Object) -> str:
+        """As problem(), of a splat."""
+        if quick_order.is_shown(obj):
+            return tr("Apply or discard the result first")
+        return edit_guard.problem(context, obj)
 
 
 class SVRGS_OT_select_gaussians(SplatOperator):
@@ -206,10 +201,10 @@ class SVRGS_OT_delete_gaussians(SplatOperator):
     )  # fmt: skip
 
     @classmethod
-    def problem(cls, context) -> str:
-        if problem := edit_guard.change_problem(context, [context.object]):
+    def problem_of(cls, context, obj: bpy.types.Object) -> str:
+        if problem := edit_guard.change_problem(context, [obj]):
             return problem
-        return "" if selection.SELECTED in context.object.data.attributes else tr("Select Gaussians first")
+        return "" if selection.SELECTED in obj.data.attributes else tr("Select Gaussians first")
 
     def work(self, context) -> str:
         obj = context.object
@@ -228,11 +223,10 @@ class SVRGS_OT_clear_selection(SplatOperator):
     bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
-    def problem(cls, context) -> str:
-        problem = edit_guard.problem(context, context.object)
-        return problem or (
-            "" if selection.SELECTED in context.object.data.attributes else tr("No Gaussian is selected")
-        )
+    def problem_of(cls, context, obj: bpy.types.Object) -> str:
+        if problem := edit_guard.problem(context, obj):
+            return problem
+        return "" if selection.SELECTED in obj.data.attributes else tr("No Gaussian is selected")
 
     def work(self, context) -> str:
         obj = context.object

@@ -39,17 +39,12 @@ def stretch_warning(obj: bpy.types.Object) -> str:
 class SplatsOperator(ReportingOperator):
     """An operator on the selected splats, of which there must be `least`."""
 
-    least, poll_message = 1, n_("Select a Gaussian splat first")
+    least, too_few = 1, n_("Select a Gaussian splat first")
 
     @classmethod
-    def poll(cls, context):
+    def problem(cls, context) -> str:
         splats = selected_splats(context)
-        problem = (
-            edit_guard.change_problem(context, splats) if len(splats) >= cls.least else tr(cls.poll_message)
-        )
-        if problem:
-            cls.poll_message_set(problem)
-        return not problem
+        return edit_guard.change_problem(context, splats) if len(splats) >= cls.least else tr(cls.too_few)
 
     def warn_if_stretched(self, obj: bpy.types.Object, matrix):
         if stretch(matrix) - 1 > 10 * UNIFORM:
@@ -93,7 +88,7 @@ class SVRGS_OT_join_splats(SplatsOperator):
         " their places in the scene"
     )
     bl_options = {"REGISTER", "UNDO"}
-    least, poll_message = 2, n_("Select two Gaussian splats or more")
+    least, too_few = 2, n_("Select two Gaussian splats or more")
 
     def work(self, context) -> str:
         splats = selected_splats(context)

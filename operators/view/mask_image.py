@@ -4,7 +4,6 @@ as numbers."""
 from __future__ import annotations
 
 import contextlib
-import json
 import time
 
 import bpy
@@ -15,15 +14,13 @@ from ...svrgs_addon.native.rasterizer import Rasterizer, RenderOptions
 from ...svrgs_addon.prune.report.pictures import with_color_bar
 from ...svrgs_addon.render import color_maps
 from ...svrgs_addon.system.errors import NativeError, SceneError, SplatError
-from ..data import camera_object, image_pixels, visible_splats
+from ..data import camera_object, image_pixels, known, visible_splats
 from ..data.preferences import threads
 from . import scene_cache
 
 NAME = "SVR-GS Spatial Mask"
 
 _rasterizer: list[Rasterizer] = []  # at most one; it keeps its buffers
-_inputs: dict[int, tuple] = {}  # session_uid of a scene -> the inputs of its last mask
-_masks: dict = {}  # session_uid of a scene -> its last mask (H, W)
 
 
 def refresh(context: bpy.types.Context) -> dict:
@@ -31,7 +28,7 @@ def refresh(context: bpy.types.Context) -> dict:
     NativeError."""
     started = time.perf_counter()
     scene, depsgraph = context.scene, context.evaluated_depsgraph_get()
-    _inputs[scene.session_uid] = _inputs_now(depsgraph)
+    known.of_scene(scene).mask_inputs = _inputs_now(depsgraph)
     placed = visible_splats.splats(depsgraph, scene_cache.read)
     if placed is None:
         raise SceneError(tr("there is no visible splat: import one"))
@@ -44,18 +41,20 @@ def refresh(context: bpy.types.Context) -> dict:
         _rasterizer.append(Rasterizer())
     options = RenderOptions(antialiased=placed.scene.antialiased, mask_kind="svr", picture_only=True)
     mask = _rasterizer[0].forward(placed.scene, camera, options, outputs=("mask",))["mask"]
-    _masks[scene.session_uid] = mask
-    result = {"camera": obj.name, "mean": float(mask.mean()), "largest": float(mask.max(initial=0))}
-    _write(scene, result)
-    scene.svrgs_looking.mask_result = json.dumps(
-        {**result, "milliseconds": round(1e3 * (time.perf_counter() - started))}
-    )
+    result = {
+        "camera": obj.name,
+        "mean": float(mask.mean()),
+        "largest": float(mask.max(initial=0)),
+        "milliseconds": round(1e3 * (time.perf_counter() - started)),
+    }
+    known.of_scene(scene).mask = mask, result
+    _write(scene)
     return result
 
 
 def is_stale(context: bpy.types.Context) -> bool:
     """Whether the camera or a splat has changed since the last mask. Raises SplatError."""
-    return _inputs.get(context.scene.session_uid) != _inputs_now(context.evaluated_depsgraph_get())
+    return known.of_scene(context.scene).mask_inputs != _inputs_now(context.evaluated_depsgraph_get())
 
 
 def _inputs_now(depsgraph: bpy.types.Depsgraph) -> tuple:
@@ -71,11 +70,9 @@ def _inputs_now(depsgraph: bpy.types.Depsgraph) -> tuple:
 def recolor(settings, context):
     """After the user has chosen other colours: colours the last mask again."""
     scene = settings.id_data
-    if not settings.mask_result:
-        return
-    if scene.session_uid in _masks:
-        _write(scene, json.loads(settings.mask_result))
-    else:  # the image was saved with the file, the mask was not
+    if known.of_scene(scene).mask is not None:
+        _write(scene)
+    elif figures():  # the image was saved with the file, the mask was not
         with contextlib.suppress(SplatError, NativeError):  # without camera or splat, the saved picture stays
             refresh(context)
 
@@ -85,20 +82,25 @@ def _sized(camera, longer: int):
     return camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
 
 
-def _write(scene: bpy.types.Scene, result: dict):
+def figures() -> dict:
+    """Of the mask in the image: camera, mean, largest value, milliseconds; {} without an image."""
+    return image_pixels.figures_of(NAME)
+
+
+def _write(scene: bpy.types.Scene):
     """Writes image, preview and texture. Blender shows a Non-Color image as if its numbers were linear, so
     colours are stored linear."""
-    settings, mask = scene.svrgs_looking, _masks[scene.session_uid]
+    settings, drawn = scene.svrgs_looking, known.of_scene(scene).mask
+    assert drawn is not None
+    mask, result = drawn
     top = settings.mask_top or result["largest"]
     name = settings.mask_colors if settings.mask_colors in color_maps.NAMES else "grey"
     rgb = color_maps.colored(mask, top, name)
     pixels = color_maps.pixels(mask, top, settings.mask_colors)
-    image = image_pixels.write_image(NAME, pixels, with_color_bar(rgb, name), data=True)
+    image = image_pixels.write_image(NAME, pixels, with_color_bar(rgb, name), True, result)
     texture = bpy.data.textures.get(NAME) or bpy.data.textures.new(NAME, "IMAGE")
     texture.image = image
 
 
 def forget():
-    _masks.clear()
-    _inputs.clear()
     _rasterizer.clear()

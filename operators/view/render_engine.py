@@ -23,7 +23,7 @@ from ...svrgs_addon.render.composite import composite, composite_while, split
 from ...svrgs_addon.render.panorama import composite_view
 from ...svrgs_addon.render.passes import BEHIND, PASSES, blank, passes
 from ...svrgs_addon.system.errors import NativeError, SceneError, SplatError
-from ..data import camera_object, image_pixels, mesh_triangles, panorama, visible_splats
+from ..data import camera_object, image_pixels, known, mesh_triangles, panorama, visible_splats
 from ..data.image_pixels import working_space
 from ..data.preferences import threads
 from .viewport import Viewport
@@ -139,26 +139,19 @@ def region(scene: bpy.types.Scene) -> tuple[slice, slice]:
     )
 
 
-_dither: dict[int, float] = {}  # session_uid of a scene that is being rendered -> its own dither
-
-
 @persistent
 def _dither_off(scene, *_):
     """Switches dithering off: it would add noise of up to two levels of 8 bits."""
-    if scene.render.engine == SVRGS_engine.bl_idname and scene.session_uid not in _dither:
-        _dither[scene.session_uid] = scene.render.dither_intensity
+    if scene.render.engine == SVRGS_engine.bl_idname and known.of_scene(scene).dither is None:
+        known.of_scene(scene).dither = scene.render.dither_intensity
         scene.render.dither_intensity = 0
 
 
 @persistent
 def _dither_back(scene, *_):
-    if scene.session_uid in _dither:
-        scene.render.dither_intensity = _dither.pop(scene.session_uid)
+    if (own := known.of_scene(scene).dither) is not None:
+        scene.render.dither_intensity, known.of_scene(scene).dither = own, None
 
 
 CLASSES = (SVRGS_engine,)
 HANDLERS = {"render_init": _dither_off, "render_complete": _dither_back, "render_cancel": _dither_back}
-
-
-def unregister():
-    _dither.clear()

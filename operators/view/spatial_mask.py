@@ -8,13 +8,14 @@ from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_iface as tr
 
 from ...svrgs_addon.system.errors import NativeError, SplatError
-from ..data import image_pixels
+from ..data import known
+from ..data.reporting import ReportingOperator
 from . import mask_image
 
 DELAY = 0.1  # seconds after the last change
 
 
-class SVRGS_OT_spatial_mask(bpy.types.Operator):
+class SVRGS_OT_spatial_mask(ReportingOperator):
     bl_idname = "svrgs.spatial_mask"
     bl_label = "Show Spatial Mask"
     bl_description = (
@@ -23,23 +24,15 @@ class SVRGS_OT_spatial_mask(bpy.types.Operator):
     bl_options = {"REGISTER"}
 
     @classmethod
-    def poll(cls, context):
+    def problem(cls, context) -> str:
         if context.scene.camera is not None:
-            return True
-        cls.poll_message_set(tr("There is no camera: add one, or import the cameras of the dataset"))
-        return False
+            return ""
+        return tr("There is no camera: add one, or import the cameras of the dataset")
 
-    def execute(self, context):
-        try:
-            result = mask_image.refresh(context)
-        except (SplatError, NativeError) as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+    def work(self, context) -> str:
+        result = mask_image.refresh(context)
         show_in_editors(context, bpy.data.images[mask_image.NAME])
-        self.report(
-            {"INFO"}, tr("Spatial mask of {camera}: mean {mean:.3g}, largest {largest:.3g}").format(**result)
-        )
-        return {"FINISHED"}
+        return tr("Spatial mask of {camera}: mean {mean:.3g}, largest {largest:.3g}").format(**result)
 
 
 def show_in_editors(context, image: bpy.types.Image):
@@ -56,14 +49,10 @@ def show_in_editors(context, image: bpy.types.Image):
                 area.tag_redraw()
 
 
-# session_uid of a scene with Follow Camera -> name of the view layer that changed last
-_changed: dict[int, str] = {}
-
-
 @persistent
 def _after_change(scene, depsgraph=None):
     if scene.svrgs_looking.mask_follow and depsgraph is not None:
-        _changed[scene.session_uid] = depsgraph.view_layer.name
+        known.of_scene(scene).changed_layer = depsgraph.view_layer.name
         if bpy.app.timers.is_registered(_follow):
             bpy.app.timers.unregister(_follow)
         if not bpy.app.background:
@@ -71,10 +60,9 @@ def _after_change(scene, depsgraph=None):
 
 
 def _follow():
-    changed = dict(_changed)
-    _changed.clear()
     for scene in bpy.data.scenes:
-        layer = scene.view_layers.get(changed.get(scene.session_uid, ""))
+        layer = scene.view_layers.get(known.of_scene(scene).changed_layer)
+        known.of_scene(scene).changed_layer = ""
         if layer is not None:
             with bpy.context.temp_override(scene=scene, view_layer=layer):
                 _follow_in(bpy.context)
@@ -95,23 +83,10 @@ def _follow_in(context):
                 area.tag_redraw()
 
 
-@persistent
-def _after_load(*_):
-    """The image may have been deleted. Its figures are removed, too."""
-    if image_pixels.is_lost(mask_image.NAME):
-        for scene in bpy.data.scenes:
-            scene.svrgs_looking.mask_result = ""
-
-
 CLASSES = (SVRGS_OT_spatial_mask,)
-HANDLERS = {
-    "depsgraph_update_post": _after_change,
-    "frame_change_post": _after_change,
-    "load_post": _after_load,
-}
+HANDLERS = {"depsgraph_update_post": _after_change, "frame_change_post": _after_change}
 TIMERS = (_follow,)
 
 
 def unregister():
-    _changed.clear()
     mask_image.forget()

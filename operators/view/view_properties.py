@@ -11,7 +11,6 @@ from bpy.props import (
     FloatVectorProperty,
     IntProperty,
     PointerProperty,
-    StringProperty,
 )
 
 from ...svrgs_addon.render import color_maps
@@ -90,7 +89,6 @@ class SVRGS_PG_view(bpy.types.PropertyGroup):
     mask_follow: BoolProperty(
         name="Follow Camera", description="Draw the spatial mask again whenever the camera or a splat changes"
     )
-    mask_result: StringProperty(options={"HIDDEN"})  # JSON: camera, mean, largest, milliseconds
 
     original: PointerProperty(
         name="Original",
@@ -117,7 +115,6 @@ class SVRGS_PG_view(bpy.types.PropertyGroup):
         update=viewport_wipe.moved,
         description="Original on the left, pruned on the right",
     )
-    compare_result: StringProperty(options={"HIDDEN"})  # JSON: camera, original, pruned, between
 
     overlay: BoolProperty(
         name="Draw Splats",

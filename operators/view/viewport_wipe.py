@@ -21,9 +21,9 @@ from gpu_extras.batch import batch_for_shader
 from mathutils import Matrix
 
 from ...svrgs_addon.scene.gaussians import Scene
-from ...svrgs_addon.system.errors import SplatError
-from ..data.child_work import redraw_panels
-from . import compare, comparison_images, scene_cache
+from ..data.background_work import redraw_panels
+from ..data.reporting import ReportingOperator
+from . import compare, scene_cache
 
 REACH = 8  # pixels from the line in which the mouse takes it
 COLOR, HIGHLIGHT, SHADOW = (1.0, 1.0, 1.0, 0.8), (1.0, 0.6, 0.2, 1.0), (0.0, 0.0, 0.0, 0.6)
@@ -113,11 +113,11 @@ def moved(settings, context):
     """After the line was moved. The images of a comparison follow when the wipe ends: writing them takes
     time."""
     if pair(settings.id_data) is None:
-        comparison_images.redraw(settings, context)
+        compare.redraw(settings, context)
     redraw_panels()
 
 
-class SVRGS_OT_viewport_wipe(bpy.types.Operator):
+class SVRGS_OT_viewport_wipe(ReportingOperator):
     bl_idname = "svrgs.viewport_wipe"
     bl_label = "Wipe in Viewport"
     bl_description = (
@@ -126,17 +126,13 @@ class SVRGS_OT_viewport_wipe(bpy.types.Operator):
     )
     bl_options = {"REGISTER"}
 
-    def execute(self, context):
+    def work(self, context) -> str:
         if pair(context.scene) is not None:
             _pair.clear()
             _pruned.clear()
             moved(context.scene.svrgs_looking, context)
-            return {"FINISHED"}
-        try:
-            _pair[:] = [obj.session_uid for obj in compare.chosen_pair(context)]
-        except SplatError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+            return ""
+        _pair[:] = [obj.session_uid for obj in compare.chosen_pair(context)]
         if context.area is not None and context.area.type == "VIEW_3D" and not draws_splats(context):
             self.report(
                 {"WARNING"},
@@ -146,7 +142,7 @@ class SVRGS_OT_viewport_wipe(bpy.types.Operator):
                 ),
             )
         redraw_panels()
-        return {"FINISHED"}
+        return ""
 
 
 class SVRGS_GT_wipe(bpy.types.Gizmo):

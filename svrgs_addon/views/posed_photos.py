@@ -19,7 +19,7 @@ import numpy as np
 
 from ..scene.camera import Camera
 from ..system import subprocess_python
-from ..system.errors import FormatError, SceneError, SplatError
+from ..system.errors import FormatError, SplatError
 from ..system.exit_status import answer
 
 Tell = Callable[[int, int], None]  # (photographs done, photographs to undistort)
@@ -60,9 +60,7 @@ def read_in_child(
             "undistorted": str(undistorted or ""),
             "out": str(out),
         }
-        status, result = subprocess_python.run([], "svrgs_addon.views.posed_photos", request, tell=tell)
-        if status or not out.exists():
-            raise SceneError(result.get("error", f"{folder}: reading it failed"))
+        subprocess_python.ask([], "svrgs_addon.views.posed_photos", request, tell)
         return _unpack(out)
 
 

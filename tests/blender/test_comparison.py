@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import math
 
 import bpy
 import numpy as np
 import pytest
-from extension import DATA
+from extension import DATA, part
 from view_helpers import LEVEL, mark_removed, pixels
 
 pytestmark = pytest.mark.usefixtures("stage")
@@ -24,7 +23,7 @@ def test_compare_draws_both_and_measures_against_the_photograph(tmp_path, stage,
         bpy.ops.svrgs.compare()
     mark_removed(splat, np.arange(scene.count) % 3 == 0)
     bpy.ops.svrgs.compare()
-    result = json.loads(stage.svrgs_looking.compare_result)
+    result = part("operators.view.compare").figures()
     assert result["original"]["count"] == scene.count and result["pruned"]["count"] == scene.count - len(
         range(0, scene.count, 3)
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 
 import bpy
@@ -23,7 +22,7 @@ def test_the_spatial_mask_is_an_image_and_a_texture(stage, gaussians, room, came
     assert bpy.data.textures["SVR-GS Spatial Mask"].image == image
     expected = drawn(gaussians, camera, room.matrix_world, ("mask",), mask_kind="svr")["mask"]
     np.testing.assert_allclose(pixels(image)[..., 0], expected, atol=1e-3, rtol=1e-3)
-    result = json.loads(looking.mask_result)
+    result = part("operators.view.mask_image").figures()
     assert result["camera"] == "camera" and math.isclose(result["largest"], expected.max(), rel_tol=1e-3)
 
 
@@ -42,10 +41,11 @@ def test_colours_of_the_mask_change_without_another_drawing(stage, room, camera)
 
 def test_the_mask_follows_edits(stage, gaussians, room, camera):
     bpy.ops.svrgs.spatial_mask()
-    before = json.loads(stage.svrgs_looking.mask_result)["mean"]
+    figures = part("operators.view.mask_image").figures
+    before = figures()["mean"]
     mark_removed(room, np.arange(gaussians.count) % 2)
     bpy.ops.svrgs.spatial_mask()
-    assert json.loads(stage.svrgs_looking.mask_result)["mean"] < before
+    assert figures()["mean"] < before
 
 
 def test_the_mask_is_drawn_anew_only_when_something_has_moved(stage, room, camera):
@@ -81,7 +81,6 @@ def test_the_mask_follows_in_the_scene_that_changed(stage, gaussians, room, came
     other = bpy.data.scenes.new("other")
     try:
         stage.svrgs_looking.mask_follow, other.svrgs_looking.mask_follow = False, True
-        stage.svrgs_looking.mask_result = ""
         other.camera = bpy.data.objects.new("of the other", camera.data)
         for obj in (other.camera, room):
             other.collection.objects.link(obj)
@@ -89,8 +88,7 @@ def test_the_mask_follows_in_the_scene_that_changed(stage, gaussians, room, came
             # as Blender does for a scene in a window
             follower._after_change(other, bpy.context.evaluated_depsgraph_get())
         follower._follow()
-        assert not stage.svrgs_looking.mask_result
-        assert json.loads(other.svrgs_looking.mask_result)["camera"] == "of the other"
+        assert part("operators.view.mask_image").figures()["camera"] == "of the other"
     finally:
         bpy.data.scenes.remove(other)
         stage.svrgs_looking.mask_follow = False

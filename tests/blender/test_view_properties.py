@@ -7,6 +7,7 @@ import typing
 import bpy
 import numpy as np
 import pytest
+from extension import part
 from view_helpers import mark_removed, pixels
 
 pytestmark = pytest.mark.usefixtures("stage")
@@ -41,8 +42,7 @@ def test_figures_of_pictures_are_saved_with_them(tmp_path, bridge, room, camera,
             image.pack()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "file.blend"))
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "file.blend"))
-    looking = bpy.context.scene.svrgs_looking
-    assert looking.compare_result and looking.mask_result
+    assert part("operators.view.compare").figures() and part("operators.view.mask_image").figures()
     assert pixels(bpy.data.images["SVR-GS Wipe"])[..., :3].any()
 
 
@@ -54,5 +54,4 @@ def test_figures_go_with_pictures_that_were_deleted(tmp_path, bridge, room, came
         bpy.data.images.remove(image)
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "file.blend"))
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "file.blend"))
-    looking = bpy.context.scene.svrgs_looking
-    assert not looking.compare_result and not looking.mask_result
+    assert not part("operators.view.compare").figures() and not part("operators.view.mask_image").figures()
