@@ -5,25 +5,20 @@ import bpy
 from bpy.app.translations import pgettext_iface as tr
 
 from ..operators.view import compare, viewport_wipe
+from .sidebar import SidebarPanel, native_library_works, split_column, wrapped_label
 from .spatial_mask import draw_image
-from .wrapped_label import native_library_works, wrapped_label
 
 
-class ComparePanel:  # the base of Panel classes, which have a layout
-    layout: bpy.types.UILayout
+class ComparePanel(SidebarPanel):
     bl_label = "3  Compare"
-    bl_region_type = "UI"
-    bl_category = "SVR-GS"
     bl_order = 3
 
     def draw(self, context):
-        layout, settings = self.layout, context.scene.svrgs_looking
+        layout, settings = self.layout, context.scene.svrgs_view
         wiping = viewport_wipe.pair(context.scene) is not None
         if not native_library_works(layout):
             return
-        column = layout.column()
-        column.use_property_split = True
-        column.use_property_decorate = False
+        column = split_column(layout)
         for name in ("original", "pruned", "compare_camera"):
             column.prop(settings, name)
         column = layout.column(align=True)
@@ -45,7 +40,7 @@ class ComparePanel:  # the base of Panel classes, which have a layout
 
 
 class SVRGS_PT_compare(ComparePanel, bpy.types.Panel):
-    bl_space_type = "VIEW_3D"
+    pass
 
 
 class SVRGS_PT_compare_image(ComparePanel, bpy.types.Panel):

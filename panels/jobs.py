@@ -7,16 +7,13 @@ import bpy
 from bpy.app.translations import pgettext_n as n_
 
 from ..operators.jobs import job_list
-from .wrapped_label import wrapped_label
+from .sidebar import SidebarPanel, wrapped_label
 
 ICONS = {"stop": "PAUSE", "resume": "PLAY", "load": "IMPORT", "discard": "TRASH"}
 
 
-class SVRGS_PT_jobs(bpy.types.Panel):
+class SVRGS_PT_jobs(SidebarPanel, bpy.types.Panel):
     bl_label = "Jobs"
-    bl_space_type = "VIEW_3D"
-    bl_region_type = "UI"
-    bl_category = "SVR-GS"
     bl_parent_id = "SVRGS_PT_prune"
     bl_options = {"DEFAULT_CLOSED"}
 

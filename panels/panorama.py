@@ -4,7 +4,7 @@ import bpy
 from bpy.app.translations import pgettext_iface as tr
 from bpy.app.translations import pgettext_n as n_
 
-from .wrapped_label import wrapped_label
+from .sidebar import wrapped_label
 
 LIMITS = (
     ("latitude_min", n_("Latitude Min")),

@@ -18,7 +18,7 @@ from ..operators.jobs import (
 )  # fmt: skip
 from ..operators.scene.dataset_paths import dataset_of
 from .jobs import draw_actions
-from .wrapped_label import wrapped_label
+from .sidebar import SidebarPanel, split_column, wrapped_label
 
 PAPER_VALUES = (1e-4, 1.25e-4, 1.6e-4, 2e-4)  # values of λ_F in the paper
 # goal -> its property; the strength has rows of its own
@@ -32,11 +32,8 @@ STEPS = ("iterations", "recovery")  # chosen by the program if the time is limit
 ICONS = {"BROKEN": "ERROR", "NOTHING": "INFO", "WAITING": "INFO", "FINISHED": "CHECKMARK"}
 
 
-class SVRGS_PT_prune(bpy.types.Panel):
+class SVRGS_PT_prune(SidebarPanel, bpy.types.Panel):
     bl_label = "2  Prune"
-    bl_space_type = "VIEW_3D"
-    bl_region_type = "UI"
-    bl_category = "SVR-GS"
     bl_order = 2
 
     def draw(self, context):
@@ -64,11 +61,8 @@ class SVRGS_PT_prune(bpy.types.Panel):
         draw_buttons(layout, context, stage, job)
 
 
-class SVRGS_PT_prune_advanced(bpy.types.Panel):
+class SVRGS_PT_prune_advanced(SidebarPanel, bpy.types.Panel):
     bl_label = "Advanced"
-    bl_space_type = "VIEW_3D"
-    bl_region_type = "UI"
-    bl_category = "SVR-GS"
     bl_parent_id = "SVRGS_PT_prune"
     bl_options = {"DEFAULT_CLOSED"}
 
@@ -77,8 +71,7 @@ class SVRGS_PT_prune_advanced(bpy.types.Panel):
         return prune_state.stage(context) == "READY"
 
     def draw(self, context):
-        column = self.layout.column()
-        column.use_property_split, column.use_property_decorate = True, False
+        column = split_column(self.layout)
         column.prop(context.scene.svrgs_prune, "method", text="All Methods")
         for name in ADVANCED:
             row = column.row()
@@ -88,8 +81,7 @@ class SVRGS_PT_prune_advanced(bpy.types.Panel):
 
 def draw_settings(layout, context):
     settings = context.scene.svrgs_prune
-    column = layout.column()
-    column.use_property_split, column.use_property_decorate = True, False
+    column = split_column(layout)
     column.prop(settings, "depth")
     if settings.depth == "PHOTOGRAPHS":
         column.prop(settings, "colmap", placeholder=dataset_of(context)[0])

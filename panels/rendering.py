@@ -5,14 +5,11 @@ import bpy
 from bpy.app.translations import pgettext_iface as tr
 
 from ..operators.scene import splat_layer
-from .wrapped_label import wrapped_label
+from .sidebar import SidebarPanel, wrapped_label
 
 
-class SVRGS_PT_rendering(bpy.types.Panel):
+class SVRGS_PT_rendering(SidebarPanel, bpy.types.Panel):
     bl_label = "Render"
-    bl_space_type = "VIEW_3D"
-    bl_region_type = "UI"
-    bl_category = "SVR-GS"
     bl_order = 5
 
     def draw(self, context):

@@ -4,26 +4,23 @@ import bpy
 from bpy.app.translations import pgettext_iface as tr
 
 from ..operators.data.native_check import native_problem
-from ..operators.view import mask_image
-from .wrapped_label import native_library_works, sidebar_units, wrapped_label
+from ..operators.view import spatial_mask
+from .sidebar import SidebarPanel, native_library_works, sidebar_units, split_column, wrapped_label
 
 TICKS = 5
 
 
-class SpatialMaskPanel:  # the base of Panel classes, which have a layout
-    layout: bpy.types.UILayout
+class SpatialMaskPanel(SidebarPanel):
     bl_label = "Spatial Mask"
-    bl_region_type = "UI"
-    bl_category = "SVR-GS"
 
     def draw(self, context):
-        layout, settings = self.layout, context.scene.svrgs_looking
+        layout, settings = self.layout, context.scene.svrgs_view
         if not native_library_works(layout):
             return
         row = layout.row(align=True)
         row.operator("svrgs.spatial_mask", icon="FILE_REFRESH", text="Refresh")
         row.prop(settings, "mask_follow", text="", icon="CAMERA_DATA")
-        image, figures = bpy.data.images.get(mask_image.NAME), mask_image.figures()
+        image, figures = bpy.data.images.get(spatial_mask.NAME), spatial_mask.figures()
         if image is None or not figures:
             wrapped_label(
                 layout, tr("Refresh draws F, the normalised number of Gaussians in each pixel"), "INFO"
@@ -34,15 +31,12 @@ class SpatialMaskPanel:  # the base of Panel classes, which have a layout
         layout.label(
             text=tr("{camera}: mean {mean:.3g}, {milliseconds} ms").format(**figures), translate=False
         )
-        column = layout.column()
-        column.use_property_split = True
-        column.use_property_decorate = False
+        column = split_column(layout)
         for name in ("mask_colors", "mask_top", "mask_size"):
             column.prop(settings, name)
 
 
 class SVRGS_PT_spatial_mask(SpatialMaskPanel, bpy.types.Panel):
-    bl_space_type = "VIEW_3D"
     bl_options = {"DEFAULT_CLOSED"}
     bl_order = 10
 

@@ -88,8 +88,4 @@ def _after_update(scene, *_):
                 known.of(obj).job = folder
 
 
-HANDLERS = {
-    "undo_post": _after_undo,
-    "redo_post": _after_undo,
-    "depsgraph_update_post": _after_update,
-}
+HANDLERS = {"undo_post": _after_undo, "redo_post": _after_undo, "depsgraph_update_post": _after_update}

@@ -104,11 +104,9 @@ def shown(pruned: bpy.types.Object) -> Scene | None:
 def _folder(pruned: bpy.types.Object) -> str:
     """The folder of the splat's job, if it has kept an order; else empty."""
     folder = job_paths.folder_of(pairs.original_of(pruned))
-    return (
-        folder
-        if os.path.basename(folder) == pruned.get(JOB) and os.path.isfile(os.path.join(folder, ORDER))
-        else ""
-    )
+    if os.path.basename(folder) == pruned.get(JOB) and os.path.isfile(os.path.join(folder, ORDER)):
+        return folder
+    return ""
 
 
 def _order(pruned: bpy.types.Object) -> SavedOrder:

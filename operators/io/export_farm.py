@@ -34,7 +34,7 @@ from ..data.native_check import native_problem
 from ..data.reporting import ReportingOperator
 from ..jobs import depths, goals
 from ..jobs.job import given_views, options_of
-from .export_space import selected_splats
+from ..scene.splat_transforms import selected_splats
 
 _lines: list[str] = []  # what the panel says on the last export
 

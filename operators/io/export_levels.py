@@ -22,7 +22,8 @@ from ..data import background_work
 from ..data.native_check import native_problem
 from ..data.preferences import threads
 from ..data.reporting import ReportingOperator
-from .export_space import KINDS, WHAT_FOR, ExportSpace, selected_splats
+from ..scene.splat_transforms import selected_splats
+from .export_space import KINDS, WHAT_FOR, ExportSpace
 
 STREAMED = next(one for one in FORMATS if one.index == "lod-meta.json")
 _running: list[str] = []  # names of the splats whose levels are being made

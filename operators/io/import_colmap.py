@@ -158,11 +158,9 @@ def joined(active: bpy.types.Object | None, splat: bpy.types.Object | None) -> s
     """What became of the active splat, in words. splat: the one that the cameras were joined to."""
     if splat is not None:
         return tr("joined to '{name}'").format(name=splat.name)
-    return (
-        tr("'{name}' keeps the cameras of another dataset").format(name=active.name)
-        if active is not None
-        else ""
-    )
+    if active is not None:
+        return tr("'{name}' keeps the cameras of another dataset").format(name=active.name)
+    return ""
 
 
 def root_for(

@@ -52,7 +52,8 @@ class SVRGS_OT_import_ply(ReportingOperator, ImportHelper):
     )
 
     def work(self, context) -> str:
-        paths, texts, objects = self.paths(), [], []
+        paths, texts = self.paths(), []
+        objects: list[bpy.types.Object] = []
         for path in paths:
             try:
                 scene, filtered = bake_filter(read_scene(path))

@@ -83,11 +83,9 @@ def quality(found: dict) -> str:
             "PSNR about {psnr_after:.1f} dB or more against the splat's own pictures (without recovery about"
             " {psnr_removed:.1f} dB)"
         )
-        return (
-            text.format(**found)
-            if found["psnr_after"] is not None
-            else tr("The quality is not foreseen for this method or goal")
-        )
+        if found["psnr_after"] is not None:
+            return text.format(**found)
+        return tr("The quality is not foreseen for this method or goal")
     if found["psnr_after"] is None:
         return tr(
             "PSNR now {psnr_before:.1f} dB; after pruning: not foreseen for this method or goal"

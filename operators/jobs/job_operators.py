@@ -20,8 +20,8 @@ from ..data.job_paths import owners
 from ..data.reporting import ReportingOperator
 from ..data.select import select
 from ..scene import dataset_paths
-from . import job_list, job_queue, job_state
-from .job_watch import current, delete_job, load_result, tick
+from . import job_list, job_queue, job_result, job_state
+from .job_watch import current, delete_job, tick
 
 STOP_NOW = n_(
     "End the process at once, without waiting for a checkpoint. What was learned since the last one is lost"
@@ -139,7 +139,7 @@ class SVRGS_OT_job_load(JobOperator):
         if problem := edit_guard.problem(context, owner):
             raise SplatError(problem)
         if owner is not None:
-            loaded = load_result(context, owner, job)
+            loaded = job_result.load(context, owner, job.folder)
         else:
             name = f"{job.name} {'splat' if job.kind == TRAIN else 'pruned'}"
             loaded = splat_object.object_from_scene(name, read_scene(job.folder.output), context.collection)

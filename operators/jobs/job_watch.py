@@ -12,11 +12,10 @@ from bpy.app.translations import pgettext_iface as tr
 from ...svrgs_addon.jobs.job_folder import TRAIN, JobFolder
 from ...svrgs_addon.jobs.job_process import Job
 from ...svrgs_addon.system.errors import FormatError, SplatError
-from ..data import edit_guard, known, splat_object
+from ..data import edit_guard, splat_object
 from ..data.background_work import redraw_panels, watch
 from ..data.job_paths import folder_of, link, owners, unlink
-from ..data.select import in_view_layer
-from . import job_pictures, job_queue, job_result, job_state, train_result
+from . import job_pictures, job_queue, job_result, job_state
 from .job_queue import jobs
 
 # --- the job of a splat
@@ -111,34 +110,9 @@ def _load_if_possible(job: Job):
     if owner is None or edit_guard.problem(bpy.context, owner):
         return
     with contextlib.suppress(SplatError, OSError):  # the button Load Result reports the error
-        load_result(bpy.context, owner, job)
+        job_result.load(bpy.context, owner, job.folder)
         if not bpy.app.background:
             bpy.ops.ed.undo_push(message="Train Splat" if job.folder.kind == TRAIN else "Prune Splat")
-
-
-def load_result(context, obj: bpy.types.Object, job: Job) -> bpy.types.Object:
-    """Adds the result of a finished job to the scene. obj: the splat that was pruned, or the root of the
-    cameras that a splat was trained from."""
-    if job.folder.kind == TRAIN:
-        trained = train_result.load(context, obj, job.folder)
-        known.of(trained).result_of = str(job.folder.path)
-        unlink(obj)
-        return trained
-    pruned = job_result.load(context, obj, job.folder)
-    result = job.folder.result()
-    psnr = [result[side].get("psnr") for side in ("before", "after")]
-    if all(isinstance(value, float) for value in psnr):  # null if images and photographs are identical
-        pruned[job_result.PSNR] = psnr
-    elif isinstance(psnr[1], float):  # the photographs were pictures of the original
-        pruned[job_result.OWN_PSNR] = psnr[1]
-    if notes := result.get("notes"):
-        pruned[job_result.NOTES] = "\n".join(map(str, notes))
-    pruned.svrgs_share = 100 * pruned[job_result.KEPT] / job.folder.request()["count"]
-    if context.view_layer.objects.active == obj and in_view_layer(context, pruned):
-        obj.select_set(False)
-        pruned.select_set(True)
-        context.view_layer.objects.active = pruned
-    return pruned
 
 
 @persistent

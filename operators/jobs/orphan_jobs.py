@@ -39,11 +39,9 @@ def orphan_of(context, obj: bpy.types.Object | None) -> Job | None:
 def sentence(context) -> str:
     """That a job of the active splat was found; '' if none was."""
     job = orphan_of(context, context.object)
-    return (
-        tr("A job of this splat was found: {state}").format(state=job_state.text(job))
-        if job is not None
-        else ""
-    )
+    if job is not None:
+        return tr("A job of this splat was found: {state}").format(state=job_state.text(job))
+    return ""
 
 
 def _digest(obj: bpy.types.Object) -> str:

@@ -20,13 +20,11 @@ from ...svrgs_addon.cli.batch_list import default_output
 from ...svrgs_addon.files.registry import format_to_write, read_scene, write_scene
 from ...svrgs_addon.system import subprocess_python
 from ...svrgs_addon.system.errors import SplatError
-from ..data import edit_guard, splat_object
+from ..data import edit_guard, pairs, splat_object
 from ..data.option_properties import RELATIVE, method_property, option_property
 from ..data.preferences import threads
 from ..data.reporting import ReportingOperator
 from ..data.select import select
-from ..data.visibility import set_hidden
-from . import job_result
 
 BACKGROUND = bpy.app.background
 
@@ -129,9 +127,9 @@ class SVRGS_OT_prune(ReportingOperator):
             result, pruned = self.prune(source, Path(temp_dir), threads(context))
         if source is not None:
             obj = splat_object.copy_with(source, f"{source.name} pruned", pruned)
-            job_result.join(source, obj)
-            set_hidden(source, True)
-            set_hidden(obj, False)
+            pairs.join(source, obj)
+            pairs.set_hidden(source, True)
+            pairs.set_hidden(obj, False)
         else:
             obj = splat_object.object_from_scene(
                 f"{Path(self.scene).stem} pruned", pruned, context.collection

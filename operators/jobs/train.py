@@ -1,7 +1,7 @@
 """Training of a splat from imported cameras, for a dataset that has none yet: a background job of their root.
 
 Progress, stop and resume are those of every job (job.py); the panel of step 2 shows them. The splat is placed
-below the root (train_result.py).
+below the root (job_result.py).
 """
 
 from __future__ import annotations

@@ -47,11 +47,9 @@ def check(context) -> str:
 def _key(context) -> tuple | None:
     """What the check depends on; None without a splat or a dataset that is there."""
     obj, (folder, images) = context.object, dataset_of(context)
-    return (
-        (obj.data.session_uid, splat_object.count(obj), folder, images)
-        if splat_object.is_splat(obj) and os.path.exists(folder)
-        else None
-    )
+    if splat_object.is_splat(obj) and os.path.exists(folder):
+        return (obj.data.session_uid, splat_object.count(obj), folder, images)
+    return None
 
 
 def _start_check() -> bool:

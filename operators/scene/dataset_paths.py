@@ -39,11 +39,9 @@ def dataset_of(context) -> tuple[str, str]:
     settings, root = context.scene.svrgs_prune, splat_object.root_of(context.object)
     if settings.colmap:
         return absolute(settings.colmap), settings.images
-    return (
-        (dataset_of_root(root), settings.images or root.get(splat_object.IMAGES, ""))
-        if root is not None
-        else ("", settings.images)
-    )
+    if root is not None:
+        return (dataset_of_root(root), settings.images or root.get(splat_object.IMAGES, ""))
+    return ("", settings.images)
 
 
 def dataset_of_job(context, splat: bpy.types.Object | None) -> str:
@@ -66,11 +64,9 @@ def problem(context) -> str:
         return tr("Choose the dataset of the splat's photographs, or import its cameras in step 1")
     if os.path.exists(folder):
         return ""
-    return (
-        tr("There is no dataset {folder}: choose it again").format(folder=folder)
-        if context.scene.svrgs_prune.colmap
-        else lost(splat_object.root_of(context.object))
-    )
+    if context.scene.svrgs_prune.colmap:
+        return tr("There is no dataset {folder}: choose it again").format(folder=folder)
+    return lost(splat_object.root_of(context.object))
 
 
 def lost(root: bpy.types.Object | None) -> str:
@@ -119,35 +115,27 @@ def _stored_below(path: str, start: str) -> str:
     return stored(path, start) if Path(path).is_relative_to(start) else path
 
 
-def _places() -> Iterator[Place]:
-    """The paths that are stored in the file. In a file without a name, '//' means nothing yet: such paths are
-    left as they are."""
-    return (
-        (write, absolute(path), keep)
-        for write, path, keep in _all_paths()
-        if path and (bpy.data.filepath or not path.startswith("//"))
-    )
-
-
-def _all_paths() -> Iterator[Place]:
-    """As _places(), with the paths as they are stored."""
+def _paths() -> Iterator[Place]:
+    """The paths that are stored in the file, as they are stored."""
     for obj in (obj for obj in bpy.data.objects if not obj.library):
         yield partial(obj.__setitem__, splat_object.DATASET), _text(obj.get(splat_object.DATASET)), stored
         yield partial(obj.__setitem__, FOLDER), folder_of(obj), _stored_below
     for scene in (scene for scene in bpy.data.scenes if not scene.library):
         settings = scene.svrgs_prune
         yield partial(setattr, settings, "colmap"), settings.colmap, stored
-        yield (
-            partial(setattr, settings, "folder"),
-            settings.folder if settings.folder.startswith("//") else "",
-            stored,
-        )
+        folder = settings.folder if settings.folder.startswith("//") else ""
+        yield partial(setattr, settings, "folder"), folder, stored
 
 
 @persistent
 def _before_save(path: str = "", *_):
-    """Stores all paths relative to the file that is written, which may be another one than before."""
-    _saved[:] = _places()
+    """Stores all paths relative to the file that is written, which may be another one than before. In a file
+    without a name, '//' means nothing yet: such paths are left as they are."""
+    _saved[:] = [
+        (write, absolute(stored_path), keep)
+        for write, stored_path, keep in _paths()
+        if stored_path and (bpy.data.filepath or not stored_path.startswith("//"))
+    ]
     for write, folder, keep in _saved if path else ():
         write(keep(folder, os.path.dirname(os.path.abspath(path))))
 

@@ -181,11 +181,9 @@ class SVRGS_OT_select_gaussians(SplatOperator):
     def views(self, context, placed, named: str) -> list:
         """The views of the chosen cameras. named: empty if none is needed. Raises SceneError."""
         cameras = chosen_cameras(context, self.cameras)
-        return (
-            views(context, cameras[:: max(1, -(-len(cameras) // MOST_VIEWS))], placed)
-            if named or cameras
-            else []
-        )
+        if named or cameras:
+            return views(context, cameras[:: max(1, -(-len(cameras) // MOST_VIEWS))], placed)
+        return []
 
 
 class SVRGS_OT_delete_gaussians(SplatOperator):
@@ -237,9 +235,9 @@ class SVRGS_OT_clear_selection(SplatOperator):
 
 def show_selection(context, shown: bool):
     """Solid viewports show the selection, or the colours again. Other values that they show stay."""
-    looking, colors = context.scene.svrgs_looking, ("COLOR", selection.SELECTED)
-    if looking.overlay_shown in colors:
-        looking.overlay_shown = colors[shown]
+    view, colors = context.scene.svrgs_view, ("COLOR", selection.SELECTED)
+    if view.overlay_shown in colors:
+        view.overlay_shown = colors[shown]
 
 
 CLASSES = (SVRGS_OT_select_gaussians, SVRGS_OT_delete_gaussians, SVRGS_OT_clear_selection)

@@ -98,7 +98,7 @@ def camera_words(scene: bpy.types.Scene) -> str:
 
 def is_layer(scene: bpy.types.Scene) -> str:
     """That the scene renders the splats of another one, in a sentence; '' if it does not."""
-    main = scene.svrgs_looking.layer_of
+    main = scene.svrgs_view.layer_of
     text = tr("This scene renders the splats of '{name}': go to that scene")
     return text.format(name=main.name) if main is not None else ""
 

@@ -149,12 +149,8 @@ def moved_count(obj: bpy.types.Object | None) -> int:
 
 
 @persistent
-def _after_update(scene, *_):
+def _record_positions(scene, *_):
     """Stores the positions of splats that this extension has not made."""
-    _record_positions(scene)
-
-
-def _record_positions(scene: bpy.types.Scene):
     for obj in scene.objects:
         if (
             obj.type in splat_object.TYPES
@@ -168,7 +164,6 @@ def _record_positions(scene: bpy.types.Scene):
 
 @persistent
 def _after_load(*_):
-    """Splats that Blender itself has imported have no stored positions."""
     for scene in bpy.data.scenes:
         _record_positions(scene)
 
@@ -181,5 +176,5 @@ def object_menu(self, context):
 
 
 CLASSES = (SVRGS_OT_apply_transforms, SVRGS_OT_join_splats, SVRGS_OT_write_shapes)
-HANDLERS = {"depsgraph_update_post": _after_update, "load_post": _after_load}
+HANDLERS = {"depsgraph_update_post": _record_positions, "load_post": _after_load}
 MENUS = {"VIEW3D_MT_object": object_menu}

@@ -55,7 +55,7 @@ class ComparedSplats:
 def chosen_pair(context: bpy.types.Context) -> tuple[bpy.types.Object, bpy.types.Object]:
     """(original, pruned): those chosen in the panel, or those that belong to the active object. Raises
     SceneError if one is missing."""
-    settings = context.scene.svrgs_looking
+    settings = context.scene.svrgs_view
     original = settings.original or job_result.pair_of(context.object)[0] or context.object
     if not splat_object.is_splat(original):
         raise SceneError(
@@ -93,7 +93,7 @@ def pruned_of(original: bpy.types.Object) -> bpy.types.Object:
 class ComparingOperator(ReportingOperator):
     @classmethod
     def problem(cls, context) -> str:
-        if context.scene.svrgs_looking.compare_camera is not None or context.scene.camera is not None:
+        if context.scene.svrgs_view.compare_camera is not None or context.scene.camera is not None:
             return ""
         return tr("There is no camera: add one, or import the cameras of the dataset")
 
@@ -108,7 +108,7 @@ class SVRGS_OT_compare(ComparingOperator):
     bl_options = {"REGISTER"}
 
     def work(self, context) -> str:
-        settings, splats = context.scene.svrgs_looking, ComparedSplats(context)
+        settings, splats = context.scene.svrgs_view, ComparedSplats(context)
         obj = settings.compare_camera or context.scene.camera
         camera = camera_object.camera_from_object(obj, context.scene)
         photo = photograph(obj)
@@ -142,7 +142,7 @@ class SVRGS_OT_contact_sheet(ComparingOperator):
             for number, obj in enumerate(cameras):
                 camera = camera_object.camera_from_object(obj, context.scene)
                 camera = camera.reduced(max(1, max(camera.width, camera.height) // THUMBNAIL))
-                a, b = splats.render(camera, tuple(context.scene.svrgs_looking.background))
+                a, b = splats.render(camera, tuple(context.scene.svrgs_view.background))
                 rows.append([to_uint8(a), to_uint8(b), difference_image(a, b)])
                 worst = min(worst, psnr(a, b))
                 manager.progress_update(number + 1)

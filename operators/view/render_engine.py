@@ -69,7 +69,7 @@ class SVRGS_engine(bpy.types.RenderEngine):
 
     def picture(self, depsgraph) -> dict | None:
         """The passes of the whole image, rows from the top; None if the user has stopped the render."""
-        scene, meshes = depsgraph.scene, depsgraph.scene.svrgs_looking.meshes
+        scene, meshes = depsgraph.scene, depsgraph.scene.svrgs_view.meshes
         self.show_progress(tr("Reading splats"), 0.0)
         placed = visible_splats.splats(depsgraph)
         if placed is None:
@@ -86,7 +86,7 @@ class SVRGS_engine(bpy.types.RenderEngine):
         catchers = mesh_triangles.triangles(depsgraph, catchers=True) if meshes == "SPLIT" else None
         self.show_progress(tr("Drawing {count:,} Gaussians").format(count=placed.scene.count), 0.2)
         transparent = scene.render.film_transparent or meshes == "CUT"
-        background = None if transparent else tuple(scene.svrgs_looking.background)
+        background = None if transparent else tuple(scene.svrgs_view.background)
 
         def draw(rasterizer, camera):  # in a thread, which must not use bpy
             local, surface = placed.seen_by(camera), placed.hidden_by(triangles, camera)
@@ -100,11 +100,9 @@ class SVRGS_engine(bpy.types.RenderEngine):
             Rasterizer(),
             lambda rasterizer: composite_view(partial(draw, rasterizer), view),
         )
-        return (
-            passes(found, transparent or meshes == "SPLIT", placed.unit, working_space())
-            if found is not None
-            else None
-        )
+        if found is not None:
+            return passes(found, transparent or meshes == "SPLIT", placed.unit, working_space())
+        return None
 
     def show_progress(self, text: str, progress: float):
         self.update_stats("", text)
@@ -124,7 +122,7 @@ class SVRGS_engine(bpy.types.RenderEngine):
 
 def kinds(scene: bpy.types.Scene) -> tuple:
     """(name, channels, type) of each pass of the scene except Combined."""
-    return (*PASSES, BEHIND) if scene.svrgs_looking.meshes != "SHOW" else PASSES
+    return (*PASSES, BEHIND) if scene.svrgs_view.meshes != "SHOW" else PASSES
 
 
 def region(scene: bpy.types.Scene) -> tuple[slice, slice]:

@@ -1,5 +1,4 @@
-"""Settings of viewing and comparing: scene.svrgs_looking, saved with the scene. The name is stored in .blend
-files and stays."""
+"""Settings of viewing and comparing: scene.svrgs_view, saved with the scene."""
 
 from __future__ import annotations
 
@@ -15,7 +14,7 @@ from bpy.props import (
 
 from ...svrgs_addon.render import color_maps
 from ..data import splat_object
-from . import mask_image, overlay, viewport_wipe
+from . import overlay, spatial_mask, viewport_wipe
 
 VALUES = "values"
 MAPS = [(name, name.title(), "Colours from low to high") for name in color_maps.NAMES] + [
@@ -70,12 +69,12 @@ class SVRGS_PG_view(bpy.types.PropertyGroup):
     layer_of: PointerProperty(type=bpy.types.Scene, options={"HIDDEN"})
 
     mask_colors: EnumProperty(
-        name="Colors", items=MAPS, update=mask_image.recolor, description="Colours of the spatial mask"
+        name="Colors", items=MAPS, update=spatial_mask.recolor, description="Colours of the spatial mask"
     )
     mask_top: FloatProperty(
         name="Brightest",
         min=0,
-        update=mask_image.recolor,
+        update=spatial_mask.recolor,
         description="Value of F with the brightest colour. 0: the largest value of the image",
     )
     mask_size: IntProperty(
@@ -142,8 +141,8 @@ CLASSES = (SVRGS_PG_view,)
 
 
 def register():
-    bpy.types.Scene.svrgs_looking = PointerProperty(type=SVRGS_PG_view)
+    bpy.types.Scene.svrgs_view = PointerProperty(type=SVRGS_PG_view)
 
 
 def unregister():
-    del bpy.types.Scene.svrgs_looking
+    del bpy.types.Scene.svrgs_view

@@ -147,7 +147,7 @@ class Viewport:
         pane = self.panes[side.name]
         assert self.triangles is not None  # see draw()
         placed, camera = pane.place(side), visible_splats.region_camera(context.region, context.region_data)
-        background, transparent = tuple(scene.svrgs_looking.background), scene.render.film_transparent
+        background, transparent = tuple(scene.svrgs_view.background), scene.render.film_transparent
         key = self.version, side.key, camera.key, background, transparent
         pane.live.request(
             key, DrawRequest(placed, self.triangles, camera, background, transparent, working_space())

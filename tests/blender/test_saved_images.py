@@ -20,7 +20,7 @@ def test_images_are_the_same_after_save_and_reload(tmp_path, room, camera, stage
     bpy.ops.svrgs.spatial_mask()
     bpy.ops.svrgs.compare()
     before = {name: pixels(bpy.data.images[name]) for name in NAMES}
-    modules = [part(f"operators.view.{name}") for name in ("mask_image", "compare")]
+    modules = [part(f"operators.view.{name}") for name in ("spatial_mask", "compare")]
     figures = [module.figures() for module in modules]
     for _ in range(2):
         reload(tmp_path)
@@ -36,7 +36,7 @@ def test_images_of_a_reopened_file_are_drawn_again_in_place(tmp_path, room, came
     bpy.ops.svrgs.compare()
     reload(tmp_path)
     mask, wipe = (pixels(bpy.data.images[f"SVR-GS {name}"]) for name in ("Spatial Mask", "Wipe"))
-    settings = bpy.context.scene.svrgs_looking
+    settings = bpy.context.scene.svrgs_view
     settings.mask_colors = "grey" if settings.mask_colors != "grey" else "values"
     settings.wipe = 1.0
     assert (pixels(bpy.data.images["SVR-GS Spatial Mask"]) != mask).any() and (

@@ -135,7 +135,7 @@ def see_f12(seen: dict):
 
 
 def see_mask(seen: dict):
-    figures = part("operators.view.mask_image").figures
+    figures = part("operators.view.spatial_mask").figures
     yield from driver.open_panel("Spatial Mask")
     yield from click(LEFT, driver.header_height("Spatial Mask") + MASK_REFRESH)
     yield from until(figures, "the spatial mask")
@@ -159,7 +159,7 @@ def see_comparison(seen: dict):
 def see_wipe(space: bpy.types.SpaceView3D, seen: dict):
     """Both sides, exact, in a Solid and in a Rendered viewport; the mouse moves the line."""
     looking, wipe, viewport = (
-        bpy.context.scene.svrgs_looking,
+        bpy.context.scene.svrgs_view,
         part("operators.view.viewport_wipe"),
         part("operators.view.viewport"),
     )
