@@ -1,8 +1,8 @@
 """What the user can do, in rooms by topic: data, scene, jobs, io, view. Each imports only those before it."""
 
-from . import translation
-from .data import known, materials, quick_order
-from .io import export_farm, export_levels, export_ply, import_colmap, import_ply, usd_stage
+from . import registration, translation
+from .data import background_work, image_pixels, job_paths, known, materials, quick_order
+from .io import export_farm, export_levels, export_ply, import_colmap, import_ply, undistort, usd_stage
 from .jobs import (
     applied_jobs,
     apply,
@@ -10,12 +10,12 @@ from .jobs import (
     estimate,
     job,
     job_list,
+    job_operators,
     job_pictures,
     job_result,
     job_watch,
     orphan_jobs,
     prune,
-    prune_again,
     prune_settings,
     train,
 )
@@ -36,7 +36,6 @@ from .view import (
     open_image,
     overlay,
     render_engine,
-    saved_images,
     scene_cache,
     spatial_mask,
     view_properties,
@@ -46,8 +45,12 @@ from .view import (
 
 MODULES = (
     translation,
+    background_work,
     known,
+    job_paths,
+    image_pixels,
     import_ply,
+    undistort,
     import_colmap,
     export_ply,
     export_farm,
@@ -62,7 +65,7 @@ MODULES = (
     job_watch,
     dataset_paths,
     job,
-    prune_again,
+    job_operators,
     place_cameras,
     applied_jobs,
     apply,
@@ -81,7 +84,6 @@ MODULES = (
     select_gaussians,
     compare,
     splat_transforms,
-    saved_images,
     frame,
     viewport_wipe,
     open_image,
@@ -93,10 +95,8 @@ MODULES = (
 
 
 def register():
-    for module in MODULES:
-        module.register()
+    registration.register(MODULES)
 
 
 def unregister():
-    for module in reversed(MODULES):
-        module.unregister()
+    registration.unregister(MODULES)

@@ -1,5 +1,6 @@
 """What the user sees: one file per panel. Panels ask functions of operators/ what to show."""
 
+from ..operators import registration
 from . import (
     compare,
     engine,
@@ -34,10 +35,8 @@ MODULES = (
 
 
 def register():
-    for module in MODULES:
-        module.register()
+    registration.register(MODULES)
 
 
 def unregister():
-    for module in reversed(MODULES):
-        module.unregister()
+    registration.unregister(MODULES)

@@ -1,33 +1,24 @@
 """Step 3: original and pruned splat compared, in images and figures. In the 3D View and in the Image
 Editor."""
 
-import json
-
 import bpy
 from bpy.app.translations import pgettext_iface as tr
 
-from ..operators.view import viewport_wipe
+from ..operators.view import compare, viewport_wipe
+from .sidebar import SidebarPanel, native_library_works, split_column, wrapped_label
 from .spatial_mask import draw_image
-from .wrapped_label import native_library_works, wrapped_label
-
-WIPE = "SVR-GS Wipe"
 
 
-class ComparePanel:  # the base of Panel classes, which have a layout
-    layout: bpy.types.UILayout
+class ComparePanel(SidebarPanel):
     bl_label = "3  Compare"
-    bl_region_type = "UI"
-    bl_category = "SVR-GS"
     bl_order = 3
 
     def draw(self, context):
-        layout, settings = self.layout, context.scene.svrgs_looking
+        layout, settings = self.layout, context.scene.svrgs_view
         wiping = viewport_wipe.pair(context.scene) is not None
         if not native_library_works(layout):
             return
-        column = layout.column()
-        column.use_property_split = True
-        column.use_property_decorate = False
+        column = split_column(layout)
         for name in ("original", "pruned", "compare_camera"):
             column.prop(settings, name)
         column = layout.column(align=True)
@@ -35,7 +26,7 @@ class ComparePanel:  # the base of Panel classes, which have a layout
         row = column.row(align=True)
         row.operator("svrgs.compare", icon="IMAGE_ALPHA")
         row.operator("svrgs.contact_sheet", icon="RENDERLAYERS", text="All Cameras")
-        image = bpy.data.images.get(WIPE) if settings.compare_result else None
+        image = bpy.data.images.get(compare.WIPE)
         if image is not None or wiping:
             layout.prop(settings, "wipe", slider=True)
         if image is None:
@@ -43,12 +34,13 @@ class ComparePanel:  # the base of Panel classes, which have a layout
             return
         if not wiping:
             draw_image(layout, image)
-            layout.operator("svrgs.open_image", icon="WINDOW").name = WIPE
-        table(layout, json.loads(settings.compare_result))
+            layout.operator("svrgs.open_image", icon="WINDOW").name = compare.WIPE
+        if figures := compare.figures():
+            table(layout, figures)
 
 
 class SVRGS_PT_compare(ComparePanel, bpy.types.Panel):
-    bl_space_type = "VIEW_3D"
+    pass
 
 
 class SVRGS_PT_compare_image(ComparePanel, bpy.types.Panel):
@@ -76,13 +68,3 @@ def table(layout, result: dict):
 
 
 CLASSES = (SVRGS_PT_compare, SVRGS_PT_compare_image)
-
-
-def register():
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-
-
-def unregister():
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)

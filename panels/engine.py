@@ -4,7 +4,7 @@ that apply to it."""
 import bpy
 
 from .rendering import draw_standard
-from .wrapped_label import native_library_works
+from .sidebar import native_library_works
 
 ENGINE = "SVRGS"
 EXCLUDED = {"VIEWLAYER_PT_filter", "VIEWLAYER_PT_layer_passes", "RENDER_PT_simplify"}
@@ -26,9 +26,9 @@ class SVRGS_PT_engine(bpy.types.Panel):
         if not native_library_works(layout):
             return
         layout.use_property_split = True
-        layout.prop(context.scene.svrgs_looking, "background")
+        layout.prop(context.scene.svrgs_view, "background")
         layout.prop(context.scene.render, "film_transparent", text="Transparent")
-        layout.prop(context.scene.svrgs_looking, "meshes")
+        layout.prop(context.scene.svrgs_view, "meshes")
         draw_standard(layout, context.scene)
 
 
@@ -42,8 +42,10 @@ def shared_panels():
     return [panel for panel in panels if panel.__name__ not in EXCLUDED]
 
 
+CLASSES = (SVRGS_PT_engine,)
+
+
 def register():
-    bpy.utils.register_class(SVRGS_PT_engine)
     for panel in shared_panels():
         panel.COMPAT_ENGINES.add(ENGINE)
 
@@ -51,4 +53,3 @@ def register():
 def unregister():
     for panel in shared_panels():
         panel.COMPAT_ENGINES.discard(ENGINE)
-    bpy.utils.unregister_class(SVRGS_PT_engine)

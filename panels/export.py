@@ -7,14 +7,11 @@ from ..operators.data.splat_object import is_splat
 from ..operators.io import export_farm, export_levels
 from ..operators.jobs.job_result import marked_count
 from ..operators.jobs.prune_state import size
-from .wrapped_label import wrapped_label
+from .sidebar import SidebarPanel, wrapped_label
 
 
-class SVRGS_PT_export(bpy.types.Panel):
+class SVRGS_PT_export(SidebarPanel, bpy.types.Panel):
     bl_label = "4  Export"
-    bl_space_type = "VIEW_3D"
-    bl_region_type = "UI"
-    bl_category = "SVR-GS"
     bl_order = 4
 
     def draw(self, context):
@@ -38,9 +35,4 @@ class SVRGS_PT_export(bpy.types.Panel):
             wrapped_label(layout, line)
 
 
-def register():
-    bpy.utils.register_class(SVRGS_PT_export)
-
-
-def unregister():
-    bpy.utils.unregister_class(SVRGS_PT_export)
+CLASSES = (SVRGS_PT_export,)

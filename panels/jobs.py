@@ -1,24 +1,19 @@
 """All jobs that this Blender knows, below step 2: with or without a splat in the file, running, waiting,
 stopped or finished."""
 
+from __future__ import annotations
+
 import bpy
+from bpy.app.translations import pgettext_n as n_
 
 from ..operators.jobs import job_list
-from .wrapped_label import wrapped_label
+from .sidebar import SidebarPanel, wrapped_label
 
-BUTTONS = {  # name of a button -> operator, icon
-    "stop": ("svrgs.listed_job_stop", "PAUSE"),
-    "resume": ("svrgs.listed_job_resume", "PLAY"),
-    "open": ("svrgs.listed_job_open", "IMPORT"),
-    "delete": ("svrgs.listed_job_delete", "TRASH"),
-}
+ICONS = {"stop": "PAUSE", "resume": "PLAY", "load": "IMPORT", "discard": "TRASH"}
 
 
-class SVRGS_PT_jobs(bpy.types.Panel):
+class SVRGS_PT_jobs(SidebarPanel, bpy.types.Panel):
     bl_label = "Jobs"
-    bl_space_type = "VIEW_3D"
-    bl_region_type = "UI"
-    bl_category = "SVR-GS"
     bl_parent_id = "SVRGS_PT_prune"
     bl_options = {"DEFAULT_CLOSED"}
 
@@ -27,27 +22,27 @@ class SVRGS_PT_jobs(bpy.types.Panel):
         if not rows:
             layout.label(text="There are no jobs", icon="INFO")
         for row in rows:
-            draw_job(layout.box().column(align=True), row)
+            column = layout.box().column(align=True)
+            head = column.row()
+            head.label(text=row.name, icon=row.icon, translate=False)
+            buttons = head.row(align=True)
+            buttons.alignment = "RIGHT"
+            draw_actions(buttons, row.job, row.actions, named=False)
+            wrapped_label(column, row.state)
+            wrapped_label(column, row.size)
         if text := job_list.finished_text(context):
             layout.operator("svrgs.delete_finished_jobs", icon="TRASH", text=text)
 
 
-def draw_job(column, job: dict):
-    """One job: name and buttons, state, size."""
-    head = column.row()
-    head.label(text=job["name"], icon=job["icon"], translate=False)
-    buttons = head.row(align=True)
-    buttons.alignment = "RIGHT"
-    for name in job["buttons"]:
-        operator, icon = BUTTONS[name]
-        buttons.operator(operator, icon=icon, text="").folder = job["folder"]
-    wrapped_label(column, job["state"])
-    wrapped_label(column, job["size"])
+def draw_actions(layout, job, actions: tuple[str, ...], named: bool = True):
+    """The buttons of a job."""
+    for action in actions:
+        stop_now = action == "stop" and job.stopping
+        options = {"text": n_("Stop Now")} if stop_now and named else {} if named else {"text": ""}
+        button = layout.operator(f"svrgs.job_{action}", icon=ICONS[action], **options)
+        button.folder = str(job.folder.path)
+        if action == "stop":
+            button.now = stop_now
 
 
-def register():
-    bpy.utils.register_class(SVRGS_PT_jobs)
-
-
-def unregister():
-    bpy.utils.unregister_class(SVRGS_PT_jobs)
+CLASSES = (SVRGS_PT_jobs,)

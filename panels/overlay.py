@@ -2,22 +2,19 @@
 
 import bpy
 
-from .wrapped_label import native_library_works
+from .sidebar import SidebarPanel, native_library_works
 
 
-class SVRGS_PT_overlay(bpy.types.Panel):
+class SVRGS_PT_overlay(SidebarPanel, bpy.types.Panel):
     bl_label = "View"
-    bl_space_type = "VIEW_3D"
-    bl_region_type = "UI"
-    bl_category = "SVR-GS"
     bl_options = {"DEFAULT_CLOSED"}
     bl_order = 9
 
     def draw_header(self, context):
-        self.layout.prop(context.scene.svrgs_looking, "overlay", text="")
+        self.layout.prop(context.scene.svrgs_view, "overlay", text="")
 
     def draw(self, context):
-        layout, settings = self.layout, context.scene.svrgs_looking
+        layout, settings = self.layout, context.scene.svrgs_view
         if not native_library_works(layout):
             return
         layout.use_property_split = True
@@ -28,9 +25,4 @@ class SVRGS_PT_overlay(bpy.types.Panel):
         column.prop(settings, "overlay_moving")
 
 
-def register():
-    bpy.utils.register_class(SVRGS_PT_overlay)
-
-
-def unregister():
-    bpy.utils.unregister_class(SVRGS_PT_overlay)
+CLASSES = (SVRGS_PT_overlay,)

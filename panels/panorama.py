@@ -4,7 +4,7 @@ import bpy
 from bpy.app.translations import pgettext_iface as tr
 from bpy.app.translations import pgettext_n as n_
 
-from .wrapped_label import wrapped_label
+from .sidebar import wrapped_label
 
 LIMITS = (
     ("latitude_min", n_("Latitude Min")),
@@ -37,9 +37,4 @@ class SVRGS_PT_panorama(bpy.types.Panel):
                 column.prop(camera, name, text=text)
 
 
-def register():
-    bpy.utils.register_class(SVRGS_PT_panorama)
-
-
-def unregister():
-    bpy.utils.unregister_class(SVRGS_PT_panorama)
+CLASSES = (SVRGS_PT_panorama,)

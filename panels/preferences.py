@@ -20,9 +20,4 @@ class SVRGS_AP_preferences(bpy.types.AddonPreferences):
         self.layout.prop(self, "threads")
 
 
-def register():
-    bpy.utils.register_class(SVRGS_AP_preferences)
-
-
-def unregister():
-    bpy.utils.unregister_class(SVRGS_AP_preferences)
+CLASSES = (SVRGS_AP_preferences,)

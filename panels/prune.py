@@ -6,9 +6,19 @@ from __future__ import annotations
 import bpy
 
 from ..operators.data import quick_order
-from ..operators.jobs import depths, goals, job_pictures, job_result, job_watch, orphan_jobs, prune_state
+from ..operators.jobs import (
+    depths,
+    goals,
+    job_pictures,
+    job_result,
+    job_state,
+    job_watch,
+    orphan_jobs,
+    prune_state,
+)  # fmt: skip
 from ..operators.scene.dataset_paths import dataset_of
-from .wrapped_label import wrapped_label
+from .jobs import draw_actions
+from .sidebar import SidebarPanel, split_column, wrapped_label
 
 PAPER_VALUES = (1e-4, 1.25e-4, 1.6e-4, 2e-4)  # values of λ_F in the paper
 # goal -> its property; the strength has rows of its own
@@ -22,11 +32,8 @@ STEPS = ("iterations", "recovery")  # chosen by the program if the time is limit
 ICONS = {"BROKEN": "ERROR", "NOTHING": "INFO", "WAITING": "INFO", "FINISHED": "CHECKMARK"}
 
 
-class SVRGS_PT_prune(bpy.types.Panel):
+class SVRGS_PT_prune(SidebarPanel, bpy.types.Panel):
     bl_label = "2  Prune"
-    bl_space_type = "VIEW_3D"
-    bl_region_type = "UI"
-    bl_category = "SVR-GS"
     bl_order = 2
 
     def draw(self, context):
@@ -54,11 +61,8 @@ class SVRGS_PT_prune(bpy.types.Panel):
         draw_buttons(layout, context, stage, job)
 
 
-class SVRGS_PT_prune_advanced(bpy.types.Panel):
+class SVRGS_PT_prune_advanced(SidebarPanel, bpy.types.Panel):
     bl_label = "Advanced"
-    bl_space_type = "VIEW_3D"
-    bl_region_type = "UI"
-    bl_category = "SVR-GS"
     bl_parent_id = "SVRGS_PT_prune"
     bl_options = {"DEFAULT_CLOSED"}
 
@@ -67,8 +71,7 @@ class SVRGS_PT_prune_advanced(bpy.types.Panel):
         return prune_state.stage(context) == "READY"
 
     def draw(self, context):
-        column = self.layout.column()
-        column.use_property_split, column.use_property_decorate = True, False
+        column = split_column(self.layout)
         column.prop(context.scene.svrgs_prune, "method", text="All Methods")
         for name in ADVANCED:
             row = column.row()
@@ -78,8 +81,7 @@ class SVRGS_PT_prune_advanced(bpy.types.Panel):
 
 def draw_settings(layout, context):
     settings = context.scene.svrgs_prune
-    column = layout.column()
-    column.use_property_split, column.use_property_decorate = True, False
+    column = split_column(layout)
     column.prop(settings, "depth")
     if settings.depth == "PHOTOGRAPHS":
         column.prop(settings, "colmap", placeholder=dataset_of(context)[0])
@@ -118,16 +120,8 @@ def draw_strength(column, settings):
 def draw_buttons(layout, context, stage: str, job):
     original, pruned = job_result.pair_of(context.object)
     row = layout.row(align=True)
-    if stage == "BUSY":
-        row.operator(
-            "svrgs.job_stop", icon="PAUSE", text="Stop Now" if job.stopping else "Stop"
-        ).now = job.stopping
-    elif stage == "WAITING":
-        row.operator("svrgs.job_resume", icon="PLAY")
-        row.operator("svrgs.job_discard", icon="TRASH")
-    elif stage == "FINISHED":
-        row.operator("svrgs.job_load", icon="IMPORT")
-        row.operator("svrgs.job_discard", icon="TRASH")
+    if job is not None:
+        draw_actions(row, job, job_state.of(job).actions)
     elif stage == "RESULT":
         if quick_order.is_shown(pruned):
             row.operator("svrgs.prune_again", icon="PLAY")
@@ -142,13 +136,3 @@ def draw_buttons(layout, context, stage: str, job):
 
 
 CLASSES = (SVRGS_PT_prune, SVRGS_PT_prune_advanced)
-
-
-def register():
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-
-
-def unregister():
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)

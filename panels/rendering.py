@@ -5,14 +5,11 @@ import bpy
 from bpy.app.translations import pgettext_iface as tr
 
 from ..operators.scene import splat_layer
-from .wrapped_label import wrapped_label
+from .sidebar import SidebarPanel, wrapped_label
 
 
-class SVRGS_PT_rendering(bpy.types.Panel):
+class SVRGS_PT_rendering(SidebarPanel, bpy.types.Panel):
     bl_label = "Render"
-    bl_space_type = "VIEW_3D"
-    bl_region_type = "UI"
-    bl_category = "SVR-GS"
     bl_order = 5
 
     def draw(self, context):
@@ -53,13 +50,3 @@ def draw_standard(layout, scene):
 
 
 CLASSES = (SVRGS_PT_rendering, SVRGS_PT_not_drawn)
-
-
-def register():
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-
-
-def unregister():
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)

@@ -7,16 +7,13 @@ from ..operators.data.splat_object import is_splat, root_of
 from ..operators.data.splat_size import about
 from ..operators.io import undistort
 from ..operators.scene import camera_match, dataset_paths, splat_transforms
-from .wrapped_label import wrapped_label
+from .sidebar import SidebarPanel, wrapped_label
 
 ROOTS = 3  # sets of cameras that are offered
 
 
-class SVRGS_PT_scene(bpy.types.Panel):
+class SVRGS_PT_scene(SidebarPanel, bpy.types.Panel):
     bl_label = "1  Scene"
-    bl_space_type = "VIEW_3D"
-    bl_region_type = "UI"
-    bl_category = "SVR-GS"
 
     def draw(self, context):
         layout = self.layout
@@ -65,9 +62,4 @@ def draw_cameras(layout, context):
         ).root = name
 
 
-def register():
-    bpy.utils.register_class(SVRGS_PT_scene)
-
-
-def unregister():
-    bpy.utils.unregister_class(SVRGS_PT_scene)
+CLASSES = (SVRGS_PT_scene,)

@@ -5,14 +5,11 @@ from bpy.app.translations import pgettext_iface as tr
 
 from ..operators.data import selection
 from ..operators.data.splat_object import is_splat
-from .wrapped_label import native_library_works
+from .sidebar import SidebarPanel, native_library_works
 
 
-class SVRGS_PT_select(bpy.types.Panel):
+class SVRGS_PT_select(SidebarPanel, bpy.types.Panel):
     bl_label = "Select"
-    bl_space_type = "VIEW_3D"
-    bl_region_type = "UI"
-    bl_category = "SVR-GS"
     bl_parent_id = "SVRGS_PT_scene"
     bl_options = {"DEFAULT_CLOSED"}
 
@@ -39,9 +36,4 @@ class SVRGS_PT_select(bpy.types.Panel):
         ).what = "OTHERS"
 
 
-def register():
-    bpy.utils.register_class(SVRGS_PT_select)
-
-
-def unregister():
-    bpy.utils.unregister_class(SVRGS_PT_select)
+CLASSES = (SVRGS_PT_select,)

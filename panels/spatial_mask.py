@@ -1,51 +1,42 @@
 """The spatial mask: its image and the scale of its colours. In the 3D View and in the Image Editor."""
 
-import json
-
 import bpy
 from bpy.app.translations import pgettext_iface as tr
 
 from ..operators.data.native_check import native_problem
-from .wrapped_label import native_library_works, sidebar_units, wrapped_label
+from ..operators.view import spatial_mask
+from .sidebar import SidebarPanel, native_library_works, sidebar_units, split_column, wrapped_label
 
-IMAGE = "SVR-GS Spatial Mask"
 TICKS = 5
 
 
-class SpatialMaskPanel:  # the base of Panel classes, which have a layout
-    layout: bpy.types.UILayout
+class SpatialMaskPanel(SidebarPanel):
     bl_label = "Spatial Mask"
-    bl_region_type = "UI"
-    bl_category = "SVR-GS"
 
     def draw(self, context):
-        layout, settings = self.layout, context.scene.svrgs_looking
+        layout, settings = self.layout, context.scene.svrgs_view
         if not native_library_works(layout):
             return
         row = layout.row(align=True)
         row.operator("svrgs.spatial_mask", icon="FILE_REFRESH", text="Refresh")
         row.prop(settings, "mask_follow", text="", icon="CAMERA_DATA")
-        image = bpy.data.images.get(IMAGE)
-        if image is None or not settings.mask_result:
+        image, figures = bpy.data.images.get(spatial_mask.NAME), spatial_mask.figures()
+        if image is None or not figures:
             wrapped_label(
                 layout, tr("Refresh draws F, the normalised number of Gaussians in each pixel"), "INFO"
             )
             return
         draw_image(layout, image)
-        result = json.loads(settings.mask_result)
-        legend(layout, settings.mask_top or result["largest"])
+        legend(layout, settings.mask_top or figures["largest"])
         layout.label(
-            text=tr("{camera}: mean {mean:.3g}, {milliseconds} ms").format(**result), translate=False
+            text=tr("{camera}: mean {mean:.3g}, {milliseconds} ms").format(**figures), translate=False
         )
-        column = layout.column()
-        column.use_property_split = True
-        column.use_property_decorate = False
+        column = split_column(layout)
         for name in ("mask_colors", "mask_top", "mask_size"):
             column.prop(settings, name)
 
 
 class SVRGS_PT_spatial_mask(SpatialMaskPanel, bpy.types.Panel):
-    bl_space_type = "VIEW_3D"
     bl_options = {"DEFAULT_CLOSED"}
     bl_order = 10
 
@@ -75,13 +66,3 @@ def legend(layout, top: float):
 
 
 CLASSES = (SVRGS_PT_spatial_mask, SVRGS_PT_spatial_mask_image)
-
-
-def register():
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-
-
-def unregister():
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)

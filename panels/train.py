@@ -3,14 +3,11 @@
 import bpy
 
 from ..operators.jobs import train
-from .wrapped_label import wrapped_label
+from .sidebar import SidebarPanel, split_column, wrapped_label
 
 
-class SVRGS_PT_train(bpy.types.Panel):
+class SVRGS_PT_train(SidebarPanel, bpy.types.Panel):
     bl_label = "2  Train"
-    bl_space_type = "VIEW_3D"
-    bl_region_type = "UI"
-    bl_category = "SVR-GS"
     bl_order = 1
 
     @classmethod
@@ -20,8 +17,7 @@ class SVRGS_PT_train(bpy.types.Panel):
     def draw(self, context):
         layout, settings = self.layout, context.scene.svrgs_train
         wrapped_label(layout, train.about(context), "OUTLINER_OB_CAMERA")
-        column = layout.column()
-        column.use_property_split, column.use_property_decorate = True, False
+        column = split_column(layout)
         column.prop(settings, "use_time")
         column.prop(settings, "time" if settings.use_time else "iterations")
         column.operator("svrgs.train", icon="PLAY", text="Train Splat from Photographs")
@@ -29,9 +25,4 @@ class SVRGS_PT_train(bpy.types.Panel):
             wrapped_label(layout, problem, "INFO")
 
 
-def register():
-    bpy.utils.register_class(SVRGS_PT_train)
-
-
-def unregister():
-    bpy.utils.unregister_class(SVRGS_PT_train)
+CLASSES = (SVRGS_PT_train,)

@@ -24,11 +24,12 @@ def change_problem(context, splats: list[bpy.types.Object]) -> str:
     return ""
 
 
-def problem(context, splat: bpy.types.Object) -> str:
-    """What the user must do first, in a sentence; empty if the splat can be changed."""
-    if context.mode != "OBJECT" or splat.mode == "EDIT":  # it may be edited in another window's scene
+def problem(context, splat: bpy.types.Object | None) -> str:
+    """What the user must do first, in a sentence; empty if the splat can be changed. None: a new one."""
+    # it may be edited in another window's scene
+    if context.mode != "OBJECT" or (splat is not None and splat.mode == "EDIT"):
         return tr("Leave Edit Mode first")
-    if splat.library or (splat.data is not None and splat.data.library):
+    if splat is not None and (splat.library or (splat.data is not None and splat.data.library)):
         return tr(
             "'{name}' is linked from another file: make it local first (Object > Relations > Make Local)"
         ).format(name=splat.name)

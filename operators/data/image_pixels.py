@@ -4,23 +4,29 @@ from __future__ import annotations
 
 import bpy
 import numpy as np
+from bpy.app.handlers import persistent
 from mathutils import Color
 
 from ...svrgs_addon.files.images import linear_to_srgb
 from ...svrgs_addon.render.passes import SRGB_PRIMARIES
 
 _written: set[str] = set()  # names of images that were written since the file was saved
+FIGURES = "svrgs_figures"  # property of an image: what was measured when it was drawn
 PREVIEW = 512  # pixels on the longer side: a wide sidebar shows that many
 
 
 def write_image(
-    name: str, pixels: np.ndarray, preview: np.ndarray | None = None, data: bool = False
+    name: str,
+    pixels: np.ndarray,
+    preview: np.ndarray | None = None,
+    data: bool = False,
+    figures: dict | None = None,
 ) -> bpy.types.Image:
     """Writes `pixels` (H, W, 3), float or uint8, rows from the top, into the image of that name, which is
     created if needed.
 
     data: 32-bit numbers in the colour space Non-Color; else 8 bits in display sRGB. preview: (h, w, 3)
-    display sRGB; default: pixels.
+    display sRGB; default: pixels. figures: stored with the image, see figures_of().
     """
     height, width, _ = pixels.shape
     image = bpy.data.images.get(name)
@@ -34,6 +40,8 @@ def write_image(
     image.pixels.foreach_set(_rgba(pixels))
     image.update()
     _written.add(name)
+    if figures is not None:
+        image[FIGURES] = figures
     _preview(image, pixels if preview is None else preview)
     return image
 
@@ -52,15 +60,16 @@ def read_image(image: bpy.types.Image) -> np.ndarray | None:
     return np.ascontiguousarray(rgb * values[..., 3:] if image.channels == 4 and not image.is_float else rgb)
 
 
-def is_lost(name: str) -> bool:
-    """After a file was opened: whether the image is missing or empty. Blender saves pixels with a file only
-    if the image is packed."""
+def figures_of(name: str) -> dict:
+    """What was measured when the image of that name was drawn; {} without such an image."""
     image = bpy.data.images.get(name)
-    return image is None or (image.source == "GENERATED" and image.packed_file is None)
+    return image[FIGURES].to_dict() if image is not None and FIGURES in image else {}
 
 
-def pack_written():
-    """Stores the pixels of images that were written since the last call in the .blend file."""
+@persistent
+def _before_save(*_):
+    """Stores the pixels of images that were written since the last time in the .blend file: Blender saves
+    those of generated images only if they are packed."""
     for name in _written:
         image = bpy.data.images.get(name)
         if image is not None and _is_ours(image):
@@ -73,8 +82,8 @@ def pack_written():
     _written.clear()
 
 
-def forget_written():
-    """After another file was opened."""
+@persistent
+def _after_load(*_):
     _written.clear()
 
 
@@ -107,3 +116,6 @@ def _preview(image: bpy.types.Image, pixels: np.ndarray):
     preview = image.preview_ensure()
     preview.image_size = small.shape[1], small.shape[0]
     preview.image_pixels_float.foreach_set(_rgba(small))
+
+
+HANDLERS = {"save_pre": _before_save, "load_post": _after_load}

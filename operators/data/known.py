@@ -1,7 +1,7 @@
-"""What this session knows of each splat besides what the file stores.
+"""What this session knows of each splat and of each scene besides what the file stores.
 
-Entries are kept by session_uid, which undo does not change. Those of an object stay until another file is
-opened; those of its data until Blender changes that data, and until an undo.
+Entries are kept by session_uid, which undo does not change. Those of an object or a scene stay until another
+file is opened; those of an object's data until Blender changes that data, and until an undo.
 """
 
 from __future__ import annotations
@@ -22,9 +22,12 @@ class KnownObject:
     # the last estimate, {"busy": True} until it is there; and what it depends on
     estimate: dict[str, Any] = field(default_factory=dict)
     estimated: dict[str, Any] = field(default_factory=dict)
+    import_problems: list[str] = field(default_factory=list)  # what the last import of cameras below it lacks
+    # what the check of its photographs depends on, and what is wrong; '' until that is known
+    cameras_checked: tuple[Any, str] = ((), "")
     placing: bool = False  # cameras are being placed for it
-    placed: dict[str, Any] | None = None  # what came of that, until it is shown
     problem: str = ""  # why no cameras were placed
+    order_problem: str = ""  # why other numbers of Gaussians of this quick result cannot be shown
 
 
 @dataclass
@@ -33,10 +36,24 @@ class KnownData:
 
     moved: int | None = None  # Gaussians whose points were moved without their shapes
     digest: str = ""  # digest_of() its Gaussians
+    # what an export says on its size, by number of Gaussians, format and quantise
+    sizes: dict[tuple, str] = field(default_factory=dict)
+
+
+@dataclass
+class KnownScene:
+    """Of a scene."""
+
+    camera: int | None = None  # session_uid of its last camera, 0: none; None: it was not looked at
+    mask_inputs: tuple = ()  # what its last spatial mask depends on
+    mask: tuple[Any, dict] | None = None  # that mask (H, W), and its figures
+    changed_layer: str = ""  # the view layer that changed last, until the mask has followed
+    dither: float | None = None  # its own dither while it is rendered without
 
 
 objects: dict[int, KnownObject] = {}
 _data: dict[int, KnownData] = {}
+_scenes: dict[int, KnownScene] = {}
 
 
 def of(obj: bpy.types.Object) -> KnownObject:
@@ -45,13 +62,18 @@ def of(obj: bpy.types.Object) -> KnownObject:
 
 
 def of_uid(uid: int) -> KnownObject:
-    """As of(), by the session_uid: for threads, which must not use bpy."""
+    """As of(), by the session_uid: of an object that may be gone."""
     return objects.setdefault(uid, KnownObject())
 
 
 def of_data(obj: bpy.types.Object) -> KnownData:
     """What is known of the points that the object has now."""
     return _data.setdefault(obj.data.session_uid, KnownData())
+
+
+def of_scene(scene: bpy.types.Scene) -> KnownScene:
+    """What is known of the scene; to be changed by the caller."""
+    return _scenes.setdefault(scene.session_uid, KnownScene())
 
 
 def forget_points():
@@ -76,6 +98,7 @@ def _after_undo(*_):
 @persistent
 def _after_load(*_):
     objects.clear()
+    _scenes.clear()
     forget_points()
 
 
@@ -87,12 +110,5 @@ HANDLERS = {
 }
 
 
-def register():
-    for event, handler in HANDLERS.items():
-        getattr(bpy.app.handlers, event).append(handler)
-
-
 def unregister():
-    for event, handler in HANDLERS.items():
-        getattr(bpy.app.handlers, event).remove(handler)
     _after_load()

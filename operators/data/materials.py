@@ -177,10 +177,8 @@ def _forget(*_):
     _textures.clear()
 
 
-def register():
-    bpy.app.handlers.load_post.append(_forget)
+HANDLERS = {"load_post": _forget}
 
 
 def unregister():
-    bpy.app.handlers.load_post.remove(_forget)
     _textures.clear()

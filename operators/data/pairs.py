@@ -1,6 +1,9 @@
-"""An original and the splat that was pruned from it: each names the other in a property of its object."""
+"""An original and the splat that was pruned from it: each names the other in a property of its object, and
+mostly one of them is hidden."""
 
 from __future__ import annotations
+
+import contextlib
 
 import bpy
 
@@ -25,3 +28,14 @@ def original_of(pruned: bpy.types.Object) -> bpy.types.Object | None:
 def _in_file(obj: bpy.types.Object | None) -> bpy.types.Object | None:
     """The object; None if it was deleted and only this pointer keeps it in memory."""
     return obj if obj is not None and obj.users_collection else None
+
+
+def set_hidden(obj: bpy.types.Object, hidden: bool):
+    """Hides the object in viewports and renders, or shows it. A view layer that excludes its collection shows
+    neither."""
+    obj.hide_render = hidden
+    if not hidden:
+        obj.hide_viewport = False  # the monitor icon
+    for layer in (layer for scene in obj.users_scene for layer in scene.view_layers):
+        with contextlib.suppress(RuntimeError):  # the layer excludes all its collections
+            obj.hide_set(hidden, view_layer=layer)

@@ -8,8 +8,9 @@ the slider Keep shows.
 from __future__ import annotations
 
 import os
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from dataclasses import dataclass
+from functools import partial
 
 import bpy
 import numpy as np
@@ -22,7 +23,7 @@ from ...svrgs_addon.jobs.job_folder import JobFolder
 from ...svrgs_addon.scene.gaussians import Scene
 from ...svrgs_addon.scene.moved_points import common_motion
 from ...svrgs_addon.system.errors import SceneError, SplatError
-from . import job_paths, pairs, splat_object
+from . import background_work, job_paths, known, pairs, splat_object
 
 # property of a pruned splat: the number of Gaussians that is shown instead of the job's own
 SHOWN = "svrgs_shown"
@@ -43,7 +44,6 @@ class _Read:
 
 _ahead: dict[str, Future] = {}  # by folder, at most one: its order, while it is read
 _last: list[_Read] = []  # at most one: an order takes as much memory as the original and as much again
-_problems: dict[str, str] = {}  # by folder: why its order cannot be read
 
 
 def read_ahead(folder: JobFolder):
@@ -52,15 +52,13 @@ def read_ahead(folder: JobFolder):
     if bpy.app.background or not os.path.isfile(folder / ORDER) or folder.request()["count"] > MOST_AHEAD:
         return
     _forget()
-    pool = ThreadPoolExecutor(1)
-    _ahead[str(folder.path)] = pool.submit(_files, folder)
-    pool.shutdown(wait=False)
+    _ahead[str(folder.path)] = background_work.run(partial(_files, folder), lambda _: None)
 
 
 def available(pruned: bpy.types.Object) -> bool:
     """Whether other numbers can be shown."""
     folder = _folder(pruned)
-    return bool(folder) and folder not in _problems and not pruned.modifiers
+    return bool(folder) and not known.of(pruned).order_problem and not pruned.modifiers
 
 
 def problem(pruned: bpy.types.Object) -> str:
@@ -71,7 +69,7 @@ def problem(pruned: bpy.types.Object) -> str:
         return tr("Remove the modifiers of '{name}' to show other numbers of Gaussians").format(
             name=pruned.name
         )
-    return _problems.get(folder, "")
+    return known.of(pruned).order_problem if folder else ""
 
 
 def show(pruned: bpy.types.Object, count: int, own: int):
@@ -83,7 +81,7 @@ def show(pruned: bpy.types.Object, count: int, own: int):
         try:
             pruned[SHOWN] = _order(pruned).clipped(count)
         except SplatError as error:
-            _problems[_folder(pruned)] = str(error)
+            known.of(pruned).order_problem = str(error)
             pruned.pop(SHOWN, None)
     pruned.data.update_tag()
 
@@ -106,11 +104,9 @@ def shown(pruned: bpy.types.Object) -> Scene | None:
 def _folder(pruned: bpy.types.Object) -> str:
     """The folder of the splat's job, if it has kept an order; else empty."""
     folder = job_paths.folder_of(pairs.original_of(pruned))
-    return (
-        folder
-        if os.path.basename(folder) == pruned.get(JOB) and os.path.isfile(os.path.join(folder, ORDER))
-        else ""
-    )
+    if os.path.basename(folder) == pruned.get(JOB) and os.path.isfile(os.path.join(folder, ORDER)):
+        return folder
+    return ""
 
 
 def _order(pruned: bpy.types.Object) -> SavedOrder:
@@ -149,13 +145,10 @@ def _forget():
 @persistent
 def _after_load(*_):
     _forget()
-    _problems.clear()
 
 
-def register():
-    bpy.app.handlers.load_post.append(_after_load)
+HANDLERS = {"load_post": _after_load}
 
 
 def unregister():
-    bpy.app.handlers.load_post.remove(_after_load)
-    _after_load()
+    _forget()

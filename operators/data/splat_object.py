@@ -371,11 +371,9 @@ def in_local(obj: bpy.types.Object, matrix: Matrix) -> np.ndarray:
 def _relative(target: Matrix, source: Matrix) -> np.ndarray:
     """target⁻¹ · source; the identity where only rounding is between them."""
     matrix = np.linalg.solve(np.array(target, np.float64), np.array(source, np.float64))
-    return (
-        np.eye(4)
-        if np.abs(matrix - np.eye(4)).max() < SAME_PLACE * max(1.0, np.abs(matrix[:3, 3]).max())
-        else matrix
-    )
+    if np.abs(matrix - np.eye(4)).max() < SAME_PLACE * max(1.0, np.abs(matrix[:3, 3]).max()):
+        return np.eye(4)
+    return matrix
 
 
 # --- roots: empties whose children share the coordinates of the files

@@ -9,7 +9,7 @@ from bpy.app.translations import pgettext_iface as tr
 from ...svrgs_addon.files.registry import FORMATS, foreseen_size, sampled_size
 from ...svrgs_addon.files.splat_format import SplatFormat
 from ...svrgs_addon.system.errors import SplatError
-from . import quick_order, splat_object
+from . import known, quick_order, splat_object
 
 MOST_READ = 1_000_000  # Gaussians of a splat that is read to foresee the size
 
@@ -43,12 +43,11 @@ def count_in(obj: bpy.types.Object, size: float) -> int:
 def size_in(obj: bpy.types.Object, count: int, kind: str, quantise: float = 1.0) -> str:
     """What an export says on the size of `count` Gaussians of the splat in the format of this name; '' for a
     large splat whose values decide. quantise: as of write_scene(), for formats that take it."""
-    splat_format = next(one for one in FORMATS if one.name == kind)
-    key = (obj.session_uid, kind, count, quantise if splat_format.quantises else 1.0)
-    if key not in _said:
-        _said.clear()
-        _said[key] = _size_in(obj, count, splat_format, key[-1])
-    return _said[key]
+    splat_format, said = next(one for one in FORMATS if one.name == kind), known.of_data(obj).sizes
+    key = count, kind, quantise if splat_format.quantises else 1.0
+    if key not in said:
+        said[key] = _size_in(obj, count, splat_format, key[-1])
+    return said[key]
 
 
 def _size_in(obj: bpy.types.Object, count: int, splat_format: SplatFormat, quantise: float) -> str:
@@ -62,6 +61,3 @@ def _size_in(obj: bpy.types.Object, count: int, splat_format: SplatFormat, quant
     except SplatError:
         return ""
     return tr("{count:,} Gaussians, about {size:.1f} MB").format(count=count, size=size / 1e6)
-
-
-_said: dict[tuple[int, str, int, float], str] = {}  # at most one: by splat, format, number and quantise

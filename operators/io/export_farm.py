@@ -3,7 +3,9 @@ farm do (`svrgs farm`)."""
 
 from __future__ import annotations
 
+from concurrent.futures import Future
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,19 +26,17 @@ from ...svrgs_addon.jobs.farm.farm_job import (
 )
 from ...svrgs_addon.jobs.job_folder import CAMERAS
 from ...svrgs_addon.system import subprocess_python
-from ...svrgs_addon.system.errors import SceneError
+from ...svrgs_addon.system.errors import SceneError, SplatError
 from ...svrgs_addon.system.memory import size_text
 from ...svrgs_addon.views.cameras_json import write_cameras_json
-from ..data import splat_object
-from ..data.child_work import ChildWork, redraw_panels
+from ..data import background_work, splat_object
 from ..data.native_check import native_problem
 from ..data.reporting import ReportingOperator
 from ..jobs import depths, goals
 from ..jobs.job import given_views, options_of
-from .export_space import selected_splats
+from ..scene.splat_transforms import selected_splats
 
 _lines: list[str] = []  # what the panel says on the last export
-_answers: list[tuple[Path, int, dict]] = []  # folder, exit status and result of `svrgs farm files`
 
 
 def lines() -> list[str]:
@@ -57,12 +57,9 @@ class SVRGS_OT_export_farm_job(ReportingOperator):
     filter_folder: BoolProperty(default=True, options={"HIDDEN"})
 
     @classmethod
-    def poll(cls, context):
+    def problem(cls, context) -> str:
         problem = native_problem() or depths.problem(context) or goals.problem(context.scene.svrgs_prune)
-        problem = problem or ("" if selected_splats(context) else tr("Select a Gaussian splat first"))
-        if problem:
-            cls.poll_message_set(problem)
-        return not problem
+        return problem or ("" if selected_splats(context) else tr("Select a Gaussian splat first"))
 
     def invoke(self, context, event):
         context.window_manager.fileselect_add(self)
@@ -80,8 +77,10 @@ class SVRGS_OT_export_farm_job(ReportingOperator):
         tasks = [_task(context, obj, folder / CAPTURES) for obj in selected_splats(context)]
         _job(folder, tasks).write()
         _lines[:] = [tr("Exporting a farm job to {folder} …").format(folder=folder)]
-        _child_work.start(_complete, folder)
-        redraw_panels()
+        # a child process reads the datasets, to know what a task needs
+        words = ["farm", "files", str(folder), "--json"]
+        background_work.run(partial(subprocess_python.ask, words), partial(_finished, folder))
+        background_work.redraw_panels()
         return "; ".join(_lines)
 
 
@@ -112,36 +111,18 @@ def _within(root: Path, options: dict[str, Any]) -> dict[str, Any]:
     return options | {"colmap": relative(root, Path(options["colmap"]))} if options.get("colmap") else options
 
 
-def _complete(folder: Path):
-    """In a thread, which must not use bpy. The child process reads the datasets, to know what a task
-    needs."""
-    _answers.append((folder, *subprocess_python.run(["farm", "files", str(folder), "--json"])))
+def _finished(folder: Path, answer: Future):
+    try:
+        result = answer.result()
+    except SplatError as error:
+        _lines[:] = [str(error)]
+        return
+    text = tr("Tasks: {count:,}. Memory of each: up to {memory}. Folder: {folder}")
+    _lines[:] = [text.format(count=result["tasks"], memory=size_text(result["memory"]), folder=folder)]
 
 
-def _finished():
-    while _answers:
-        folder, status, result = _answers.pop()
-        failed = result.get("error") or tr("the export ended with status {status}").format(status=status)
-        done = tr("Tasks: {count:,}. Memory of each: up to {memory}. Folder: {folder}")
-        _lines[:] = [
-            (
-                failed
-                if status
-                else done.format(count=result["tasks"], memory=size_text(result["memory"]), folder=folder)
-            )
-        ]
-    redraw_panels()
-
-
-_child_work = ChildWork(done=_finished)
-
-
-def register():
-    bpy.utils.register_class(SVRGS_OT_export_farm_job)
+CLASSES = (SVRGS_OT_export_farm_job,)
 
 
 def unregister():
-    bpy.utils.unregister_class(SVRGS_OT_export_farm_job)
-    _child_work.close()
     _lines.clear()
-    _answers.clear()

@@ -4,6 +4,8 @@ process prunes them (`svrgs prune --quick`)."""
 from __future__ import annotations
 
 import tempfile
+from concurrent.futures import Future
+from functools import partial
 from pathlib import Path
 
 import bpy
@@ -14,19 +16,18 @@ from bpy.props import BoolProperty, EnumProperty, StringProperty
 from ...svrgs_addon.files.level_files import level_files
 from ...svrgs_addon.files.registry import FORMATS, size_on_disk, write_scene
 from ...svrgs_addon.system import subprocess_python
-from ...svrgs_addon.system.errors import SceneError
+from ...svrgs_addon.system.errors import SceneError, SplatError
 from ...svrgs_addon.system.memory import size_text
-from ..data.child_work import ChildWork, redraw_panels
+from ..data import background_work
 from ..data.native_check import native_problem
 from ..data.preferences import threads
 from ..data.reporting import ReportingOperator
-from .export_space import KINDS, WHAT_FOR, ExportSpace, selected_splats
+from ..scene.splat_transforms import selected_splats
+from .export_space import KINDS, WHAT_FOR, ExportSpace
 
 STREAMED = next(one for one in FORMATS if one.index == "lod-meta.json")
 _running: list[str] = []  # names of the splats whose levels are being made
-_lines: list[str] = []  # what the panel says on the last export
-# name of a splat, exit status and result of `svrgs prune`, which have come since
-_answers: list[tuple[str, int, dict]] = []
+_lines: list[str] = []  # what the panel says on the last export; its splats may be gone
 
 
 def lines() -> list[str]:
@@ -59,13 +60,12 @@ class SVRGS_OT_export_levels(ReportingOperator, ExportSpace):
     overwrite: BoolProperty(name="Overwrite", description="Replace files that are there already")
 
     @classmethod
-    def poll(cls, context):
-        problem = native_problem() or (
-            "" if selected_splats(context) else tr("Select a Gaussian splat first")
-        )
-        if problem or _running:
-            cls.poll_message_set(problem or lines()[0])
-        return not problem and not _running
+    def problem(cls, context) -> str:
+        if problem := native_problem():
+            return problem
+        if not selected_splats(context):
+            return tr("Select a Gaussian splat first")
+        return lines()[0] if _running else ""
 
     def invoke(self, context, event):
         context.window_manager.fileselect_add(self)
@@ -98,17 +98,13 @@ class SVRGS_OT_export_levels(ReportingOperator, ExportSpace):
                 _lines.append(f"{obj.name}: {size_text(size_on_disk(out))}")
                 continue
             temporary = tempfile.TemporaryDirectory(dir=bpy.app.tempdir)
-            write_scene(Path(temporary.name) / "scene.ply", scene)
-            levels = ",".join(f"{share:g}" for share in shares)
+            source, levels = Path(temporary.name) / "scene.ply", ",".join(f"{share:g}" for share in shares)
+            write_scene(source, scene)
+            words = ["prune", str(source), "--quick", "--out", str(out), "--levels", levels]
+            words += ["--threads", str(threads(context)), "--json", "--quiet"]
             _running.append(obj.name)
-            _child_work.start(
-                _export,
-                obj.name,
-                temporary,
-                out,
-                ["--levels", levels, "--threads", str(threads(context)), "--json", "--quiet"],
-            )
-        redraw_panels()
+            background_work.run(partial(_export, temporary, words), partial(_finished, obj.name))
+        background_work.redraw_panels()
         return "; ".join(lines())
 
     def parsed(self) -> list[float]:
@@ -129,38 +125,26 @@ class SVRGS_OT_export_levels(ReportingOperator, ExportSpace):
         return folder / f"{name}{suffix}"
 
 
-def _export(name: str, temporary: tempfile.TemporaryDirectory, out: Path, words: list[str]):
+def _export(temporary: tempfile.TemporaryDirectory, words: list[str]) -> dict:
     """In a thread, which must not use bpy."""
     with temporary:
-        status, result = subprocess_python.run(
-            ["prune", str(Path(temporary.name) / "scene.ply"), "--quick", "--out", str(out), *words]
+        return subprocess_python.ask(words)
+
+
+def _finished(name: str, answer: Future):
+    _running.remove(name)
+    try:
+        result = answer.result()
+    except SplatError as error:
+        _lines.append(f"{name}: {error}")
+        return
+    texts = [
+        tr("{share:g} %: {size}, {psnr:.1f} dB").format(
+            share=100 * one["share"], size=size_text(one["bytes"]), psnr=one["psnr"]
         )
-    _answers.append((name, status, result))
-
-
-def _finished():
-    """Says what has been written since."""
-    while _answers:
-        name, status, result = _answers.pop()
-        _running.remove(name)
-        if status:
-            _lines.append(
-                f"{name}:"
-                f" {result.get('error') or tr('the export ended with status {status}').format(status=status)}"
-            )
-            continue
-        found = [{"share": 1, **result}, *result.get("levels", ())]
-        texts = [
-            tr("{share:g} %: {size}, {psnr:.1f} dB").format(
-                share=100 * one["share"], size=size_text(one["bytes"]), psnr=one["psnr"]
-            )
-            for one in found
-        ]
-        _lines.append(f"{name}: {'; '.join(texts)}")
-    redraw_panels()
-
-
-_child_work = ChildWork(done=_finished)
+        for one in ({"share": 1, **result}, *result.get("levels", ()))
+    ]
+    _lines.append(f"{name}: {'; '.join(texts)}")
 
 
 @persistent
@@ -169,14 +153,10 @@ def _after_load(*_):
     _lines.clear()
 
 
-def register():
-    bpy.utils.register_class(SVRGS_OT_export_levels)
-    bpy.app.handlers.load_post.append(_after_load)
+CLASSES = (SVRGS_OT_export_levels,)
+HANDLERS = {"load_post": _after_load}
 
 
 def unregister():
-    bpy.app.handlers.load_post.remove(_after_load)
-    bpy.utils.unregister_class(SVRGS_OT_export_levels)
-    _child_work.close()
-    for found in (_running, _lines, _answers):
-        found.clear()
+    _running.clear()
+    _lines.clear()

@@ -22,14 +22,14 @@ from ...svrgs_addon.files.registry import (
     write_scene,
 )
 from ...svrgs_addon.files.splat_format import SplatFormat
-from ...svrgs_addon.system.errors import SplatError
 from ..data import splat_object
+from ..data.reporting import ReportingOperator
 from ..data.splat_size import size_in
 from ..jobs import job_result
 from .export_space import KINDS, ExportSpace
 
 
-class SVRGS_OT_export_ply(bpy.types.Operator, ExportHelper, ExportSpace):
+class SVRGS_OT_export_ply(ReportingOperator, ExportHelper, ExportSpace):
     bl_idname = "svrgs.export_ply"
     bl_label = "Export 3D Gaussian Splat"
     bl_description = "Write the active splat into a 3DGS file, as it is seen"
@@ -63,11 +63,8 @@ class SVRGS_OT_export_ply(bpy.types.Operator, ExportHelper, ExportSpace):
     )
 
     @classmethod
-    def poll(cls, context):
-        if splat_object.is_splat(context.object):
-            return True
-        cls.poll_message_set(tr("Select a Gaussian splat first"))
-        return False
+    def problem(cls, context) -> str:
+        return "" if splat_object.is_splat(context.object) else tr("Select a Gaussian splat first")
 
     def invoke(self, context, event):
         if not self.properties.is_property_set("filepath"):
@@ -99,27 +96,18 @@ class SVRGS_OT_export_ply(bpy.types.Operator, ExportHelper, ExportSpace):
             self.layout.label(text=foreseen)
         self.draw_space(self.layout)
 
-    def execute(self, context):
+    def work(self, context) -> str:
         obj, path = context.object, Path(bpy.path.abspath(self.filepath))
-        try:
-            scene, dropped = self.chosen(context, obj)
-            splat_format = format_to_write(path)
-            version, quantise = (
-                int(self.version) if splat_format.versions else 0,
-                self.quantise if splat_format.quantises else 1.0,
-            )
-            write_scene(path, scene, version, quantise)
-        except SplatError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        texts = [
-            tr("Exported {count:,} Gaussians to {file}, {size:.1f} MB").format(
-                count=scene.count, file=path.name, size=path.stat().st_size / 1e6
-            )
-        ]
+        scene, dropped = self.chosen(context, obj)
+        splat_format = format_to_write(path)
+        version = int(self.version) if splat_format.versions else 0
+        write_scene(path, scene, version, self.quantise if splat_format.quantises else 1.0)
+        text = tr("Exported {count:,} Gaussians to {file}, {size:.1f} MB").format(
+            count=scene.count, file=path.name, size=path.stat().st_size / 1e6
+        )
         lost = left_out(scene, splat_format)
-        self.report({"WARNING" if lost else "INFO"}, "; ".join([*texts, *self.left_out(obj, dropped), *lost]))
-        return {"FINISHED"}
+        self.report({"WARNING" if lost else "INFO"}, "; ".join([text, *self.left_out(obj, dropped), *lost]))
+        return ""
 
 
 def _format(kind: str) -> SplatFormat:
@@ -136,11 +124,5 @@ def menu(self, context):
     self.layout.operator(SVRGS_OT_export_ply.bl_idname, text=menu_label(written=True))
 
 
-def register():
-    bpy.utils.register_class(SVRGS_OT_export_ply)
-    bpy.types.TOPBAR_MT_file_export.append(menu)
-
-
-def unregister():
-    bpy.types.TOPBAR_MT_file_export.remove(menu)
-    bpy.utils.unregister_class(SVRGS_OT_export_ply)
+CLASSES = (SVRGS_OT_export_ply,)
+MENUS = {"TOPBAR_MT_file_export": menu}

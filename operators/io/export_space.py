@@ -34,10 +34,6 @@ WHAT_FOR = {  # by the names of the formats
 KINDS = [(one.name, one.label, WHAT_FOR[one.name]) for one in FORMATS if one.write and one.suffixes]
 
 
-def selected_splats(context) -> list[bpy.types.Object]:
-    return [obj for obj in context.selected_objects if splat_object.is_splat(obj)]
-
-
 class ExportSpace:
     """Base class of the operators that export splats: the choice of the Gaussians and of the coordinates."""
 
@@ -104,21 +100,17 @@ class ExportSpace:
         """(4, 4) from the object's coordinates to those of the file. matrix: from them to Blender's world."""
         if self.space == "FILE":
             return splat_object.to_file(obj, matrix)
-        return (
-            splat_object.to_world(matrix, self.y_down)
-            if self.space == "WORLD"
-            else splat_object.in_local(obj, matrix)
-        )
+        if self.space == "WORLD":
+            return splat_object.to_world(matrix, self.y_down)
+        return splat_object.in_local(obj, matrix)
 
     def left_out(self, obj: bpy.types.Object, dropped: int) -> list[str]:
         """What the file does not hold, in words."""
         hidden = job_result.marked_count(obj) if self.what == "SEEN" else 0
         texts = [tr("without {count:,} hidden as removed").format(count=hidden)] if hidden else []
-        return (
-            [*texts, tr("without {count:,} with values that are not finite").format(count=dropped)]
-            if dropped
-            else texts
-        )
+        if dropped:
+            return [*texts, tr("without {count:,} with values that are not finite").format(count=dropped)]
+        return texts
 
 
 def gaussians(context, obj: bpy.types.Object, seen: bool) -> list:

@@ -16,10 +16,10 @@ import bpy
 from bpy.app.translations import pgettext_iface as tr
 from bpy.props import BoolProperty, StringProperty
 
-from ...svrgs_addon.system.errors import SplatError
 from ...svrgs_addon.views.posed_photos import PosedPhotos, read_in_child
 from ..data import camera_object, splat_object
 from ..data.framing import level
+from ..data.reporting import ReportingOperator
 from ..data.select import select
 from ..scene import dataset_paths
 from ..scene.frame import frame
@@ -27,7 +27,7 @@ from ..translation import OWN
 from . import undistort
 
 
-class SVRGS_OT_import_colmap(bpy.types.Operator):
+class SVRGS_OT_import_colmap(ReportingOperator):
     bl_idname = "svrgs.import_colmap"
     bl_label = "Import Cameras"
     bl_description = (
@@ -76,13 +76,9 @@ class SVRGS_OT_import_colmap(bpy.types.Operator):
         description="Turn the 3D viewports to the splat, or to the cameras if there is none",
     )
 
-    def execute(self, context):
+    def work(self, context) -> str:
         folder = Path(bpy.path.abspath(self.directory))
-        try:
-            photos = read_in_child(folder, self.images)
-        except SplatError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        photos = read_in_child(folder, self.images)
         active = context.object if splat_object.is_splat(context.object) else None
         root, cameras = self.add_objects(context, folder.absolute(), photos)
         levelled = level(root, photos.cameras) if self.level else ""
@@ -92,40 +88,29 @@ class SVRGS_OT_import_colmap(bpy.types.Operator):
             frame(context, [splat or root])
         undistort.begin(photos.warnings, root)
         if self.photographs:
-            self.show_photographs(folder, cameras, photos)
+            self.show_photographs(folder, root, cameras, photos)
         if problems := undistort.problems():
             self.report({"WARNING"}, problems)
-        self.report(
-            {"INFO"},
-            "; ".join(filter(None, [*self.done(context, cameras, photos), joined(active, splat), levelled])),
-        )
-        return {"FINISHED"}
+        texts = [*self.done(context, cameras, photos), joined(active, splat), levelled]
+        return "; ".join(filter(None, texts))
 
     def done(self, context, cameras: list[bpy.types.Object], photos: PosedPhotos) -> list[str]:
         """What was imported, in words."""
         shown, (done, total) = sum(bool(obj.data.background_images) for obj in cameras), undistort.progress()
-        parts = [
-            tr("Imported {cameras:,} cameras and {photographs:,} photographs").format(
-                cameras=len(cameras), photographs=shown
-            )
-        ]
-        parts += (
-            [tr("{count:,} photographs are being undistorted first").format(count=total - done)]
-            if total > done
-            else []
-        )
-        parts += (
-            [tr("{count:,} sparse points, hidden").format(count=len(photos.points))] if self.points else []
-        )
+        text = tr("Imported {cameras:,} cameras and {photographs:,} photographs")
+        parts = [text.format(cameras=len(cameras), photographs=shown)]
+        if total > done:
+            text = tr("{count:,} photographs are being undistorted first")
+            parts.append(text.format(count=total - done))
+        if self.points:
+            parts.append(tr("{count:,} sparse points, hidden").format(count=len(photos.points)))
         render, text = context.scene.render, tr("the scene's camera is now '{name}', {width} x {height}")
-        return [
-            *parts,
-            text.format(
-                name=context.scene.camera.name, width=render.resolution_x, height=render.resolution_y
-            ),
-        ]
+        size = {"width": render.resolution_x, "height": render.resolution_y}
+        return [*parts, text.format(name=context.scene.camera.name, **size)]
 
-    def show_photographs(self, folder: Path, cameras: list[bpy.types.Object], photos: PosedPhotos):
+    def show_photographs(
+        self, folder: Path, root: bpy.types.Object, cameras: list[bpy.types.Object], photos: PosedPhotos
+    ):
         """Gives cameras their photographs as backgrounds; starts undistorting where that is needed."""
         for obj, file in zip(cameras, photos.files, strict=True):
             undistort.show(obj, file)
@@ -135,7 +120,7 @@ class SVRGS_OT_import_colmap(bpy.types.Operator):
                 if self.undistorted
                 else folder / dataset_paths.UNDISTORTED
             )
-            undistort.start(cameras, folder, self.images, undistorted, photos.distorted)
+            undistort.start(cameras, root, folder, self.images, undistorted, photos.distorted)
 
     def add_objects(
         self, context, folder: Path, photos: PosedPhotos
@@ -173,11 +158,9 @@ def joined(active: bpy.types.Object | None, splat: bpy.types.Object | None) -> s
     """What became of the active splat, in words. splat: the one that the cameras were joined to."""
     if splat is not None:
         return tr("joined to '{name}'").format(name=splat.name)
-    return (
-        tr("'{name}' keeps the cameras of another dataset").format(name=active.name)
-        if active is not None
-        else ""
-    )
+    if active is not None:
+        return tr("'{name}' keeps the cameras of another dataset").format(name=active.name)
+    return ""
 
 
 def root_for(
@@ -201,13 +184,5 @@ def menu(self, context):
     )
 
 
-def register():
-    undistort.register()
-    bpy.utils.register_class(SVRGS_OT_import_colmap)
-    bpy.types.TOPBAR_MT_file_import.append(menu)
-
-
-def unregister():
-    bpy.types.TOPBAR_MT_file_import.remove(menu)
-    bpy.utils.unregister_class(SVRGS_OT_import_colmap)
-    undistort.unregister()
+CLASSES = (SVRGS_OT_import_colmap,)
+MENUS = {"TOPBAR_MT_file_import": menu}

@@ -21,12 +21,13 @@ from ...svrgs_addon.files.registry import (
 from ...svrgs_addon.files.repair import bake_filter, drop_nonfinite
 from ...svrgs_addon.system.errors import SplatError
 from ..data import splat_object
+from ..data.reporting import ReportingOperator
 from ..data.select import select
 from ..scene.frame import frame
 from ..translation import OWN
 
 
-class SVRGS_OT_import_ply(bpy.types.Operator, ImportHelper):
+class SVRGS_OT_import_ply(ReportingOperator, ImportHelper):
     bl_idname = "svrgs.import_ply"
     bl_label = "Import 3D Gaussian Splat"
     bl_description = "Import splat files. Each becomes an object of points that keeps every value of its file"
@@ -50,36 +51,33 @@ class SVRGS_OT_import_ply(bpy.types.Operator, ImportHelper):
         description="Turn the 3D viewports to the splat. Gaussians far outside are not counted",
     )
 
-    def execute(self, context):
-        paths, texts, objects = self.paths(), [], []
+    def work(self, context) -> str:
+        paths, texts = self.paths(), []
+        objects: list[bpy.types.Object] = []
         for path in paths:
             try:
                 scene, filtered = bake_filter(read_scene(path))
                 scene, dropped = drop_nonfinite(scene)
             except SplatError as error:
-                self.report({"ERROR" if len(paths) == 1 else "WARNING"}, str(error))
+                if path == paths[-1] and not objects:
+                    raise
+                self.report({"WARNING"}, str(error))
                 continue
             objects.append(self.add(context, split_name(path)[0], scene))
             root = splat_object.root_of(objects[-1])
-            texts.append(
-                tr("{file}: {count:,} Gaussians").format(file="".join(split_name(path)), count=scene.count)
-            )
-            texts += (
-                [tr("{count:,} with values that are not finite were left out").format(count=dropped)]
-                if dropped
-                else []
-            )
-            texts += [tr("3D filter of Mip-Splatting baked in")] if filtered else []
-            texts += (
-                [tr("joined to the cameras of '{name}'").format(name=root.name)] if root is not None else []
-            )
-        if not objects:
-            return {"CANCELLED"}
+            text = tr("{file}: {count:,} Gaussians")
+            texts.append(text.format(file="".join(split_name(path)), count=scene.count))
+            if dropped:
+                text = tr("{count:,} with values that are not finite were left out")
+                texts.append(text.format(count=dropped))
+            if filtered:
+                texts.append(tr("3D filter of Mip-Splatting baked in"))
+            if root is not None:
+                texts.append(tr("joined to the cameras of '{name}'").format(name=root.name))
         select(context, objects)
         if self.frame:
             frame(context, objects)
-        self.report({"INFO"}, tr("Imported {splats}").format(splats="; ".join(texts)))
-        return {"FINISHED"}
+        return tr("Imported {splats}").format(splats="; ".join(texts))
 
     def add(self, context, name, scene) -> bpy.types.Object:
         """Adds the splat as an object; with the cameras below one root if the active object belongs to a
@@ -130,15 +128,4 @@ def menu(self, context):
 
 
 CLASSES = (SVRGS_OT_import_ply, SVRGS_FH_ply)
-
-
-def register():
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-    bpy.types.TOPBAR_MT_file_import.append(menu)
-
-
-def unregister():
-    bpy.types.TOPBAR_MT_file_import.remove(menu)
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)
+MENUS = {"TOPBAR_MT_file_import": menu}

@@ -1,94 +1,75 @@
 """Photographs as backgrounds of their cameras. Photographs with lens distortion are undistorted first, by a
-child process.
+child process, which finishes its files also if Blender ends before.
 
 status() says what the last import of cameras lacks, and how far undistorting is.
 """
 
 from __future__ import annotations
 
+from concurrent.futures import Future
+from functools import partial
 from pathlib import Path
 
 import bpy
-from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_iface as tr
 
 from ...svrgs_addon.system.errors import SplatError
-from ...svrgs_addon.views.posed_photos import PosedPhotos, read_in_child
-from ..data import camera_object
-from ..data.child_work import ChildWork, redraw_panels
+from ...svrgs_addon.views.posed_photos import read_in_child
+from ..data import background_work, camera_object, known
 from ..scene import dataset_paths
 
-INTERVAL = 0.5  # seconds between two looks whether it is done
-
-
-class Undistorting:
-    """One dataset whose photographs a child process undistorts. It finishes its files also if Blender ends
-    before."""
-
-    def __init__(self, cameras: list[bpy.types.Object], folder: Path, images: str, target: Path, total: int):
-        self.cameras = {obj.data[camera_object.IMAGE]: obj.session_uid for obj in cameras}  # by image name
-        self.request = folder, images, target
-        self.photos: PosedPhotos | None = None
-        self.error = ""  # why nothing was undistorted
-        self.progress = 0, total  # photographs
-        self.ended = False
-
-    def run(self):
-        """In a thread, which must not use bpy."""
-        try:
-            self.photos = read_in_child(*self.request, progress=self._progress)
-        except (SplatError, OSError) as error:
-            self.error = str(error)
-        finally:
-            self.ended = True
-
-    def _progress(self, done: int, total: int):
-        self.progress = done, total
-
-
-_running: list[Undistorting] = []
-_problems: list[str] = []  # of the last import of cameras
-_root: list[int] = []  # session_uid of the empty above those cameras
+_running: list[list[int]] = []  # [photographs done, photographs in all] of each dataset that is undistorted
 
 
 def begin(problems: tuple[str, ...], root: bpy.types.Object):
     """Sets the problems of a new import of cameras, below `root`; those of the one before are forgotten."""
-    _problems[:], _root[:] = problems, [root.session_uid]
+    for other in known.objects.values():
+        other.import_problems.clear()
+    known.of(root).import_problems.extend(problems)
 
 
-def start(cameras: list[bpy.types.Object], folder: Path, images: str, target: Path, total: int):
+def start(
+    cameras: list[bpy.types.Object],
+    root: bpy.types.Object,
+    folder: Path,
+    images: str,
+    target: Path,
+    total: int,
+):
     """Undistorts the `total` photographs of the dataset that need it into the folder `target`, then shows
     each as the background of its camera. With a window it returns at once; status() says how far it is and
     what went wrong."""
-    _running.append(Undistorting(cameras, folder, images, target, total))
-    _child_work.start(_running[-1].run)
+    uids = {obj.data[camera_object.IMAGE]: obj.session_uid for obj in cameras}  # by image name
+    progress, root_uid = [0, total], root.session_uid
+    _running.append(progress)
+
+    def tell(*now: int):
+        progress[:] = now
+        background_work.redraw_soon()
+
+    def done(answer: Future):
+        _running[:] = [one for one in _running if one is not progress]
+        _show_all(uids, known.of_uid(root_uid).import_problems, answer)
+
+    background_work.run(partial(read_in_child, folder, images, target, tell), done, detached=True)
 
 
 def progress() -> tuple[int, int]:
     """(photographs done, photographs in all) that are being undistorted."""
-    return sum(one.progress[0] for one in _running), sum(one.progress[1] for one in _running)
+    return sum(done for done, _ in _running), sum(total for _, total in _running)
 
 
 def problems() -> str:
     """What is missing or went wrong since the last import of cameras; mostly empty, and so once they are
     deleted."""
-    return ". ".join(_problems) if any(obj.session_uid in _root for obj in bpy.data.objects) else ""
+    return ". ".join(text for obj in bpy.data.objects for text in known.of(obj).import_problems)
 
 
 def status() -> str:
     """How many photographs are undistorted, and problems(); mostly empty."""
     done, total = progress()
-    return ". ".join(
-        filter(
-            None,
-            [
-                tr("Undistorting photographs: {done:,} of {total:,}").format(done=done, total=total)
-                if _running
-                else "",
-                problems(),
-            ],
-        )
-    )
+    text = tr("Undistorting photographs: {done:,} of {total:,}").format(done=done, total=total)
+    return ". ".join(filter(None, (text if _running else "", problems())))
 
 
 def show(obj: bpy.types.Object, file: Path | None):
@@ -104,52 +85,23 @@ def show(obj: bpy.types.Object, file: Path | None):
     data.show_background_images = True
 
 
-def forget():
-    """Stops waiting. The threads end by themselves."""
-    _child_work.close()
-    _running.clear()
-    _problems.clear()
-
-
-def _finished():
-    for one in [one for one in _running if one.ended]:
-        _running.remove(one)
-        _finish(one)
-
-
-def _finish(one: Undistorting):
-    """Shows the photographs. Cameras that were deleted since, or belong to a closed file, are skipped."""
+def _show_all(uids: dict[str, int], said: list[str], answer: Future):
+    """Shows the photographs. Cameras that were deleted since, or belong to a closed file, are skipped. uids:
+    session_uid of the camera by the name of its image. said: gets what went wrong."""
+    try:
+        photos = answer.result()
+    except (SplatError, OSError) as error:
+        text = tr("{error}; the photographs of lenses with distortion are not shown")
+        said.append(text.format(error=error))
+        return
+    said.extend(warning for warning in photos.warnings if warning not in said)
     objects = {obj.session_uid: obj for obj in bpy.data.objects if obj.type == "CAMERA"}
-    photos = one.photos
-    for camera, file in zip(photos.cameras, photos.files, strict=True) if photos else ():
-        obj = objects.get(one.cameras.get(camera.name))
-        if obj is not None:
+    for camera, file in zip(photos.cameras, photos.files, strict=True):
+        if (obj := objects.get(uids.get(camera.name, 0))) is not None:
             show(obj, file)
-    failed = (
-        [tr("{error}; the photographs of lenses with distortion are not shown").format(error=one.error)]
-        if one.error
-        else []
-    )
-    _problems.extend(
-        problem for problem in (*(photos.warnings if photos else ()), *failed) if problem not in _problems
-    )
-    if photos and not _child_work.waits:
+    if not background_work.waits:
         bpy.ops.ed.undo_push(message="Undistort Photographs")
 
 
-_child_work = ChildWork(_finished, redraw_panels, INTERVAL, detached=True)
-
-
-@persistent
-def _after_load(*_):
-    """Another file was opened: what was said is about the one before."""
-    _problems.clear()
-
-
-def register():
-    bpy.app.handlers.load_post.append(_after_load)
-
-
 def unregister():
-    bpy.app.handlers.load_post.remove(_after_load)
-    forget()
+    _running.clear()

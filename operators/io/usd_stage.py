@@ -58,11 +58,4 @@ def _prims(export_context, stage) -> list[tuple[Any, bpy.types.Object]]:
     return [(path, bpy.data.objects[name]) for path, name in names if name in bpy.data.objects]
 
 
-def register():
-    if HOOK is not object:
-        bpy.utils.register_class(SVRGS_USD_splats)
-
-
-def unregister():
-    if HOOK is not object:
-        bpy.utils.unregister_class(SVRGS_USD_splats)
+CLASSES = (SVRGS_USD_splats,) if HOOK is not object else ()

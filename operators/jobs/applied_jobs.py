@@ -13,9 +13,10 @@ import bpy
 from bpy.app.handlers import persistent
 
 from ..data import known
+from ..data.job_paths import owners, unlink
 from . import job_result
 from .job_queue import jobs
-from .job_watch import delete_job, job_of, owner_of, unlink
+from .job_watch import delete_job, job_of
 
 
 def note(original: bpy.types.Object | None, pruned: bpy.types.Object):
@@ -44,9 +45,9 @@ def _applied() -> list[bpy.types.Object]:
 @persistent
 def _after_undo(*_):
     """After a redo, what had the job does not have it again."""
+    known_owners = owners()
     for obj in _applied():
-        owner = owner_of(known.of(obj).result_of)
-        if owner is not None:
+        if (owner := known_owners.get(known.of(obj).result_of)) is not None:
             unlink(owner)
 
 
@@ -66,13 +67,3 @@ def _after_save(path: str = "", *_):
 
 
 HANDLERS = {"save_post": _after_save, "undo_post": _after_undo, "redo_post": _after_undo}
-
-
-def register():
-    for event, handler in HANDLERS.items():
-        getattr(bpy.app.handlers, event).append(handler)
-
-
-def unregister():
-    for event, handler in HANDLERS.items():
-        getattr(bpy.app.handlers, event).remove(handler)

@@ -12,13 +12,14 @@ from bpy.app.translations import pgettext_iface as tr
 
 from ...svrgs_addon.system.errors import SplatError
 from ..data import edit_guard, splat_object
+from ..data.reporting import ReportingOperator
 from ..data.select import select
 from ..data.splat_size import size_text
-from . import applied_jobs, job_result
-from .job_watch import delete_job, is_busy, job_of
+from . import applied_jobs, job_result, job_state
+from .job_watch import delete_job, job_of
 
 
-class SVRGS_OT_apply(bpy.types.Operator):
+class SVRGS_OT_apply(ReportingOperator):
     bl_idname = "svrgs.apply"
     bl_label = "Apply"
     bl_description = (
@@ -28,43 +29,31 @@ class SVRGS_OT_apply(bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
-    def poll(cls, context):
+    def problem(cls, context) -> str:
         _, pruned = job_result.pair_of(context.object)
-        undecided = job_result.undecided(pruned)
-        problem = (
-            edit_guard.problem(context, pruned)
-            if undecided
-            else tr("Select a pruned splat that was not applied yet")
-        )
-        if problem:
-            cls.poll_message_set(problem)
-        return not problem
+        if not job_result.undecided(pruned):
+            return tr("Select a pruned splat that was not applied yet")
+        return edit_guard.problem(context, pruned)
 
-    def execute(self, context):
+    def work(self, context) -> str:
         original, pruned = job_result.pair_of(context.object)
-        assert pruned is not None  # see poll
-        try:
-            scene = job_result.shown_gaussians(pruned)
-            if not scene.count:
-                raise SplatError(tr("no Gaussian would be left: keep more"))
-            splat_object.replace_gaussians(pruned, scene)
-        except SplatError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        assert pruned is not None  # see problem()
+        scene = job_result.shown_gaussians(pruned)
+        if not scene.count:
+            raise SplatError(tr("no Gaussian would be left: keep more"))
+        splat_object.replace_gaussians(pruned, scene)
         job_result.settle(original, pruned)
         applied_jobs.note(original, pruned)
         select(context, [pruned])
-        text = (
-            tr("Kept {kept:,} Gaussians, {size}")
-            if original is None
-            else tr("Kept {kept:,} of {count:,} Gaussians, {size}")
+        size = size_text(pruned, scene.count)
+        if original is None:
+            return tr("Kept {kept:,} Gaussians, {size}").format(kept=scene.count, size=size)
+        return tr("Kept {kept:,} of {count:,} Gaussians, {size}").format(
+            kept=scene.count, count=splat_object.count(original), size=size
         )
-        total = splat_object.count(original) if original is not None else 0
-        self.report({"INFO"}, text.format(kept=scene.count, count=total, size=size_text(pruned, scene.count)))
-        return {"FINISHED"}
 
 
-class SVRGS_OT_discard(bpy.types.Operator):
+class SVRGS_OT_discard(ReportingOperator):
     bl_idname = "svrgs.discard"
     bl_label = "Discard"
     bl_description = "Delete the original or the pruned splat from the file"
@@ -79,25 +68,21 @@ class SVRGS_OT_discard(bpy.types.Operator):
     )  # fmt: skip
 
     @classmethod
-    def poll(cls, context):
-        original, pruned = job_result.pair_of(context.object)
-        if original is not None and pruned is not None and context.mode == "OBJECT":
-            return True
-        cls.poll_message_set(tr("Select a splat that was pruned, or its original"))
-        return False
+    def problem(cls, context) -> str:
+        if context.mode == "OBJECT" and None not in job_result.pair_of(context.object):
+            return ""
+        return tr("Select a splat that was pruned, or its original")
 
-    def execute(self, context):
+    def work(self, context) -> str:
         original, pruned = job_result.pair_of(context.object)
-        assert original is not None and pruned is not None  # see poll
+        assert original is not None and pruned is not None  # see problem()
         job = job_of(original)
-        problem = (
-            tr("Apply the result first: it still needs the original") if job_result.undecided(pruned) else ""
-        )
-        if not problem and job is not None and is_busy(job):
-            problem = tr("A job is running on '{name}': stop it first").format(name=original.name)
-        if self.what == "ORIGINAL" and problem:
-            self.report({"ERROR"}, problem)
-            return {"CANCELLED"}
+        if self.what == "ORIGINAL":
+            if job_result.undecided(pruned):
+                raise SplatError(tr("Apply the result first: it still needs the original"))
+            if job is not None and job_state.is_busy(job):
+                text = tr("A job is running on '{name}': stop it first")
+                raise SplatError(text.format(name=original.name))
         deleted, left = (original, pruned) if self.what == "ORIGINAL" else (pruned, original)
         text = tr("Discarded '{deleted}' with {count:,} Gaussians; '{left}' stays")
         message = text.format(deleted=deleted.name, count=splat_object.count(deleted), left=left.name)
@@ -106,8 +91,7 @@ class SVRGS_OT_discard(bpy.types.Operator):
         else:
             self.discard_result(original)
         select(context, [left])
-        self.report({"INFO"}, message)
-        return {"FINISHED"}
+        return message
 
     def discard_result(self, original: bpy.types.Object):
         """With the files of its job."""
@@ -121,13 +105,3 @@ class SVRGS_OT_discard(bpy.types.Operator):
 
 
 CLASSES = (SVRGS_OT_apply, SVRGS_OT_discard)
-
-
-def register():
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-
-
-def unregister():
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)

@@ -4,6 +4,7 @@ process does the work; Blender stays usable."""
 from __future__ import annotations
 
 import tempfile
+from concurrent.futures import Future
 from pathlib import Path
 
 import bpy
@@ -12,19 +13,17 @@ from bpy.app.translations import pgettext_iface as tr
 from ...svrgs_addon.files.registry import write_scene
 from ...svrgs_addon.system import subprocess_python
 from ...svrgs_addon.system.errors import SplatError
-from ..data import known, splat_object
-from ..data.child_work import ChildWork, redraw_panels
+from ..data import background_work, known, splat_object
 from ..data.reporting import ReportingOperator
 from ..data.splat_size import size_text
 from .job import given_views, options_of, start_problem
 
 MODULE = "svrgs_addon.jobs.estimate"
-_child_work = ChildWork(done=redraw_panels)
 
 
 def of(obj: bpy.types.Object | None) -> dict:
     """The last estimate of the active object: the result of jobs/estimate.py; {"busy": True}; or {"error":
-    sentence, "status": exit status}.
+    sentence}.
 
     {} if there is none, or if the settings or the splat have changed since.
     """
@@ -49,7 +48,7 @@ def sentences(obj: bpy.types.Object) -> list[str]:
     """The last estimate of the splat in words."""
     found = of(obj)
     if "error" in found:
-        return [found["error"] or tr("the estimate ended with status {status}").format(**found)]
+        return [found["error"]]
     kept, count = found["kept"], found["count"]
     stay = (
         tr("At most {kept:,} of {count:,} would stay ({share:.0%})")
@@ -84,11 +83,9 @@ def quality(found: dict) -> str:
             "PSNR about {psnr_after:.1f} dB or more against the splat's own pictures (without recovery about"
             " {psnr_removed:.1f} dB)"
         )
-        return (
-            text.format(**found)
-            if found["psnr_after"] is not None
-            else tr("The quality is not foreseen for this method or goal")
-        )
+        if found["psnr_after"] is not None:
+            return text.format(**found)
+        return tr("The quality is not foreseen for this method or goal")
     if found["psnr_after"] is None:
         return tr(
             "PSNR now {psnr_before:.1f} dB; after pruning: not foreseen for this method or goal"
@@ -108,52 +105,41 @@ class SVRGS_OT_estimate(ReportingOperator):
     )
 
     @classmethod
-    def poll(cls, context):
-        problem = (
-            tr("An estimate is being made") if of(context.object).get("busy") else start_problem(context)
-        )
-        if problem:
-            cls.poll_message_set(problem)
-        return not problem
+    def problem(cls, context) -> str:
+        if of(context.object).get("busy"):
+            return tr("An estimate is being made")
+        return start_problem(context)
 
     def work(self, context) -> str:
-        obj = context.object
+        obj, uid = context.object, context.object.session_uid
         temp_dir = tempfile.TemporaryDirectory(dir=bpy.app.tempdir)
-        options, cameras = options_of(context, obj), given_views(context, obj)
-        write_scene(Path(temp_dir.name) / "scene.ply", splat_object.scene_from_object(obj))
+        scene, options = Path(temp_dir.name) / "scene.ply", options_of(context, obj)
+        cameras = given_views(context, obj)
+        write_scene(scene, splat_object.scene_from_object(obj))
         if cameras:
             # a Blender that only starts does not need it
             from ...svrgs_addon.views.cameras_json import write_cameras_json
 
-            write_cameras_json(Path(temp_dir.name) / "cameras.json", cameras)
-            options["cameras"] = str(Path(temp_dir.name) / "cameras.json")
+            write_cameras_json(scene.with_name("cameras.json"), cameras)
+            options["cameras"] = str(scene.with_name("cameras.json"))
+
+        def work() -> dict:
+            with temp_dir:
+                return subprocess_python.ask([], MODULE, {"scene": str(scene), "options": options})
+
+        def done(answer: Future):
+            try:
+                known.of_uid(uid).estimate = answer.result()
+            except SplatError as error:
+                known.of_uid(uid).estimate = {"error": str(error)}
+
         known.of(obj).estimate, known.of(obj).estimated = {"busy": True}, _inputs_now(obj)
-        _child_work.start(
-            _work,
-            obj.session_uid,
-            {"scene": str(Path(temp_dir.name) / "scene.ply"), "options": options},
-            temp_dir,
-        )
+        background_work.run(work, done)
         if not bpy.app.background:
             return tr("Estimating from some views")
-        found = of(obj)
-        if "error" in found:
-            raise SplatError(sentences(obj)[0])
+        if "error" in of(obj):
+            raise SplatError(of(obj)["error"])
         return "; ".join(sentences(obj))
 
 
-def _work(key: int, request: dict, temp_dir: tempfile.TemporaryDirectory):
-    with temp_dir:
-        status, result = subprocess_python.run([], MODULE, request)
-    known.of_uid(key).estimate = (
-        result if "kept" in result else {"error": result.get("error", ""), "status": status}
-    )
-
-
-def register():
-    bpy.utils.register_class(SVRGS_OT_estimate)
-
-
-def unregister():
-    bpy.utils.unregister_class(SVRGS_OT_estimate)
-    _child_work.close()
+CLASSES = (SVRGS_OT_estimate,)

@@ -58,11 +58,9 @@ def options(settings, obj: bpy.types.Object, merges: bool = False) -> dict:
         return {}
     if goal in PRESETS:
         preset = PRESETS[goal]
-        return (
-            {"lambda_f": method.lambda_f * preset.strength}
-            if method.lambda_f and not merges
-            else {"target_count": max(1, round(preset.share * total))}
-        )
+        if method.lambda_f and not merges:
+            return {"lambda_f": method.lambda_f * preset.strength}
+        return {"target_count": max(1, round(preset.share * total))}
     wanted = {
         "SHARE": settings.share / 100 * total,
         "COUNT": settings.count,
@@ -94,11 +92,9 @@ def sentence(settings, merges: bool = False) -> str:
             else tr("{times:g} times the default λ_F of this method")
         )
         return text.format(times=preset.strength)
-    return (
-        _own_amount(method)
-        if goal == "BALANCED" and not _needs_share(method)
-        else _share_sentence(preset.share)
-    )
+    if goal == "BALANCED" and not _needs_share(method):
+        return _own_amount(method)
+    return _share_sentence(preset.share)
 
 
 def strength_sentence(settings) -> str:

@@ -8,11 +8,20 @@ from __future__ import annotations
 
 from bpy.app.translations import pgettext_iface as tr
 
+from ...svrgs_addon.jobs.job_folder import JobFolder
 from ...svrgs_addon.jobs.job_process import Job
 from ...svrgs_addon.system.errors import SplatError
 
-jobs: dict[str, Job] = {}  # by folder
+jobs: dict[str, Job] = {}  # by folder, all that were asked for: a job outlives its splat and its file
 _queue: list[Job] = []
+
+
+def job_in(folder: str) -> Job:
+    """The job in a folder, as it is now; its state is "missing" if there is none."""
+    if folder not in jobs:
+        jobs[folder] = Job(JobFolder(folder))
+    jobs[folder].refresh()
+    return jobs[folder]
 
 
 def start(job: Job) -> str:

@@ -16,15 +16,16 @@ from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_iface as tr
 
 from ...svrgs_addon.files.registry import read_scene
-from ...svrgs_addon.jobs.job_folder import JobFolder
+from ...svrgs_addon.jobs.job_folder import TRAIN, JobFolder
 from ...svrgs_addon.prune.kept_share import BOUNDARY, lowest, merged, numbered
 from ...svrgs_addon.scene.affine import transformed
 from ...svrgs_addon.scene.gaussians import Scene
 from ...svrgs_addon.scene.moved_points import common_motion
 from ...svrgs_addon.system.errors import SceneError
-from ..data import quick_order, splat_object
-from ..data.pairs import ORIGINAL, PRUNED, join, original_of, pruned_of
-from ..data.visibility import set_hidden
+from ..data import known, quick_order, splat_object
+from ..data.job_paths import unlink
+from ..data.pairs import ORIGINAL, PRUNED, join, original_of, pruned_of, set_hidden
+from ..data.select import in_view_layer, select
 from ..data.visible_splats import HIDE_MODIFIER, REMOVED
 
 SCORE, ROW, PROBABILITY = "svrgs:score", "svrgs:row", "svrgs:probability"  # attributes, as is REMOVED
@@ -36,17 +37,53 @@ NOTES = "svrgs_result_notes"  # property of the pruned splat until Apply: senten
 
 
 def load(context, obj: bpy.types.Object, folder: JobFolder) -> bpy.types.Object:
-    """Adds the pruned splat beside `obj`, marks in `obj` what the job removed, and hides it. Raises
-    SceneError, FormatError."""
-    recovered, total = read_scene(folder / "pruned.ply"), folder.request()["count"]
-    if splat_object.count(obj) != total:
+    """Adds the result of a finished job to the scene. obj: the splat that was pruned, or the root of the
+    cameras that a splat was trained from. Raises SceneError, FormatError."""
+    if folder.kind == TRAIN:
+        return _load_trained(context, obj, folder)
+    recovered, request, result = read_scene(folder / "pruned.ply"), folder.request(), folder.result()
+    if splat_object.count(obj) != request["count"]:
         text = tr(
             "'{name}' has {now:,} Gaussians, but {before:,} when the job began: undo the edit, then load the"
             " result"
         )
-        raise SceneError(text.format(name=obj.name, now=splat_object.count(obj), before=total))
-    if folder.merged:
-        return _load_merged(obj, recovered, folder)
+        now, before = splat_object.count(obj), request["count"]
+        raise SceneError(text.format(name=obj.name, now=now, before=before))
+    pruned = (_load_merged if folder.merged else _load_ranked)(obj, recovered, folder)
+    psnr = [result[side].get("psnr") for side in ("before", "after")]
+    if all(isinstance(value, float) for value in psnr):  # null if images and photographs are identical
+        pruned[PSNR] = psnr
+    elif isinstance(psnr[1], float):  # the photographs were pictures of the original
+        pruned[OWN_PSNR] = psnr[1]
+    if notes := result.get("notes"):
+        pruned[NOTES] = "\n".join(map(str, notes))
+    pruned.svrgs_share = 100 * pruned[KEPT] / request["count"]
+    if context.view_layer.objects.active == obj and in_view_layer(context, pruned):
+        obj.select_set(False)
+        pruned.select_set(True)
+        context.view_layer.objects.active = pruned
+    return pruned
+
+
+def _load_trained(context, root: bpy.types.Object, folder: JobFolder) -> bpy.types.Object:
+    """Adds the trained splat below the root of its cameras, and selects it if something of the dataset is
+    active."""
+    cameras = (obj for obj in root.children if obj.type == "CAMERA" and obj.users_collection)
+    collection = next(cameras, root).users_collection[0]
+    splat = splat_object.object_from_scene(
+        f"{root.name} splat", read_scene(folder.output), collection, root.matrix_world
+    )
+    splat_object.parent_to_root(splat, root)
+    family = {root, *root.children_recursive}
+    if context.view_layer.objects.active in family and in_view_layer(context, splat):
+        select(context, [splat])
+    known.of(splat).result_of = str(folder.path)
+    unlink(root)
+    return splat
+
+
+def _load_ranked(obj: bpy.types.Object, recovered: Scene, folder: JobFolder) -> bpy.types.Object:
+    """Adds the pruned splat beside `obj`, marks in `obj` what the job removed, and hides it."""
     kept, score = folder.arrays()
     probability = folder.probability()
     if recovered.count != kept.sum():
@@ -68,8 +105,8 @@ def load(context, obj: bpy.types.Object, folder: JobFolder) -> bpy.types.Object:
 
 
 def _load_merged(obj: bpy.types.Object, recovered: Scene, folder: JobFolder) -> bpy.types.Object:
-    """As load(), of a job that merged Gaussians: they have no place in a ranking of the original's, so
-    nothing is marked in it."""
+    """As _load_ranked(), of a job that merged Gaussians: they have no place in a ranking of the original's,
+    so nothing is marked in it."""
     pruned = _beside(obj, recovered, folder)
     join(obj, pruned)
     pruned[KEPT], pruned[MERGED], pruned[quick_order.JOB] = recovered.count, True, folder.path.name
@@ -106,8 +143,6 @@ def _make_room(original: bpy.types.Object):
         former.pop(ORIGINAL, None)
         original.pop(PRUNED, None)
         set_hidden(former, True)
-    # earlier versions left it when a result was applied; with it, the original would look undecided
-    original.pop(KEPT, None)
 
 
 def settle(original: bpy.types.Object | None, pruned: bpy.types.Object):
@@ -324,9 +359,4 @@ def _rejoin(original: bpy.types.Object, pruned: bpy.types.Object):
     show(pruned, round(pruned.svrgs_share / 100 * splat_object.count(original)))
 
 
-def register():
-    bpy.app.handlers.depsgraph_update_post.append(_after_update)
-
-
-def unregister():
-    bpy.app.handlers.depsgraph_update_post.remove(_after_update)
+HANDLERS = {"depsgraph_update_post": _after_update}

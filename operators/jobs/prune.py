@@ -20,17 +20,16 @@ from ...svrgs_addon.cli.batch_list import default_output
 from ...svrgs_addon.files.registry import format_to_write, read_scene, write_scene
 from ...svrgs_addon.system import subprocess_python
 from ...svrgs_addon.system.errors import SplatError
-from ..data import edit_guard, splat_object
+from ..data import edit_guard, pairs, splat_object
 from ..data.option_properties import RELATIVE, method_property, option_property
 from ..data.preferences import threads
+from ..data.reporting import ReportingOperator
 from ..data.select import select
-from ..data.visibility import set_hidden
-from . import job_result
 
 BACKGROUND = bpy.app.background
 
 
-class SVRGS_OT_prune(bpy.types.Operator):
+class SVRGS_OT_prune(ReportingOperator):
     bl_idname = "svrgs.prune"
     bl_label = "Prune Splat"
     bl_description = (
@@ -119,43 +118,28 @@ class SVRGS_OT_prune(bpy.types.Operator):
     )
 
     @classmethod
-    def poll(cls, context):
-        if context.mode == "OBJECT":
-            return True
-        cls.poll_message_set(tr("Leave Edit Mode first"))
-        return False
+    def problem(cls, context) -> str:
+        return "" if context.mode == "OBJECT" else tr("Leave Edit Mode first")
 
-    def execute(self, context):
+    def work(self, context) -> str:
         source = None if self.scene else context.object
-        try:
-            with tempfile.TemporaryDirectory(dir=bpy.app.tempdir) as temp_dir:
-                result, pruned = self.prune(source, Path(temp_dir), threads(context))
-        except SplatError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        with tempfile.TemporaryDirectory(dir=bpy.app.tempdir) as temp_dir:
+            result, pruned = self.prune(source, Path(temp_dir), threads(context))
         if source is not None:
             obj = splat_object.copy_with(source, f"{source.name} pruned", pruned)
+            pairs.join(source, obj)
+            pairs.set_hidden(source, True)
+            pairs.set_hidden(obj, False)
         else:
             obj = splat_object.object_from_scene(
                 f"{Path(self.scene).stem} pruned", pruned, context.collection
             )
-        if source is not None:
-            job_result.join(source, obj)
-            set_hidden(source, True)
-            set_hidden(obj, False)
         select(context, [obj])
-        before, psnr = result["before"], [figures.get("psnr") for figures in (result["before"], result)]
-        texts = [
-            tr("Kept {kept:,} of {count:,} Gaussians").format(kept=result["count"], count=before["count"])
-        ]
-        # null: identical images
-        texts += (
-            [tr("PSNR changed by {difference:+.2f} dB").format(difference=psnr[1] - psnr[0])]
-            if None not in psnr
-            else []
-        )
-        self.report({"INFO"}, ". ".join([*texts, *result["notes"]]))
-        return {"FINISHED"}
+        total, before, after = result["before"]["count"], result["before"].get("psnr"), result.get("psnr")
+        texts = [tr("Kept {kept:,} of {count:,} Gaussians").format(kept=result["count"], count=total)]
+        if before is not None and after is not None:  # null: identical images
+            texts.append(tr("PSNR changed by {difference:+.2f} dB").format(difference=after - before))
+        return ". ".join([*texts, *result["notes"]])
 
     def prune(self, source: bpy.types.Object | None, temp_dir: Path, threads: int):
         """(the JSON result, the pruned scene). Prints the result as one line, as `svrgs prune --json` does.
@@ -172,13 +156,9 @@ class SVRGS_OT_prune(bpy.types.Operator):
         if source is not None:
             write_scene(scene, gaussians)
         written = out or temp_dir / "pruned.ply"
-        status, result = subprocess_python.run(
+        result = subprocess_python.ask(
             ["prune", scene, "--out", str(written), *self.arguments(source), "--threads", str(threads)]
         )
-        if status or "count" not in result:
-            raise SplatError(
-                result.get("error", tr("pruning ended with status {status}").format(status=status))
-            )
         print(json.dumps(result | {"scene": origin or None, "out": str(out) if out else None}), flush=True)
         return result, read_scene(written)
 
@@ -258,9 +238,4 @@ def absolute(path: str) -> str:
     return os.path.abspath(bpy.path.abspath(path)) if path else ""
 
 
-def register():
-    bpy.utils.register_class(SVRGS_OT_prune)
-
-
-def unregister():
-    bpy.utils.unregister_class(SVRGS_OT_prune)
+CLASSES = (SVRGS_OT_prune,)

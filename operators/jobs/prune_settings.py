@@ -166,8 +166,30 @@ class SVRGS_PG_prune(bpy.types.PropertyGroup):
     )  # fmt: skip
 
 
+class SVRGS_OT_set_lambda(bpy.types.Operator):
+    bl_idname = "svrgs.set_lambda"
+    bl_label = "Set Strength"
+    bl_description = "Set λ_F to one of the values in the SVR-GS paper"
+    bl_options = {"REGISTER", "UNDO"}
+
+    value: bpy.props.FloatProperty(
+        name="λ_F",
+        min=1e-7,
+        max=1,
+        default=1e-4,
+        precision=6,
+        description="A higher λ_F keeps fewer Gaussians",
+    )
+
+    def execute(self, context):
+        context.scene.svrgs_prune.lambda_f = self.value
+        return {"FINISHED"}
+
+
+CLASSES = (SVRGS_PG_prune, SVRGS_OT_set_lambda)
+
+
 def register():
-    bpy.utils.register_class(SVRGS_PG_prune)
     bpy.types.Scene.svrgs_prune = PointerProperty(type=SVRGS_PG_prune)
     bpy.types.Object.svrgs_share = FloatProperty(
         name="Keep", subtype="PERCENTAGE", min=0, max=100, update=_share_changed,
@@ -178,4 +200,3 @@ def register():
 def unregister():
     del bpy.types.Object.svrgs_share
     del bpy.types.Scene.svrgs_prune
-    bpy.utils.unregister_class(SVRGS_PG_prune)

@@ -14,17 +14,10 @@ from ..data.native_check import native_problem
 from ..data.option_properties import CHOICES
 from ..data.splat_size import size_text
 from ..scene import camera_match, place_cameras
-from . import depths, estimate, goals, job_queue, job_result, orphan_jobs
-from .job import resume_sentence
-from .job_watch import current, is_busy, is_resumable
+from . import depths, estimate, goals, job_queue, job_result, job_state, orphan_jobs
+from .job_watch import current
 
 SILENT_SECONDS = 60.0  # after this time without a sign of life, the panel says so
-STOPPED_TEXT = {  # state -> what the panel says, and that with a progress; others: STOPPED
-    "queued": (n_("Not started yet"), n_("Not started yet")),
-    "interrupted": (n_("An interrupted job was found"), n_("An interrupted job was found at {share:.0%}")),
-    "failed": (n_("The job failed"), n_("The job failed at {share:.0%}")),
-}
-STOPPED = n_("Stopped"), n_("Stopped at {share:.0%}")
 
 
 def stage(context) -> str:
@@ -34,104 +27,87 @@ def stage(context) -> str:
         return "BROKEN"
     if (found := current(context)) is not None:
         _, job = found
-        return "BUSY" if is_busy(job) else "WAITING" if is_resumable(job) else "FINISHED"
-    _, pruned = job_result.pair_of(context.object)
-    if job_result.undecided(pruned):
+        return "BUSY" if job_state.is_busy(job) else "WAITING" if job_state.is_resumable(job) else "FINISHED"
+    if job_result.undecided(job_result.pair_of(context.object)[1]):
         return "RESULT"
     return "READY" if splat_object.is_splat(context.object) else "NOTHING"
 
 
+def subject(context) -> bpy.types.Object | None:
+    """The splat, or the root of cameras, that the panel is about."""
+    found = current(context)
+    _, pruned = job_result.pair_of(context.object)
+    return found[0] if found is not None else pruned if job_result.undecided(pruned) else context.object
+
+
 def sentences(context) -> list[str]:
     """What the panel says at this stage."""
+    original, pruned = job_result.pair_of(context.object)
     try:
-        return _sentences(context)
+        if problem := native_problem():
+            return [problem]
+        if (found := current(context)) is not None:
+            return _of_job(found[1])
+        if pruned is not None and job_result.undecided(pruned):
+            return _of_result(original, pruned)
+        if splat_object.is_splat(context.object):
+            return _of_ready(context)
+        return [tr("Select a splat, or import one in step 1")]
     except SplatError as error:  # an attribute of the result was deleted
         return [str(error)]
 
 
-def _sentences(context) -> list[str]:
-    if problem := native_problem():
-        return [problem]
-    if (found := current(context)) is not None:
-        return _of_job(found[1])
-    original, pruned = job_result.pair_of(context.object)
-    if pruned is not None and job_result.undecided(pruned):
-        return _of_result(original, pruned)
-    return (
-        _of_ready(context)
-        if splat_object.is_splat(context.object)
-        else [tr("Select a splat, or import one in step 1")]
-    )
-
-
 def _of_ready(context) -> list[str]:
-    found = estimate.of(context.object)
-    texts: list[str] = (
-        [tr("Estimating from some views …")]
-        if found.get("busy")
-        else estimate.sentences(context.object)
-        if found
-        else []
-    )
-    texts += filter(
-        None,
-        [
-            camera_match.sentence(context),
-            edit_guard.problem(context, context.object),
-            goals.problem(context.scene.svrgs_prune),
-        ],
-    )
-    return [
-        *texts,
-        *filter(
-            None,
-            [
-                depths.problem(context),
-                place_cameras.sentence(context.object),
-                orphan_jobs.sentence(context),
-                _of_applied(context.object),
-            ],
-        ),
+    obj, found = context.object, estimate.of(context.object)
+    texts = [tr("Estimating from some views …")] if found.get("busy") else []
+    texts = estimate.sentences(obj) if found and not texts else texts
+    texts += [
+        camera_match.sentence(context),
+        edit_guard.problem(context, obj),
+        goals.problem(context.scene.svrgs_prune),
+        depths.problem(context),
+        place_cameras.sentence(obj),
+        orphan_jobs.sentence(context),
+        _of_applied(obj),
     ]
+    return [text for text in texts if text]
 
 
 def _of_job(job: Job) -> list[str]:
+    facts = job.facts
     if job_queue.is_queued(job):
         return [tr("{waiting}: one job runs at a time").format(waiting=job_queue.waiting_text(job))]
-    if is_busy(job):
-        without = (
-            [". ".join((tr("Stop Now does not wait for it"), resume_sentence(job)))] if job.stopping else []
-        )
-        texts = [
-            tr(job.facts.get("text") or n_("Working")),
-            *_figures(job.facts),
-            *_planned(job.facts),
-            *filter(None, [job.facts.get("note")]),
-            *without,
-        ]
-        silent = tr("No sign of life for {seconds:.0f} s: Stop ends the job").format(
-            seconds=job.seconds_silent
-        )
-        return [*texts, silent] if job.seconds_silent > SILENT_SECONDS else texts
-    if not is_resumable(job):
-        return [tr("A finished job was found: load its result, or discard it and start again")]
-    state = tr(STOPPED_TEXT.get(job.state, STOPPED)[job.knows_progress]).format(share=job.progress)
-    return [
-        state,
-        *map(tr, filter(None, [job.facts.get("text")])),
-        resume_sentence(job),
-        *_figures(job.facts),
-    ]
+    if job_state.is_resumable(job):
+        reason = tr(facts["text"]) if facts.get("text") else ""
+        texts = [job_state.text(job), reason, job_state.resume_sentence(job), _figures(facts)]
+    elif not job_state.is_busy(job):
+        texts = [tr("A finished job was found: load its result, or discard it and start again")]
+    else:
+        texts = [tr(facts.get("text") or n_("Working")), _figures(facts)]
+        if facts.get("schedule"):  # its time is limited
+            text = tr("Planned for {asked:.0f} s: {schedule:.1%} of the steps, about {foreseen:.0f} s")
+            texts.append(text.format(**facts))
+        texts.append(facts.get("note", ""))
+        if job.stopping:
+            texts.append(". ".join((tr("Stop Now does not wait for it"), job_state.resume_sentence(job))))
+        if job.seconds_silent > SILENT_SECONDS:
+            text = tr("No sign of life for {seconds:.0f} s: Stop ends the job")
+            texts.append(text.format(seconds=job.seconds_silent))
+    return [text for text in texts if text]
+
+
+def _figures(facts: dict) -> str:
+    if not facts.get("count"):
+        return ""
+    text = tr("{count:,} Gaussians, PSNR {psnr:.2f} dB") if facts.get("psnr") else tr("{count:,} Gaussians")
+    return text.format(count=facts["count"], psnr=facts.get("psnr"))
 
 
 def _of_result(original: bpy.types.Object | None, pruned: bpy.types.Object) -> list[str]:
     count, kept = job_result.shown_count(pruned), pruned[job_result.KEPT]
-    text = tr("{kept:,} of {count:,} Gaussians, {size}") if original else tr("{kept:,} Gaussians, {size}")
-    texts = [
-        text.format(
-            kept=count, count=splat_object.count(original) if original else 0, size=size_text(pruned, count)
-        )
-    ]
+    total = splat_object.count(original) if original is not None else 0
+    text = tr("{kept:,} of {count:,} Gaussians, {size}") if total else tr("{kept:,} Gaussians, {size}")
+    texts = [text.format(kept=count, count=total, size=size_text(pruned, count))]
     if job_result.PSNR in pruned:
         before, after = pruned[job_result.PSNR]
         text = tr("Quality at {kept:,} Gaussians: PSNR {before:.2f} → {after:.2f} dB")
@@ -144,26 +120,19 @@ def _of_result(original: bpy.types.Object | None, pruned: bpy.types.Object) -> l
     if job_result.OWN_PSNR in pruned:
         text = tr("Quality at {kept:,} Gaussians: PSNR {psnr:.2f} dB against the original's own pictures")
         texts.append(text.format(kept=kept, psnr=pruned[job_result.OWN_PSNR]))
-    texts += [_capitalised(note) for note in pruned.get(job_result.NOTES, "").splitlines() if note.strip()]
+    for note in filter(str.strip, pruned.get(job_result.NOTES, "").splitlines()):
+        # a capital, unless it begins with the name of a file
+        texts.append(note[0].upper() + note[1:] if note.split()[0].isalpha() else note)
     if quick_order.is_shown(pruned):
-        return [
-            *texts,
-            tr("This number is not fine-tuned yet: press Fine-Tune for that. Apply keeps what you see"),
-        ]
-    texts += filter(None, [quick_order.problem(pruned)])
-    return (
-        [
-            *texts,
-            tr("{count:,} more than were recovered: shown as in the original").format(count=count - kept),
-        ]
-        if count > kept
-        else texts
-    )
-
-
-def _capitalised(note: str) -> str:
-    """The sentence with a capital, unless it begins with the name of a file."""
-    return note[0].upper() + note[1:] if note.split()[0].isalpha() else note
+        texts.append(
+            tr("This number is not fine-tuned yet: press Fine-Tune for that. Apply keeps what you see")
+        )
+    elif problem := quick_order.problem(pruned):
+        texts.append(problem)
+    elif count > kept:
+        text = tr("{count:,} more than were recovered: shown as in the original")
+        texts.append(text.format(count=count - kept))
+    return texts
 
 
 def _of_applied(obj: bpy.types.Object) -> str:
@@ -177,24 +146,8 @@ def _of_applied(obj: bpy.types.Object) -> str:
         if other == original
         else tr("Pruned to '{name}', {count:,} Gaussians")
     )
-    hidden = tr("which is hidden") if other.hide_get() and other.hide_render else ""
-    return ", ".join(filter(None, (text.format(name=other.name, count=splat_object.count(other)), hidden)))
-
-
-def _figures(facts: dict) -> list[str]:
-    if not facts.get("count"):
-        return []
-    text = tr("{count:,} Gaussians, PSNR {psnr:.2f} dB") if facts.get("psnr") else tr("{count:,} Gaussians")
-    return [text.format(count=facts["count"], psnr=facts.get("psnr"))]
-
-
-def _planned(facts: dict) -> list[str]:
-    """Of a job whose time is limited: what was foreseen."""
-    if not facts.get("schedule"):
-        return []
-    return [
-        tr("Planned for {asked:.0f} s: {schedule:.1%} of the steps, about {foreseen:.0f} s").format(**facts)
-    ]
+    said = text.format(name=other.name, count=splat_object.count(other))
+    return ", ".join((said, tr("which is hidden"))) if other.hide_get() and other.hide_render else said
 
 
 def time_left(job: Job) -> str:
@@ -210,13 +163,6 @@ def time_left(job: Job) -> str:
         tr("{share:.0%}, {minutes:.0f} min left") if left >= 90 else tr("{share:.0%}, {seconds:.0f} s left")
     )
     return text.format(share=job.progress, minutes=left / 60, seconds=left)
-
-
-def subject(context) -> bpy.types.Object | None:
-    """The splat, or the root of cameras, that the panel is about."""
-    found = current(context)
-    _, pruned = job_result.pair_of(context.object)
-    return found[0] if found is not None else pruned if job_result.undecided(pruned) else context.object
 
 
 def method_sentence(context) -> str:

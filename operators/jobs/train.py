@@ -1,7 +1,7 @@
 """Training of a splat from imported cameras, for a dataset that has none yet: a background job of their root.
 
 Progress, stop and resume are those of every job (job.py); the panel of step 2 shows them. The splat is placed
-below the root (train_result.py).
+below the root (job_result.py).
 """
 
 from __future__ import annotations
@@ -11,17 +11,16 @@ from bpy.app.translations import pgettext_iface as tr
 from bpy.props import IntProperty, PointerProperty
 
 from ...svrgs_addon.jobs.job_folder import JobFolder
-from ...svrgs_addon.jobs.job_process import Job
 from ...svrgs_addon.prune.options import ITERATIONS
 from ..data import camera_object, splat_object
+from ..data.job_paths import new_folder
 from ..data.native_check import native_problem
 from ..data.option_properties import limited_time_property, time_property
 from ..data.preferences import threads
 from ..data.reporting import ReportingOperator
 from ..scene import dataset_paths
-from . import job_queue
-from .job import new_folder
-from .job_watch import is_busy, is_resumable, job_of, link, start_timer
+from . import job_queue, job_state
+from .job_watch import begin, job_of
 
 QUICK = 7_000  # steps: a usable splat in a quarter of the time
 
@@ -44,9 +43,9 @@ def problem(context) -> str:
     if root is None:
         return tr("Import cameras first, and select one of them")
     job = job_of(root)
-    if job is not None and is_busy(job):
+    if job is not None and job_state.is_busy(job):
         return job_queue.waiting_text(job) or tr("A job is running on these cameras")
-    if job is not None and is_resumable(job):
+    if job is not None and job_state.is_resumable(job):
         return tr("Resume or discard the job of these cameras first")
     if context.mode != "OBJECT":
         return tr("Leave Edit Mode first")
@@ -68,11 +67,8 @@ class SVRGS_OT_train(ReportingOperator):
     bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
-    def poll(cls, context):
-        found = problem(context)
-        if found:
-            cls.poll_message_set(found)
-        return not found
+    def problem(cls, context) -> str:
+        return problem(context)
 
     def work(self, context) -> str:
         root, settings = root_to_train(context), context.scene.svrgs_train
@@ -84,19 +80,16 @@ class SVRGS_OT_train(ReportingOperator):
             **({"time": settings.time} if settings.use_time else {"iterations": settings.iterations}),
         }  # fmt: skip
         folder = JobFolder.create_training(new_folder(context, root.name), options, root.name)
-        link(root, str(folder.path))
-        waits = job_queue.start(Job(folder))
-        start_timer()
-        return waits or tr("Training a splat from the photographs of '{name}' in the background").format(
-            name=root.name
-        )
+        return begin(root, folder) or tr(
+            "Training a splat from the photographs of '{name}' in the background"
+        ).format(name=root.name)
 
 
 def about(context) -> str:
     """What a splat would be trained from; empty if that makes no sense now."""
     root = root_to_train(context)
     job = job_of(root)
-    if root is None or (job is not None and (is_busy(job) or is_resumable(job))):
+    if root is None or (job is not None and (job_state.is_busy(job) or job_state.is_resumable(job))):
         return ""
     photographs = sum(
         obj.type == "CAMERA" and camera_object.SIZE in obj.data for obj in root.children_recursive
@@ -125,12 +118,8 @@ CLASSES = (SVRGS_OT_train, SVRGS_PG_train)
 
 
 def register():
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
     bpy.types.Scene.svrgs_train = PointerProperty(type=SVRGS_PG_train)
 
 
 def unregister():
     del bpy.types.Scene.svrgs_train
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)

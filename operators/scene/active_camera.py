@@ -9,39 +9,27 @@ from __future__ import annotations
 import bpy
 from bpy.app.handlers import persistent
 
-from ..data import camera_object
-
-_seen: dict[int, int] = {}  # session_uid of a scene -> session_uid of its last camera; 0: none
+from ..data import camera_object, known
 
 
 @persistent
 def follow(scene, *_):
     """Called after every change of the scene."""
-    camera = scene.camera
-    now = camera.session_uid if camera is not None else 0
-    before = _seen.get(scene.session_uid)
-    _seen[scene.session_uid] = now
-    if before is not None and before != now:
+    before = known.of_scene(scene).camera
+    remember(scene)
+    if before not in (None, known.of_scene(scene).camera):
         camera_object.apply_camera_size(scene)
 
 
+def remember(scene: bpy.types.Scene):
+    known.of_scene(scene).camera = scene.camera.session_uid if scene.camera is not None else 0
+
+
 @persistent
-def remember(*_):
-    """After a file was opened: its render size stays as it was saved."""
-    _seen.clear()
+def _after_load(*_):
+    """The render size of an opened file stays as it was saved."""
     for scene in bpy.data.scenes:
-        _seen[scene.session_uid] = scene.camera.session_uid if scene.camera is not None else 0
+        remember(scene)
 
 
-HANDLERS = (("depsgraph_update_post", follow), ("render_init", follow), ("load_post", remember))
-
-
-def register():
-    for event, handler in HANDLERS:
-        getattr(bpy.app.handlers, event).append(handler)
-
-
-def unregister():
-    for event, handler in HANDLERS:
-        getattr(bpy.app.handlers, event).remove(handler)
-    _seen.clear()
+HANDLERS = {"depsgraph_update_post": follow, "render_init": follow, "load_post": _after_load}

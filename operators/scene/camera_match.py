@@ -7,25 +7,19 @@ splat with photographs.
 from __future__ import annotations
 
 import os
-import threading
+from concurrent.futures import Future
+from functools import partial
 
 import bpy
-from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_iface as tr
 from bpy.props import StringProperty
 
 from ...svrgs_addon.scene.gaussians import Scene
 from ...svrgs_addon.system.errors import NativeError, SplatError
-from ..data import edit_guard, splat_object
-from ..data.child_work import redraw_panels
+from ..data import background_work, edit_guard, known, splat_object
+from ..data.reporting import ReportingOperator
 from .dataset_paths import dataset_of
 from .splat_transforms import selected_splats
-
-INTERVAL = 0.2  # seconds between two looks whether it is done
-
-_found: dict[tuple, str] = {}  # by key: a sentence, empty if all is well
-_wanted: list[tuple] = []  # keys that will be checked next, the newest last
-_threads: list[threading.Thread] = []  # at most one
 
 
 def sentence(context) -> str:
@@ -34,57 +28,53 @@ def sentence(context) -> str:
     key = _key(context)
     if key is None:
         return ""
-    if key not in _found and not bpy.app.background:
-        _wanted[:] = [key]
-        if not bpy.app.timers.is_registered(_work):
-            bpy.app.timers.register(_work, first_interval=INTERVAL)
-    return _found.get(key, "")
+    checked_for, problem = known.of(context.object).cameras_checked
+    if checked_for == key:
+        return problem
+    background_work.watch(_start_check)  # a panel that is drawn must not wait for a splat to be read
+    return ""
 
 
 def check(context) -> str:
     """As sentence(), at once."""
-    key = _key(context)
-    if key is None:
+    if (key := _key(context)) is None:
         return ""
-    _check(key, splat_object.scene_from_object(context.object))
-    return _found[key]
+    problem = _mismatch(splat_object.scene_from_object(context.object), *key[2:])
+    known.of(context.object).cameras_checked = key, problem
+    return problem
 
 
 def _key(context) -> tuple | None:
     """What the check depends on; None without a splat or a dataset that is there."""
     obj, (folder, images) = context.object, dataset_of(context)
-    return (
-        (obj.data.session_uid, splat_object.count(obj), folder, images)
-        if splat_object.is_splat(obj) and os.path.exists(folder)
-        else None
-    )
+    if splat_object.is_splat(obj) and os.path.exists(folder):
+        return (obj.data.session_uid, splat_object.count(obj), folder, images)
+    return None
 
 
-def _work() -> float | None:
-    """Starts the check that is wanted; reports what a thread has found."""
-    if _threads and not _threads[0].is_alive():
-        _threads.clear()
-        redraw_panels()
-    if _wanted and not _threads:
-        key = _wanted.pop()
-        obj = bpy.context.object
-        if key not in _found and key == _key(bpy.context):
-            _threads.append(
-                threading.Thread(target=_check, args=(key, splat_object.scene_from_object(obj)), daemon=True)
-            )
-            _threads[0].start()
-    return INTERVAL if _threads or _wanted else None
+def _start_check() -> bool:
+    """Starts the check of the active splat, unless that was made. Returns False: it is called once."""
+    obj, key = bpy.context.object, _key(bpy.context)
+    if key is not None and known.of(obj).cameras_checked[0] != key:
+        known.of(obj).cameras_checked = key, ""
+        scene, uid = splat_object.scene_from_object(obj), obj.session_uid
+
+        def done(answer: Future):
+            known.of_uid(uid).cameras_checked = key, answer.result()
+
+        background_work.run(partial(_mismatch, scene, *key[2:]), done, detached=True)
+    return False
 
 
-def _check(key: tuple, scene: Scene):
+def _mismatch(scene: Scene, folder: str, images: str) -> str:
     """Runs in a thread: no bpy here."""
     from ...svrgs_addon.jobs.photo_sample import read_in_child  # not needed to start Blender
     from ...svrgs_addon.render.metrics.explained import fit, mismatch
 
     try:
-        _found[key] = mismatch(fit(scene, read_in_child(*key[2:])))
+        return mismatch(fit(scene, read_in_child(folder, images)))
     except (SplatError, NativeError, OSError):  # Estimate and Prune say what is wrong with the dataset
-        _found[key] = ""
+        return ""
 
 
 def cameras_of(obj: bpy.types.Object | None) -> str:
@@ -104,7 +94,7 @@ def _camera_count(root: bpy.types.Object) -> int:
     return sum(child.type == "CAMERA" for child in root.children)
 
 
-class SVRGS_OT_use_cameras(bpy.types.Operator):
+class SVRGS_OT_use_cameras(ReportingOperator):
     bl_idname = "svrgs.use_cameras"
     bl_label = "Use Cameras"
     bl_description = "Join the selected splats to these cameras, in the coordinates of their dataset"
@@ -115,37 +105,29 @@ class SVRGS_OT_use_cameras(bpy.types.Operator):
     )
 
     @classmethod
-    def poll(cls, context):
-        problem = next(
-            filter(None, (edit_guard.problem(context, obj) for obj in selected_splats(context))), ""
-        )
-        if not selected_splats(context):
-            problem = tr("Select a Gaussian splat first")
-        if problem:
-            cls.poll_message_set(problem)
-        return not problem
+    def problem(cls, context) -> str:
+        splats = selected_splats(context)
+        if not splats:
+            return tr("Select a Gaussian splat first")
+        return next(filter(None, (edit_guard.problem(context, obj) for obj in splats)), "")
 
-    def execute(self, context):
+    def work(self, context) -> str:
         root = context.scene.objects.get(self.root)
         if root is None or splat_object.ROOT not in root:
-            self.report(
-                {"ERROR"},
-                tr("'{name}' has no imported cameras: choose the empty above them").format(name=self.root),
-            )
-            return {"CANCELLED"}
+            text = tr("'{name}' has no imported cameras: choose the empty above them")
+            raise SplatError(text.format(name=self.root))
         splats = selected_splats(context)
         for obj in splats:
             splat_object.move_below(obj, root)
         context.view_layer.update()
-        problem = "" if bpy.app.background else sentence(context)
-        done = tr("Joined to the cameras of '{name}'. Splats: {count}").format(
-            name=root.name, count=len(splats)
-        )
-        self.report({"WARNING" if problem else "INFO"}, problem or done)
-        return {"FINISHED"}
+        if problem := sentence(context):
+            self.report({"WARNING"}, problem)
+            return ""
+        text = tr("Joined to the cameras of '{name}'. Splats: {count}")
+        return text.format(name=root.name, count=len(splats))
 
 
-class SVRGS_OT_part_from_cameras(bpy.types.Operator):
+class SVRGS_OT_part_from_cameras(ReportingOperator):
     bl_idname = "svrgs.part_from_cameras"
     bl_label = "Part From Cameras"
     bl_description = (
@@ -155,42 +137,16 @@ class SVRGS_OT_part_from_cameras(bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
-    def poll(cls, context):
+    def problem(cls, context) -> str:
         if any(splat_object.root_of(obj) is not None for obj in selected_splats(context)):
-            return True
-        cls.poll_message_set(tr("Select a splat that was joined to cameras"))
-        return False
+            return ""
+        return tr("Select a splat that was joined to cameras")
 
-    def execute(self, context):
+    def work(self, context) -> str:
         parted = [obj for obj in selected_splats(context) if splat_object.root_of(obj) is not None]
         for obj in parted:
             splat_object.move_below(obj, None)
-        self.report({"INFO"}, tr("Parted from the cameras. Splats: {count}").format(count=len(parted)))
-        return {"FINISHED"}
-
-
-@persistent
-def _after_load(*_):
-    _found.clear()
-    _wanted.clear()
+        return tr("Parted from the cameras. Splats: {count}").format(count=len(parted))
 
 
 CLASSES = (SVRGS_OT_use_cameras, SVRGS_OT_part_from_cameras)
-
-
-def register():
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-    bpy.app.handlers.load_post.append(_after_load)
-
-
-def unregister():
-    bpy.app.handlers.load_post.remove(_after_load)
-    if bpy.app.timers.is_registered(_work):
-        bpy.app.timers.unregister(_work)
-    for thread in _threads:
-        thread.join()
-    _threads.clear()
-    _after_load()
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)

@@ -12,9 +12,10 @@ from ...svrgs_addon.native import library
 from ...svrgs_addon.native.rasterizer import Rasterizer
 from ...svrgs_addon.render.metrics.evaluate import render_options
 from ...svrgs_addon.scene.camera import Camera
-from ...svrgs_addon.system.errors import NativeError, SceneError, SplatError
+from ...svrgs_addon.system.errors import SceneError
 from ..data import camera_object, edit_guard, splat_object, visible_splats
 from ..data.preferences import threads
+from ..data.reporting import ReportingOperator
 
 ATTRIBUTE = "contribution"
 LONGER_SIDE = 640  # pixels, about: images are reduced to this size
@@ -32,7 +33,7 @@ def cameras_property():
     )  # fmt: skip
 
 
-class SVRGS_OT_contribution(bpy.types.Operator):
+class SVRGS_OT_contribution(ReportingOperator):
     bl_idname = "svrgs.contribution"
     bl_label = "Show Contribution"
     bl_description = (
@@ -44,33 +45,21 @@ class SVRGS_OT_contribution(bpy.types.Operator):
     cameras: cameras_property()
 
     @classmethod
-    def poll(cls, context):
-        problem = (
-            edit_guard.problem(context, context.object)
-            if splat_object.is_splat(context.object)
-            else tr("Make a splat the active object first")
-        )
-        if problem:
-            cls.poll_message_set(problem)
-        return not problem
+    def problem(cls, context) -> str:
+        if not splat_object.is_splat(context.object):
+            return tr("Make a splat the active object first")
+        return edit_guard.problem(context, context.object)
 
-    def execute(self, context):
+    def work(self, context) -> str:
         obj = context.object
-        try:
-            library.set_threads(threads(context))
-            scene = splat_object.scene_from_object(obj)
-            placed = visible_splats.placed([(scene, obj.matrix_world.copy())])
-            cameras = views(context, chosen_cameras(context, self.cameras), placed)
-            sums, _, hits = contribution(placed.scene, cameras, Rasterizer(), render_options(scene))
-        except (SplatError, NativeError) as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        library.set_threads(threads(context))
+        scene = splat_object.scene_from_object(obj)
+        placed = visible_splats.placed([(scene, obj.matrix_world.copy())])
+        cameras = views(context, chosen_cameras(context, self.cameras), placed)
+        sums, _, hits = contribution(placed.scene, cameras, Rasterizer(), render_options(scene))
         splat_object.set_values(obj, ATTRIBUTE, "FLOAT", sums.astype("float32"))
         text = tr("{unseen:,} of {count:,} Gaussians add nothing to {images:,} images")
-        self.report(
-            {"INFO"}, text.format(unseen=int((hits == 0).sum()), count=scene.count, images=len(cameras))
-        )
-        return {"FINISHED"}
+        return text.format(unseen=int((hits == 0).sum()), count=scene.count, images=len(cameras))
 
 
 def chosen_cameras(context, which: str = "PHOTOGRAPHS") -> list[bpy.types.Object]:
@@ -94,9 +83,4 @@ def views(context, cameras: list[bpy.types.Object], placed: visible_splats.Place
     ]
 
 
-def register():
-    bpy.utils.register_class(SVRGS_OT_contribution)
-
-
-def unregister():
-    bpy.utils.unregister_class(SVRGS_OT_contribution)
+CLASSES = (SVRGS_OT_contribution,)

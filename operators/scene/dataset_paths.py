@@ -23,6 +23,7 @@ from ...svrgs_addon.views.sources import find_cameras
 from ..data import camera_object, splat_object
 from ..data.job_paths import FOLDER, folder_of
 from ..data.option_properties import RELATIVE
+from ..data.reporting import ReportingOperator
 
 UNDISTORTED = "images_undistorted"  # folder of undistorted copies in a dataset
 
@@ -38,11 +39,9 @@ def dataset_of(context) -> tuple[str, str]:
     settings, root = context.scene.svrgs_prune, splat_object.root_of(context.object)
     if settings.colmap:
         return absolute(settings.colmap), settings.images
-    return (
-        (dataset_of_root(root), settings.images or root.get(splat_object.IMAGES, ""))
-        if root is not None
-        else ("", settings.images)
-    )
+    if root is not None:
+        return (dataset_of_root(root), settings.images or root.get(splat_object.IMAGES, ""))
+    return ("", settings.images)
 
 
 def dataset_of_job(context, splat: bpy.types.Object | None) -> str:
@@ -65,11 +64,9 @@ def problem(context) -> str:
         return tr("Choose the dataset of the splat's photographs, or import its cameras in step 1")
     if os.path.exists(folder):
         return ""
-    return (
-        tr("There is no dataset {folder}: choose it again").format(folder=folder)
-        if context.scene.svrgs_prune.colmap
-        else lost(splat_object.root_of(context.object))
-    )
+    if context.scene.svrgs_prune.colmap:
+        return tr("There is no dataset {folder}: choose it again").format(folder=folder)
+    return lost(splat_object.root_of(context.object))
 
 
 def lost(root: bpy.types.Object | None) -> str:
@@ -118,35 +115,27 @@ def _stored_below(path: str, start: str) -> str:
     return stored(path, start) if Path(path).is_relative_to(start) else path
 
 
-def _places() -> Iterator[Place]:
-    """The paths that are stored in the file. In a file without a name, '//' means nothing yet: such paths are
-    left as they are."""
-    return (
-        (write, absolute(path), keep)
-        for write, path, keep in _all_paths()
-        if path and (bpy.data.filepath or not path.startswith("//"))
-    )
-
-
-def _all_paths() -> Iterator[Place]:
-    """As _places(), with the paths as they are stored."""
+def _paths() -> Iterator[Place]:
+    """The paths that are stored in the file, as they are stored."""
     for obj in (obj for obj in bpy.data.objects if not obj.library):
         yield partial(obj.__setitem__, splat_object.DATASET), _text(obj.get(splat_object.DATASET)), stored
         yield partial(obj.__setitem__, FOLDER), folder_of(obj), _stored_below
     for scene in (scene for scene in bpy.data.scenes if not scene.library):
         settings = scene.svrgs_prune
         yield partial(setattr, settings, "colmap"), settings.colmap, stored
-        yield (
-            partial(setattr, settings, "folder"),
-            settings.folder if settings.folder.startswith("//") else "",
-            stored,
-        )
+        folder = settings.folder if settings.folder.startswith("//") else ""
+        yield partial(setattr, settings, "folder"), folder, stored
 
 
 @persistent
 def _before_save(path: str = "", *_):
-    """Stores all paths relative to the file that is written, which may be another one than before."""
-    _saved[:] = _places()
+    """Stores all paths relative to the file that is written, which may be another one than before. In a file
+    without a name, '//' means nothing yet: such paths are left as they are."""
+    _saved[:] = [
+        (write, absolute(stored_path), keep)
+        for write, stored_path, keep in _paths()
+        if stored_path and (bpy.data.filepath or not stored_path.startswith("//"))
+    ]
     for write, folder, keep in _saved if path else ():
         write(keep(folder, os.path.dirname(os.path.abspath(path))))
 
@@ -163,7 +152,7 @@ def _after_save(*_):
 # --- a dataset that was moved
 
 
-class SVRGS_OT_find_dataset(bpy.types.Operator):
+class SVRGS_OT_find_dataset(ReportingOperator):
     bl_idname = "svrgs.find_dataset"
     bl_label = "Find Dataset"
     bl_description = (
@@ -181,31 +170,25 @@ class SVRGS_OT_find_dataset(bpy.types.Operator):
     filter_folder: BoolProperty(default=True, options={"HIDDEN", "SKIP_SAVE"})
 
     @classmethod
-    def poll(cls, context):
+    def problem(cls, context) -> str:
         root = splat_object.root_of(context.object)
         if root is not None and dataset_of_root(root):
-            return True
-        cls.poll_message_set(tr("Select a splat or a camera of the dataset first"))
-        return False
+            return ""
+        return tr("Select a splat or a camera of the dataset first")
 
-    def execute(self, context):
+    def work(self, context) -> str:
         root, folder = splat_object.root_of(context.object), absolute(self.directory)
-        assert root is not None  # see poll
-        try:
-            find_cameras(Path(folder))
-            shown, found = find_photographs(root, folder)
-        except SplatError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        assert root is not None  # see problem()
+        find_cameras(Path(folder))
+        shown, found = find_photographs(root, folder)
         root[splat_object.DATASET] = stored(folder)
         settings = context.scene.svrgs_prune
         if settings.colmap and not os.path.exists(absolute(settings.colmap)):
             settings.colmap = stored(folder)
         text = tr("Found {found:,} of {count:,} photographs in {folder}")
-        self.report(
-            {"INFO"} if found == shown else {"WARNING"}, text.format(found=found, count=shown, folder=folder)
-        )
-        return {"FINISHED"}
+        text = text.format(found=found, count=shown, folder=folder)
+        self.report({"INFO"} if found == shown else {"WARNING"}, text)
+        return ""
 
     def invoke(self, context, event):
         context.window_manager.fileselect_add(self)
@@ -264,17 +247,9 @@ def _beside(file: str, dataset: str) -> str:
         return ""
 
 
+CLASSES = (SVRGS_OT_find_dataset,)
 HANDLERS = {"save_pre": _before_save, "save_post": _after_save, "save_post_fail": _after_save}
 
 
-def register():
-    bpy.utils.register_class(SVRGS_OT_find_dataset)
-    for event, handler in HANDLERS.items():
-        getattr(bpy.app.handlers, event).append(handler)
-
-
 def unregister():
-    for event, handler in HANDLERS.items():
-        getattr(bpy.app.handlers, event).remove(handler)
-    bpy.utils.unregister_class(SVRGS_OT_find_dataset)
     _saved.clear()

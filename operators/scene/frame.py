@@ -14,9 +14,10 @@ from bpy.app.translations import pgettext_iface as tr
 from ...svrgs_addon.scene.bounds import clipping
 from ..data import camera_object, splat_object
 from ..data.framing import photographed_view, sphere_of, viewing_distance
+from ..data.reporting import ReportingOperator
 
 
-class SVRGS_OT_frame(bpy.types.Operator):
+class SVRGS_OT_frame(ReportingOperator):
     bl_idname = "svrgs.frame"
     bl_label = "Frame Splat"
     bl_description = (
@@ -25,11 +26,10 @@ class SVRGS_OT_frame(bpy.types.Operator):
     )
 
     @classmethod
-    def poll(cls, context):
+    def problem(cls, context) -> str:
         if splat_object.is_splat(context.object) or splat_object.root_of(context.object) is not None:
-            return True
-        cls.poll_message_set(tr("Select a splat, or the cameras of a dataset"))
-        return False
+            return ""
+        return tr("Select a splat, or the cameras of a dataset")
 
     def execute(self, context):
         return {"FINISHED"} if frame(context, [context.object], through_cameras=True) else {"CANCELLED"}
@@ -96,11 +96,5 @@ def menu(self, context):
     self.layout.operator(SVRGS_OT_frame.bl_idname)
 
 
-def register():
-    bpy.utils.register_class(SVRGS_OT_frame)
-    bpy.types.VIEW3D_MT_view.append(menu)
-
-
-def unregister():
-    bpy.types.VIEW3D_MT_view.remove(menu)
-    bpy.utils.unregister_class(SVRGS_OT_frame)
+CLASSES = (SVRGS_OT_frame,)
+MENUS = {"VIEW3D_MT_view": menu}

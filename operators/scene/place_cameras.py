@@ -7,17 +7,18 @@ They are children of the splat. A child process finds the places (`svrgs rig`); 
 from __future__ import annotations
 
 import tempfile
+from concurrent.futures import Future
 from pathlib import Path
 
 import bpy
 from bpy.app.translations import pgettext_iface as tr
 
 from ...svrgs_addon.files.registry import write_scene
+from ...svrgs_addon.scene.camera import Camera
 from ...svrgs_addon.system import subprocess_python
 from ...svrgs_addon.system.errors import SplatError
 from ...svrgs_addon.views.camera_files import load_cameras
-from ..data import edit_guard, known, splat_object, views_of_file, visible_splats
-from ..data.child_work import ChildWork, redraw_panels
+from ..data import background_work, edit_guard, known, splat_object, views_of_file, visible_splats
 from ..data.native_check import native_problem
 from ..data.preferences import threads
 from ..data.reporting import ReportingOperator
@@ -39,24 +40,28 @@ class SVRGS_OT_place_cameras(ReportingOperator):
     bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
-    def poll(cls, context):
-        problem = native_problem() or (
-            edit_guard.problem(context, context.object)
-            if splat_object.is_splat(context.object)
-            else tr("Select a Gaussian splat first")
-        )
-        if not problem and known.of(context.object).placing:
-            problem = tr("Placing cameras …")
-        if problem:
-            cls.poll_message_set(problem)
-        return not problem
+    def problem(cls, context) -> str:
+        if problem := native_problem():
+            return problem
+        if not splat_object.is_splat(context.object):
+            return tr("Select a Gaussian splat first")
+        busy = tr("Placing cameras …") if known.of(context.object).placing else ""
+        return edit_guard.problem(context, context.object) or busy
 
     def work(self, context) -> str:
-        obj, folder = context.object, tempfile.TemporaryDirectory(dir=bpy.app.tempdir)
-        write_scene(Path(folder.name) / "scene.ply", visible_splats.visible_scene(obj))
+        obj, uid = context.object, context.object.session_uid
+        folder = tempfile.TemporaryDirectory(dir=bpy.app.tempdir)
+        scene, out = (Path(folder.name) / name for name in ("scene.ply", "cameras.json"))
+        write_scene(scene, visible_splats.visible_scene(obj))
         words = ["--seed", str(context.scene.svrgs_prune.seed), "--threads", str(threads(context)), "--json"]
+
+        def work() -> list[Camera]:
+            with folder:
+                subprocess_python.ask(["rig", str(scene), "--out", str(out), *words])
+                return load_cameras(out)
+
         known.of(obj).placing, known.of(obj).problem = True, ""
-        _child_work.start(_place, obj.session_uid, folder, words)
+        background_work.run(work, lambda answer: _finished(uid, answer))
         if not bpy.app.background:
             return tr("Placing cameras …")
         if known.of(obj).problem:
@@ -64,57 +69,25 @@ class SVRGS_OT_place_cameras(ReportingOperator):
         return tr("Placed {count:,} cameras").format(count=len(views_of_file.placed(obj)))
 
 
-def _place(uid: int, folder: tempfile.TemporaryDirectory, words: list[str]):
-    """In a thread, which must not use bpy."""
-    with folder:
-        out = Path(folder.name) / "cameras.json"
-        status, result = subprocess_python.run(
-            ["rig", str(Path(folder.name) / "scene.ply"), "--out", str(out), *words]
-        )
-        try:
-            known.of_uid(uid).placed = (
-                {"error": result.get("error", ""), "status": status}
-                if status
-                else {"cameras": load_cameras(out)}
-            )
-        except SplatError as error:
-            known.of_uid(uid).placed = {"error": str(error)}
-
-
-def _finished():
-    """Adds the cameras that have been found since."""
-    for uid, splat in list(known.objects.items()):
-        answer, splat.placed = splat.placed, None
-        if answer is None:
-            continue
-        splat.placing = False
-        obj = next((obj for obj in bpy.data.objects if obj.session_uid == uid and obj.users_collection), None)
-        if "error" in answer:
-            text = tr("placing cameras ended with status {status}")
-            splat.problem = answer["error"] or text.format(**answer)
-        elif obj is not None:
-            _add(obj, answer["cameras"])
-    redraw_panels()
-
-
-def _add(splat: bpy.types.Object, cameras: list):
-    """Adds the cameras to the file, in a collection of their own."""
-    name = tr("{name} Cameras").format(name=splat.name)
+def _finished(uid: int, answer: Future):
+    """Adds the cameras to the file, in a collection of their own, unless their splat is gone."""
+    splat = known.of_uid(uid)
+    splat.placing = False
+    obj = next((obj for obj in bpy.data.objects if obj.session_uid == uid and obj.users_collection), None)
+    try:
+        cameras = answer.result()
+    except SplatError as error:
+        splat.problem = str(error)
+        return
+    if obj is None:
+        return
+    name = tr("{name} Cameras").format(name=obj.name)
     collection = bpy.data.collections.get(name) or bpy.data.collections.new(name)
     if not collection.users:
-        splat.users_collection[0].children.link(collection)
-    views_of_file.place(splat, cameras, collection)
+        obj.users_collection[0].children.link(collection)
+    views_of_file.place(obj, cameras, collection)
     if not bpy.app.background:
         bpy.ops.ed.undo_push(message="Place Cameras")
 
 
-_child_work = ChildWork(done=_finished)
-
-
-def register():
-    bpy.utils.register_class(SVRGS_OT_place_cameras)
-
-
-def unregister():
-    bpy.utils.unregister_class(SVRGS_OT_place_cameras)
-    _child_work.close()
+CLASSES = (SVRGS_OT_place_cameras,)

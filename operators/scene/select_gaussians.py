@@ -66,21 +66,16 @@ class SplatOperator(ReportingOperator):
 
     @classmethod
     def problem(cls, context) -> str:
-        """What the user must do first; empty if the operator can run on the active splat."""
-        if quick_order.is_shown(context.object):
-            return tr("Apply or discard the result first")
-        return edit_guard.problem(context, context.object)
+        if not splat_object.is_splat(context.object):
+            return tr("Make a splat the active object first")
+        return cls.problem_of(context, context.object)
 
     @classmethod
-    def poll(cls, context):
-        problem = (
-            cls.problem(context)
-            if splat_object.is_splat(context.object)
-            else tr("Make a splat the active object first")
-        )
-        if problem:
-            cls.poll_message_set(problem)
-        return not problem
+    def problem_of(cls, context, obj: bpy.types.Object) -> str:
+        """As problem(), of a splat."""
+        if quick_order.is_shown(obj):
+            return tr("Apply or discard the result first")
+        return edit_guard.problem(context, obj)
 
 
 class SVRGS_OT_select_gaussians(SplatOperator):
@@ -186,11 +181,9 @@ class SVRGS_OT_select_gaussians(SplatOperator):
     def views(self, context, placed, named: str) -> list:
         """The views of the chosen cameras. named: empty if none is needed. Raises SceneError."""
         cameras = chosen_cameras(context, self.cameras)
-        return (
-            views(context, cameras[:: max(1, -(-len(cameras) // MOST_VIEWS))], placed)
-            if named or cameras
-            else []
-        )
+        if named or cameras:
+            return views(context, cameras[:: max(1, -(-len(cameras) // MOST_VIEWS))], placed)
+        return []
 
 
 class SVRGS_OT_delete_gaussians(SplatOperator):
@@ -206,10 +199,10 @@ class SVRGS_OT_delete_gaussians(SplatOperator):
     )  # fmt: skip
 
     @classmethod
-    def problem(cls, context) -> str:
-        if problem := edit_guard.change_problem(context, [context.object]):
+    def problem_of(cls, context, obj: bpy.types.Object) -> str:
+        if problem := edit_guard.change_problem(context, [obj]):
             return problem
-        return "" if selection.SELECTED in context.object.data.attributes else tr("Select Gaussians first")
+        return "" if selection.SELECTED in obj.data.attributes else tr("Select Gaussians first")
 
     def work(self, context) -> str:
         obj = context.object
@@ -228,11 +221,10 @@ class SVRGS_OT_clear_selection(SplatOperator):
     bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
-    def problem(cls, context) -> str:
-        problem = edit_guard.problem(context, context.object)
-        return problem or (
-            "" if selection.SELECTED in context.object.data.attributes else tr("No Gaussian is selected")
-        )
+    def problem_of(cls, context, obj: bpy.types.Object) -> str:
+        if problem := edit_guard.problem(context, obj):
+            return problem
+        return "" if selection.SELECTED in obj.data.attributes else tr("No Gaussian is selected")
 
     def work(self, context) -> str:
         obj = context.object
@@ -243,19 +235,9 @@ class SVRGS_OT_clear_selection(SplatOperator):
 
 def show_selection(context, shown: bool):
     """Solid viewports show the selection, or the colours again. Other values that they show stay."""
-    looking, colors = context.scene.svrgs_looking, ("COLOR", selection.SELECTED)
-    if looking.overlay_shown in colors:
-        looking.overlay_shown = colors[shown]
+    view, colors = context.scene.svrgs_view, ("COLOR", selection.SELECTED)
+    if view.overlay_shown in colors:
+        view.overlay_shown = colors[shown]
 
 
 CLASSES = (SVRGS_OT_select_gaussians, SVRGS_OT_delete_gaussians, SVRGS_OT_clear_selection)
-
-
-def register():
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-
-
-def unregister():
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)

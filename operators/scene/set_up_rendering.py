@@ -7,13 +7,14 @@ import bpy
 from bpy.app.translations import pgettext_iface as tr
 
 from ..data import camera_object, splat_object
+from ..data.reporting import ReportingOperator
 from . import compositor_nodes, splat_layer
 
 EEVEE = "BLENDER_EEVEE_NEXT" if bpy.app.version < (5, 0, 0) else "BLENDER_EEVEE"
 WITHOUT_MATERIALS = ("SVRGS", "BLENDER_WORKBENCH")
 
 
-class SVRGS_OT_set_up_rendering(bpy.types.Operator):
+class SVRGS_OT_set_up_rendering(ReportingOperator):
     bl_idname = "svrgs.set_up_rendering"
     bl_label = "Set Up Rendering"
     bl_description = (
@@ -23,19 +24,15 @@ class SVRGS_OT_set_up_rendering(bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
-    def poll(cls, context):
-        return _is_no_layer(cls, context)
+    def problem(cls, context) -> str:
+        return is_layer(context.scene)
 
-    def execute(self, context):
+    def work(self, context) -> str:
         scene = context.scene
         splat_layer.remove(scene, context.evaluated_depsgraph_get())
         scene.render.engine = "SVRGS"
         use_standard(scene)
-        self.report(
-            {"INFO"},
-            ". ".join([tr("The engine is SVR-GS, the view transform Standard"), camera_words(scene)]),
-        )
-        return {"FINISHED"}
+        return ". ".join([tr("The engine is SVR-GS, the view transform Standard"), camera_words(scene)])
 
 
 class SVRGS_OT_use_standard(bpy.types.Operator):
@@ -49,7 +46,7 @@ class SVRGS_OT_use_standard(bpy.types.Operator):
         return {"FINISHED"}
 
 
-class SVRGS_OT_set_up_compositing(bpy.types.Operator):
+class SVRGS_OT_set_up_compositing(ReportingOperator):
     bl_idname = "svrgs.set_up_compositing"
     bl_label = "Set Up Compositing"
     bl_description = (
@@ -59,13 +56,12 @@ class SVRGS_OT_set_up_compositing(bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
-    def poll(cls, context):
+    def problem(cls, context) -> str:
         if not any(splat_object.is_splat(obj) for obj in context.scene.objects):
-            cls.poll_message_set(tr("There is no splat in the scene: import one"))
-            return False
-        return _is_no_layer(cls, context)
+            return tr("There is no splat in the scene: import one")
+        return is_layer(context.scene)
 
-    def execute(self, context):
+    def work(self, context) -> str:
         scene = context.scene
         if scene.render.engine in WITHOUT_MATERIALS:
             scene.render.engine = EEVEE
@@ -75,8 +71,7 @@ class SVRGS_OT_set_up_compositing(bpy.types.Operator):
             "{engine} renders the meshes with a transparent film, the scene '{scene}' renders the splats. The"
             " compositor puts them together"
         )
-        self.report({"INFO"}, text.format(engine=splat_layer.engine_name(scene), scene=layer.name))
-        return {"FINISHED"}
+        return text.format(engine=splat_layer.engine_name(scene), scene=layer.name)
 
 
 def use_standard(scene: bpy.types.Scene):
@@ -101,23 +96,11 @@ def camera_words(scene: bpy.types.Scene) -> str:
     return text.format(name=scene.camera.name, width=width, height=height)
 
 
-def _is_no_layer(cls, context) -> bool:
-    main = context.scene.svrgs_looking.layer_of
-    if main is not None:
-        cls.poll_message_set(
-            tr("This scene renders the splats of '{name}': go to that scene").format(name=main.name)
-        )
-    return main is None
+def is_layer(scene: bpy.types.Scene) -> str:
+    """That the scene renders the splats of another one, in a sentence; '' if it does not."""
+    main = scene.svrgs_view.layer_of
+    text = tr("This scene renders the splats of '{name}': go to that scene")
+    return text.format(name=main.name) if main is not None else ""
 
 
 CLASSES = (SVRGS_OT_set_up_rendering, SVRGS_OT_use_standard, SVRGS_OT_set_up_compositing)
-
-
-def register():
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-
-
-def unregister():
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)

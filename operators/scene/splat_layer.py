@@ -29,7 +29,7 @@ FOLLOWED = (
 
 def layer_of(scene: bpy.types.Scene) -> bpy.types.Scene | None:
     """The scene that renders the splats of this scene; None if there is none."""
-    return next((other for other in bpy.data.scenes if other.svrgs_looking.layer_of == scene), None)
+    return next((other for other in bpy.data.scenes if other.svrgs_view.layer_of == scene), None)
 
 
 def add(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> bpy.types.Scene:
@@ -42,9 +42,9 @@ def add(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> bpy.types.Sce
     if layer is None:
         layer = bpy.data.scenes.new(f"{scene.name} Splats")
         layer.render.film_transparent = scene.render.film_transparent
-        layer.svrgs_looking.background = scene.svrgs_looking.background
+        layer.svrgs_view.background = scene.svrgs_view.background
     layer.background_set, layer.render.engine = scene, "SVRGS"
-    layer.svrgs_looking.layer_of = scene
+    layer.svrgs_view.layer_of = scene
     scene.render.film_transparent = True
     _follow(scene, layer)
     _show_to_other_engines(scene, False, depsgraph)
@@ -65,7 +65,7 @@ def missing(scene: bpy.types.Scene) -> str:
     """What keeps renders of the scene from showing its splats, in one sentence; empty if they are shown or if
     there is none."""
     splats = [obj for obj in scene.objects if splat_object.is_splat(obj)]
-    if not splats or scene.render.engine == "SVRGS" or scene.svrgs_looking.layer_of is not None:
+    if not splats or scene.render.engine == "SVRGS" or scene.svrgs_view.layer_of is not None:
         return ""
     engine, layer = engine_name(scene), layer_of(scene)
     if layer is None:
@@ -73,11 +73,11 @@ def missing(scene: bpy.types.Scene) -> str:
     if not compositor_nodes.are_complete(scene, layer):
         return tr("The compositing of the splats is not complete: set it up again")
     new = next((obj.name for obj in splats if obj.visible_camera), None)
-    return (
-        tr("{engine} renders '{name}' as grey dots: set up compositing again").format(engine=engine, name=new)
-        if new is not None
-        else ""
-    )
+    if new is not None:
+        return tr("{engine} renders '{name}' as grey dots: set up compositing again").format(
+            engine=engine, name=new
+        )
+    return ""
 
 
 def engine_name(scene: bpy.types.Scene) -> str:
@@ -109,20 +109,15 @@ def _follow(scene: bpy.types.Scene, layer: bpy.types.Scene):
     if layer.camera != scene.camera:
         layer.camera = scene.camera
     meshes = "SPLIT" if scene.render.film_transparent else "CUT"
-    if layer.svrgs_looking.meshes != meshes:
-        layer.svrgs_looking.meshes = meshes
+    if layer.svrgs_view.meshes != meshes:
+        layer.svrgs_view.meshes = meshes
 
 
 @persistent
 def _before_render(scene, *_):
     for layer in bpy.data.scenes:
-        if layer.svrgs_looking.layer_of == scene:
+        if layer.svrgs_view.layer_of == scene:
             _follow(scene, layer)
 
 
-def register():
-    bpy.app.handlers.render_pre.append(_before_render)
-
-
-def unregister():
-    bpy.app.handlers.render_pre.remove(_before_render)
+HANDLERS = {"render_pre": _before_render}

@@ -39,17 +39,12 @@ def stretch_warning(obj: bpy.types.Object) -> str:
 class SplatsOperator(ReportingOperator):
     """An operator on the selected splats, of which there must be `least`."""
 
-    least, poll_message = 1, n_("Select a Gaussian splat first")
+    least, too_few = 1, n_("Select a Gaussian splat first")
 
     @classmethod
-    def poll(cls, context):
+    def problem(cls, context) -> str:
         splats = selected_splats(context)
-        problem = (
-            edit_guard.change_problem(context, splats) if len(splats) >= cls.least else tr(cls.poll_message)
-        )
-        if problem:
-            cls.poll_message_set(problem)
-        return not problem
+        return edit_guard.change_problem(context, splats) if len(splats) >= cls.least else tr(cls.too_few)
 
     def warn_if_stretched(self, obj: bpy.types.Object, matrix):
         if stretch(matrix) - 1 > 10 * UNIFORM:
@@ -93,7 +88,7 @@ class SVRGS_OT_join_splats(SplatsOperator):
         " their places in the scene"
     )
     bl_options = {"REGISTER", "UNDO"}
-    least, poll_message = 2, n_("Select two Gaussian splats or more")
+    least, too_few = 2, n_("Select two Gaussian splats or more")
 
     def work(self, context) -> str:
         splats = selected_splats(context)
@@ -154,12 +149,8 @@ def moved_count(obj: bpy.types.Object | None) -> int:
 
 
 @persistent
-def _after_update(scene, *_):
+def _record_positions(scene, *_):
     """Stores the positions of splats that this extension has not made."""
-    _record_positions(scene)
-
-
-def _record_positions(scene: bpy.types.Scene):
     for obj in scene.objects:
         if (
             obj.type in splat_object.TYPES
@@ -173,7 +164,6 @@ def _record_positions(scene: bpy.types.Scene):
 
 @persistent
 def _after_load(*_):
-    """Splats that Blender itself has imported have no stored positions."""
     for scene in bpy.data.scenes:
         _record_positions(scene)
 
@@ -186,23 +176,5 @@ def object_menu(self, context):
 
 
 CLASSES = (SVRGS_OT_apply_transforms, SVRGS_OT_join_splats, SVRGS_OT_write_shapes)
-HANDLERS = (
-    ("depsgraph_update_post", _after_update),
-    ("load_post", _after_load),
-)
-
-
-def register():
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-    bpy.types.VIEW3D_MT_object.append(object_menu)
-    for event, handler in HANDLERS:
-        getattr(bpy.app.handlers, event).append(handler)
-
-
-def unregister():
-    for event, handler in HANDLERS:
-        getattr(bpy.app.handlers, event).remove(handler)
-    bpy.types.VIEW3D_MT_object.remove(object_menu)
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)
+HANDLERS = {"depsgraph_update_post": _record_positions, "load_post": _after_load}
+MENUS = {"VIEW3D_MT_object": object_menu}

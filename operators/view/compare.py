@@ -2,29 +2,30 @@
 
 from __future__ import annotations
 
-import json
 import math
 
 import bpy
-from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_iface as tr
 
 from ...svrgs_addon.files.registry import file_size
 from ...svrgs_addon.native import library
 from ...svrgs_addon.native.rasterizer import Rasterizer
-from ...svrgs_addon.prune.report.pictures import contact_sheet, difference_image, to_uint8
+from ...svrgs_addon.prune.report.pictures import contact_sheet, difference_image, to_uint8, wipe
 from ...svrgs_addon.render.metrics import flip, psnr, ssim
 from ...svrgs_addon.render.metrics.evaluate import picture_options, rounded_to_8_bits
 from ...svrgs_addon.scene.camera import Camera
 from ...svrgs_addon.scene.gaussians import Scene
-from ...svrgs_addon.system.errors import NativeError, SceneError, SplatError
+from ...svrgs_addon.system.errors import SceneError
 from ..data import camera_object, image_pixels, splat_object, visible_splats
 from ..data.preferences import threads
+from ..data.reporting import ReportingOperator
 from ..jobs import job_result
 from ..scene.contribution import chosen_cameras
-from . import comparison_images
 from .spatial_mask import show_in_editors
 
+ORIGINAL, PRUNED, DIFFERENCE, WIPE = (
+    f"SVR-GS {name}" for name in ("Original", "Pruned", "Difference", "Wipe")
+)
 SHEET = "SVR-GS Contact Sheet"
 THUMBNAIL = 320  # pixels on the longer side
 
@@ -54,7 +55,7 @@ class ComparedSplats:
 def chosen_pair(context: bpy.types.Context) -> tuple[bpy.types.Object, bpy.types.Object]:
     """(original, pruned): those chosen in the panel, or those that belong to the active object. Raises
     SceneError if one is missing."""
-    settings = context.scene.svrgs_looking
+    settings = context.scene.svrgs_view
     original = settings.original or job_result.pair_of(context.object)[0] or context.object
     if not splat_object.is_splat(original):
         raise SceneError(
@@ -89,7 +90,15 @@ def pruned_of(original: bpy.types.Object) -> bpy.types.Object:
     )
 
 
-class SVRGS_OT_compare(bpy.types.Operator):
+class ComparingOperator(ReportingOperator):
+    @classmethod
+    def problem(cls, context) -> str:
+        if context.scene.svrgs_view.compare_camera is not None or context.scene.camera is not None:
+            return ""
+        return tr("There is no camera: add one, or import the cameras of the dataset")
+
+
+class SVRGS_OT_compare(ComparingOperator):
     bl_idname = "svrgs.compare"
     bl_label = "Compare"
     bl_description = (
@@ -98,34 +107,26 @@ class SVRGS_OT_compare(bpy.types.Operator):
     )
     bl_options = {"REGISTER"}
 
-    @classmethod
-    def poll(cls, context):
-        return _has_camera(cls, context)
-
-    def execute(self, context):
-        settings = context.scene.svrgs_looking
-        try:
-            splats = ComparedSplats(context)
-            obj = settings.compare_camera or context.scene.camera
-            camera = camera_object.camera_from_object(obj, context.scene)
-            photo = photograph(obj)
-            if photo is not None:
-                camera = camera.resized(photo.shape[1], photo.shape[0])
-            pictures = original, pruned = splats.render(camera, tuple(settings.background))
-        except (SplatError, NativeError) as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        comparison_images.show(original, pruned, settings.wipe)
-        show_in_editors(context, bpy.data.images[comparison_images.WIPE])
+    def work(self, context) -> str:
+        settings, splats = context.scene.svrgs_view, ComparedSplats(context)
+        obj = settings.compare_camera or context.scene.camera
+        camera = camera_object.camera_from_object(obj, context.scene)
+        photo = photograph(obj)
+        if photo is not None:
+            camera = camera.resized(photo.shape[1], photo.shape[0])
+        pictures = original, pruned = splats.render(camera, tuple(settings.background))
         rows = [measure(*both, photo) for both in zip(splats.scenes, pictures, strict=True)]
-        settings.compare_result = json.dumps(
-            {"camera": obj.name, "original": rows[0], "pruned": rows[1], "between": psnr(*pictures)}
-        )
-        self.report({"INFO"}, summary(rows, psnr(*pictures)))
-        return {"FINISHED"}
+        between = psnr(original, pruned)
+        figures = {"camera": obj.name, "original": rows[0], "pruned": rows[1], "between": between}
+        image_pixels.write_image(ORIGINAL, original)
+        image_pixels.write_image(PRUNED, pruned)
+        image_pixels.write_image(DIFFERENCE, difference_image(original, pruned))
+        image = image_pixels.write_image(WIPE, wipe(original, pruned, settings.wipe), figures=figures)
+        show_in_editors(context, image)
+        return summary(rows, between)
 
 
-class SVRGS_OT_contact_sheet(bpy.types.Operator):
+class SVRGS_OT_contact_sheet(ComparingOperator):
     bl_idname = "svrgs.contact_sheet"
     bl_label = "Render All Cameras"
     bl_description = (
@@ -133,11 +134,7 @@ class SVRGS_OT_contact_sheet(bpy.types.Operator):
     )
     bl_options = {"REGISTER"}
 
-    @classmethod
-    def poll(cls, context):
-        return _has_camera(cls, context)
-
-    def execute(self, context):
+    def work(self, context) -> str:
         manager, cameras = context.window_manager, chosen_cameras(context)
         manager.progress_begin(0, len(cameras))
         try:
@@ -145,13 +142,10 @@ class SVRGS_OT_contact_sheet(bpy.types.Operator):
             for number, obj in enumerate(cameras):
                 camera = camera_object.camera_from_object(obj, context.scene)
                 camera = camera.reduced(max(1, max(camera.width, camera.height) // THUMBNAIL))
-                a, b = splats.render(camera, tuple(context.scene.svrgs_looking.background))
+                a, b = splats.render(camera, tuple(context.scene.svrgs_view.background))
                 rows.append([to_uint8(a), to_uint8(b), difference_image(a, b)])
                 worst = min(worst, psnr(a, b))
                 manager.progress_update(number + 1)
-        except (SplatError, NativeError) as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
         finally:
             manager.progress_end()
         columns = max(1, round((len(rows) / 3) ** 0.5))
@@ -160,8 +154,20 @@ class SVRGS_OT_contact_sheet(bpy.types.Operator):
             "{count:,} cameras in '{image}': original, pruned, difference; lowest PSNR between them:"
             " {worst:.1f} dB"
         )
-        self.report({"INFO"}, text.format(count=len(rows), image=SHEET, worst=worst))
-        return {"FINISHED"}
+        return text.format(count=len(rows), image=SHEET, worst=worst)
+
+
+def figures() -> dict:
+    """Of the pictures of the last comparison: camera, original, pruned, between; {} without them."""
+    return image_pixels.figures_of(WIPE)
+
+
+def redraw(settings, context):
+    """Draws the wipe again from the two images."""
+    images = [bpy.data.images.get(name) for name in (ORIGINAL, PRUNED)]
+    original, pruned = (None if image is None else image_pixels.read_image(image) for image in images)
+    if original is not None and pruned is not None and original.shape == pruned.shape:
+        image_pixels.write_image(WIPE, wipe(original, pruned, settings.wipe))
 
 
 def photograph(obj: bpy.types.Object):
@@ -171,18 +177,13 @@ def photograph(obj: bpy.types.Object):
 
 
 def measure(scene, picture, photo) -> dict:
-    """Count and bytes of the splat; with a photograph also PSNR, SSIM and FLIP."""
-    row = {"count": scene.count, "bytes": file_size(scene)}
-    return (
-        row
-        if photo is None
-        else row
-        | {
-            "psnr": psnr(picture, photo),
-            "ssim": float(ssim(picture, photo)),
-            "flip": float(flip(picture, photo)),
-        }
-    )
+    """Count and bytes of the splat; with a photograph also PSNR, SSIM and FLIP. All fit into a property,
+    where whole numbers have 32 bits."""
+    row = {"count": scene.count, "bytes": float(file_size(scene))}
+    if photo is not None:
+        row |= {"psnr": psnr(picture, photo), "ssim": float(ssim(picture, photo))}
+        row["flip"] = float(flip(picture, photo))
+    return row
 
 
 def summary(rows: list[dict], between: float) -> str:
@@ -201,34 +202,4 @@ def summary(rows: list[dict], between: float) -> str:
     return "; ".join(texts)
 
 
-def _has_camera(cls, context) -> bool:
-    if context.scene.svrgs_looking.compare_camera is not None or context.scene.camera is not None:
-        return True
-    cls.poll_message_set(tr("There is no camera: add one, or import the cameras of the dataset"))
-    return False
-
-
-@persistent
-def _forget_lost_images(*_):
-    """Images may have been deleted. Their figures are removed, too."""
-    if any(
-        image_pixels.is_lost(name)
-        for name in (comparison_images.ORIGINAL, comparison_images.PRUNED, comparison_images.WIPE)
-    ):
-        for scene in bpy.data.scenes:
-            scene.svrgs_looking.compare_result = ""
-
-
 CLASSES = (SVRGS_OT_compare, SVRGS_OT_contact_sheet)
-
-
-def register():
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-    bpy.app.handlers.load_post.append(_forget_lost_images)
-
-
-def unregister():
-    bpy.app.handlers.load_post.remove(_forget_lost_images)
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)

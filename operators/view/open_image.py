@@ -5,8 +5,11 @@ from __future__ import annotations
 import bpy
 from bpy.app.translations import pgettext_iface as tr
 
+from ...svrgs_addon.system.errors import SceneError
+from ..data.reporting import ReportingOperator
 
-class SVRGS_OT_open_image(bpy.types.Operator):
+
+class SVRGS_OT_open_image(ReportingOperator):
     bl_idname = "svrgs.open_image"
     bl_label = "Open in Image Editor"
     bl_description = "Show the picture in its full size in an Image Editor in a new window"
@@ -15,17 +18,13 @@ class SVRGS_OT_open_image(bpy.types.Operator):
     name: bpy.props.StringProperty(name="Image", description="Name of the image")
 
     @classmethod
-    def poll(cls, context):
-        if not bpy.app.background:
-            return True
-        cls.poll_message_set(tr("Blender runs without a window"))
-        return False
+    def problem(cls, context) -> str:
+        return tr("Blender runs without a window") if bpy.app.background else ""
 
-    def execute(self, context):
+    def work(self, context) -> str:
         image = bpy.data.images.get(self.name)
         if image is None:
-            self.report({"ERROR"}, tr("There is no image '{name}': draw it first").format(name=self.name))
-            return {"CANCELLED"}
+            raise SceneError(tr("There is no image '{name}': draw it first").format(name=self.name))
         known = set(context.window_manager.windows)
         bpy.ops.wm.window_new()
         area = max(
@@ -34,12 +33,7 @@ class SVRGS_OT_open_image(bpy.types.Operator):
         ).screen.areas[0]
         area.ui_type = "IMAGE_EDITOR"
         area.spaces.active.image = image
-        return {"FINISHED"}
+        return ""
 
 
-def register():
-    bpy.utils.register_class(SVRGS_OT_open_image)
-
-
-def unregister():
-    bpy.utils.unregister_class(SVRGS_OT_open_image)
+CLASSES = (SVRGS_OT_open_image,)

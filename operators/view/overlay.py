@@ -126,7 +126,7 @@ class Overlay:
             view.live.close()
 
     def draw(self):
-        context, settings = bpy.context, bpy.context.scene.svrgs_looking
+        context, settings = bpy.context, bpy.context.scene.svrgs_view
         if not settings.overlay or context.space_data.shading.type not in SHADING:
             return
         try:
@@ -301,21 +301,21 @@ def _after_update(scene, *_):
     splats may have changed."""
     for overlay in _overlay:
         overlay.changes += 1
-    if not bpy.app.background and scene.svrgs_looking.overlay:
+    if not bpy.app.background and scene.svrgs_view.overlay:
         for obj in scene.objects:
             if obj.display_type == "TEXTURED" and splat_object.is_splat(obj):
                 obj.display_type = "BOUNDS"
 
 
+HANDLERS = {"depsgraph_update_post": _after_update}
+TIMERS = (_redraw_once,)
+
+
 def register():
-    bpy.app.handlers.depsgraph_update_post.append(_after_update)
     if not bpy.app.background:
         _overlay.append(Overlay())
 
 
 def unregister():
-    bpy.app.handlers.depsgraph_update_post.remove(_after_update)
-    if bpy.app.timers.is_registered(_redraw_once):
-        bpy.app.timers.unregister(_redraw_once)
     while _overlay:
         _overlay.pop().close()

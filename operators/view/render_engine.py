@@ -23,7 +23,7 @@ from ...svrgs_addon.render.composite import composite, composite_while, split
 from ...svrgs_addon.render.panorama import composite_view
 from ...svrgs_addon.render.passes import BEHIND, PASSES, blank, passes
 from ...svrgs_addon.system.errors import NativeError, SceneError, SplatError
-from ..data import camera_object, image_pixels, mesh_triangles, panorama, visible_splats
+from ..data import camera_object, image_pixels, known, mesh_triangles, panorama, visible_splats
 from ..data.image_pixels import working_space
 from ..data.preferences import threads
 from .viewport import Viewport
@@ -69,7 +69,7 @@ class SVRGS_engine(bpy.types.RenderEngine):
 
     def picture(self, depsgraph) -> dict | None:
         """The passes of the whole image, rows from the top; None if the user has stopped the render."""
-        scene, meshes = depsgraph.scene, depsgraph.scene.svrgs_looking.meshes
+        scene, meshes = depsgraph.scene, depsgraph.scene.svrgs_view.meshes
         self.show_progress(tr("Reading splats"), 0.0)
         placed = visible_splats.splats(depsgraph)
         if placed is None:
@@ -86,7 +86,7 @@ class SVRGS_engine(bpy.types.RenderEngine):
         catchers = mesh_triangles.triangles(depsgraph, catchers=True) if meshes == "SPLIT" else None
         self.show_progress(tr("Drawing {count:,} Gaussians").format(count=placed.scene.count), 0.2)
         transparent = scene.render.film_transparent or meshes == "CUT"
-        background = None if transparent else tuple(scene.svrgs_looking.background)
+        background = None if transparent else tuple(scene.svrgs_view.background)
 
         def draw(rasterizer, camera):  # in a thread, which must not use bpy
             local, surface = placed.seen_by(camera), placed.hidden_by(triangles, camera)
@@ -100,11 +100,9 @@ class SVRGS_engine(bpy.types.RenderEngine):
             Rasterizer(),
             lambda rasterizer: composite_view(partial(draw, rasterizer), view),
         )
-        return (
-            passes(found, transparent or meshes == "SPLIT", placed.unit, working_space())
-            if found is not None
-            else None
-        )
+        if found is not None:
+            return passes(found, transparent or meshes == "SPLIT", placed.unit, working_space())
+        return None
 
     def show_progress(self, text: str, progress: float):
         self.update_stats("", text)
@@ -124,7 +122,7 @@ class SVRGS_engine(bpy.types.RenderEngine):
 
 def kinds(scene: bpy.types.Scene) -> tuple:
     """(name, channels, type) of each pass of the scene except Combined."""
-    return (*PASSES, BEHIND) if scene.svrgs_looking.meshes != "SHOW" else PASSES
+    return (*PASSES, BEHIND) if scene.svrgs_view.meshes != "SHOW" else PASSES
 
 
 def region(scene: bpy.types.Scene) -> tuple[slice, slice]:
@@ -139,34 +137,19 @@ def region(scene: bpy.types.Scene) -> tuple[slice, slice]:
     )
 
 
-_dither: dict[int, float] = {}  # session_uid of a scene that is being rendered -> its own dither
-
-
 @persistent
 def _dither_off(scene, *_):
     """Switches dithering off: it would add noise of up to two levels of 8 bits."""
-    if scene.render.engine == SVRGS_engine.bl_idname and scene.session_uid not in _dither:
-        _dither[scene.session_uid] = scene.render.dither_intensity
+    if scene.render.engine == SVRGS_engine.bl_idname and known.of_scene(scene).dither is None:
+        known.of_scene(scene).dither = scene.render.dither_intensity
         scene.render.dither_intensity = 0
 
 
 @persistent
 def _dither_back(scene, *_):
-    if scene.session_uid in _dither:
-        scene.render.dither_intensity = _dither.pop(scene.session_uid)
+    if (own := known.of_scene(scene).dither) is not None:
+        scene.render.dither_intensity, known.of_scene(scene).dither = own, None
 
 
-HANDLERS = (("render_init", _dither_off), ("render_complete", _dither_back), ("render_cancel", _dither_back))
-
-
-def register():
-    bpy.utils.register_class(SVRGS_engine)
-    for event, handler in HANDLERS:
-        getattr(bpy.app.handlers, event).append(handler)
-
-
-def unregister():
-    for event, handler in HANDLERS:
-        getattr(bpy.app.handlers, event).remove(handler)
-    _dither.clear()
-    bpy.utils.unregister_class(SVRGS_engine)
+CLASSES = (SVRGS_engine,)
+HANDLERS = {"render_init": _dither_off, "render_complete": _dither_back, "render_cancel": _dither_back}

@@ -92,18 +92,14 @@ def _forget_all(*_):
     _entries.clear()
 
 
-HANDLERS = (
-    ("depsgraph_update_post", _after_update), ("frame_change_post", _after_update),
-    ("load_post", _forget_all), ("undo_post", _forget_all), ("redo_post", _forget_all),
-)  # fmt: skip
-
-
-def register():
-    for event, handler in HANDLERS:
-        getattr(bpy.app.handlers, event).append(handler)
+HANDLERS = {
+    "depsgraph_update_post": _after_update,
+    "frame_change_post": _after_update,
+    "load_post": _forget_all,
+    "undo_post": _forget_all,
+    "redo_post": _forget_all,
+}
 
 
 def unregister():
-    for event, handler in HANDLERS:
-        getattr(bpy.app.handlers, event).remove(handler)
     _entries.clear()

@@ -1,20 +1,108 @@
-"""Show Spatial Mask: draws the spatial mask F of the scene's camera, once, or after every change if Follow
-Camera is on."""
+"""The spatial mask F of the scene's camera, drawn into an image and a texture, both called NAME, in colours
+or as numbers: once, or after every change if Follow Camera is on."""
 
 from __future__ import annotations
+
+import contextlib
+import time
 
 import bpy
 from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_iface as tr
 
-from ...svrgs_addon.system.errors import NativeError, SplatError
-from ..data import image_pixels
-from . import mask_image
+from ...svrgs_addon.native import library
+from ...svrgs_addon.native.rasterizer import Rasterizer, RenderOptions
+from ...svrgs_addon.prune.report.pictures import with_color_bar
+from ...svrgs_addon.render import color_maps
+from ...svrgs_addon.system.errors import NativeError, SceneError, SplatError
+from ..data import camera_object, image_pixels, known, visible_splats
+from ..data.preferences import threads
+from ..data.reporting import ReportingOperator
+from . import scene_cache
 
+NAME = "SVR-GS Spatial Mask"
 DELAY = 0.1  # seconds after the last change
 
+_rasterizer: list[Rasterizer] = []  # at most one; it keeps its buffers
 
-class SVRGS_OT_spatial_mask(bpy.types.Operator):
+
+def refresh(context: bpy.types.Context) -> dict:
+    """Draws the mask of all visible splats. Returns camera, mean and largest value. Raises SplatError,
+    NativeError."""
+    started = time.perf_counter()
+    scene, depsgraph = context.scene, context.evaluated_depsgraph_get()
+    known.of_scene(scene).mask_inputs = _inputs_now(depsgraph)
+    placed = visible_splats.splats(depsgraph, scene_cache.read)
+    if placed is None:
+        raise SceneError(tr("there is no visible splat: import one"))
+    obj = visible_splats.camera(depsgraph)
+    view = camera_object.camera_from_object(obj, scene)
+    scale = scene.svrgs_view.mask_size / max(view.width, view.height)
+    camera = placed.seen_by(
+        view.resized(max(1, round(view.width * scale)), max(1, round(view.height * scale)))
+    )
+    library.set_threads(threads(context))
+    if not _rasterizer:
+        _rasterizer.append(Rasterizer())
+    options = RenderOptions(antialiased=placed.scene.antialiased, mask_kind="svr", picture_only=True)
+    mask = _rasterizer[0].forward(placed.scene, camera, options, outputs=("mask",))["mask"]
+    result = {
+        "camera": obj.name,
+        "mean": float(mask.mean()),
+        "largest": float(mask.max(initial=0)),
+        "milliseconds": round(1e3 * (time.perf_counter() - started)),
+    }
+    known.of_scene(scene).mask = mask, result
+    _write(scene)
+    return result
+
+
+def is_stale(context: bpy.types.Context) -> bool:
+    """Whether the camera or a splat has changed since the last mask. Raises SplatError."""
+    return known.of_scene(context.scene).mask_inputs != _inputs_now(context.evaluated_depsgraph_get())
+
+
+def _inputs_now(depsgraph: bpy.types.Depsgraph) -> tuple:
+    """Everything that a mask depends on."""
+    camera = camera_object.camera_from_object(visible_splats.camera(depsgraph), depsgraph.scene)
+    places = [
+        (scene_cache.number(obj), tuple(map(tuple, matrix)))
+        for obj, matrix in visible_splats.placed_splats(depsgraph)
+    ]
+    return camera.key, depsgraph.scene.svrgs_view.mask_size, *places
+
+
+def recolor(settings, context):
+    """After the user has chosen other colours: colours the last mask again."""
+    scene = settings.id_data
+    if known.of_scene(scene).mask is not None:
+        _write(scene)
+    elif figures():  # the image was saved with the file, the mask was not
+        with contextlib.suppress(SplatError, NativeError):  # without camera or splat, the saved picture stays
+            refresh(context)
+
+
+def figures() -> dict:
+    """Of the mask in the image: camera, mean, largest value, milliseconds; {} without an image."""
+    return image_pixels.figures_of(NAME)
+
+
+def _write(scene: bpy.types.Scene):
+    """Writes image, preview and texture. Blender shows a Non-Color image as if its numbers were linear, so
+    colours are stored linear."""
+    settings, drawn = scene.svrgs_view, known.of_scene(scene).mask
+    assert drawn is not None
+    mask, result = drawn
+    top = settings.mask_top or result["largest"]
+    name = settings.mask_colors if settings.mask_colors in color_maps.NAMES else "grey"
+    rgb = color_maps.colored(mask, top, name)
+    pixels = color_maps.pixels(mask, top, settings.mask_colors)
+    image = image_pixels.write_image(NAME, pixels, with_color_bar(rgb, name), True, result)
+    texture = bpy.data.textures.get(NAME) or bpy.data.textures.new(NAME, "IMAGE")
+    texture.image = image
+
+
+class SVRGS_OT_spatial_mask(ReportingOperator):
     bl_idname = "svrgs.spatial_mask"
     bl_label = "Show Spatial Mask"
     bl_description = (
@@ -23,23 +111,15 @@ class SVRGS_OT_spatial_mask(bpy.types.Operator):
     bl_options = {"REGISTER"}
 
     @classmethod
-    def poll(cls, context):
+    def problem(cls, context) -> str:
         if context.scene.camera is not None:
-            return True
-        cls.poll_message_set(tr("There is no camera: add one, or import the cameras of the dataset"))
-        return False
+            return ""
+        return tr("There is no camera: add one, or import the cameras of the dataset")
 
-    def execute(self, context):
-        try:
-            result = mask_image.refresh(context)
-        except (SplatError, NativeError) as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        show_in_editors(context, bpy.data.images[mask_image.NAME])
-        self.report(
-            {"INFO"}, tr("Spatial mask of {camera}: mean {mean:.3g}, largest {largest:.3g}").format(**result)
-        )
-        return {"FINISHED"}
+    def work(self, context) -> str:
+        result = refresh(context)
+        show_in_editors(context, bpy.data.images[NAME])
+        return tr("Spatial mask of {camera}: mean {mean:.3g}, largest {largest:.3g}").format(**result)
 
 
 def show_in_editors(context, image: bpy.types.Image):
@@ -56,14 +136,10 @@ def show_in_editors(context, image: bpy.types.Image):
                 area.tag_redraw()
 
 
-# session_uid of a scene with Follow Camera -> name of the view layer that changed last
-_changed: dict[int, str] = {}
-
-
 @persistent
 def _after_change(scene, depsgraph=None):
-    if scene.svrgs_looking.mask_follow and depsgraph is not None:
-        _changed[scene.session_uid] = depsgraph.view_layer.name
+    if scene.svrgs_view.mask_follow and depsgraph is not None:
+        known.of_scene(scene).changed_layer = depsgraph.view_layer.name
         if bpy.app.timers.is_registered(_follow):
             bpy.app.timers.unregister(_follow)
         if not bpy.app.background:
@@ -71,10 +147,9 @@ def _after_change(scene, depsgraph=None):
 
 
 def _follow():
-    changed = dict(_changed)
-    _changed.clear()
     for scene in bpy.data.scenes:
-        layer = scene.view_layers.get(changed.get(scene.session_uid, ""))
+        layer = scene.view_layers.get(known.of_scene(scene).changed_layer)
+        known.of_scene(scene).changed_layer = ""
         if layer is not None:
             with bpy.context.temp_override(scene=scene, view_layer=layer):
                 _follow_in(bpy.context)
@@ -84,9 +159,9 @@ def _follow_in(context):
     """Draws the mask if it is out of date. After an error the old mask stays, without a message: the user did
     not press a button."""
     try:
-        if not mask_image.is_stale(context):  # writing the image is a change of the scene, too
+        if not is_stale(context):  # writing the image is a change of the scene, too
             return
-        mask_image.refresh(context)
+        refresh(context)
     except (SplatError, NativeError):
         return
     for window in context.window_manager.windows:
@@ -95,32 +170,10 @@ def _follow_in(context):
                 area.tag_redraw()
 
 
-@persistent
-def _after_load(*_):
-    """The image may have been deleted. Its figures are removed, too."""
-    if image_pixels.is_lost(mask_image.NAME):
-        for scene in bpy.data.scenes:
-            scene.svrgs_looking.mask_result = ""
-
-
-HANDLERS = (
-    ("depsgraph_update_post", _after_change),
-    ("frame_change_post", _after_change),
-    ("load_post", _after_load),
-)
-
-
-def register():
-    bpy.utils.register_class(SVRGS_OT_spatial_mask)
-    for event, handler in HANDLERS:
-        getattr(bpy.app.handlers, event).append(handler)
+CLASSES = (SVRGS_OT_spatial_mask,)
+HANDLERS = {"depsgraph_update_post": _after_change, "frame_change_post": _after_change}
+TIMERS = (_follow,)
 
 
 def unregister():
-    for event, handler in HANDLERS:
-        getattr(bpy.app.handlers, event).remove(handler)
-    if bpy.app.timers.is_registered(_follow):
-        bpy.app.timers.unregister(_follow)
-    _changed.clear()
-    mask_image.forget()
-    bpy.utils.unregister_class(SVRGS_OT_spatial_mask)
+    _rasterizer.clear()

@@ -1,5 +1,4 @@
-"""Settings of viewing and comparing: scene.svrgs_looking, saved with the scene. The name is stored in .blend
-files and stays."""
+"""Settings of viewing and comparing: scene.svrgs_view, saved with the scene."""
 
 from __future__ import annotations
 
@@ -11,12 +10,11 @@ from bpy.props import (
     FloatVectorProperty,
     IntProperty,
     PointerProperty,
-    StringProperty,
 )
 
 from ...svrgs_addon.render import color_maps
 from ..data import splat_object
-from . import mask_image, overlay, viewport_wipe
+from . import overlay, spatial_mask, viewport_wipe
 
 VALUES = "values"
 MAPS = [(name, name.title(), "Colours from low to high") for name in color_maps.NAMES] + [
@@ -71,12 +69,12 @@ class SVRGS_PG_view(bpy.types.PropertyGroup):
     layer_of: PointerProperty(type=bpy.types.Scene, options={"HIDDEN"})
 
     mask_colors: EnumProperty(
-        name="Colors", items=MAPS, update=mask_image.recolor, description="Colours of the spatial mask"
+        name="Colors", items=MAPS, update=spatial_mask.recolor, description="Colours of the spatial mask"
     )
     mask_top: FloatProperty(
         name="Brightest",
         min=0,
-        update=mask_image.recolor,
+        update=spatial_mask.recolor,
         description="Value of F with the brightest colour. 0: the largest value of the image",
     )
     mask_size: IntProperty(
@@ -90,7 +88,6 @@ class SVRGS_PG_view(bpy.types.PropertyGroup):
     mask_follow: BoolProperty(
         name="Follow Camera", description="Draw the spatial mask again whenever the camera or a splat changes"
     )
-    mask_result: StringProperty(options={"HIDDEN"})  # JSON: camera, mean, largest, milliseconds
 
     original: PointerProperty(
         name="Original",
@@ -117,7 +114,6 @@ class SVRGS_PG_view(bpy.types.PropertyGroup):
         update=viewport_wipe.moved,
         description="Original on the left, pruned on the right",
     )
-    compare_result: StringProperty(options={"HIDDEN"})  # JSON: camera, original, pruned, between
 
     overlay: BoolProperty(
         name="Draw Splats",
@@ -141,11 +137,12 @@ class SVRGS_PG_view(bpy.types.PropertyGroup):
     )
 
 
+CLASSES = (SVRGS_PG_view,)
+
+
 def register():
-    bpy.utils.register_class(SVRGS_PG_view)
-    bpy.types.Scene.svrgs_looking = PointerProperty(type=SVRGS_PG_view)
+    bpy.types.Scene.svrgs_view = PointerProperty(type=SVRGS_PG_view)
 
 
 def unregister():
-    del bpy.types.Scene.svrgs_looking
-    bpy.utils.unregister_class(SVRGS_PG_view)
+    del bpy.types.Scene.svrgs_view

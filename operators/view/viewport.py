@@ -147,7 +147,7 @@ class Viewport:
         pane = self.panes[side.name]
         assert self.triangles is not None  # see draw()
         placed, camera = pane.place(side), visible_splats.region_camera(context.region, context.region_data)
-        background, transparent = tuple(scene.svrgs_looking.background), scene.render.film_transparent
+        background, transparent = tuple(scene.svrgs_view.background), scene.render.film_transparent
         key = self.version, side.key, camera.key, background, transparent
         pane.live.request(
             key, DrawRequest(placed, self.triangles, camera, background, transparent, working_space())
@@ -176,10 +176,4 @@ def _refresh() -> float | None:
     return REFRESH if any(viewport.busy for viewport in _open) else None
 
 
-def register():
-    pass
-
-
-def unregister():
-    if bpy.app.timers.is_registered(_refresh):
-        bpy.app.timers.unregister(_refresh)
+TIMERS = (_refresh,)

@@ -3,7 +3,7 @@ whole size.
 
 It works wherever the extension draws splats: in Solid and Material Preview viewports (overlay.py), and in
 Rendered viewports of the engine SVR-GS (viewport.py). They ask sides() what to draw. The line is a gizmo,
-which the mouse drags; its place is svrgs_looking.wipe.
+which the mouse drags; its place is svrgs_view.wipe.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from gpu_extras.batch import batch_for_shader
 from mathutils import Matrix
 
 from ...svrgs_addon.scene.gaussians import Scene
-from ...svrgs_addon.system.errors import SplatError
-from ..data.child_work import redraw_panels
-from . import compare, comparison_images, scene_cache
+from ..data.background_work import redraw_panels
+from ..data.reporting import ReportingOperator
+from . import compare, scene_cache
 
 REACH = 8  # pixels from the line in which the mouse takes it
 COLOR, HIGHLIGHT, SHADOW = (1.0, 1.0, 1.0, 0.8), (1.0, 0.6, 0.2, 1.0), (0.0, 0.0, 0.0, 0.6)
@@ -86,7 +86,7 @@ def sides(scene: bpy.types.Scene, found: list[Shown]) -> list[Side]:
     if key not in _pruned:
         _pruned.clear()
         _pruned[key] = compare.shown_scene(pruned)
-    others, wipe = [part for part in found if part.uid not in _pair], scene.svrgs_looking.wipe
+    others, wipe = [part for part in found if part.uid not in _pair], scene.svrgs_view.wipe
     return [
         Side("ORIGINAL", (0.0, wipe), [*others, whole]),
         Side("PRUNED", (wipe, 1.0), [*others, replace(whole, key=("pruned", key), scene=_pruned[key])]),
@@ -102,22 +102,20 @@ def pair(scene: bpy.types.Scene) -> tuple[bpy.types.Object, bpy.types.Object] | 
 def draws_splats(context) -> bool:
     """Whether the extension draws the splats of this viewport."""
     shading = context.space_data.shading.type
-    return (
-        context.scene.render.engine == "SVRGS"
-        if shading == "RENDERED"
-        else shading != "WIREFRAME" and context.scene.svrgs_looking.overlay
-    )
+    if shading == "RENDERED":
+        return context.scene.render.engine == "SVRGS"
+    return shading != "WIREFRAME" and context.scene.svrgs_view.overlay
 
 
 def moved(settings, context):
     """After the line was moved. The images of a comparison follow when the wipe ends: writing them takes
     time."""
     if pair(settings.id_data) is None:
-        comparison_images.redraw(settings, context)
+        compare.redraw(settings, context)
     redraw_panels()
 
 
-class SVRGS_OT_viewport_wipe(bpy.types.Operator):
+class SVRGS_OT_viewport_wipe(ReportingOperator):
     bl_idname = "svrgs.viewport_wipe"
     bl_label = "Wipe in Viewport"
     bl_description = (
@@ -126,17 +124,13 @@ class SVRGS_OT_viewport_wipe(bpy.types.Operator):
     )
     bl_options = {"REGISTER"}
 
-    def execute(self, context):
+    def work(self, context) -> str:
         if pair(context.scene) is not None:
             _pair.clear()
             _pruned.clear()
-            moved(context.scene.svrgs_looking, context)
-            return {"FINISHED"}
-        try:
-            _pair[:] = [obj.session_uid for obj in compare.chosen_pair(context)]
-        except SplatError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+            moved(context.scene.svrgs_view, context)
+            return ""
+        _pair[:] = [obj.session_uid for obj in compare.chosen_pair(context)]
         if context.area is not None and context.area.type == "VIEW_3D" and not draws_splats(context):
             self.report(
                 {"WARNING"},
@@ -146,7 +140,7 @@ class SVRGS_OT_viewport_wipe(bpy.types.Operator):
                 ),
             )
         redraw_panels()
-        return {"FINISHED"}
+        return ""
 
 
 class SVRGS_GT_wipe(bpy.types.Gizmo):
@@ -159,7 +153,7 @@ class SVRGS_GT_wipe(bpy.types.Gizmo):
 
     def draw(self, context):
         region, scale = context.region, context.preferences.system.ui_scale
-        x, middle = round(context.scene.svrgs_looking.wipe * region.width), region.height / 2
+        x, middle = round(context.scene.svrgs_view.wipe * region.width), region.height / 2
         color, half = HIGHLIGHT if self.is_highlight or self.is_modal else COLOR, 6 * scale
         shader = gpu.shader.from_builtin("UNIFORM_COLOR")
         gpu.state.blend_set("ALPHA")
@@ -176,24 +170,24 @@ class SVRGS_GT_wipe(bpy.types.Gizmo):
             blf.draw(0, text)
 
     def test_select(self, context, location):
-        return (
-            0
-            if abs(location[0] - context.scene.svrgs_looking.wipe * context.region.width)
+        if (
+            abs(location[0] - context.scene.svrgs_view.wipe * context.region.width)
             < REACH * context.preferences.system.ui_scale
-            else -1
-        )
+        ):
+            return 0
+        return -1
 
     def invoke(self, context, event):
-        self.before = context.scene.svrgs_looking.wipe
+        self.before = context.scene.svrgs_view.wipe
         return {"RUNNING_MODAL"}
 
     def modal(self, context, event, tweak):
-        context.scene.svrgs_looking.wipe = min(1.0, max(0.0, event.mouse_region_x / context.region.width))
+        context.scene.svrgs_view.wipe = min(1.0, max(0.0, event.mouse_region_x / context.region.width))
         return {"RUNNING_MODAL"}
 
     def exit(self, context, cancel):
         if cancel:
-            context.scene.svrgs_looking.wipe = self.before
+            context.scene.svrgs_view.wipe = self.before
 
 
 class SVRGS_GGT_wipe(bpy.types.GizmoGroup):
@@ -232,16 +226,8 @@ def _after_load(*_):
 
 
 CLASSES = (SVRGS_OT_viewport_wipe, SVRGS_GT_wipe, SVRGS_GGT_wipe)
-
-
-def register():
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-    bpy.app.handlers.load_post.append(_after_load)
+HANDLERS = {"load_post": _after_load}
 
 
 def unregister():
-    bpy.app.handlers.load_post.remove(_after_load)
     _after_load()
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)

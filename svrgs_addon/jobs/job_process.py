@@ -69,14 +69,15 @@ class Job:
     def name(self) -> str:
         """The name of the splat, or of the cameras, when the job was made; the folder's name if job.json
         cannot be read."""
-        return self._request().get("name") or self.folder.path.name
+        return self.request.get("name") or self.folder.path.name
 
     @property
     def kind(self) -> str:
         """PRUNE or TRAIN; '' if job.json cannot be read."""
-        return self._request().get("kind", "")
+        return self.request.get("kind", "")
 
-    def _request(self) -> dict:
+    @property
+    def request(self) -> dict:
         """job.json, read once; {} if it cannot be read."""
         if not self._read_request:
             with contextlib.suppress(FormatError):

@@ -16,7 +16,6 @@ import numpy as np
 from ..render.metrics.explained import sample_views
 from ..scene.camera import Camera
 from ..system import subprocess_python
-from ..system.errors import SceneError
 from ..system.exit_status import answer
 from ..views.dataset import load_dataset
 
@@ -28,11 +27,8 @@ def read_in_child(folder: str, images: str) -> Views:
     default. Raises SceneError."""
     with tempfile.TemporaryDirectory() as temp_dir:
         out = Path(temp_dir) / "views.npz"
-        status, result = subprocess_python.run(
-            [], "svrgs_addon.jobs.photo_sample", {"folder": folder, "images": images, "out": str(out)}
-        )
-        if status or not out.exists():
-            raise SceneError(result.get("error", f"{folder}: reading it failed"))
+        request = {"folder": folder, "images": images, "out": str(out)}
+        subprocess_python.ask([], "svrgs_addon.jobs.photo_sample", request)
         with np.load(out) as data:
             poses = zip(data["viewmats"], data["Ks"], strict=True)
             photos = [data[f"photo{number}"] for number in range(len(data["Ks"]))]

@@ -15,6 +15,7 @@ import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+from .errors import SceneError
 from .packages import MISSING_VARIABLE
 from .processes import ChildProcess
 from .wheels import ROOT, importable, missing
@@ -30,10 +31,10 @@ def run(
     """Runs `python -m MODULE WORDS…` and waits for it. Returns (exit status, JSON object in the last line of
     its stdout).
 
-    request: sent as JSON to its stdin. If there is no JSON, the object is {"error": last line of stderr} for
-    an exit status that is not 0, else {}. capture=False: the child process uses stdout and stderr of this
-    process, and the object is {}. progress: called with the values of each line {"progress": [value, …]} as
-    it comes.
+    request: sent as JSON to its stdin. For an exit status that is not 0, the object has an "error"; without
+    one on stdout, that is the last line of stderr. capture=False: the child process uses stdout and stderr of
+    this process, and the object is {}. progress: called with the values of each line {"progress": [value,
+    …]} as it comes.
     """
     command = [sys.executable, "-m", module, *words]
     asked = json.dumps(request) if request is not None else ""
@@ -60,16 +61,28 @@ def run(
     return child.returncode, _result(child.returncode, last, error_lines)
 
 
+def ask(
+    words: list[str],
+    module: str = "svrgs_addon",
+    request: dict | None = None,
+    progress: Callable[..., None] = lambda *_: None,
+) -> dict:
+    """As run(), where only the object counts. Raises SceneError with its error for a status that is not 0."""
+    status, result = run(words, module, request, progress=progress)
+    if status:
+        raise SceneError(result["error"])
+    return result
+
+
 def _result(status: int, last: str, error_lines: list[str]) -> dict:
-    """The JSON object in the last line; without one the error, {} if the exit status is 0."""
+    found = None
     with contextlib.suppress(ValueError):
-        return json.loads(last)
-    reason = (
-        error_lines[-1].removeprefix("svrgs: ")
-        if error_lines
-        else f"the process ended without a result (exit status {status})"
-    )
-    return {"error": reason} if status else {}
+        found = json.loads(last)
+    result = found if isinstance(found, dict) else {}
+    if status and not result.get("error"):
+        text = f"the process ended without a result (exit status {status})"
+        result["error"] = error_lines[-1].removeprefix("svrgs: ") if error_lines else text
+    return result
 
 
 def environment(packages: Mapping[str, Path] | None = None) -> dict[str, str]:

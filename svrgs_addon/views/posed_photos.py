@@ -19,7 +19,7 @@ import numpy as np
 
 from ..scene.camera import Camera
 from ..system import subprocess_python
-from ..system.errors import FormatError, SceneError, SplatError
+from ..system.errors import FormatError, SplatError
 from ..system.exit_status import answer
 
 Progress = Callable[[int, int], None]  # (photographs done, photographs to undistort)
@@ -55,11 +55,9 @@ def read_in_child(
     with tempfile.TemporaryDirectory() as temp_dir:
         out = Path(temp_dir) / "photos.npz"
         request = {"folder": str(folder), "images": images, "undistorted": str(undistorted or "")}
-        status, result = subprocess_python.run(
+        subprocess_python.ask(
             [], "svrgs_addon.views.posed_photos", request | {"out": str(out)}, progress=progress
         )
-        if status or not out.exists():
-            raise SceneError(result.get("error", f"{folder}: reading it failed"))
         return _unpack(out)
 
 

@@ -142,7 +142,7 @@ def stage():
     render.dither_intensity = 1.0  # as Blender has it
     render.use_border = render.use_crop_to_border = render.film_transparent = False
     render.border_min_x, render.border_max_x, render.border_min_y, render.border_max_y = 0.23, 0.71, 0.1, 0.55
-    looking = scene.svrgs_looking
+    looking = scene.svrgs_view
     looking.background, looking.original, looking.pruned, looking.compare_camera = (0, 0, 0), None, None, None
     return scene
 

@@ -6,15 +6,14 @@ import bpy
 import numpy as np
 import pytest
 from extension import DATA, part
-from job_helpers import drawn, follow
+from job_helpers import drawn
 from mathutils import Euler, Matrix
 
 
 @pytest.fixture
 def match():
-    module = part("operators.scene.camera_match")
-    yield module
-    module._after_load()
+    yield part("operators.scene.camera_match")
+    part("operators.data.known").objects.clear()
 
 
 def other_splat(make_scene, bridge):
@@ -91,14 +90,13 @@ def test_cameras_of_another_dataset_get_a_root_of_their_own(splat, bridge):
     assert sorted(sum(child.type == "CAMERA" for child in empty.children) for empty in roots) == [5, 12]
 
 
-def test_the_check_runs_beside_blender(splat, match):
+def test_the_check_runs_beside_blender(splat, match, monkeypatch):
     """As with a window: a timer starts a thread."""
+    work, known = part("operators.data.background_work"), part("operators.data.known").of(splat)
+    monkeypatch.setattr(work, "waits", False)
+    monkeypatch.setattr(match, "_mismatch", lambda *_: "of another capture")
     bpy.context.scene.svrgs_prune.colmap = str(DATA / "tiny")
-    match._wanted[:] = [match._key(bpy.context)]
-
-    class Timer:
-        jobs: dict = {}
-        tick = staticmethod(match._work)
-
-    follow(Timer, lambda: match._found)
-    assert list(match._found.values()) == [""]
+    assert match.sentence(bpy.context) == "" and not known.cameras_checked[0]
+    while work.tick() is not None:
+        assert match.sentence(bpy.context) in ("", "of another capture")
+    assert match.sentence(bpy.context) == "of another capture"

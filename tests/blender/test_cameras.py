@@ -247,37 +247,29 @@ def test_photographs_of_a_distorting_lens_are_shown_as_their_pinholes_see_them(t
         ) == tuple(obj.data["svrgs_size"])
 
 
-def follow(undistort, seconds: float = 60):
+def follow(work, seconds: float = 60):
     """Calls the timer's function, as Blender would, until it wants no more."""
     end = time.monotonic() + seconds
-    while undistort._child_work.tick() is not None:
+    while work.tick() is not None:
         assert time.monotonic() < end
         time.sleep(0.02)
 
 
 def test_cameras_are_there_before_their_photographs_are_undistorted(tmp_path, monkeypatch, capfd):
     """In a window. One camera is deleted meanwhile."""
-    undistort = part("operators.io.undistort")
-    monkeypatch.setattr(undistort._child_work, "waits", False)
+    work, undistort = part("operators.data.background_work"), part("operators.io.undistort")
+    monkeypatch.setattr(work, "waits", False)
     bpy.ops.svrgs.import_colmap(directory=str(DATA / "distorted"), undistorted=str(tmp_path))
     said = capfd.readouterr().out
-    try:
-        assert len(cameras()) == 2 and not any(obj.data.background_images for obj in cameras())
-        assert (
-            "Imported 2 cameras and 0 photographs; 2 photographs are being undistorted first; 120 sparse"
-            " points, hidden" in said
-        )
-        assert "; the scene's camera is now '00.png', 60 x 44" in said
-        assert part("operators.io.undistort").status() in [
-            f"Undistorting photographs: {done} of 2" for done in range(3)
-        ]
-        (thread,) = undistort._child_work._threads
-        thread.join()
-        assert part("operators.io.undistort").status() == "Undistorting photographs: 2 of 2"
-        bpy.data.objects.remove(cameras()[0])
-        follow(undistort)
-    finally:
-        undistort.forget()
+    assert len(cameras()) == 2 and not any(obj.data.background_images for obj in cameras())
+    assert (
+        "Imported 2 cameras and 0 photographs; 2 photographs are being undistorted first; 120 sparse"
+        " points, hidden" in said
+    )
+    assert "; the scene's camera is now '00.png', 60 x 44" in said
+    assert undistort.status() in [f"Undistorting photographs: {done} of 2" for done in range(3)]
+    bpy.data.objects.remove(cameras()[0])
+    follow(work)
     (left,) = cameras()
     assert (
         Path(bpy.path.abspath(left.data.background_images[0].image.filepath)).resolve().parent == tmp_path

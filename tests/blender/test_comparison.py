@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import math
 
 import bpy
 import numpy as np
 import pytest
-from extension import DATA
+from extension import DATA, part
 from view_helpers import LEVEL, mark_removed, pixels
 
 pytestmark = pytest.mark.usefixtures("stage")
@@ -24,7 +23,7 @@ def test_compare_draws_both_and_measures_against_the_photograph(tmp_path, stage,
         bpy.ops.svrgs.compare()
     mark_removed(splat, np.arange(scene.count) % 3 == 0)
     bpy.ops.svrgs.compare()
-    result = json.loads(stage.svrgs_looking.compare_result)
+    result = part("operators.view.compare").figures()
     assert result["original"]["count"] == scene.count and result["pruned"]["count"] == scene.count - len(
         range(0, scene.count, 3)
     )
@@ -50,7 +49,7 @@ def test_the_wipe_moves(stage, bridge, room, camera):
     bpy.ops.svrgs.compare()
     original, pruned = (pixels(bpy.data.images[f"SVR-GS {name}"]) for name in ("Original", "Pruned"))
     for share in (0.0, 0.3, 1.0):
-        stage.svrgs_looking.wipe = share
+        stage.svrgs_view.wipe = share
         wipe, edge = pixels(bpy.data.images["SVR-GS Wipe"]), round(share * 101)
         np.testing.assert_array_equal(wipe[:, :edge], original[:, :edge])
         np.testing.assert_array_equal(wipe[:, edge:], pruned[:, edge:])
@@ -61,7 +60,7 @@ def test_a_contact_sheet_of_all_cameras(stage):
     splat = bpy.context.object
     bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
     bpy.context.view_layer.objects.active = splat
-    stage.svrgs_looking.pruned = splat
+    stage.svrgs_view.pruned = splat
     bpy.ops.svrgs.contact_sheet()
     width, height = bpy.data.images["SVR-GS Contact Sheet"].size
     assert width == 2 * (3 * 64 + 2 * 4) + 12 and height == 6 * 48 + 5 * 4

@@ -196,10 +196,10 @@ def test_edges_of_meshes_have_no_fringe(tmp_path, cycles, gaussians, room, camer
 def test_a_film_that_was_opaque_has_the_background_behind_all(tmp_path, cycles, bridge, gaussians, camera):
     few = gaussians.select(np.arange(0, gaussians.count, 20))
     half = bridge.object_from_scene("half", few, cycles.collection)
-    cycles.render.film_transparent, cycles.svrgs_looking.background = False, (0.2, 0.4, 0.6)
+    cycles.render.film_transparent, cycles.svrgs_view.background = False, (0.2, 0.4, 0.6)
     bpy.ops.svrgs.set_up_compositing()
     assert cycles.render.film_transparent
-    background = tuple(cycles.svrgs_looking.background)
+    background = tuple(cycles.svrgs_view.background)
     expected = rgba(raw(few, camera, half.matrix_world))
     np.testing.assert_allclose(
         rendered(tmp_path / "f12.png"),

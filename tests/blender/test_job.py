@@ -27,7 +27,7 @@ def test_a_job_run_to_its_end_marks_the_original_and_adds_the_recovered(pruned, 
         bridge.scene_from_object(original).means.tobytes()
         == ply.read_ply(DATA / "tiny/scene.ply").means.tobytes()
     )
-    assert bpy.context.object == result and watch.tick() is None
+    assert bpy.context.object == result and not watch.tick()
     assert result.svrgs_share == pytest.approx(50)
 
 
@@ -155,14 +155,12 @@ def test_probability_of_existence_is_an_attribute_where_masks_were_learned(prune
 
 
 def test_compare_takes_what_apply_would_keep(pruned, results):
-    import json
-
     bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
     bpy.context.view_layer.objects.active = pruned[1]
     for share, count in ((50, 125), (20, 50), (80, 200)):
         pruned[1].svrgs_share = share
         bpy.ops.svrgs.compare()
-        rows = json.loads(bpy.context.scene.svrgs_looking.compare_result)
+        rows = part("operators.view.compare").figures()
         assert (rows["original"]["count"], rows["pruned"]["count"]) == (COUNT, count)
 
 
@@ -170,7 +168,9 @@ def test_stopped_and_resumed(splat, watch):
     set_up(LONG)
     bpy.ops.svrgs.job_start()
     (job,) = watch.jobs.values()
-    assert not bpy.ops.svrgs.job_start.poll() and not bpy.ops.svrgs.job_resume.poll()
+    assert not bpy.ops.svrgs.job_start.poll() and "job_resume" not in drawn("prune")
+    with pytest.raises(RuntimeError, match="'scene' does not wait to be resumed"):
+        bpy.ops.svrgs.job_resume()
     follow(watch, lambda: job.facts.get("iteration", 0) > 200)
     bpy.ops.svrgs.job_stop()
     assert "Stop Now does not wait for it. Resume starts it from the beginning" in drawn(
@@ -184,7 +184,8 @@ def test_stopped_and_resumed(splat, watch):
     bpy.ops.svrgs.job_resume()
     follow(watch, lambda: job.facts.get("iteration", 0) > 0)
     assert job.facts["iteration"] > saved, "it goes on where it was stopped"
-    assert not bpy.ops.svrgs.job_discard.poll()
+    with pytest.raises(RuntimeError, match="'scene' runs or waits: stop it first"):
+        bpy.ops.svrgs.job_discard()
     bpy.ops.svrgs.job_stop(now=True)
     follow(watch, lambda: not job.running)
     assert job.state == "stopped" and job.folder.checkpoint() == saved
@@ -390,7 +391,7 @@ def test_the_panel_draws_in_any_state(tmp_path, watch, monkeypatch):
     )
     job._process.kill()
     follow(watch, lambda: not job.running)
-    assert "An interrupted job was found" in drawn("prune") and "svrgs.job_discard" in drawn("prune")
+    assert "Interrupted at" in drawn("prune") and "svrgs.job_discard" in drawn("prune")
     bpy.ops.svrgs.job_discard()
     set_up(SHORT)
     bpy.ops.svrgs.job_start()
@@ -422,7 +423,6 @@ def test_the_panel_draws_in_any_state(tmp_path, watch, monkeypatch):
     ],
 )
 def test_every_panel_draws_without_anything_in_the_scene(panel, said):
-    bpy.context.scene.svrgs_looking.compare_result = bpy.context.scene.svrgs_looking.mask_result = ""
     assert said in drawn(panel)
     bpy.ops.object.camera_add()
     assert said in drawn(panel)

@@ -16,14 +16,13 @@ from job_helpers import COUNT, LONG, SHORT, delete, drawn, ended, follow, set_up
 def listed(watch):
     """The rows of the list by the name of the splat, read anew."""
     module = part("operators.jobs.job_list")
-    module._read.clear()
 
-    def rows() -> dict[str, dict]:
+    def rows() -> dict:
         module.forget()
-        return {row["name"]: row for row in part("operators.jobs.job_list").rows(bpy.context)}
+        return {row.name: row for row in part("operators.jobs.job_list").rows(bpy.context)}
 
     yield rows
-    for parent in module.job_folders(bpy.context):
+    for parent in part("operators.data.job_paths").job_folders(bpy.context):
         for file in Path(parent).glob("*/job.json"):
             part("svrgs_addon.jobs.job_folder").JobFolder(file.parent).discard()
 
@@ -53,6 +52,10 @@ def import_again() -> bpy.types.Object:
     return bpy.context.object
 
 
+def folder_of(row) -> str:
+    return str(row.job.folder.path)
+
+
 # --- the queue
 
 
@@ -64,29 +67,26 @@ def test_a_second_job_waits_and_starts_when_the_first_has_ended(two, watch, resu
         and "Waiting for 'scene': one job runs at a time" in drawn("prune")
         and "svrgs.job_stop" in drawn("prune")
     )
-    assert listed()["other"]["state"] == "Waiting for 'scene'" and listed()["scene"]["state"].startswith(
-        "Running"
-    )
+    assert listed()["other"].state == "Waiting for 'scene'" and listed()["scene"].state.startswith("Running")
     with pytest.raises(RuntimeError, match="Waiting for 'scene'"):
         bpy.ops.svrgs.job_start()
     follow(watch, lambda: second.running)
     assert first.state == "done"
     follow(watch, lambda: ended(second))
-    assert results.pruned_of(splat) and results.pruned_of(other) and watch.tick() is None
+    assert results.pruned_of(splat) and results.pruned_of(other) and not watch.tick()
 
 
 def test_a_job_that_waits_can_be_taken_out_of_the_queue_and_put_back(two, watch):
     (_, first), (_, second) = two
     bpy.ops.svrgs.job_stop()
-    assert (
-        "Not started yet Resume starts it from the beginning" in drawn("prune")
-        and bpy.ops.svrgs.job_resume.poll()
+    assert "Not started yet Resume starts it from the beginning" in drawn("prune") and "job_resume" in drawn(
+        "prune"
     )
     bpy.ops.svrgs.job_resume()
     assert "Waiting for 'scene'" in drawn("prune")
     bpy.ops.svrgs.job_stop()
     follow(watch, lambda: not first.running)
-    assert watch.tick() is None and second.state == "queued" and not second.running
+    assert not watch.tick() and second.state == "queued" and not second.running
     bpy.ops.svrgs.job_resume()
     assert second.running
 
@@ -94,9 +94,9 @@ def test_a_job_that_waits_can_be_taken_out_of_the_queue_and_put_back(two, watch)
 def test_the_queue_goes_on_with_another_file_open(two, watch, listed):
     (_, first), (_, second) = two
     new_file()
-    assert {row["size"].partition(", ")[2] for row in listed().values()} == {"its splat is not in this file"}
+    assert {row.size.partition(", ")[2] for row in listed().values()} == {"its splat is not in this file"}
     follow(watch, lambda: ended(second))
-    assert first.state == "done" and {row["state"] for row in listed().values()} == {"Finished"}
+    assert first.state == "done" and {row.state for row in listed().values()} == {"Finished"}
 
 
 def test_undo_changes_nothing_in_the_queue(splat, watch, results):
@@ -134,26 +134,26 @@ def test_a_job_whose_splat_was_deleted_is_listed_stopped_continued_and_opened(sp
     new_file()
     row = listed()["scene"]
     assert (
-        row["buttons"] == ["stop"]
-        and row["state"].startswith("Running at")
-        and row["size"].endswith("its splat is not in this file")
+        row.actions == ("stop",)
+        and row.state.startswith("Running at")
+        and row.size.endswith("its splat is not in this file")
     )
-    assert "svrgs.listed_job_stop" in drawn("jobs")
-    bpy.ops.svrgs.listed_job_stop(folder=row["folder"])
+    assert "svrgs.job_stop" in drawn("jobs")
+    bpy.ops.svrgs.job_stop(folder=folder_of(row))
     follow(watch, lambda: not job.running)
-    assert listed()["scene"]["buttons"] == ["resume", "delete"] and listed()["scene"]["state"].startswith(
+    assert listed()["scene"].actions == ("resume", "discard") and listed()["scene"].state.startswith(
         "Stopped at"
     )
     with pytest.raises(RuntimeError, match="has no result yet"):
-        bpy.ops.svrgs.listed_job_open(folder=row["folder"])
-    bpy.ops.svrgs.listed_job_resume(folder=row["folder"])
+        bpy.ops.svrgs.job_load(folder=folder_of(row))
+    bpy.ops.svrgs.job_resume(folder=folder_of(row))
     (job,) = watch.jobs.values()
     follow(watch, lambda: ended(job))
-    assert not bpy.data.objects and listed()["scene"]["buttons"] == ["open", "delete"]
-    bpy.ops.svrgs.listed_job_open(folder=row["folder"])
+    assert not bpy.data.objects and listed()["scene"].actions == ("load", "discard")
+    bpy.ops.svrgs.job_load(folder=folder_of(row))
     assert bpy.context.object.name == "scene pruned" and bridge.count(bpy.context.object) == 125
-    bpy.ops.svrgs.listed_job_delete(folder=row["folder"])
-    assert not Path(row["folder"]).exists() and not listed() and "There are no jobs" in drawn("jobs")
+    bpy.ops.svrgs.job_discard(folder=folder_of(row))
+    assert not Path(folder_of(row)).exists() and not listed() and "There are no jobs" in drawn("jobs")
 
 
 def test_jobs_of_earlier_sessions_are_found_in_the_folders(splat, watch, listed, tmp_path):
@@ -170,8 +170,8 @@ def test_jobs_of_earlier_sessions_are_found_in_the_folders(splat, watch, listed,
     bpy.ops.svrgs.job_start()
     follow(watch, lambda: all(map(ended, watch.jobs.values())))
     assert set(listed()) == {"scene", "beside"}
-    assert Path(listed()["beside"]["folder"]).parent == tmp_path / "svrgs_jobs"
-    assert part("svrgs_addon.system.memory").size_text(first.folder.size()) in listed()["scene"]["size"]
+    assert Path(folder_of(listed()["beside"])).parent == tmp_path / "svrgs_jobs"
+    assert part("svrgs_addon.system.memory").size_text(first.folder.size()) in listed()["scene"].size
 
 
 def test_a_result_is_opened_beside_its_splat_where_that_is(splat, watch, listed, results):
@@ -180,15 +180,15 @@ def test_a_result_is_opened_beside_its_splat_where_that_is(splat, watch, listed,
     (job,) = watch.jobs.values()
     bpy.ops.object.mode_set(mode="EDIT")
     follow(watch, lambda: not job.running)
-    folder = listed()["scene"]["folder"]
+    folder = folder_of(listed()["scene"])
     with pytest.raises(RuntimeError, match="Leave Edit Mode first"):
-        bpy.ops.svrgs.listed_job_open(folder=folder)
+        bpy.ops.svrgs.job_load(folder=folder)
     bpy.ops.object.mode_set(mode="OBJECT")
-    bpy.ops.svrgs.listed_job_open(folder=folder)
+    bpy.ops.svrgs.job_load(folder=folder)
     assert results.pruned_of(splat) == bpy.context.object
-    assert listed()["scene"]["state"] == "Finished, its result is in this file" and listed()["scene"][
-        "buttons"
-    ] == ["delete"]
+    assert listed()["scene"].state == "Finished, its result is in this file" and listed()[
+        "scene"
+    ].actions == ("discard",)
 
 
 def test_a_job_that_runs_is_not_deleted(splat, watch, listed):
@@ -196,7 +196,7 @@ def test_a_job_that_runs_is_not_deleted(splat, watch, listed):
     bpy.ops.svrgs.job_start()
     (job,) = watch.jobs.values()
     with pytest.raises(RuntimeError, match="'scene' runs or waits: stop it first"):
-        bpy.ops.svrgs.listed_job_delete(folder=str(job.folder.path))
+        bpy.ops.svrgs.job_discard(folder=str(job.folder.path))
     assert job.running and job.folder.path.exists()
 
 
@@ -208,11 +208,11 @@ def test_a_folder_with_a_broken_job_is_listed_and_can_be_deleted(splat, watch, l
     (parent / "not a job").mkdir()
     assert set(listed()) == {"broken", "none"} and drawn("jobs")
     with pytest.raises(RuntimeError, match="is no job of this version"):
-        bpy.ops.svrgs.listed_job_resume(folder=str(parent / "broken"))
-    bpy.ops.svrgs.listed_job_delete(folder=str(parent / "broken"))
+        bpy.ops.svrgs.job_resume(folder=str(parent / "broken"))
+    bpy.ops.svrgs.job_discard(folder=str(parent / "broken"))
     assert set(listed()) == {"none"} and (parent / "not a job").exists()
     with pytest.raises(RuntimeError, match="holds no job any more"):
-        bpy.ops.svrgs.listed_job_delete(folder=str(parent / "broken"))
+        bpy.ops.svrgs.job_discard(folder=str(parent / "broken"))
 
 
 def test_finished_jobs_are_deleted_together_but_not_what_is_still_to_be_loaded(two, watch, listed, results):
@@ -309,7 +309,7 @@ def test_the_files_of_an_applied_job_go_when_the_file_is_saved(pruned, watch, li
     names = original.name, result.name
     bpy.ops.svrgs.apply()
     assert job.folder.path.exists(), "a crash now would lose the result"
-    assert listed()["scene"]["state"] == "Finished: its files are deleted when the file is saved"
+    assert listed()["scene"].state == "Finished: its files are deleted when the file is saved"
     assert not part("operators.jobs.job_list").finished_text(bpy.context)
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "copy.blend"), copy=True)
     assert job.folder.path.exists(), "the result is not in this file yet"
@@ -317,7 +317,7 @@ def test_the_files_of_an_applied_job_go_when_the_file_is_saved(pruned, watch, li
     assert not job.folder.path.exists() and not listed()
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "work.blend"))
     original, result = (bpy.data.objects[name] for name in names)
-    assert bridge.count(result) == 125 and bridge.count(original) == COUNT and watch.FOLDER not in original
+    assert bridge.count(result) == 125 and bridge.count(original) == COUNT and "svrgs_job" not in original
 
 
 @pytest.mark.parametrize("saved", [False, True])

@@ -78,7 +78,7 @@ def test_every_operator_and_panel_explains_itself():
 
 def test_every_setting_explains_itself():
     files = (bpy.ops.svrgs.import_ply, bpy.ops.svrgs.import_colmap, bpy.ops.svrgs.export_ply)
-    settings = (bpy.context.scene.svrgs_looking.bl_rna, bpy.context.scene.svrgs_prune.bl_rna)
+    settings = (bpy.context.scene.svrgs_view.bl_rna, bpy.context.scene.svrgs_prune.bl_rna)
     for rna in (*settings, *(operator.get_rna_type() for operator in files)):
         for prop in rna.properties:
             if prop.identifier not in ("rna_type", "name") and not prop.is_hidden:

@@ -226,7 +226,7 @@ def test_meshes_of_instances_and_curves_are_there(tmp_path, alone, stage, camera
 @pytest.mark.parametrize("of", ["object", "collection"])
 def test_a_holdout_cuts_a_hole(tmp_path, stage, gaussians, room, camera, of, transparent):
     stage.render.film_transparent = transparent
-    stage.svrgs_looking.background = (0, 0, 0) if transparent else (0.2, 0.3, 0.4)
+    stage.svrgs_view.background = (0, 0, 0) if transparent else (0.2, 0.3, 0.4)
     obj = wall(camera, 1.5)
     if of == "object":
         obj.is_holdout = True

@@ -261,13 +261,8 @@ def test_threads_are_taken_from_the_preferences(capfd):
 
 def test_figures_that_cannot_be_compared_are_left_out(capfd, monkeypatch, tmp_path):
     child = part("svrgs_addon.system.subprocess_python")
-    run = child.run
-
-    def identical(words):
-        status, result = run(words)
-        return status, result | {"psnr": None}
-
-    monkeypatch.setattr(child, "run", identical)
+    ask = child.ask
+    monkeypatch.setattr(child, "ask", lambda words: ask(words) | {"psnr": None})
     bpy.ops.svrgs.prune(
         scene=str(DATA / "tiny/scene.ply"), colmap=str(DATA / "tiny"), out=str(tmp_path / "out.ply"), **SHORT
     )

@@ -40,7 +40,7 @@ def test_f12_is_the_rasterizers_picture(tmp_path, stage, gaussians, room, camera
     elif change == "portrait":
         stage.render.resolution_x, stage.render.resolution_y = 61, 101
     elif change == "background":
-        background = stage.svrgs_looking.background = (0.25, 0.5, 0.75)
+        background = stage.svrgs_view.background = (0.25, 0.5, 0.75)
     elif change == "orthographic":
         stage.render.pixel_aspect_x, camera.data.type, camera.data.ortho_scale = 1.3, "ORTHO", 4.0
         room.matrix_world = room.matrix_world @ Matrix.Scale(0.7, 4)

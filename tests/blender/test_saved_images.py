@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bpy
 import numpy as np
+from extension import part
 from view_helpers import mark_removed, pixels
 
 NAMES = [f"SVR-GS {name}" for name in ("Spatial Mask", "Original", "Pruned", "Difference", "Wipe")]
@@ -19,14 +20,14 @@ def test_images_are_the_same_after_save_and_reload(tmp_path, room, camera, stage
     bpy.ops.svrgs.spatial_mask()
     bpy.ops.svrgs.compare()
     before = {name: pixels(bpy.data.images[name]) for name in NAMES}
-    figures = stage.svrgs_looking.mask_result, stage.svrgs_looking.compare_result
+    modules = [part(f"operators.view.{name}") for name in ("spatial_mask", "compare")]
+    figures = [module.figures() for module in modules]
     for _ in range(2):
         reload(tmp_path)
         for name, expected in before.items():
             assert expected[..., :3].max() > 0.1
             np.testing.assert_array_equal(pixels(bpy.data.images[name]), expected)
-        settings = bpy.context.scene.svrgs_looking
-        assert (settings.mask_result, settings.compare_result) == figures
+        assert all(figures) and [module.figures() for module in modules] == figures
 
 
 def test_images_of_a_reopened_file_are_drawn_again_in_place(tmp_path, room, camera, stage, bridge):
@@ -35,7 +36,7 @@ def test_images_of_a_reopened_file_are_drawn_again_in_place(tmp_path, room, came
     bpy.ops.svrgs.compare()
     reload(tmp_path)
     mask, wipe = (pixels(bpy.data.images[f"SVR-GS {name}"]) for name in ("Spatial Mask", "Wipe"))
-    settings = bpy.context.scene.svrgs_looking
+    settings = bpy.context.scene.svrgs_view
     settings.mask_colors = "grey" if settings.mask_colors != "grey" else "values"
     settings.wipe = 1.0
     assert (pixels(bpy.data.images["SVR-GS Spatial Mask"]) != mask).any() and (

@@ -128,7 +128,7 @@ def test_blenders_edit_mode_has_the_same_selection(splat, bridge):
 
 
 def test_the_panel_counts_and_the_viewport_shows_it(splat):
-    looking = bpy.context.scene.svrgs_looking
+    looking = bpy.context.scene.svrgs_view
     assert "svrgs.select_gaussians" in drawn("select") and "svrgs.delete_gaussians" not in drawn("select")
     bpy.ops.svrgs.select_gaussians(criterion="OPACITY", opacity_low=0, opacity_high=0.5)
     count = int(selected(splat).sum())

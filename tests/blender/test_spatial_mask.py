@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 
 import bpy
@@ -15,7 +14,7 @@ pytestmark = pytest.mark.usefixtures("stage")
 
 
 def test_the_spatial_mask_is_an_image_and_a_texture(stage, gaussians, room, camera):
-    looking = stage.svrgs_looking
+    looking = stage.svrgs_view
     looking.mask_size, looking.mask_colors, looking.mask_top = 101, "values", 0
     bpy.ops.svrgs.spatial_mask()
     image = bpy.data.images["SVR-GS Spatial Mask"]
@@ -23,12 +22,12 @@ def test_the_spatial_mask_is_an_image_and_a_texture(stage, gaussians, room, came
     assert bpy.data.textures["SVR-GS Spatial Mask"].image == image
     expected = drawn(gaussians, camera, room.matrix_world, ("mask",), mask_kind="svr")["mask"]
     np.testing.assert_allclose(pixels(image)[..., 0], expected, atol=1e-3, rtol=1e-3)
-    result = json.loads(looking.mask_result)
+    result = part("operators.view.spatial_mask").figures()
     assert result["camera"] == "camera" and math.isclose(result["largest"], expected.max(), rel_tol=1e-3)
 
 
 def test_colours_of_the_mask_change_without_another_drawing(stage, room, camera):
-    looking = stage.svrgs_looking
+    looking = stage.svrgs_view
     looking.mask_colors = "inferno"
     bpy.ops.svrgs.spatial_mask()
     image = bpy.data.images["SVR-GS Spatial Mask"]
@@ -42,16 +41,17 @@ def test_colours_of_the_mask_change_without_another_drawing(stage, room, camera)
 
 def test_the_mask_follows_edits(stage, gaussians, room, camera):
     bpy.ops.svrgs.spatial_mask()
-    before = json.loads(stage.svrgs_looking.mask_result)["mean"]
+    figures = part("operators.view.spatial_mask").figures
+    before = figures()["mean"]
     mark_removed(room, np.arange(gaussians.count) % 2)
     bpy.ops.svrgs.spatial_mask()
-    assert json.loads(stage.svrgs_looking.mask_result)["mean"] < before
+    assert figures()["mean"] < before
 
 
 def test_the_mask_is_drawn_anew_only_when_something_has_moved(stage, room, camera):
-    mask_image = part("operators.view.mask_image")
+    spatial_mask = part("operators.view.spatial_mask")
     bpy.ops.svrgs.spatial_mask()
-    assert not mask_image.is_stale(bpy.context)
+    assert not spatial_mask.is_stale(bpy.context)
     for move in (
         lambda: setattr(camera, "location", (0, -5, 1)),
         lambda: setattr(room, "scale", (2, 2, 2)),
@@ -59,20 +59,20 @@ def test_the_mask_is_drawn_anew_only_when_something_has_moved(stage, room, camer
     ):
         move()
         bpy.context.view_layer.update()
-        assert mask_image.is_stale(bpy.context)
+        assert spatial_mask.is_stale(bpy.context)
         if not room.hide_viewport:
             bpy.ops.svrgs.spatial_mask()
-            assert not mask_image.is_stale(bpy.context)
+            assert not spatial_mask.is_stale(bpy.context)
 
 
 def test_the_mask_is_drawn_anew_where_an_address_in_memory_is_used_again(
     gaussians, room, camera, monkeypatch
 ):
-    mask_image = part("operators.view.mask_image")
-    monkeypatch.setattr(mask_image, "id", lambda _: 0, raising=False)
+    spatial_mask = part("operators.view.spatial_mask")
+    monkeypatch.setattr(spatial_mask, "id", lambda _: 0, raising=False)
     bpy.ops.svrgs.spatial_mask()
     mark_removed(room, np.arange(gaussians.count) % 2)
-    assert mask_image.is_stale(bpy.context)
+    assert spatial_mask.is_stale(bpy.context)
 
 
 def test_the_mask_follows_in_the_scene_that_changed(stage, gaussians, room, camera):
@@ -80,8 +80,7 @@ def test_the_mask_follows_in_the_scene_that_changed(stage, gaussians, room, came
     follower = part("operators.view.spatial_mask")
     other = bpy.data.scenes.new("other")
     try:
-        stage.svrgs_looking.mask_follow, other.svrgs_looking.mask_follow = False, True
-        stage.svrgs_looking.mask_result = ""
+        stage.svrgs_view.mask_follow, other.svrgs_view.mask_follow = False, True
         other.camera = bpy.data.objects.new("of the other", camera.data)
         for obj in (other.camera, room):
             other.collection.objects.link(obj)
@@ -89,11 +88,10 @@ def test_the_mask_follows_in_the_scene_that_changed(stage, gaussians, room, came
             # as Blender does for a scene in a window
             follower._after_change(other, bpy.context.evaluated_depsgraph_get())
         follower._follow()
-        assert not stage.svrgs_looking.mask_result
-        assert json.loads(other.svrgs_looking.mask_result)["camera"] == "of the other"
+        assert part("operators.view.spatial_mask").figures()["camera"] == "of the other"
     finally:
         bpy.data.scenes.remove(other)
-        stage.svrgs_looking.mask_follow = False
+        stage.svrgs_view.mask_follow = False
 
 
 def test_contribution_is_the_score(stage, gaussians, room, camera):

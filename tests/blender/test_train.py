@@ -112,7 +112,7 @@ def test_a_job_whose_cameras_are_gone_is_opened_as_a_splat(root, watch, bridge):
     bpy.context.scene.svrgs_prune.folder = folder
     assert "its cameras are not in this file" in drawn("jobs")
     follow(watch, lambda: not job.running)
-    bpy.ops.svrgs.listed_job_open(folder=str(job.folder.path))
+    bpy.ops.svrgs.job_load(folder=str(job.folder.path))
     assert (
         bpy.context.object.name == f"{job.name} splat"
         and bridge.count(bpy.context.object) == job.folder.result()["count"]

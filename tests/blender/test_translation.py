@@ -175,7 +175,7 @@ def test_untranslated_words_are_found():
 
 def test_panels_and_reports_show_translated_texts(drawn, splat, room, camera, capfd):
     bpy.ops.svrgs.spatial_mask()
-    bpy.context.scene.svrgs_looking.pruned = room
+    bpy.context.scene.svrgs_view.pruned = room
     bpy.ops.svrgs.compare()
     bpy.context.view_layer.objects.active = splat
     bpy.context.scene.render.engine, bpy.context.scene.view_settings.view_transform = (
@@ -231,7 +231,7 @@ def test_jobs_are_translated_from_the_estimate_to_the_result(drawn, splat, watch
 def test_lines_of_chinese_fit_and_do_not_begin_with_a_mark():
     shown: list[str] = []
     sentence = "请选择泼溅照片的数据集，或在第 1 步导入其摄像机。" * 6
-    wrapped_label = part("panels.wrapped_label")
+    wrapped_label = part("panels.sidebar")
     wrapped_label.wrapped_label(Layout(set(), shown), sentence)
     widths = [sum(1 + (character > "\u2fff") for character in line) for line in shown]
     assert len(shown) > 5 and max(widths) <= wrapped_label.SIDEBAR_WIDTH / wrapped_label.CHARACTER_WIDTH

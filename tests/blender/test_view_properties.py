@@ -7,25 +7,26 @@ import typing
 import bpy
 import numpy as np
 import pytest
+from extension import part
 from view_helpers import mark_removed, pixels
 
 pytestmark = pytest.mark.usefixtures("stage")
 
 
 def test_only_splats_are_offered_for_comparing(stage, room, camera):
-    kinds = typing.get_type_hints(type(stage.svrgs_looking))  # as Blender reads them
+    kinds = typing.get_type_hints(type(stage.svrgs_view))  # as Blender reads them
     for name in ("original", "pruned"):
         offered = kinds[name].keywords["poll"]
-        assert offered(stage.svrgs_looking, room) and not offered(stage.svrgs_looking, camera)
+        assert offered(stage.svrgs_view, room) and not offered(stage.svrgs_view, camera)
 
 
 def test_settings_and_images_survive_a_file(tmp_path, stage, room, camera):
-    stage.svrgs_looking.wipe = 0.25
+    stage.svrgs_view.wipe = 0.25
     bpy.ops.svrgs.spatial_mask()
     bpy.data.images["SVR-GS Spatial Mask"].pack()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "file.blend"))
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "file.blend"))
-    assert bpy.context.scene.svrgs_looking.wipe == 0.25 and bpy.context.scene.render.engine == "SVRGS"
+    assert bpy.context.scene.svrgs_view.wipe == 0.25 and bpy.context.scene.render.engine == "SVRGS"
     assert tuple(bpy.data.images["SVR-GS Spatial Mask"].size)[0] > 0
     bpy.ops.svrgs.spatial_mask()
 
@@ -41,8 +42,7 @@ def test_figures_of_pictures_are_saved_with_them(tmp_path, bridge, room, camera,
             image.pack()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "file.blend"))
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "file.blend"))
-    looking = bpy.context.scene.svrgs_looking
-    assert looking.compare_result and looking.mask_result
+    assert part("operators.view.compare").figures() and part("operators.view.spatial_mask").figures()
     assert pixels(bpy.data.images["SVR-GS Wipe"])[..., :3].any()
 
 
@@ -54,5 +54,4 @@ def test_figures_go_with_pictures_that_were_deleted(tmp_path, bridge, room, came
         bpy.data.images.remove(image)
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "file.blend"))
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "file.blend"))
-    looking = bpy.context.scene.svrgs_looking
-    assert not looking.compare_result and not looking.mask_result
+    assert not part("operators.view.compare").figures() and not part("operators.view.spatial_mask").figures()

@@ -13,9 +13,9 @@ from view_helpers import mark_removed, pixels
 @pytest.fixture
 def wipe():
     module = part("operators.view.viewport_wipe")
-    bpy.context.scene.svrgs_looking.property_unset("wipe")
+    bpy.context.scene.svrgs_view.property_unset("wipe")
     for name in ("original", "pruned"):
-        setattr(bpy.context.scene.svrgs_looking, name, None)
+        setattr(bpy.context.scene.svrgs_view, name, None)
     yield module
     module._after_load()
 
@@ -48,7 +48,7 @@ def test_the_original_is_left_of_the_line_and_the_pruned_splat_right_of_it(prune
     for side, means in zip((left, right), expected, strict=True):
         assert {row.tobytes() for row in side.shown[0].scene.means} == {row.tobytes() for row in means}
         assert side.shown[0].matrix == pruned[1].matrix_world
-    bpy.context.scene.svrgs_looking.wipe = 0.25
+    bpy.context.scene.svrgs_view.wipe = 0.25
     assert [side.columns for side in sides(wipe)] == [(0, 0.25), (0.25, 1)]
     bpy.ops.svrgs.viewport_wipe()
     assert wipe.pair(bpy.context.scene) is None and counts(wipe) == [[125]]
@@ -99,7 +99,7 @@ def test_the_images_of_a_comparison_follow_when_it_ends(room, camera, wipe, brid
     bpy.ops.svrgs.compare()
     before = pixels(bpy.data.images["SVR-GS Wipe"])
     bpy.ops.svrgs.viewport_wipe()
-    bpy.context.scene.svrgs_looking.wipe = 0.9
+    bpy.context.scene.svrgs_view.wipe = 0.9
     assert (pixels(bpy.data.images["SVR-GS Wipe"]) == before).all() and "svrgs.open_image" not in drawn(
         "compare"
     )

@@ -135,31 +135,31 @@ def see_f12(seen: dict):
 
 
 def see_mask(seen: dict):
-    looking = bpy.context.scene.svrgs_looking
+    figures = part("operators.view.spatial_mask").figures
     yield from driver.open_panel("Spatial Mask")
     yield from click(LEFT, driver.header_height("Spatial Mask") + MASK_REFRESH)
-    yield from until(lambda: looking.mask_result, "the spatial mask")
+    yield from until(figures, "the spatial mask")
     yield 0.8
-    seen["mask"] = json.loads(looking.mask_result)
+    seen["mask"] = figures()
     shot("mask")
 
 
 def see_comparison(seen: dict):
-    looking = bpy.context.scene.svrgs_looking
+    figures = part("operators.view.compare").figures
     bpy.ops.svrgs.prune(method="contribution", target=0.4, iterations=0, recovery=0)
     yield 0.8
     yield from driver.open_panel("Compare")
     yield from click(LEFT, driver.header_height("Compare") + COMPARE)
-    yield from until(lambda: looking.compare_result, "the comparison")
+    yield from until(figures, "the comparison")
     yield 0.8
-    seen["compare"] = json.loads(looking.compare_result)
+    seen["compare"] = figures()
     shot("compare")
 
 
 def see_wipe(space: bpy.types.SpaceView3D, seen: dict):
     """Both sides, exact, in a Solid and in a Rendered viewport; the mouse moves the line."""
     looking, wipe, viewport = (
-        bpy.context.scene.svrgs_looking,
+        bpy.context.scene.svrgs_view,
         part("operators.view.viewport_wipe"),
         part("operators.view.viewport"),
     )

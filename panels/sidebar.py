@@ -1,4 +1,4 @@
-"""Text of several lines in a sidebar, which is narrow."""
+"""What the panels in the sidebar share: their tab, and text of several lines, as it is narrow."""
 
 import re
 import unicodedata
@@ -13,6 +13,20 @@ MARGINS, BUTTON_HEIGHT = 50, 20  # pixels: of the sidebar's tabs and panels; of 
 WIDE = "\u3040-\u30ff\u3400-\u9fff"  # Chinese and Japanese characters: a line may end after each of them
 MARKS = "、。，：；！？）》”"  # punctuation that begins no line
 PIECES = re.compile(f"\\s*(?:[{WIDE}][{MARKS}]*|[^\\s{WIDE}]+)")
+
+
+class SidebarPanel:  # the base of Panel classes, which have a layout
+    layout: bpy.types.UILayout
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "UI"
+    bl_category = "SVR-GS"
+
+
+def split_column(layout):
+    """A column of properties with their names on the left."""
+    column = layout.column()
+    column.use_property_split, column.use_property_decorate = True, False
+    return column
 
 
 def wrapped_label(layout, sentence: str, icon: str = "NONE"):
