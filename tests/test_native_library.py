@@ -33,6 +33,20 @@ def enum(name: str) -> list[str]:
     return re.findall(r"(SVRGS_\w+)", re.search(rf"enum {name} \{{(.*?)\}}", HEADER, re.DOTALL)[1])
 
 
+def test_arguments_are_those_of_the_header():
+    letters = {"int32_t": "i", "int64_t": "l", "uint64_t": "u", "double": "d"}
+    found = {}
+    for name, arguments in re.findall(
+        r"^SVRGS_API [^(]*?(svrgs_\w+)\((.*?)\);", HEADER, re.DOTALL | re.MULTILINE
+    ):
+        if arguments != "void":
+            kinds = [
+                "p" if re.search(r"[*\[]", one) else letters[one.split()[0]] for one in arguments.split(",")
+            ]
+            found[name] = "".join(kinds)
+    assert library.ARGUMENTS == found
+
+
 def test_thresholds_are_those_of_the_reference():
     found = library.thresholds()
     expected = {

@@ -32,11 +32,11 @@ TOPOLOGY = Path("/sys/devices/system/cpu")
 CASES = ((100_000, (1280, 720)), (500_000, (640, 360)))  # Gaussians, image size
 
 
-def measure_cores(repeat: int, tell: Callable[[str], None], cases=CASES) -> dict:
+def measure_cores(repeat: int, progress: Callable[[str], None], cases=CASES) -> dict:
     """The entry `cores` of the result."""
     entries = []
     for count, size in cases:
-        tell(f"cores: {count:,} Gaussians, {size[0]} x {size[1]}")
+        progress(f"cores: {count:,} Gaussians, {size[0]} x {size[1]}")
         library.set_threads(1)
         trial = Trial(Case("room", room(count, 3), orbit_camera(*size)))
         for name, call in (("picture", trial.forward), ("step", trial.step)):

@@ -99,9 +99,8 @@ def stage_floors(work: dict, facts: dict, level: str, peak: dict) -> dict[str, f
     behind = max(0, work["hit_blocks_full"] - work["hit_blocks"])
     counters = COUNT_BLOCK * work["hit_blocks"] * block
     grads = (GRADS_BLOCK + GRADS_MASK_BLOCK) * work["hit_blocks"] + GRADS_BEHIND_BLOCK * behind
-    projected = (CULL * facts["count"] + in_lines[QUATS] + in_lines[rows[4]]) * read + 2 * (
-        RECORD + LISTED
-    ) * visible * update
+    projected = (CULL * facts["count"] + in_lines[QUATS] + in_lines[rows[4]]) * read
+    projected += 2 * (RECORD + LISTED) * visible * update
     floors = {
         "project": max(PROJECT_SLOTS * visible * lane, projected),
         "tiles": max(OVERLAP_SLOTS * work["pairs"] * lane, TILE_ENTRY * visible * update),

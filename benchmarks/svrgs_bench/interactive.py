@@ -27,20 +27,19 @@ EXACT = 6  # exact pictures of a viewport
 
 
 def measure_interactive(
-    tell: Callable[[str], None], count: int = COUNT, size: tuple[int, int] = SIZE, frames: int = FRAMES
+    progress: Callable[[str], None], count: int = COUNT, size: tuple[int, int] = SIZE, frames: int = FRAMES
 ) -> dict:
     """The entry `interactive` of the result: milliseconds of the median and of the slowest frame, frames per
     second, and `rest_ms`, the milliseconds of a frame whose camera has not moved."""
-    tell(f"orbiting around {count:,} Gaussians")
+    progress(f"orbiting around {count:,} Gaussians")
     preview = Preview(room(count))
     cameras = [orbit_camera(*size, turn=STEP * k) for k in range(WARMUPS + frames)]
-    return _frames(preview.image, cameras, count, size) | {
-        "rest_ms": 1e3 * seconds(preview.image, cameras[-1])
-    }
+    facts = _frames(preview.image, cameras, count, size)
+    return facts | {"rest_ms": 1e3 * seconds(preview.image, cameras[-1])}
 
 
 def measure_viewport(
-    tell: Callable[[str], None],
+    progress: Callable[[str], None],
     count: int = VIEWPORT_COUNT,
     size: tuple[int, int] = VIEWPORT_SIZE,
     frames: int = FRAMES,
@@ -49,7 +48,7 @@ def measure_viewport(
     """The entry `viewport` of the result: the same of coarse pictures, as the viewport of Blender draws them
     while the camera moves (render/live_view.py), and `exact_ms`, the milliseconds of the exact picture where
     it stops."""
-    tell(f"orbiting around {count:,} Gaussians in a viewport")
+    progress(f"orbiting around {count:,} Gaussians in a viewport")
     scene, rasterizer = (one := room(count)).select(morton_order(one.means)), Rasterizer()
     thinning = Thinning(scene)
 

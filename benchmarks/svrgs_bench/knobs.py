@@ -56,34 +56,33 @@ def settings() -> list[Setting]:
     levels = [level for level in library.supported_levels() if level != "float64"]
     found = [Setting("simd", level, level == best, level=level) for level in levels]
     for knob, (name, values) in BUILD_KNOBS.items():
-        found += [
-            Setting(knob, value, not text, macro=text and f"{name}={text}") for value, text in values.items()
-        ]
+        for value, text in values.items():
+            found.append(Setting(knob, value, not text, macro=text and f"{name}={text}"))
     return found
 
 
 def measure_knobs(
-    case: Case, repeat: int, tell: Callable[[str], None], chosen: list[Setting] | None = None
+    case: Case, repeat: int, progress: Callable[[str], None], chosen: list[Setting] | None = None
 ) -> list[dict]:
     """The entry `knobs` of the result, measured on a generated room: one item per setting that can be
     measured on this machine.
 
-    tell: called with progress and with the reason why a setting is left out.
+    progress: called with what is measured, and with the reason why a setting is left out.
     """
     chosen = settings() if chosen is None else chosen
     missing = variants.missing_tools()
     if missing:
-        tell(f"knobs that need another build of the library are left out: {missing}")
+        progress(f"knobs that need another build of the library are left out: {missing}")
         chosen = [setting for setting in chosen if setting.knob not in BUILD_KNOBS]
     with tempfile.TemporaryDirectory(prefix="svrgs-bench-") as name, Child(case) as standard:
         bench = _Bench(case, Path(name), standard, repeat)
         entries = []
         for setting in chosen:
-            tell(f"knob {setting.knob} = {setting.value}")
+            progress(f"knob {setting.knob} = {setting.value}")
             try:
                 entries.append(bench.entry(setting))
             except NativeError as error:
-                tell(f"left out: {error}")
+                progress(f"left out: {error}")
         return entries
 
 
@@ -120,10 +119,7 @@ class _Bench:
         }
 
     def _ratios(self, setting: Setting, child: Child) -> tuple[float, float]:
-        pairs = [
-            (child.ask(**setting.request), self.standard.ask(**STANDARD))
-            for _ in range(WARMUPS + self.repeat)
-        ][WARMUPS:]
-        ours, plain = zip(*pairs, strict=True)
+        both = lambda: (child.ask(**setting.request), self.standard.ask(**STANDARD))
+        ours, plain = zip(*[both() for _ in range(WARMUPS + self.repeat)][WARMUPS:], strict=True)
         forward, step = (([a[name] for a in ours], [b[name] for b in plain]) for name in ("forward", "step"))
         return ratio(*forward), ratio(*step)

@@ -34,11 +34,8 @@ def knob_chart(title: str, knobs: list[dict]) -> str:
     """Forward time over mean image error. knobs: the entries of one knob."""
     points = [Point(k["image_mean"], k["forward_ms"], k["value"], k["default"]) for k in knobs]
     times = [point.y for point in points]
-    y = (
-        Axis("forward, ms", log=True)
-        if max(times) > LARGE_RATIO * min(times)
-        else Axis("forward, ms", from_zero=True)
-    )
+    logarithmic = max(times) > LARGE_RATIO * min(times)
+    y = Axis("forward, ms", log=logarithmic, from_zero=not logarithmic)
     return chart(title, points, Axis("mean image error against float64, 0..1", log=True), y, front(points))
 
 
@@ -46,6 +43,5 @@ def scaling_chart(axis: str, scaling: list[dict], key: str) -> str:
     """Forward time over pixels or Gaussians, on logarithmic axes. scaling: the entries of one axis; key: the
     values of the x axis."""
     points = [Point(s[key], s["forward_ms"], f"{s['forward_ms']:.3g} ms") for s in scaling]
-    return chart(
-        f"Forward time over {axis}", points, Axis(axis, log=True), Axis("forward, ms", log=True), points
-    )
+    x, y = Axis(axis, log=True), Axis("forward, ms", log=True)
+    return chart(f"Forward time over {axis}", points, x, y, points)

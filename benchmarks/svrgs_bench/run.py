@@ -35,23 +35,29 @@ def bench(options: argparse.Namespace) -> dict:
     library.set_threads(options.threads)
     most, level = library.threads(), library.best_level()
     thread_counts = sorted({1, most})
-    result: dict = {"machine": _machine(most, level, peaks_of(level, thread_counts)), "cases": []}
+    machine = {
+        "cores": most,
+        "simd": level,
+        "simd_levels": library.supported_levels(),
+        "peaks": {str(threads): peak for threads, peak in peaks_of(level, thread_counts).items()},
+    }
+    result: dict = {"machine": machine, "cases": []}
     for case in cases:
-        tell("{scene}: {count:,} Gaussians, SH {sh_degree}, {width} x {height}".format(**case.facts))
+        progress("{scene}: {count:,} Gaussians, SH {sh_degree}, {width} x {height}".format(**case.facts))
         library.set_threads(most)
         result["cases"] += measure(case, thread_counts, error(case), repeat)
     library.set_threads(most)
     if options.knobs or options.plots:
-        result["knobs"] = measure_knobs(room_case(), repeat, tell)
+        result["knobs"] = measure_knobs(room_case(), repeat, progress)
     if options.skips or options.plots:
-        result["skips"] = measure_skips(room_case(), repeat, tell)
+        result["skips"] = measure_skips(room_case(), repeat, progress)
     if options.scaling:
-        result["scaling"] = measure_scaling(repeat, tell)
+        result["scaling"] = measure_scaling(repeat, progress)
     if options.cores:
-        result["cores"] = measure_cores(repeat, tell)
+        result["cores"] = measure_cores(repeat, progress)
     if options.interactive:
-        result["interactive"] = measure_interactive(tell)
-        result["viewport"] = measure_viewport(tell)
+        result["interactive"] = measure_interactive(progress)
+        result["viewport"] = measure_viewport(progress)
     if options.plots:
         result["plots"] = _write(options.plots, charts(result))
     return result
@@ -60,25 +66,15 @@ def bench(options: argparse.Namespace) -> dict:
 def _stress(options: argparse.Namespace) -> dict:
     """The result of --stress, which measures no time."""
     library.set_threads(options.threads)
-    result: dict = {"stress": measure_stress(tell)}
+    result: dict = {"stress": measure_stress(progress)}
     if options.plots:
         result["plots"] = _write(options.plots, stress_charts(result["stress"]))
     return result
 
 
-def tell(sentence: str):
+def progress(sentence: str):
     """Prints progress on stderr; stdout is for the result."""
     print(f"bench: {sentence}", file=sys.stderr, flush=True)
-
-
-def _machine(cores: int, level: str, peaks: dict[int, dict]) -> dict:
-    levels = library.supported_levels()
-    return {
-        "cores": cores,
-        "simd": level,
-        "simd_levels": levels,
-        "peaks": {str(threads): peak for threads, peak in peaks.items()},
-    }
 
 
 def _write(folder: Path, documents: dict[str, str]) -> list[str]:

@@ -17,13 +17,13 @@ COUNTS = (100_000, 250_000, 500_000, 1_000_000, 2_500_000, 5_000_000)
 
 
 def measure_scaling(
-    repeat: int, tell: Callable[[str], None], sizes=SIZES, counts=COUNTS, count=COUNT
+    repeat: int, progress: Callable[[str], None], sizes=SIZES, counts=COUNTS, count=COUNT
 ) -> list[dict]:
     """The entry `scaling` of the result: over pixels with `count` Gaussians, and over Gaussians at image size
     SIZE."""
     entries = []
     for axis, case in _cases(sizes, counts, count):
-        tell(
+        progress(
             f"scaling over {axis}: {case.scene.count:,} Gaussians, {case.camera.width} x {case.camera.height}"
         )
         entries.append({"axis": axis, **_measured(case, repeat)})
@@ -43,9 +43,8 @@ def _measured(case: Case, repeat: int) -> dict:
     masks, _ = drawn_masks(case.scene.count)
     options = RenderOptions(mask_kind="svr")
     arguments = case.scene, case.camera, options, masks, ("rgb", "mask")
-    ms = summary(rounds(lambda: {"forward": seconds(rasterizer.forward, *arguments)}, repeat)["forward"])[
-        "ms"
-    ]
+    readings = rounds(lambda: {"forward": seconds(rasterizer.forward, *arguments)}, repeat)
+    ms = summary(readings["forward"])["ms"]
     pixels = case.camera.width * case.camera.height
     return {
         "count": case.scene.count,

@@ -16,15 +16,15 @@ from .timing import ratio, rounds, seconds
 from .trial import WANTED, Trial
 
 
-def measure_skips(case: Case, repeat: int, tell: Callable[[str], None]) -> list[dict]:
+def measure_skips(case: Case, repeat: int, progress: Callable[[str], None]) -> list[dict]:
     """The entry `skips` of the result."""
     trial = Trial(case)
     entries = []
     for skip in skips():
-        tell(f"skip {skip}")
+        progress(f"skip {skip}")
         entries.append(_native(trial, skip, repeat))
     for measured in (_mask, _behind_the_stop, _kept_view, _unused_gradients, _sparse_adam, _sh_bands):
-        tell(f"skip {measured.__name__.strip('_')}")
+        progress(f"skip {measured.__name__.strip('_')}")
         entries.append(measured(trial, repeat))
     return entries
 
@@ -57,10 +57,8 @@ def _native(trial: Trial, skip: str, repeat: int) -> dict:
     }
 
     def colours() -> dict[str, float]:
-        return {
-            "on": seconds(trial.forward, "none"),
-            "off": seconds(trial.forward, "none", disabled_skips=disabled),
-        }
+        on = seconds(trial.forward, "none")
+        return {"on": on, "off": seconds(trial.forward, "none", disabled_skips=disabled)}
 
     return _entry(skip, "forward", colours, repeat, float(change), **more)
 
@@ -74,26 +72,16 @@ def _forward_backward(trial: Trial, mask_kind: str, full: bool) -> float:
 def _mask(trial: Trial, repeat: int) -> dict:
     """Colours only, against colours and F with its gradient; both up to the stop."""
     once = {"on": ("none", False), "off": ("svr", False)}
-    return _entry(
-        "mask",
-        "forward and backward",
-        lambda: {name: _forward_backward(trial, *kind) for name, kind in once.items()},
-        repeat,
-        None,
-    )
+    both = lambda: {name: _forward_backward(trial, *kind) for name, kind in once.items()}
+    return _entry("mask", "forward and backward", both, repeat, None)
 
 
 def _behind_the_stop(trial: Trial, repeat: int) -> dict:
     """F up to the stop of the colours, against F to the end of each ray. The two F differ by definition, so
     no pictures are compared."""
     once = {"on": ("svr", False), "off": ("svr", True)}
-    return _entry(
-        "behind_the_stop",
-        "forward and backward",
-        lambda: {name: _forward_backward(trial, *kind) for name, kind in once.items()},
-        repeat,
-        None,
-    )
+    both = lambda: {name: _forward_backward(trial, *kind) for name, kind in once.items()}
+    return _entry("behind_the_stop", "forward and backward", both, repeat, None)
 
 
 def _kept_view(trial: Trial, repeat: int) -> dict:
@@ -104,25 +92,15 @@ def _kept_view(trial: Trial, repeat: int) -> dict:
         return trial.rasterizer.forward(trial.model, trial.case.camera, options, trial.masks)["rgb"]
 
     change = np.abs(draw(True) - draw(False)).max()
-    return _entry(
-        "kept_view",
-        "forward",
-        lambda: {"on": seconds(draw, True), "off": seconds(draw, False)},
-        repeat,
-        float(change),
-    )
+    both = lambda: {"on": seconds(draw, True), "off": seconds(draw, False)}
+    return _entry("kept_view", "forward", both, repeat, float(change))
 
 
 def _unused_gradients(trial: Trial, repeat: int) -> dict:
     """Gradients of the masks only, against gradients of all parameters."""
     trial.forward()
-    return _entry(
-        "unused_gradients",
-        "backward",
-        lambda: {"on": seconds(trial.backward, ("masks",)), "off": seconds(trial.backward, WANTED)},
-        repeat,
-        None,
-    )
+    both = lambda: {"on": seconds(trial.backward, ("masks",)), "off": seconds(trial.backward, WANTED)}
+    return _entry("unused_gradients", "backward", both, repeat, None)
 
 
 def _sparse_adam(trial: Trial, repeat: int) -> dict:
@@ -133,13 +111,8 @@ def _sparse_adam(trial: Trial, repeat: int) -> dict:
     dense = {name: np.zeros((trial.model.count, *grad.shape[1:]), grad.dtype) for name, grad in grads.items()}
     for name, grad in grads.items():
         dense[name][ids] = grad
-    return _entry(
-        "sparse_adam",
-        "adam",
-        lambda: {"on": trial.adam(grads, ids), "off": trial.adam(dense, None)},
-        repeat,
-        None,
-    )
+    both = lambda: {"on": trial.adam(grads, ids), "off": trial.adam(dense, None)}
+    return _entry("sparse_adam", "adam", both, repeat, None)
 
 
 def _sh_bands(trial: Trial, repeat: int) -> dict:

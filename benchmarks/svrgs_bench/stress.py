@@ -27,7 +27,7 @@ EXTENT = 5.0  # of the generated room, for the position rate
 
 
 def measure_stress(
-    tell: Callable[[str], None], level: str | None = None, drift_steps: Sequence[int] = DRIFT_STEPS
+    progress: Callable[[str], None], level: str | None = None, drift_steps: Sequence[int] = DRIFT_STEPS
 ) -> list[dict]:
     """One entry per row: row (its name), title, quantity; the worst image_max, grad_rel_l2 and crossed; the
     sum of nonfinite; `points`."""
@@ -38,12 +38,12 @@ def measure_stress(
                 row.name, row.title, row.quantity, [_point(row, value, level) for value in row.values], row
             )
         )
-        tell(
+        progress(
             "{title}: image error {image_max:.1e}, gradient error {grad_rel_l2:.1e},"
             " not finite {nonfinite}".format(**entries[-1])
         )
     if drift_steps:
-        tell(f"{max(drift_steps)} fine-tuning steps in float32 and in float64")
+        progress(f"{max(drift_steps)} fine-tuning steps in float32 and in float64")
         entries.append(
             _entry("drift", "float32 against float64 while fine-tuning", "steps", measure_drift(drift_steps))
         )

@@ -26,14 +26,12 @@ def as_text(result: dict) -> str:
 def table(rows: list[tuple[str, ...]], left: int = 1) -> str:
     """Rows as aligned columns: the first `left` columns to the left, the others to the right."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    aligned = (
-        [
-            cell.ljust(w) if i < left else cell.rjust(w)
-            for i, (cell, w) in enumerate(zip(row, widths, strict=True))
-        ]
-        for row in rows
-    )
-    return "\n".join("  " + "  ".join(row).rstrip() for row in aligned)
+    lines = []
+    for row in rows:
+        cells = [cell.ljust(width) for cell, width in zip(row[:left], widths, strict=False)]
+        cells += [cell.rjust(width) for cell, width in zip(row[left:], widths[left:], strict=True)]
+        lines.append("  " + "  ".join(cells).rstrip())
+    return "\n".join(lines)
 
 
 def _count(value: float) -> str:
@@ -45,16 +43,9 @@ def _count(value: float) -> str:
 
 def _stress(entries: list[dict]) -> str:
     rows: list[tuple[str, ...]] = [("stress", "image", "gradient", "crossed", "not finite")]
-    for entry in entries:
-        rows.append(
-            (
-                entry["title"],
-                f"{entry['image_max']:.1e}",
-                f"{entry['grad_rel_l2']:.1e}",
-                f"{entry['crossed']:.2%}",
-                str(entry["nonfinite"]),
-            )
-        )
+    for e in entries:
+        errors = f"{e['image_max']:.1e}", f"{e['grad_rel_l2']:.1e}"
+        rows.append((e["title"], *errors, f"{e['crossed']:.2%}", str(e["nonfinite"])))
     return f"Worst errors against float64:\n{table(rows)}"
 
 
@@ -106,19 +97,9 @@ def _knobs(knobs: list[dict]) -> str:
         ("knob", "value", "forward ms", "x default", "step x default", "error max", "mean")
     ]
     for k in knobs:
-        step = f"{k['step_ratio']:.3f}"
         value = k["value"] + (" *" if k["default"] else "")
-        rows.append(
-            (
-                k["knob"],
-                value,
-                f"{k['forward_ms']:.2f}",
-                f"{k['ratio']:.3f}",
-                step,
-                f"{k['image_max']:.1e}",
-                f"{k['image_mean']:.1e}",
-            )
-        )
+        times = f"{k['forward_ms']:.2f}", f"{k['ratio']:.3f}", f"{k['step_ratio']:.3f}"
+        rows.append((k["knob"], value, *times, f"{k['image_max']:.1e}", f"{k['image_mean']:.1e}"))
     return "Knobs (* default):\n" + table(rows, 2)
 
 
@@ -129,17 +110,8 @@ def _skips(skips: list[dict]) -> str:
     for s in skips:
         step = f"{s['step_gain']:.2f}" if "step_gain" in s else "-"
         change = f"{s['image_max']:.1e}" if s["image_max"] is not None else "-"
-        rows.append(
-            (
-                s["skip"],
-                s["stage"],
-                f"{s['on_ms']:.2f}",
-                f"{s['off_ms']:.2f}",
-                f"{s['gain']:.2f}",
-                step,
-                change,
-            )
-        )
+        times = f"{s['on_ms']:.2f}", f"{s['off_ms']:.2f}", f"{s['gain']:.2f}"
+        rows.append((s["skip"], s["stage"], *times, step, change))
     return "Skipped work:\n" + table(rows, 2)
 
 
@@ -148,54 +120,28 @@ def _scaling(scaling: list[dict]) -> str:
         ("over", "Gaussians", "visible", "size", "forward ms", "ms per Mpixel", "ms per million")
     ]
     for s in scaling:
-        cells = (
-            f"{s['count']:,}",
-            f"{s['visible']:,}",
-            f"{s['width']}x{s['height']}",
-            f"{s['forward_ms']:.1f}",
-        )
-        rows.append(
-            (s["axis"], *cells, f"{s['ms_per_megapixel']:.1f}", f"{s['ms_per_million_gaussians']:.1f}")
-        )
+        counts = f"{s['count']:,}", f"{s['visible']:,}", f"{s['width']}x{s['height']}"
+        names = "forward_ms", "ms_per_megapixel", "ms_per_million_gaussians"
+        rows.append((s["axis"], *counts, *(f"{s[name]:.1f}" for name in names)))
     return "Scaling:\n" + table(rows)
 
 
 def _cores(found: dict) -> str:
     entries = found["entries"]
     counts = list(entries[0]["speed_up"])
+    shown = lambda values, form: [f"{values[one]:{form}}" if one in values else "" for one in counts]
     rows: list[tuple[str, ...]] = [
         ("what", "Gaussians", "size", "ms", "serial", "jobs", *(f"x {count}" for count in counts))
     ]
     for e in entries:
-        cells = (
-            e["what"],
-            f"{e['count']:,}",
-            f"{e['width']}x{e['height']}",
-            f"{e['ms']:.1f}",
-            f"{e['serial']:.2%}",
-            str(e["jobs"]),
-        )
-        rows.append((*cells, *(f"{e['speed_up'][count]:.2f}" for count in counts)))
-        for name, show in (("measured", ".2f"), ("measured_ms", ".1f")):
-            rows.append(
-                (
-                    f"  {name.replace('_', ', ')}",
-                    *[""] * 5,
-                    *(f"{e[name][count]:{show}}" if count in e[name] else "" for count in counts),
-                )
-            )
-    arithmetic = found["arithmetic"]
-    rows.append(
-        (
-            "multiply-adds alone",
-            *[""] * 5,
-            *(f"{arithmetic[count]:.2f}" if count in arithmetic else "" for count in counts),
-        )
-    )
+        cells = e["what"], f"{e['count']:,}", f"{e['width']}x{e['height']}", f"{e['ms']:.1f}"
+        rows.append((*cells, f"{e['serial']:.2%}", str(e["jobs"]), *shown(e["speed_up"], ".2f")))
+        rows.append(("  measured", *[""] * 5, *shown(e["measured"], ".2f")))
+        rows.append(("  measured, ms", *[""] * 5, *shown(e["measured_ms"], ".1f")))
+    rows.append(("multiply-adds alone", *[""] * 5, *shown(found["arithmetic"], ".2f")))
     where = f"{found['threads']} threads" + (f" on {found['cores']} cores" if found["cores"] else "")
-    return f"Speed-up at most, by the tasks of one thread, with so many threads ({where} here):\n" + table(
-        rows, 1
-    )
+    title = f"Speed-up at most, by the tasks of one thread, with so many threads ({where} here):"
+    return f"{title}\n{table(rows)}"
 
 
 def _interactive(i: dict) -> str:

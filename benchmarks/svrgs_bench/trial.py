@@ -50,13 +50,7 @@ class Trial:
         self, mask_kind: str = "svr", full: bool = True, disabled_skips=(), sh_degree: int = 3
     ) -> RenderOptions:
         antialiased = self.case.scene.antialiased
-        return RenderOptions(
-            sh_degree=sh_degree,
-            antialiased=antialiased,
-            full=full,
-            mask_kind=mask_kind,
-            disabled_skips=disabled_skips,
-        )
+        return RenderOptions(sh_degree, antialiased, full, mask_kind, disabled_skips=disabled_skips)
 
     def forward(
         self, mask_kind: str = "svr", full: bool = True, disabled_skips=(), sh_degree: int = 3
@@ -91,14 +85,6 @@ class Trial:
         self.steps += 1
         rates = dict.fromkeys((*PARAMETERS, "sh_rest", MASK), RATE)
         options = self.options(disabled_skips=disabled_skips)
-        step = Step(
-            self.case.camera,
-            self.target,
-            self.steps,
-            rates,
-            options,
-            masks=self.masks,
-            slope=self.slope,
-            lambda_f=LAMBDA_F,
-        )
+        masks = {"masks": self.masks, "slope": self.slope, "lambda_f": LAMBDA_F}
+        step = Step(self.case.camera, self.target, self.steps, rates, options, **masks)
         self.engine.step(self.model, step)

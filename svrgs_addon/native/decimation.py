@@ -60,9 +60,8 @@ def decimate(
     results = {name: np.empty((steps, *shape[1:]), np.float32) for name, shape in shapes.items()}
     out = MergesStruct(*(array.ctypes.data for array in (a, b, costs, *results.values())))
     done, merges = c.c_int64(), c.c_int64()
-    flag = c.c_void_p(None if cancel is None else check(cancel, "cancel", (1,), np.int32))
-    number = c.c_int32(levels()[level or best_level()])
-    references = map(c.byref, (out, done, merges))
+    flag = None if cancel is None else check(cancel, "cancel", (1,), np.int32)
+    number, references = levels()[level or best_level()], map(c.byref, (out, done, merges))
     call_library("svrgs_decimate", number, c.byref(request), flag, *references)
     made = {name: array[: merges.value] for name, array in results.items()}
     return Merges(a[: done.value], b[: done.value], costs[: done.value], made)

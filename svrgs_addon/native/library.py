@@ -17,6 +17,7 @@ import numpy as np
 from ..scene.camera import Camera
 from ..scene.gaussians import PARAMETERS
 from ..system.errors import Cancelled, NativeError
+from ..system.structs import fields
 from .library_path import library_path
 from .outputs import OUTPUTS
 
@@ -27,15 +28,49 @@ LOSS_IMAGES = tuple(output.name for output in OUTPUTS.values() if output.differe
 _CANCELLED = 3  # of enum svrgs_status
 _LEVEL_NAMES, _MASK_KIND_NAMES, _SKIP_NAMES, _STAGE_NAMES = range(4)  # enum svrgs_names
 
+# Types of the arguments of the functions in svrgs.h: i int32, l int64, u uint64, d double, p a pointer.
+ARGUMENTS = {
+    "svrgs_name": "ii",
+    "svrgs_get_thresholds": "p",
+    "svrgs_level_supported": "i",
+    "svrgs_set_threads": "i",
+    "svrgs_trace": "i",
+    "svrgs_traced": "pp",
+    "svrgs_context_create": "ip",
+    "svrgs_context_destroy": "p",
+    "svrgs_forward": "ppppp",
+    "svrgs_visible": "ppp",
+    "svrgs_count_work": "pip",
+    "svrgs_stage_seconds": "pp",
+    "svrgs_measure_machine": "ip",
+    "svrgs_backward": "ppp",
+    "svrgs_scores": "pppppp",
+    "svrgs_moments": "pp",
+    "svrgs_removal": "ppp",
+    "svrgs_visibility": "pp",
+    "svrgs_slopes": "pp",
+    "svrgs_dominance": "pp",
+    "svrgs_loss": "pppiiddpp",
+    "svrgs_mask_loss": "ppldpp",
+    "svrgs_flip": "ippiidp",
+    "svrgs_linear_rgba": "ipplpp",
+    "svrgs_adam": "pppppplip",
+    "svrgs_backward_update": "ppppp",
+    "svrgs_sample_masks": "pluupp",
+    "svrgs_depth_order": "plpp",
+    "svrgs_decimate": "ippppp",
+    "svrgs_draw_triangles": "ppp",
+    "svrgs_add_view": "pp",
+}
+_KINDS = {"i": c.c_int32, "l": c.c_int64, "u": c.c_uint64, "d": c.c_double, "p": c.c_void_p}
+
 _int, _long, _double, _pointer = c.c_int32, c.c_int64, c.c_double, c.c_void_p
 _reals = c.c_void_p  # to values in the type of the level
 
 
-def _struct(name: str, *fields: tuple[Any, str]) -> Any:
-    """A struct of svrgs.h. fields: a type, and the names of those that have it, in the order of the
-    header."""
-    listed = [(field, kind) for kind, names in fields for field in names.split()]
-    return type(name, (c.Structure,), {"_fields_": listed})
+def _struct(name: str, *of_types: tuple[Any, str]) -> Any:
+    """A struct of svrgs.h. of_types: as for fields()."""
+    return type(name, (c.Structure,), {"_fields_": fields(*of_types)})
 
 
 _PARAMETERS = " ".join(PARAMETERS)
@@ -123,6 +158,8 @@ def library() -> c.CDLL:
             " 'make setup'"
         )
     loaded.svrgs_name.restype = c.c_char_p
+    for name, kinds in ARGUMENTS.items():
+        getattr(loaded, name).argtypes = [_KINDS[kind] for kind in kinds]
     return loaded
 
 
@@ -203,7 +240,7 @@ def _names(which: int) -> tuple[str, ...]:
     """Names of the values of one enum of the library, in its order. which: a value of enum svrgs_names."""
     ask = library().svrgs_name
     names: list[str] = []
-    while name := ask(c.c_int32(which), c.c_int32(len(names))):
+    while name := ask(which, len(names)):
         names.append(name.decode())
     return tuple(names)
 
@@ -248,7 +285,7 @@ def peaks(level: str) -> dict[str, float]:
     'update': bytes/s while three streams are read and two of them written, as in Adam.
     """
     machine = MachineStruct()
-    call_library("svrgs_measure_machine", c.c_int32(levels()[level]), c.byref(machine))
+    call_library("svrgs_measure_machine", levels()[level], c.byref(machine))
     return {name: getattr(machine, name) for name, *_ in MachineStruct._fields_}
 
 
@@ -258,7 +295,7 @@ def set_threads(count: int):
 
     More than 32 threads, or 8 per core, would only slow each other down: a larger count is taken as this one.
     """
-    library().svrgs_set_threads(c.c_int32(min(count, 2**31 - 1)))
+    library().svrgs_set_threads(min(count, 2**31 - 1))
 
 
 def threads() -> int:
@@ -270,11 +307,11 @@ def traced(call: Callable[[], object]) -> list[np.ndarray]:
     """The seconds of each task of the thread pool while call() runs: one array for each job. Nothing with
     more than one thread."""
     lib, seconds, count = library(), c.POINTER(c.c_double)(), c.c_int64()
-    lib.svrgs_trace(c.c_int32(1))
+    lib.svrgs_trace(1)
     try:
         call()
     finally:
-        lib.svrgs_trace(c.c_int32(0))
+        lib.svrgs_trace(0)
     lib.svrgs_traced(c.byref(seconds), c.byref(count))
     if not count.value:
         return []

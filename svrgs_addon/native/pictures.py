@@ -109,10 +109,10 @@ def depth_order(means: np.ndarray, axis: np.ndarray) -> np.ndarray:
     order = np.empty(len(means), np.uint32)
     call_library(
         "svrgs_depth_order",
-        c.c_void_p(check(means, "means", (len(means), 3), np.float32)),
-        c.c_int64(len(means)),
+        check(means, "means", (len(means), 3), np.float32),
+        len(means),
         (c.c_double * 3)(*map(float, axis)),
-        c.c_void_p(order.ctypes.data),
+        order.ctypes.data,
     )
     return order
 
@@ -131,11 +131,11 @@ def flip_errors(
     call_library(
         "svrgs_flip",
         number,
-        c.c_void_p(check(image, "image", (*errors.shape, 3), dtype)),
-        c.c_void_p(check(target, "target", (*errors.shape, 3), dtype)),
-        *map(c.c_int32, errors.shape),
-        c.c_double(pixels_per_degree),
-        c.c_void_p(errors.ctypes.data),
+        check(image, "image", (*errors.shape, 3), dtype),
+        check(target, "target", (*errors.shape, 3), dtype),
+        *errors.shape,
+        pixels_per_degree,
+        errors.ctypes.data,
     )
     return errors
 
@@ -156,16 +156,16 @@ def linear_colours(
     call_library(
         "svrgs_linear_rgba",
         number,
-        c.c_void_p(check(rgb, "rgb", (*alpha.shape, 3), dtype)),
-        c.c_void_p(check(alpha, "alpha", alpha.shape, dtype)),
-        c.c_int64(alpha.size),
-        c.c_void_p(check(space, "working_space", (3, 3), np.float64)),
-        c.c_void_p(rgba.ctypes.data),
+        check(rgb, "rgb", (*alpha.shape, 3), dtype),
+        check(alpha, "alpha", alpha.shape, dtype),
+        alpha.size,
+        check(space, "working_space", (3, 3), np.float64),
+        rgba.ctypes.data,
     )
     return rgba
 
 
-def _level(name: str | None) -> tuple[c.c_int32, type]:
+def _level(name: str | None) -> tuple[int, type]:
     """The number of a SIMD level, and the type of its arrays. None: the fastest."""
     name = name or best_level()
-    return c.c_int32(levels()[name]), np.float64 if name == "float64" else np.float32
+    return levels()[name], np.float64 if name == "float64" else np.float32

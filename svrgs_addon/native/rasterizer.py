@@ -85,7 +85,7 @@ class Rasterizer:
         self._shape = (0, 0, 0)  # H, W, K of the last view
         self._shapes: dict[str, tuple] = {}  # shapes of the arrays of the last scene
         self._buffers: dict[str, np.ndarray] = {}
-        _call("svrgs_context_create", c.c_int32(levels()[self.level]), c.byref(self._context))
+        _call("svrgs_context_create", levels()[self.level], c.byref(self._context))
 
     def __del__(self):
         if getattr(self, "_context", None):
@@ -127,14 +127,8 @@ class Rasterizer:
             options.picture_only,
         )
         self._shape = (camera.height, camera.width, arrays.sh_coefficients)
-        _call(
-            "svrgs_forward",
-            self._context,
-            c.byref(arrays),
-            c.byref(camera_struct(camera, options.background)),
-            c.byref(native),
-            c.byref(pointers),
-        )
+        view = camera_struct(camera, options.background)
+        _call("svrgs_forward", self._context, *map(c.byref, (arrays, view, native, pointers)))
         return images
 
     def visible(self) -> np.ndarray:
@@ -148,7 +142,7 @@ class Rasterizer:
         count_pixels also used_pairs, blocks and hit_blocks (4x4 pixels), and (Gaussian, pixel) pairs:
         evaluated, hits (alpha >= 1/255), contributing (blended)."""
         work = WorkStruct()
-        _call("svrgs_count_work", self._context, c.c_int32(count_pixels), c.byref(work))
+        _call("svrgs_count_work", self._context, count_pixels, c.byref(work))
         if not count_pixels:
             return {"visible": work.visible, "pairs": work.pairs}
         counts = {name: getattr(work, name) for name, *_ in WorkStruct._fields_}
@@ -207,14 +201,7 @@ class Rasterizer:
             update.slope = check(slope, "slope", self._shapes["masks"], self.dtype)
         update.frozen = None if frozen is None else check(frozen, "frozen", self._shapes["masks"], np.uint8)
         bad = c.c_int64()
-        _call(
-            "svrgs_backward_update",
-            self._context,
-            c.byref(grads_in),
-            c.byref(update),
-            c.byref(grads_out),
-            c.byref(bad),
-        )
+        _call("svrgs_backward_update", self._context, *map(c.byref, (grads_in, update, grads_out, bad)))
         left = self.work()["visible"]
         return {name: rows[:left] for name, rows in grads.items()}, bad.value
 
@@ -237,7 +224,7 @@ class Rasterizer:
             None if array is None else check_out(array, name, shape, dtype)
             for name, (array, dtype) in given.items()
         )
-        _call("svrgs_scores", self._context, *map(c.c_void_p, outs))
+        _call("svrgs_scores", self._context, *outs)
 
     def moments(self) -> np.ndarray:
         """Moments of each visible Gaussian of the last view, (V, 12) float64: sums over pixels of w u^a v^b
@@ -245,7 +232,7 @@ class Rasterizer:
         pixel from the centre; see svrgs.h."""
         self._count("take moments of")
         rows = np.empty((self.work()["visible"], len(MOMENTS)))
-        _call("svrgs_moments", self._context, c.c_void_p(rows.ctypes.data))
+        _call("svrgs_moments", self._context, rows.ctypes.data)
         return rows
 
     def add_removal(self, error: np.ndarray, residuals: np.ndarray):
@@ -257,12 +244,8 @@ class Rasterizer:
         colours minus photograph; see svrgs.h.
         """
         count = self._count("score")
-        _call(
-            "svrgs_removal",
-            self._context,
-            c.c_void_p(check(residuals, "residuals", (*self._shape[:2], 3), self.dtype)),
-            c.c_void_p(check_out(error, "error", (count,), np.float64)),
-        )
+        given = check(residuals, "residuals", (*self._shape[:2], 3), self.dtype)
+        _call("svrgs_removal", self._context, given, check_out(error, "error", (count,), np.float64))
 
     def add_slopes(self, sums: np.ndarray):
         """Adds the last view to `sums` (N,) float64: the sum over pixels of (sum over channels of dC/dG)^2, G
@@ -281,7 +264,7 @@ class Rasterizer:
 
     def _add(self, function: str, totals: np.ndarray, columns: tuple[int, ...] = ()):
         address = check_out(totals, "totals", (self._count("score"), *columns), np.float64)
-        _call(function, self._context, c.c_void_p(address))
+        _call(function, self._context, address)
 
     def _count(self, purpose: str) -> int:
         """The number of Gaussians in the last view. Raises NativeError if there is none. purpose: verb of the
@@ -303,13 +286,12 @@ class Rasterizer:
         _call(
             "svrgs_loss",
             self._context,
-            c.c_void_p(check(image, "image", (*shape[:2], 3), self.dtype)),
-            c.c_void_p(check(target, "target", shape, self.dtype)),
-            c.c_int32(shape[0]),
-            c.c_int32(shape[1]),
-            c.c_double(l1_weight),
-            c.c_double(ssim_weight),
-            c.c_void_p(None if grad is None else grad.ctypes.data),
+            check(image, "image", (*shape[:2], 3), self.dtype),
+            check(target, "target", shape, self.dtype),
+            *shape[:2],
+            l1_weight,
+            ssim_weight,
+            None if grad is None else grad.ctypes.data,
             values,
         )
         return values[0], values[1], grad
@@ -318,16 +300,8 @@ class Rasterizer:
         """L_F = mean F^2 (SVR-GS Eq. 10) and `weight` times its gradient, (H, W), valid until the next call.
         mask: F (H, W) in self.dtype."""
         grad, value = self._buffer("mask_loss", np.shape(mask)), c.c_double()
-        address = c.c_void_p(check(mask, "mask", grad.shape, self.dtype))
-        _call(
-            "svrgs_mask_loss",
-            self._context,
-            address,
-            c.c_int64(mask.size),
-            c.c_double(weight),
-            c.c_void_p(grad.ctypes.data),
-            c.byref(value),
-        )
+        address, outs = check(mask, "mask", grad.shape, self.dtype), (grad.ctypes.data, c.byref(value))
+        _call("svrgs_mask_loss", self._context, address, mask.size, weight, *outs)
         return value.value, grad
 
     def adam(self, param, moments, grad, ids, *, lr, step, betas=(0.9, 0.999), eps=1e-15) -> int:
@@ -348,15 +322,8 @@ class Rasterizer:
         addresses.append(check(ids, "ids", (rows,), np.uint32) if ids is not None else None)
         if ids is not None and rows and (ids[-1] >= len(param) or (ids[1:] <= ids[:-1]).any()):
             raise ValueError(f"ids must be in ascending order and below {len(param)}")
-        _call(
-            "svrgs_adam",
-            self._context,
-            c.byref(settings),
-            *map(c.c_void_p, addresses),
-            c.c_int64(rows),
-            c.c_int32(len(rates)),
-            c.byref(bad),
-        )
+        sizes = rows, len(rates)
+        _call("svrgs_adam", self._context, c.byref(settings), *addresses, *sizes, c.byref(bad))
         return bad.value
 
     def _trained(self, param, moments, shape: tuple, of: str = "") -> tuple[int, int]:
@@ -462,13 +429,6 @@ def sample_masks(logits: np.ndarray, seed: int, step: int) -> tuple[np.ndarray, 
     """
     n = np.shape(logits)[:1]
     masks, slope = np.empty(n, np.uint8), np.empty(n, np.float32)
-    _call(
-        "svrgs_sample_masks",
-        c.c_void_p(check(logits, "logits", (*n,), np.float32)),
-        c.c_int64(len(logits)),
-        c.c_uint64(seed),
-        c.c_uint64(step),
-        c.c_void_p(masks.ctypes.data),
-        c.c_void_p(slope.ctypes.data),
-    )
+    address, outs = check(logits, "logits", (*n,), np.float32), (masks.ctypes.data, slope.ctypes.data)
+    _call("svrgs_sample_masks", address, len(logits), seed, step, *outs)
     return masks, slope

@@ -8,27 +8,22 @@ import functools
 import os
 from typing import Any
 
+from .structs import fields
+
 _HOST_VM_INFO64 = 4
 
 
 class VirtualMemory(ctypes.Structure):
     """vm_statistics64: numbers of pages. free includes the speculative ones."""
 
-    _fields_ = [
-        ("free", ctypes.c_uint32),
-        ("active", ctypes.c_uint32),
-        ("inactive", ctypes.c_uint32),
-        ("wired", ctypes.c_uint32),
-        ("events", ctypes.c_uint64 * 9),
-        ("purgeable", ctypes.c_uint32),
-        ("speculative", ctypes.c_uint32),
-        ("compressions", ctypes.c_uint64 * 4),
-        ("compressor", ctypes.c_uint32),
-        ("throttled", ctypes.c_uint32),
-        ("external", ctypes.c_uint32),
-        ("internal", ctypes.c_uint32),
-        ("uncompressed", ctypes.c_uint64),
-    ]
+    _fields_ = fields(
+        (ctypes.c_uint32, "free active inactive wired"),
+        (ctypes.c_uint64 * 9, "events"),
+        (ctypes.c_uint32, "purgeable speculative"),
+        (ctypes.c_uint64 * 4, "compressions"),
+        (ctypes.c_uint32, "compressor throttled external internal"),
+        (ctypes.c_uint64, "uncompressed"),
+    )
 
 
 @functools.cache

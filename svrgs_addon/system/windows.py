@@ -13,6 +13,8 @@ import weakref
 from collections.abc import Callable
 from typing import Any
 
+from .structs import fields
+
 GENERIC_READ, GENERIC_WRITE, DELETE = 0x80000000, 0x40000000, 0x00010000
 SHARE_NOTHING, SHARE_ALL = 0, 7  # what others may do with the file meanwhile: read, write, delete or rename
 CREATE_NEW, OPEN_EXISTING, OPEN_ALWAYS = 1, 3, 4
@@ -28,53 +30,37 @@ _NO_HANDLE = 2**64 - 1
 class MemoryStatus(ctypes.Structure):
     """MEMORYSTATUSEX, in bytes. page_file: what can still be committed, in memory or in the page file."""
 
-    _fields_ = [
-        ("length", ctypes.c_uint32),
-        ("load", ctypes.c_uint32),
-        ("total", ctypes.c_uint64),
-        ("available", ctypes.c_uint64),
-        ("total_page_file", ctypes.c_uint64),
-        ("available_page_file", ctypes.c_uint64),
-        ("total_virtual", ctypes.c_uint64),
-        ("available_virtual", ctypes.c_uint64),
-        ("available_extended", ctypes.c_uint64),
-    ]
+    _fields_ = fields(
+        (ctypes.c_uint32, "length load"),
+        (ctypes.c_uint64, "total available total_page_file available_page_file"),
+        (ctypes.c_uint64, "total_virtual available_virtual available_extended"),
+    )
 
 
 class ProcessMemory(ctypes.Structure):
     """PROCESS_MEMORY_COUNTERS_EX, in bytes. private: what the process has committed."""
 
-    _fields_ = [
-        ("length", ctypes.c_uint32),
-        ("faults", ctypes.c_uint32),
-        ("peak_working_set", ctypes.c_size_t),
-        ("working_set", ctypes.c_size_t),
-        ("pools", ctypes.c_size_t * 4),
-        ("page_file", ctypes.c_size_t),
-        ("peak_page_file", ctypes.c_size_t),
-        ("private", ctypes.c_size_t),
-    ]
+    _fields_ = fields(
+        (ctypes.c_uint32, "length faults"),
+        (ctypes.c_size_t, "peak_working_set working_set"),
+        (ctypes.c_size_t * 4, "pools"),
+        (ctypes.c_size_t, "page_file peak_page_file private"),
+    )
 
 
 class JobLimits(ctypes.Structure):
     """JOBOBJECT_EXTENDED_LIMIT_INFORMATION."""
 
-    _fields_ = [
-        ("process_time", ctypes.c_int64),
-        ("job_time", ctypes.c_int64),
-        ("flags", ctypes.c_uint32),
-        ("smallest_working_set", ctypes.c_size_t),
-        ("largest_working_set", ctypes.c_size_t),
-        ("processes", ctypes.c_uint32),
-        ("affinity", ctypes.c_size_t),
-        ("priority", ctypes.c_uint32),
-        ("scheduling", ctypes.c_uint32),
-        ("transfers", ctypes.c_uint64 * 6),
-        ("process_memory", ctypes.c_size_t),
-        ("job_memory", ctypes.c_size_t),
-        ("peak_process_memory", ctypes.c_size_t),
-        ("peak_job_memory", ctypes.c_size_t),
-    ]
+    _fields_ = fields(
+        (ctypes.c_int64, "process_time job_time"),
+        (ctypes.c_uint32, "flags"),
+        (ctypes.c_size_t, "smallest_working_set largest_working_set"),
+        (ctypes.c_uint32, "processes"),
+        (ctypes.c_size_t, "affinity"),
+        (ctypes.c_uint32, "priority scheduling"),
+        (ctypes.c_uint64 * 6, "transfers"),
+        (ctypes.c_size_t, "process_memory job_memory peak_process_memory peak_job_memory"),
+    )
 
 
 @functools.cache

@@ -1,0 +1,11 @@
+"""Fields of C structs, for ctypes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+
+def fields(*of_types: tuple[Any, str]) -> list[tuple[str, Any]]:
+    """The _fields_ of a ctypes.Structure. of_types: a type, and the names of the fields that have it, in the
+    order of the struct."""
+    return [(name, kind) for kind, names in of_types for name in names.split()]
