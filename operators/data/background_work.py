@@ -36,7 +36,7 @@ def run(work: Callable[[], Any], done: Callable[[Future], None], detached: bool 
         except BaseException as error:  # whoever asks for the result gets it
             answer.set_exception(error)
 
-    def look() -> bool:
+    def poll() -> bool:
         if not answer.done():
             return True
         done(answer)
@@ -48,18 +48,18 @@ def run(work: Callable[[], Any], done: Callable[[Future], None], detached: bool 
     _threads[:] = [one for one in (*_threads, thread) if one.is_alive() and not one.daemon]
     if waits:
         thread.join()
-        look()
+        poll()
     else:
-        watch(look)
+        watch(poll)
     return answer
 
 
-def watch(look: Callable[[], bool]):
-    """Calls look() again and again in the main thread, until it returns False. Without a window: never."""
+def watch(poll: Callable[[], bool]):
+    """Calls poll() again and again in the main thread, until it returns False. Without a window: never."""
     if waits:
         return
-    if look not in _watching:
-        _watching.append(look)
+    if poll not in _watching:
+        _watching.append(poll)
     if not bpy.app.timers.is_registered(tick):
         # persistent: another file may be opened meanwhile
         bpy.app.timers.register(tick, first_interval=INTERVAL, persistent=True)
@@ -70,14 +70,14 @@ def tick() -> float | None:
     if _stale.is_set():
         _stale.clear()
         redraw_panels()
-    for look in list(_watching):
+    for poll in list(_watching):
         try:
-            goes_on = look()
+            goes_on = poll()
         except Exception:  # Blender removes a timer that raises; others still wait for it
             traceback.print_exc()
             goes_on = False
         if not goes_on:
-            _watching.remove(look)
+            _watching.remove(poll)
     return INTERVAL if _watching else None
 
 

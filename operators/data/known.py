@@ -26,7 +26,7 @@ class KnownObject:
     # what the check of its photographs depends on, and what is wrong; '' until that is known
     cameras_checked: tuple[Any, str] = ((), "")
     placing: bool = False  # cameras are being placed for it
-    problem: str = ""  # why no cameras were placed
+    placing_problem: str = ""  # why none were placed
     order_problem: str = ""  # why other numbers of Gaussians of this quick result cannot be shown
 
 

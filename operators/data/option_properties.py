@@ -74,7 +74,7 @@ def time_property(default: int):
     )
 
 
-def method_choice_property(**more):
+def method_choice_property():
     """The short menu of methods, which shows and sets the property `method`."""
     items = [(key, METHODS[name].label, _tooltip(METHODS[name])) for key, name in CHOICES.items()]
     items.append(
@@ -86,7 +86,6 @@ def method_choice_property(**more):
         get=_choice,
         set=_choose,
         description="How pruning decides which Gaussians are removed",
-        **more,
     )
 
 
@@ -101,9 +100,8 @@ def _choose(settings, number: int):
         settings.method = [*CHOICES.values(), FIRST_OTHER][number]
 
 
-def method_property(**more):
-    """The menu of the methods that prune. Blender stores the number of a method in .blend files. more:
-    further arguments of the property."""
+def method_property():
+    """The menu of the methods that prune. Blender stores the number of a method in .blend files."""
     items = [
         (name, method.label, _tooltip(method), "NONE", method.number)
         for name, method in METHODS.items()
@@ -114,7 +112,6 @@ def method_property(**more):
         items=items,
         default=DEFAULT,
         description="How pruning decides which Gaussians are removed",
-        **more,
     )
 
 

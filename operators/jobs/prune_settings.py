@@ -25,23 +25,15 @@ from . import depths, goals, job_result
 WEAKEST, STRONGEST = -5.0, -3.0  # ends of the slider Strength: powers of ten of λ_F
 
 
-def _get_lambda(settings) -> float:
-    return 10**settings.strength
-
-
-def _set_lambda(settings, value: float):
-    settings.strength = math.log10(value)
-
-
 def _get_amount(settings) -> float:
-    return min(1.0, max(0.0, (settings.strength - WEAKEST) / (STRONGEST - WEAKEST)))
+    return min(1.0, max(0.0, (math.log10(settings.lambda_f) - WEAKEST) / (STRONGEST - WEAKEST)))
 
 
 def _set_amount(settings, value: float):
-    settings.strength = WEAKEST + value * (STRONGEST - WEAKEST)
+    settings.lambda_f = 10 ** (WEAKEST + value * (STRONGEST - WEAKEST))
 
 
-def _strength_changed(settings, context):
+def _lambda_changed(settings, context):
     """Whoever sets λ_F wants it to count: a script need not set the goal."""
     if settings.goal in goals.PRESETS:
         settings.goal = "LAMBDA"
@@ -87,10 +79,6 @@ class SVRGS_PG_prune(bpy.types.PropertyGroup):
         default="BALANCED",
         description="What decides how many Gaussians stay",
     )
-    strength: FloatProperty(
-        name="Power of λ_F", min=-7, max=0, default=-4, update=_strength_changed,
-        description="λ_F as a power of ten: -4 is 1e-4. A higher λ_F keeps fewer Gaussians",
-    )  # fmt: skip
     amount: FloatProperty(
         name="Strength", get=_get_amount, set=_set_amount, min=0, max=1, subtype="FACTOR", precision=2,
         description=(
@@ -99,8 +87,8 @@ class SVRGS_PG_prune(bpy.types.PropertyGroup):
         ),
     )  # fmt: skip
     lambda_f: FloatProperty(
-        name="Exact λ_F", get=_get_lambda, set=_set_lambda, min=1e-7, max=1, soft_min=1e-5, soft_max=1e-3,
-        precision=6,
+        name="Exact λ_F", default=1e-4, update=_lambda_changed, min=1e-7, max=1, soft_min=1e-5,
+        soft_max=1e-3, precision=6,
         description="The λ_F of the goal Strength, as a number. A higher λ_F keeps fewer Gaussians",
     )  # fmt: skip
     share: FloatProperty(

@@ -81,7 +81,8 @@ def _of_job(job: Job) -> list[str]:
         reason = tr(facts["text"]) if facts.get("text") else ""
         texts = [job_state.text(job), reason, job_state.resume_sentence(job), _figures(facts)]
     elif not job_state.is_busy(job):
-        texts = [tr("A finished job was found: load its result, or discard it and start again")]
+        found = tr("A finished job was found: load its result, or discard it and start again")
+        texts = [found if job.state == "done" else job_state.text(job)]
     else:
         texts = [tr(facts.get("text") or n_("Working")), _figures(facts)]
         if facts.get("schedule"):  # its time is limited

@@ -26,7 +26,7 @@ from ..data.reporting import ReportingOperator
 
 def sentence(obj: bpy.types.Object) -> str:
     """What the panel says on it; mostly empty."""
-    return tr("Placing cameras …") if known.of(obj).placing else known.of(obj).problem
+    return tr("Placing cameras …") if known.of(obj).placing else known.of(obj).placing_problem
 
 
 class SVRGS_OT_place_cameras(ReportingOperator):
@@ -60,12 +60,12 @@ class SVRGS_OT_place_cameras(ReportingOperator):
                 subprocess_python.ask(["rig", str(scene), "--out", str(out), *words])
                 return load_cameras(out)
 
-        known.of(obj).placing, known.of(obj).problem = True, ""
+        known.of(obj).placing, known.of(obj).placing_problem = True, ""
         background_work.run(work, lambda answer: _finished(uid, answer))
         if not bpy.app.background:
             return tr("Placing cameras …")
-        if known.of(obj).problem:
-            raise SplatError(known.of(obj).problem)
+        if known.of(obj).placing_problem:
+            raise SplatError(known.of(obj).placing_problem)
         return tr("Placed {count:,} cameras").format(count=len(views_of_file.placed(obj)))
 
 
@@ -77,7 +77,7 @@ def _finished(uid: int, answer: Future):
     try:
         cameras = answer.result()
     except SplatError as error:
-        splat.problem = str(error)
+        splat.placing_problem = str(error)
         return
     if obj is None:
         return

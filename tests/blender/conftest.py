@@ -34,7 +34,7 @@ def empty():
         bpy.data.batch_remove(list(getattr(bpy.data, kind)))
     settings = bpy.context.scene.svrgs_prune
     for name in settings.bl_rna.properties.keys():
-        if name not in ("rna_type", "name", "lambda_f", "amount", "method_choice"):
+        if name not in ("rna_type", "name", "amount", "method_choice"):
             settings.property_unset(name)
     part("operators.io.export_levels")._after_load()
 

@@ -13,7 +13,7 @@ from job_helpers import Layout, drawn, set_up
 @pytest.fixture
 def settings():
     settings = bpy.context.scene.svrgs_prune
-    for name in ("method", "goal", "strength"):
+    for name in ("method", "goal", "lambda_f"):
         settings.property_unset(name)
     return settings
 
