@@ -64,11 +64,9 @@ def _result(status: int, last: str, error_lines: list[str]) -> dict:
     """The JSON object in the last line; without one the error, {} if the exit status is 0."""
     with contextlib.suppress(ValueError):
         return json.loads(last)
-    reason = (
-        error_lines[-1].removeprefix("svrgs: ")
-        if error_lines
-        else f"the process ended without a result (exit status {status})"
-    )
+    reason = f"the process ended without a result (exit status {status})"
+    if error_lines:
+        reason = error_lines[-1].removeprefix("svrgs: ")
     return {"error": reason} if status else {}
 
 
