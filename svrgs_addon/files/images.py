@@ -5,6 +5,7 @@ OpenImageIO is imported inside functions only. So commands that use no images st
 
 from __future__ import annotations
 
+import contextlib
 import os
 import threading
 from types import ModuleType
@@ -39,13 +40,10 @@ _OPENING = threading.Lock()
 
 def image_size(path: str | os.PathLike, upright: bool = True) -> tuple[int, int]:
     """(width, height) in pixels; reads only the header. upright: as in read_pixels. Raises FormatError."""
-    source = _open(path)
-    try:
+    with contextlib.closing(_open(path)) as source:
         spec = source.spec()
         turned = upright and ORIENTATIONS[_orientation(spec)][0]
         return (spec.height, spec.width) if turned else (spec.width, spec.height)
-    finally:
-        source.close()
 
 
 def read_image(path: str | os.PathLike, background: tuple[float, float, float] = (0, 0, 0)) -> np.ndarray:
@@ -63,29 +61,23 @@ def read_pixels(
     Grey is converted to RGB, scene-linear files to display sRGB. Transparent pixels are composited over
     `background` (display sRGB, 0..1). upright: applies the EXIF orientation. Raises FormatError.
     """
-    source = _open(path)
-    try:
+    with contextlib.closing(_open(path)) as source:
         spec = source.spec()
         pixels = _read_channels(source, spec, path)
         colour = _composite(pixels, source, background)
         return _make_upright(colour, _orientation(spec)) if upright else colour
-    finally:
-        source.close()
 
 
 def read_texture(path: str | os.PathLike, most: int) -> np.ndarray:
     """The four channels of an 8-bit image as stored, (H, W, 4) uint8; 255 for an alpha that it does not have.
     most: pixels. Raises FormatError."""
-    source = _open(path)
-    try:
+    with contextlib.closing(_open(path)) as source:
         spec = source.spec()
         if spec.width * spec.height > most:
             raise FormatError(
                 f"{path}: has {spec.width} x {spec.height} pixels, more than its file needs; export it again"
             )
         pixels = _read_channels(source, spec, path)
-    finally:
-        source.close()
     if pixels.dtype != np.uint8 or pixels.shape[2] < 3:
         raise FormatError(f"{path}: is not an image of three or four channels of 8 bits; export it again")
     opaque = np.full((*pixels.shape[:2], 1), 255, np.uint8)

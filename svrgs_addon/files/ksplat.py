@@ -107,11 +107,9 @@ def _sections(file: BinaryIO, header: _Header) -> Iterator[_Section]:
         if end > size:
             raise FormatError(f"is incomplete: {size:,} of at least {end:,} bytes; copy or export it again")
         if count:
-            lengths, centres = (
-                _buckets(file, at, (partial, storage, buckets), size)
-                if header.level
-                else (_EMPTY.lengths, _EMPTY.centres)
-            )
+            lengths, centres = _EMPTY.lengths, _EMPTY.centres
+            if header.level:
+                lengths, centres = _buckets(file, at, (partial, storage, buckets), size)
             section = _Section(
                 count,
                 SH_COEFFICIENTS[degree],
@@ -183,36 +181,26 @@ def _scene(
     means = rows["means"].astype(np.float32)
     with np.errstate(over="ignore", invalid="ignore"):  # of a damaged file
         if header.level:
-            means = (means - section.steps) * np.float32(section.step) + section.centres[
-                _bucket_of(section, np.arange(start, start + count))
-            ]
+            buckets = _bucket_of(section, np.arange(start, start + count))
+            means = (means - section.steps) * np.float32(section.step) + section.centres[buckets]
     sh = np.zeros((count, coefficients, 3), np.float32)
     sh[:, 0] = sh_of_colors(rows["rgba"][:, :3].astype(np.float32) / 255)
     rest = rows["rest"].astype(np.float32)
-    rest = (
-        rest * np.float32((header.high - header.low) / 255) + np.float32(header.low)
-        if header.level == 2
-        else rest
-    )
+    if header.level == 2:
+        rest = rest * np.float32((header.high - header.low) / 255) + np.float32(header.low)
     # each band has red, green, blue in turn
     for degree in range(1, SH_COEFFICIENTS.index(section.coefficients) + 1):
         first, last = SH_COEFFICIENTS[degree - 1], SH_COEFFICIENTS[degree]
-        sh[:, first:last] = (
-            rest[:, 3 * (first - 1) : 3 * (last - 1)].reshape(count, 3, last - first).transpose(0, 2, 1)
-        )
-    return Scene.of(
-        means, logs_of(rows["scales"].astype(np.float32)), rows["quats"], logits_of(rows["rgba"][:, 3]), sh
-    )
+        band = rest[:, 3 * (first - 1) : 3 * (last - 1)].reshape(count, 3, last - first)
+        sh[:, first:last] = band.transpose(0, 2, 1)
+    logs, logits = logs_of(rows["scales"].astype(np.float32)), logits_of(rows["rgba"][:, 3])
+    return Scene.of(means, logs, rows["quats"], logits, sh)
 
 
 def _bucket_of(section: _Section, rows: np.ndarray) -> np.ndarray:
     """The bucket of each Gaussian of the section: full ones come first."""
-    ends = np.concatenate(
-        [
-            np.arange(1, section.full + 1) * section.bucket_size,
-            section.full * section.bucket_size + np.cumsum(section.lengths),
-        ]
-    )
+    full = np.arange(1, section.full + 1) * section.bucket_size
+    ends = np.concatenate([full, section.full * section.bucket_size + np.cumsum(section.lengths)])
     return np.searchsorted(ends, rows, side="right")
 
 

@@ -37,12 +37,8 @@ def bake_filter(scene: Scene) -> tuple[Scene, bool]:
     attributes = {name: column for name, column in scene.attributes.items() if name != FILTER}
     log_scales, logits = scene.log_scales.astype(np.float64), scene.opacity_logits.astype(np.float64)
     with np.errstate(divide="ignore", over="ignore", invalid="ignore"):  # infinite values are repaired later
-        baked = (
-            np.logaddexp(
-                2 * log_scales, 2 * np.log(np.abs(scene.attributes[FILTER].astype(np.float64)))[:, None]
-            )
-            / 2
-        )
+        log_filter = np.log(np.abs(scene.attributes[FILTER].astype(np.float64)))[:, None]
+        baked = np.logaddexp(2 * log_scales, 2 * log_filter) / 2
         log_opacity = -np.logaddexp(0, -logits) + (log_scales - baked).sum(axis=1)
         logits = log_opacity - np.log(-np.expm1(log_opacity))
     order = tuple(name for name in scene.property_order if name != FILTER)

@@ -40,6 +40,11 @@ RATIO, ALWAYS = 32, 1 << 20  # most bytes per packed byte of a bundle; bytes tha
 MANY = 1 << 16  # Gaussians that any file may name; more need a byte each
 PART = 2**16  # Gaussians that are converted together
 BROKEN = "; export it again"
+# what zipfile raises, also for a password
+DAMAGED = (
+    *(zipfile.BadZipFile, zlib.error, lzma.LZMAError),
+    *(NotImplementedError, RuntimeError, EOFError, ValueError),
+)
 
 
 @dataclass(frozen=True)
@@ -96,25 +101,13 @@ def _unpack(file: Path, folder: Path):
     """Writes the files of a bundle that may belong to a SOG into the folder, and no others."""
     try:
         with zipfile.ZipFile(file) as bundle:
-            members = [
-                one
-                for one in bundle.infolist()
-                if Path(one.filename).name == one.filename and one.filename.endswith((".webp", ".json"))
-            ]
+            members = [one for one in bundle.infolist() if Path(one.filename).name == one.filename]
+            members = [one for one in members if one.filename.endswith((".webp", ".json"))]
             if sum(one.file_size for one in members) > max(ALWAYS, RATIO * file.stat().st_size):
                 raise FormatError(f"unpacks to more than it can hold{BROKEN}")
             for one in members:
                 bundle.extract(one, folder)
-    except (
-        zipfile.BadZipFile,
-        zlib.error,
-        lzma.LZMAError,
-        NotImplementedError,
-        RuntimeError,
-        EOFError,
-        ValueError,
-    ) as error:
-        # zipfile raises all of these, also for a password
+    except DAMAGED as error:
         raise FormatError(f"is no SOG, or damaged ({error}); copy or export it again") from None
 
 
@@ -176,11 +169,8 @@ def _part(meta: dict[str, Any], name: str) -> dict[str, Any]:
 def _numbers(part: dict[str, Any], name: str, count: int) -> np.ndarray:
     """(count,) float32 finite numbers of meta.json."""
     found = part.get(name)
-    if (
-        not isinstance(found, list)
-        or len(found) != count
-        or not all(isinstance(one, int | float) and abs(one) < 1e30 for one in found)
-    ):
+    valid = lambda one: isinstance(one, int | float) and abs(one) < 1e30
+    if not isinstance(found, list) or len(found) != count or not all(map(valid, found)):
         raise FormatError(f"has no {name} of {count} numbers in its {META}{BROKEN}")
     return np.array(found, np.float32)
 

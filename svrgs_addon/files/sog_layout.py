@@ -18,6 +18,7 @@ Axes are those of 3DGS.
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -42,14 +43,9 @@ def files_of(meta: Path) -> list[Path]:
     except OSError:
         return [meta]
     lists = [part.get("files") for part in contents.values() if isinstance(part, dict)]
-    names = [
-        name
-        for names in lists
-        if isinstance(names, list)
-        for name in names
-        if isinstance(name, str) and is_texture(name)
-    ]
-    return [meta, *(meta.parent / name for name in dict.fromkeys(names) if (meta.parent / name).is_file())]
+    found = itertools.chain(*(names for names in lists if isinstance(names, list)))
+    names = dict.fromkeys(name for name in found if isinstance(name, str) and is_texture(name))
+    return [meta, *(meta.parent / name for name in names if (meta.parent / name).is_file())]
 
 
 def is_texture(name: str) -> bool:

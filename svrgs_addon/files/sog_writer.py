@@ -40,7 +40,7 @@ from .sog_layout import (
 
 SHARES = (64, 16, 4)  # Gaussians for each entry of the palette: the first one whose error is small enough
 SMALL_ERROR = 2.5e-3  # weighted mean of the squared errors of all coefficients: about 50 dB in a picture
-SAMPLE = 1 << 15  # Gaussians by which that is found out
+SAMPLE = 1 << 15  # Gaussians by which it is chosen
 MIN_ENTRIES = 1024
 FARTHEST = 1e30  # positions beyond are written as if they were there
 COARSE = 2  # steps of a position in the scale of a small Gaussian, at least: beyond, a sentence says so

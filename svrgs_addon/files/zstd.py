@@ -18,7 +18,7 @@ DAMAGED = "is damaged: a stream cannot be unpacked; copy or export it again"
 
 
 def available() -> bool:
-    """Whether one of both is installed."""
+    """Whether either is installed."""
     return importlib.util.find_spec("zstandard") is not None or _in_python()
 
 

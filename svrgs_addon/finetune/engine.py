@@ -194,17 +194,9 @@ class NativeEngine:
         return self._adam(model, step, name, rows, ids)
 
     def _adam(self, model: Model, step: Step, name: str, rows: np.ndarray, ids: np.ndarray | None) -> int:
-        rates = _row_rates(name, step.rates, model)
-        return self.rasterizer.adam(
-            model.values[name],
-            model.moments[name],
-            rows,
-            ids,
-            lr=rates,
-            step=step.number,
-            betas=BETAS,
-            eps=EPS,
-        )
+        settings = {"lr": _row_rates(name, step.rates, model), "step": step.number}
+        values, moments = model.values[name], model.moments[name]
+        return self.rasterizer.adam(values, moments, rows, ids, **settings, betas=BETAS, eps=EPS)
 
 
 def _penalised(model: Model, step: Step, ids: np.ndarray) -> list[tuple[Penalty, np.ndarray]]:

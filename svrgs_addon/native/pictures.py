@@ -1,5 +1,5 @@
-"""Of pictures, by the native library: opaque triangles, panoramas of perspective views, the order in which a
-GPU draws Gaussians, FLIP of two pictures, and linear colours.
+"""Functions of the native library on pictures: opaque triangles, panoramas of perspective views, the order in
+which a GPU draws Gaussians, FLIP of two pictures, and linear colours.
 
 `native/include/svrgs.h` (svrgs_draw_triangles, svrgs_add_view, svrgs_depth_order, svrgs_flip,
 svrgs_linear_rgba) is the manual; names, shapes and units here are the same.

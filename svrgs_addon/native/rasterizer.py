@@ -347,11 +347,8 @@ class Rasterizer:
         count = self.work()["visible"]
         widths = {"means": (3,), "log_scales": (3,), "quats": (4,), "sh": (coefficients, 3), "means2d": (2,)}
         grads = {name: self._buffer(name, (count, *widths.get(name, ()))) for name in wanted}
-        return (
-            ImageGradsStruct(**given),
-            grads,
-            GradsStruct(**{name: g.ctypes.data for name, g in grads.items()}),
-        )
+        addresses = {name: rows.ctypes.data for name, rows in grads.items()}
+        return ImageGradsStruct(**given), grads, GradsStruct(**addresses)
 
     def _scene(self, scene, masks):
         """The struct of a scene whose arrays were checked. The arrays are kept alive until the next view."""

@@ -47,11 +47,8 @@ def raw_opacities(values: np.ndarray, kept: np.ndarray | None = None) -> np.ndar
     kept: (N,) or None."""
     wide = values.astype(np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return _restore(
-            (np.log(wide) - np.log1p(-wide)).astype(np.float32),
-            kept,
-            lambda raw: _same(opacities(raw), values),
-        )
+        logits = (np.log(wide) - np.log1p(-wide)).astype(np.float32)
+        return _restore(logits, kept, lambda raw: _same(opacities(raw), values))
 
 
 def raw_rotations(values: np.ndarray, kept: np.ndarray | None = None) -> np.ndarray:

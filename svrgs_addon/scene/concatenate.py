@@ -56,13 +56,13 @@ def _columns(scenes: Sequence[Scene]) -> dict[str, np.ndarray]:
     for scene in scenes:
         for name, column in scene.attributes.items():
             dtypes.setdefault(name, column.dtype)
-    columns = {}
+    columns: dict[str, np.ndarray] = {}
     for name, dtype in dtypes.items():
-        found = [scene.attributes.get(name) for scene in scenes]
-        columns[name] = np.concatenate(
-            [
-                part if part is not None and part.dtype == dtype else np.zeros(scene.count, dtype)
-                for part, scene in zip(found, scenes, strict=True)
-            ]
-        )
+        parts = []
+        for scene in scenes:
+            part = scene.attributes.get(name)
+            if part is None or part.dtype != dtype:
+                part = np.zeros(scene.count, dtype)
+            parts.append(part)
+        columns[name] = np.concatenate(parts)
     return columns

@@ -7,9 +7,8 @@ import numpy as np
 
 def rotation_matrices(quats: np.ndarray) -> np.ndarray:
     """Rotation matrices (N, 3, 3) float64 of quaternions (N, 4), w x y z, of any length > 0."""
-    w, x, y, z = (
-        quats.astype(np.float64) / np.linalg.norm(quats.astype(np.float64), axis=1, keepdims=True)
-    ).T
+    quats = quats.astype(np.float64)
+    w, x, y, z = (quats / np.linalg.norm(quats, axis=1, keepdims=True)).T
     rows = (
         1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
         2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
@@ -32,24 +31,12 @@ def rotated(quats: np.ndarray, vectors: np.ndarray) -> np.ndarray:
 def quats_from_matrices(R: np.ndarray) -> np.ndarray:
     """Unit quaternions (N, 4) float64, w x y z, of rotation matrices (N, 3, 3)."""
     m = np.moveaxis(R, 0, -1)
-    t = np.stack(
-        [
-            m[0, 0] + m[1, 1] + m[2, 2],
-            m[0, 0] - m[1, 1] - m[2, 2],
-            m[1, 1] - m[0, 0] - m[2, 2],
-            m[2, 2] - m[0, 0] - m[1, 1],
-        ]
-    )
+    x, y, z = m[0, 0], m[1, 1], m[2, 2]
+    t = np.stack([x + y + z, x - y - z, y - x - z, z - x - y])
     a, b, c = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
     d, e, f = m[1, 0] + m[0, 1], m[0, 2] + m[2, 0], m[2, 1] + m[1, 2]
-    candidates = np.stack(
-        [
-            np.stack([t[0] + 1, a, b, c]),
-            np.stack([a, t[1] + 1, d, e]),
-            np.stack([b, d, t[2] + 1, f]),
-            np.stack([c, e, f, t[3] + 1]),
-        ]
-    )
+    rows = [t[0] + 1, a, b, c], [a, t[1] + 1, d, e], [b, d, t[2] + 1, f], [c, e, f, t[3] + 1]
+    candidates = np.stack([np.stack(row) for row in rows])
     # the numerically stable one of four equivalent formulas
     best = candidates[t.argmax(axis=0), :, np.arange(R.shape[0])]
     return best / np.linalg.norm(best, axis=1, keepdims=True)

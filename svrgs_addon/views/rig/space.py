@@ -147,7 +147,7 @@ class Space:
         """(CELLS, CELLS, CELLS) bool: cells in which a camera may stand: no matter is in them or nearer than
         a camera can see.
 
-        Where no cell has such a clearance, that is given up step by step.
+        Where no cell has such a clearance, less of it is asked for, step by step.
         """
         empty, solid = self.depth < FREE, self.depth >= SOLID
         cell = 4 / CELLS * self.half
