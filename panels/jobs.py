@@ -9,7 +9,12 @@ from bpy.app.translations import pgettext_n as n_
 from ..operators.jobs import job_list
 from .sidebar import SidebarPanel, wrapped_label
 
-ICONS = {"stop": "PAUSE", "resume": "PLAY", "load": "IMPORT", "discard": "TRASH"}
+BUTTONS = {  # action -> operator, icon
+    "stop": ("svrgs.job_stop", "PAUSE"),
+    "resume": ("svrgs.job_resume", "PLAY"),
+    "load": ("svrgs.job_load", "IMPORT"),
+    "discard": ("svrgs.job_discard", "TRASH"),
+}
 
 
 class SVRGS_PT_jobs(SidebarPanel, bpy.types.Panel):
@@ -39,7 +44,8 @@ def draw_actions(layout, job, actions: tuple[str, ...], named: bool = True):
     for action in actions:
         stop_now = action == "stop" and job.stopping
         options = {"text": n_("Stop Now")} if stop_now and named else {} if named else {"text": ""}
-        button = layout.operator(f"svrgs.job_{action}", icon=ICONS[action], **options)
+        operator, icon = BUTTONS[action]
+        button = layout.operator(operator, icon=icon, **options)
         button.folder = str(job.folder.path)
         if action == "stop":
             button.now = stop_now

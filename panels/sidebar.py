@@ -32,7 +32,8 @@ def split_column(layout):
 def wrapped_label(layout, sentence: str, icon: str = "NONE"):
     """Labels for a sentence in the user's language, broken into lines that fit the region. icon: of the first
     line."""
-    column, line, length = layout.column(align=True), "", _characters_per_line() - 3 * (icon != "NONE")
+    column, line = layout.column(align=True), ""
+    length = _sidebar_width() / CHARACTER_WIDTH - 3 - 3 * (icon != "NONE")  # characters
     for piece in PIECES.findall(sentence):
         if line and _width(line + piece) > length:
             column.label(text=line, icon=icon, translate=False)
@@ -58,10 +59,6 @@ def native_library_works(layout) -> bool:
 def sidebar_units() -> float:
     """Width of the sidebar's content, in heights of a button."""
     return max(5.0, (_sidebar_width() - MARGINS) / BUTTON_HEIGHT)
-
-
-def _characters_per_line() -> float:
-    return _sidebar_width() / CHARACTER_WIDTH - 3
 
 
 def _sidebar_width() -> float:

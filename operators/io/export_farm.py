@@ -114,7 +114,7 @@ def _within(root: Path, options: dict[str, Any]) -> dict[str, Any]:
 def _finished(folder: Path, answer: Future):
     try:
         result = answer.result()
-    except SplatError as error:
+    except (SplatError, OSError) as error:
         _lines[:] = [str(error)]
         return
     text = tr("Tasks: {count:,}. Memory of each: up to {memory}. Folder: {folder}")

@@ -135,7 +135,7 @@ def _finished(name: str, answer: Future):
     _running.remove(name)
     try:
         result = answer.result()
-    except SplatError as error:
+    except (SplatError, OSError) as error:
         _lines.append(f"{name}: {error}")
         return
     texts = [

@@ -130,7 +130,7 @@ class SVRGS_OT_estimate(ReportingOperator):
         def done(answer: Future):
             try:
                 known.of_uid(uid).estimate = answer.result()
-            except SplatError as error:
+            except (SplatError, OSError) as error:
                 known.of_uid(uid).estimate = {"error": str(error)}
 
         known.of(obj).estimate, known.of(obj).estimated = {"busy": True}, _inputs_now(obj)

@@ -10,8 +10,9 @@ from ...svrgs_addon.jobs import job_plot
 from ...svrgs_addon.jobs.job_folder import JobFolder
 
 _pictures: list = []  # one preview collection, while the extension is enabled
-_drawn: dict[str, tuple] = {}  # by folder: (number of points, total) of the last plot
-_shown: dict[str, str] = {}  # by folder: file of the newest preview image, its key in the collection
+# by folder, as a job may outlive its splat:
+_drawn: dict[str, tuple] = {}  # (number of points, total) of the last plot
+_shown: dict[str, str] = {}  # file of the newest preview image, its key in the collection
 
 
 def redraw(folder: JobFolder):

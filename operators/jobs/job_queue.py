@@ -6,6 +6,7 @@ Each Blender has a queue of its own. A job that waits when Blender ends is found
 
 from __future__ import annotations
 
+from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_iface as tr
 
 from ...svrgs_addon.jobs.job_folder import JobFolder
@@ -69,14 +70,18 @@ def advance() -> bool:
     return running() is not None
 
 
-def forget_ended():
-    """Forgets the jobs that neither run nor wait."""
+@persistent
+def forget_ended(*_):
+    """With another file: forgets the jobs that neither run nor wait."""
     for path in [path for path, job in jobs.items() if not job.running and not is_queued(job)]:
         del jobs[path]
 
 
-def forget_all():
-    """For the end of the extension: running jobs save a checkpoint and end."""
+HANDLERS = {"load_post": forget_ended}
+
+
+def unregister():
+    """Running jobs save a checkpoint and end."""
     for job in jobs.values():
         job.detach()
     jobs.clear()

@@ -6,7 +6,6 @@ from __future__ import annotations
 import contextlib
 
 import bpy
-from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_iface as tr
 
 from ...svrgs_addon.jobs.job_folder import TRAIN, JobFolder
@@ -115,19 +114,9 @@ def _load_if_possible(job: Job):
             bpy.ops.ed.undo_push(message="Train Splat" if job.folder.kind == TRAIN else "Prune Splat")
 
 
-@persistent
-def _after_load(*_):
-    """Another file has been opened: only the jobs that run or wait in this Blender stay."""
-    job_queue.forget_ended()
-
-
-HANDLERS = {"load_post": _after_load}
-
-
 def register():
     edit_guard.reasons.append(keeps)
 
 
 def unregister():
     edit_guard.reasons.remove(keeps)
-    job_queue.forget_all()

@@ -76,6 +76,3 @@ class SVRGS_OT_adopt_job(ReportingOperator):
 
 
 CLASSES = (SVRGS_OT_adopt_job,)
-
-
-CLASSES = (SVRGS_OT_adopt_job,)

@@ -76,7 +76,7 @@ def _finished(uid: int, answer: Future):
     obj = next((obj for obj in bpy.data.objects if obj.session_uid == uid and obj.users_collection), None)
     try:
         cameras = answer.result()
-    except SplatError as error:
+    except (SplatError, OSError) as error:
         splat.placing_problem = str(error)
         return
     if obj is None:

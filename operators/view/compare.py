@@ -91,6 +91,8 @@ def pruned_of(original: bpy.types.Object) -> bpy.types.Object:
 
 
 class ComparingOperator(ReportingOperator):
+    """Draws from cameras, so there must be one."""
+
     @classmethod
     def problem(cls, context) -> str:
         if context.scene.svrgs_view.compare_camera is not None or context.scene.camera is not None:

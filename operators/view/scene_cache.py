@@ -26,8 +26,8 @@ class Entry:
     number: int = field(default_factory=itertools.count().__next__)  # every entry has another number
 
 
-# By session_uid of the object, the address of its evaluated data (nodes may show others beside its own), and
-# whether it holds all Gaussians.
+# By session_uid of the object, the address of its evaluated data (nodes may show others beside its own, so
+# these are not in data/known.py), and whether it holds all Gaussians.
 _entries: dict[tuple[int, int, bool], Entry] = {}
 
 

@@ -263,5 +263,5 @@ def test_a_job_without_its_splat_does_not_take_the_dataset_of_another_one(projec
     bpy.ops.svrgs.import_colmap(directory=str(tmp_path / "other"))
     bpy.context.scene.svrgs_prune.colmap = str(tmp_path / "other")
     with pytest.raises(RuntimeError, match="the dataset of this job is not there"):
-        bpy.ops.svrgs.listed_job_resume(folder=str(job.folder.path))
+        bpy.ops.svrgs.job_resume(folder=str(job.folder.path))
     assert job.folder.request()["options"]["colmap"] == str(project / "data")
