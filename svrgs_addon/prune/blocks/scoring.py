@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...files.atomic import atomic_write
+from ...files.atomic import atomic_write, check_space
 from ...finetune.saliency import reduced
 from ...native.rasterizer import VISIBILITY, Rasterizer
 from ...render.metrics.evaluate import render_options
@@ -46,11 +46,10 @@ def score(
         raise SceneError(
             f"{len(cameras):,} views of this size have too many pixels together: give fewer, or smaller ones"
         )
-    sums, views, rasterizer = (
-        np.zeros((divided.count, COLUMNS), np.int64),
-        reduced(cameras[part::parts]),
-        Rasterizer(),
-    )
+    views, rasterizer = reduced(cameras[part::parts]), Rasterizer()
+    pictures = sum(3 * 2 * camera.width * camera.height for camera in views)
+    check_space(path, pictures + 8 * COLUMNS * divided.count)
+    sums = np.zeros((divided.count, COLUMNS), np.int64)
     for number, camera in enumerate(views):
         tell(f"view {camera.name or number}", number / len(views))
         scene, rows = seen(divided, camera, rasterizer)
