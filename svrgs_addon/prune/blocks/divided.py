@@ -50,8 +50,8 @@ OWN = (
     "reduced.json",
     "error.json",
 )  # files of prune/blocks/
-Tell = Callable[[str, float], None]  # what is done now, and the share of the work that is done
-Told = Callable[[str], Tell]  # of the name of a step
+Progress = Callable[[str, float], None]  # what is done now, and the share of the work that is done
+ProgressOf = Callable[[str], Progress]  # of the name of a step
 # of the number of Gaussians and the SH coefficients per channel of a scene: Gaussians of a block, at most
 Most = Callable[[int, int], int]
 
@@ -190,14 +190,14 @@ def divide(
     source: Path,
     folder: Path,
     most: int | Most = MOST,
-    tell: Tell = lambda *_: None,
+    progress: Progress = lambda *_: None,
     read: Callable[[Path], Iterator[Scene]] = load_parts,
 ) -> Divided:
     """Divides the scene of a file. A divided scene that is in the folder is replaced. most: Gaussians of a
     block, at most. read: reads the file, in parts. Raises SplatError."""
     folder.mkdir(parents=True, exist_ok=True)
     clear(folder)
-    tell("reads the means", 0.0)
+    progress("reads the means", 0.0)
     means, coefficients, antialiased = _means(source, read)
     size = len(means) * 4 * (WIDTH + 3 * coefficients + 1)
     check_space(folder / INDEX, size)
@@ -224,7 +224,7 @@ def divide(
                 " free disk space, or choose another folder"
             ) from error
         start += part.count
-        tell("writes the blocks", start / len(block_of))
+        progress("writes the blocks", start / len(block_of))
     blocks = tuple(
         Block(folder, k, n, low, high, float(largest[k])) for k, (low, high, n) in enumerate(boxes)
     )
