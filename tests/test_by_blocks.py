@@ -293,6 +293,14 @@ def test_a_full_disk_is_told_before_views_are_scored(svrgs, short, monkeypatch, 
     )
 
 
+def test_scores_and_pictures_have_room_before_the_first_view(svrgs, monkeypatch, source, tmp_path):
+    assert svrgs("large", "divide", source, "--work", tmp_path / "w").status == 0
+    monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=90 * COUNT))  # 80 of scores
+    done = svrgs("large", "score", tmp_path / "w")
+    assert done.status == 2 and "are free; free disk space or choose another folder" in done.err
+    assert not list((tmp_path / "w").glob("*.picture.npy"))
+
+
 @pytest.mark.slow
 def test_a_format_that_loses_more_than_pruning_is_told(svrgs, source, tmp_path):
     scene = load_scene(source).scene

@@ -125,7 +125,7 @@ def _divide(args: argparse.Namespace) -> dict[str, Any]:
     check_visible(sample, str(args.scene))
     scored, measured, *_ = _views(args, options_from(PruneOptions, args), sample, enlarged)
     prepare(args.work, scored, measured, request)
-    divided = divide(args.scene.absolute(), args.work, args.block, _told(args, "divide"))
+    divided = divide(args.scene.absolute(), args.work, args.block, _progress_of(args, "divide"))
     return {
         "work": str(args.work),
         "count": divided.count,
@@ -137,7 +137,9 @@ def _divide(args: argparse.Namespace) -> dict[str, Any]:
 def _score(args: argparse.Namespace) -> dict[str, Any]:
     divided = Divided.read(args.work)
     return {
-        "scores": str(score(divided, scored_views(args.work), args.part, args.parts, _told(args, "score")))
+        "scores": str(
+            score(divided, scored_views(args.work), args.part, args.parts, _progress_of(args, "score"))
+        )
     }
 
 
@@ -148,10 +150,10 @@ def _reduce(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def _merge(args: argparse.Namespace) -> dict[str, Any]:
-    divided, tell = Divided.read(args.work), _told(args, "merge")
+    divided, progress = Divided.read(args.work), _progress_of(args, "merge")
     numbers = range(len(divided.blocks))[args.part :: args.parts]
     for place, number in enumerate(numbers):
-        tell(f"block {number}", place / len(numbers))
+        progress(f"block {number}", place / len(numbers))
         merge(divided, number)
     return {"work": str(args.work), "blocks": len(numbers)}
 
@@ -168,19 +170,19 @@ def _decide(args: argparse.Namespace) -> dict[str, Any]:
     plan, dataset, targets_of = request.plan(), request.dataset(), targets(divided, wanted)
     numbers = range(len(divided.blocks))[args.part :: args.parts]
     for number in numbers:
-        decide(divided, number, dataset, plan, targets_of[number], _told(args, "decide"))
+        decide(divided, number, dataset, plan, targets_of[number], _progress_of(args, "decide"))
     return {"work": str(args.work), "blocks": len(numbers)}
 
 
 def _cut(args: argparse.Namespace) -> dict[str, Any]:
     divided = Divided.read(args.work)
     if Request.read(args.work) is not None:
-        prepare_around(divided, _told(args, "cut"))
+        prepare_around(divided, _progress_of(args, "cut"))
         return {"work": str(args.work), "blocks": len(divided.blocks), "count": divided.count}
     goal = Goal(args.target_count or 0, args.target or 0.0)
     if not (goal.count or goal.share):
         raise SceneError("how many Gaussians stay is not given: add --target or --target-count")
-    left = cut(divided, scored_views(args.work), goal.number(divided.count), _told(args, "cut"))
+    left = cut(divided, scored_views(args.work), goal.number(divided.count), _progress_of(args, "cut"))
     return {"work": str(args.work), "blocks": len(left.blocks), "count": left.count}
 
 
@@ -193,7 +195,7 @@ def _tune(args: argparse.Namespace) -> dict[str, Any]:
         clear(args.work / TUNED)  # no steps: remove what an earlier call has tuned
     numbers = range(len(divided.blocks))[args.part :: args.parts] if steps else range(0)
     for number in numbers:
-        tune(divided, number, cameras, steps, _told(args, "tune"))
+        tune(divided, number, cameras, steps, _progress_of(args, "tune"))
     return {"work": str(args.work), "blocks": len(numbers)}
 
 
@@ -209,29 +211,29 @@ def _recover(args: argparse.Namespace, divided: Divided, request: Request) -> di
         request.dataset(),
     )
     for number in numbers:
-        recover(divided, number, dataset, plan, _told(args, "recover"))
+        recover(divided, number, dataset, plan, _progress_of(args, "recover"))
     return {"work": str(args.work), "blocks": len(numbers)}
 
 
 def _finish(args: argparse.Namespace) -> dict[str, Any]:
     divided, request = Divided.read(args.work), Request.read(args.work)
-    told = partial(_told, args)
+    progress_of = partial(_progress_of, args)
     with outputs(divided.source, [args.out]):
         if request is not None:
-            result = finish_learned(divided, request, request.dataset(), args.out, told)
+            result = finish_learned(divided, request, request.dataset(), args.out, progress_of)
         else:
-            result = finish(divided, original_likeness(divided, told), args.out, told)
+            result = finish(divided, original_likeness(divided, progress_of), args.out, progress_of)
     return result | {"views": len(scored_views(args.work))}
 
 
 def _views(args: argparse.Namespace, options: PruneOptions, sample: Scene, enlarged: float) -> Views:
     """The views of a sample of the scene, and a message before some are placed."""
     if not (options.colmap or options.cameras):
-        _told(args, "rig")("looks for places of cameras", 0.0)
+        _progress_of(args, "rig")("looks for places of cameras", 0.0)
     return job_views.large(options, sample, enlarged)
 
 
-def _told(args: argparse.Namespace, step: str) -> Callable[[str, float], None]:
+def _progress_of(args: argparse.Namespace, step: str) -> Callable[[str, float], None]:
     """Reports progress of a step."""
     messages = Messages(args.messages)
     return lambda text, share: messages.progress(f"{step}: {text}", share)

@@ -19,11 +19,11 @@ from ..render.metrics.measures import with_error
 from ..scene.camera import Camera, evenly
 from ..views.dataset import Dataset
 from ..views.rendered import PHOTOGRAPHED
-from .blocks.divided import Told
+from .blocks.divided import ProgressOf
 
 Colour = tuple[float, float, float]
 VIEWS = 8  # of a scene that is divided into blocks, at most
-SILENT: Told = lambda _: lambda *_: None
+SILENT: ProgressOf = lambda _: lambda *_: None
 
 
 class Likeness:
@@ -38,12 +38,12 @@ class Likeness:
         views: Sequence[Camera],
         renderer_of: Callable[[], Renderer],
         background: Colour = (0.0, 0.0, 0.0),
-        told: Told = SILENT,
+        progress_of: ProgressOf = SILENT,
     ):
-        """renderer_of: gives what renders the views once. background: display sRGB 0..1. told: of the name of
-        a step."""
-        self.views, self._renderer_of, self._background, self._told = views, renderer_of, background, told
-        self._original = original
+        """renderer_of: gives what renders the views once. background: display sRGB 0..1. progress_of: of
+        the name of a step."""
+        self.views, self._original, self._background = views, original, background
+        self._renderer_of, self._progress_of = renderer_of, progress_of
 
     def psnrs(self, scene: Renderable, step: str = "compare") -> list[float]:
         """PSNR in dB of each view; infinite where the pictures are equal. Raises SplatError."""
@@ -80,13 +80,13 @@ class Likeness:
 
     def _pictures(self, scene: Renderable, step: str) -> Iterator[tuple[np.ndarray, float]]:
         """What each view shows, (H, W, 3), rounded to 8 bits, and the seconds to render it."""
-        renderer, options, tell = (
+        renderer, options, progress = (
             self._renderer_of(),
             picture_options(scene, self._background),
-            self._told(step),
+            self._progress_of(step),
         )
         for number, camera in enumerate(self.views):
-            tell(f"looks at the view {camera.name or number}", number / len(self.views))
+            progress(f"looks at the view {camera.name or number}", number / len(self.views))
             started = time.perf_counter()
             picture = rounded_to_8_bits(renderer.forward(scene, camera, options)["rgb"])
             yield picture, time.perf_counter() - started
@@ -95,12 +95,14 @@ class Likeness:
 class PhotographLikeness(Likeness):
     """The same against the photographs of test views; of training views, if none is held out."""
 
-    def __init__(self, dataset: Dataset, renderer_of: Callable[[], Renderer], told: Told = SILENT):
+    def __init__(
+        self, dataset: Dataset, renderer_of: Callable[[], Renderer], progress_of: ProgressOf = SILENT
+    ):
         """As for Likeness; of VIEWS of the dataset."""
         self._dataset = dataset
         self._indices = evenly(dataset.test_indices or dataset.train_indices, VIEWS)
         self.views, self._background = [dataset.cameras[index] for index in self._indices], dataset.background
-        self._renderer_of, self._told = renderer_of, told
+        self._renderer_of, self._progress_of = renderer_of, progress_of
 
     @cached_property
     def _originals(self) -> list[np.ndarray]:

@@ -16,6 +16,7 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -29,6 +30,7 @@ from ...files.registry import load_parts, size_on_disk
 from ...finetune.decimate.order import NORMALS
 from ...scene.gaussians import Scene
 from ...system.errors import FormatError, SceneError
+from ...system.memory import size_text
 
 SCHEMA, INDEX, LARGEST_INDEX = 1, "blocks.json", 1 << 24
 MOST = 2_000_000  # Gaussians of a block
@@ -48,8 +50,8 @@ OWN = (
     "reduced.json",
     "error.json",
 )  # files of prune/blocks/
-Tell = Callable[[str, float], None]  # what is done now, and the share of the work that is done
-Told = Callable[[str], Tell]  # of the name of a step
+Progress = Callable[[str, float], None]  # what is done now, and the share of the work that is done
+ProgressOf = Callable[[str], Progress]  # of the name of a step
 # of the number of Gaussians and the SH coefficients per channel of a scene: Gaussians of a block, at most
 Most = Callable[[int, int], int]
 
@@ -84,8 +86,11 @@ class Block:
         path = self.folder / f"{self.number}.{name}"
         try:
             return np.asarray(np.memmap(path, dtype, "r", shape=shape))
-        except (OSError, ValueError) as error:
+        except (FileNotFoundError, ValueError) as error:
             raise FormatError(f"{path}: cannot be read ({error}); divide the scene again") from None
+        except OSError as error:
+            size = size_text(math.prod(shape) * np.dtype(dtype).itemsize)
+            raise SceneError(f"{path}: cannot be read ({error.strerror}); free {size} of memory") from None
 
 
 @dataclass(frozen=True)
@@ -185,16 +190,17 @@ def divide(
     source: Path,
     folder: Path,
     most: int | Most = MOST,
-    tell: Tell = lambda *_: None,
+    progress: Progress = lambda *_: None,
     read: Callable[[Path], Iterator[Scene]] = load_parts,
 ) -> Divided:
     """Divides the scene of a file. A divided scene that is in the folder is replaced. most: Gaussians of a
     block, at most. read: reads the file, in parts. Raises SplatError."""
     folder.mkdir(parents=True, exist_ok=True)
     clear(folder)
-    tell("reads the means", 0.0)
+    progress("reads the means", 0.0)
     means, coefficients, antialiased = _means(source, read)
-    check_space(folder / INDEX, len(means) * 4 * (WIDTH + 3 * coefficients + 1))
+    size = len(means) * 4 * (WIDTH + 3 * coefficients + 1)
+    check_space(folder / INDEX, size)
     parts = list(
         leaves(
             means,
@@ -210,9 +216,15 @@ def divide(
     largest = np.full(len(boxes), -np.inf)
     start = 0
     for part in read(source):
-        _append(part, block_of[start : start + part.count], start, folder, largest)
+        try:
+            _append(part, block_of[start : start + part.count], start, folder, largest)
+        except OSError as error:
+            raise SceneError(
+                f"{folder}: a block cannot be written ({error.strerror}); the blocks need {size_text(size)}:"
+                " free disk space, or choose another folder"
+            ) from error
         start += part.count
-        tell("writes the blocks", start / len(block_of))
+        progress("writes the blocks", start / len(block_of))
     blocks = tuple(
         Block(folder, k, n, low, high, float(largest[k])) for k, (low, high, n) in enumerate(boxes)
     )
@@ -304,18 +316,12 @@ def _geometry(scene: Scene) -> np.ndarray:
 
 def _append(part: Scene, numbers: np.ndarray, start: int, folder: Path, largest: np.ndarray):
     """Appends the Gaussians of a part of the file to their blocks. largest: (blocks,) the largest log-scales
-    so far, which are changed."""
+    so far, which are changed. Raises OSError."""
     geometry = _geometry(part)
     for number in np.unique(numbers):
         some = np.flatnonzero(numbers == number)
         largest[number] = max(largest[number], part.log_scales[some].max())
         arrays = {"geometry": geometry[some], "sh": part.sh[some], "rows": (start + some).astype(np.uint32)}
         for name, array in arrays.items():
-            try:
-                with open(folder / f"{number}.{name}", "ab") as file:
-                    file.write(np.ascontiguousarray(array).data)
-            except OSError as error:
-                raise SceneError(
-                    f"{folder}: a block cannot be written ({error.strerror}); free some space, or choose"
-                    " another folder"
-                ) from error
+            with open(folder / f"{number}.{name}", "ab") as file:
+                file.write(np.ascontiguousarray(array).data)

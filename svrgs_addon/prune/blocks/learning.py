@@ -42,7 +42,7 @@ from ...system import memory
 from ...system.errors import Cancelled, FormatError, SceneError
 from ...views.dataset import Dataset
 from ..first_cut import first_cut
-from .divided import Divided, Tell, clear, gathered, write_block
+from .divided import Divided, Progress, clear, gathered, write_block
 from .merging import counts
 from .surroundings import BLENDED, Around
 from .tuning import CUT, TUNED, emptied, level, write_own
@@ -97,13 +97,13 @@ def _stamp(path: Path) -> tuple[str, int, int]:
     return path.name, found.st_size, found.st_mtime_ns
 
 
-def prepare_around(divided: Divided, tell: Tell = lambda *_: None):
+def prepare_around(divided: Divided, progress: Progress = lambda *_: None):
     """Writes the level of detail that takes the place of other blocks, and empties the folders of decide()
     and recover(). Raises SplatError."""
     for name in (AROUND, CUT, TUNED):
         emptied(divided, name)
     if len(divided.blocks) > 1:
-        level(divided, max(1, round(AROUND_SHARE * divided.count)), AROUND, tell)
+        level(divided, max(1, round(AROUND_SHARE * divided.count)), AROUND, progress)
 
 
 def targets(divided: Divided, wanted: int) -> list[int]:
@@ -113,12 +113,17 @@ def targets(divided: Divided, wanted: int) -> list[int]:
 
 
 def decide(
-    divided: Divided, number: int, dataset: Dataset, plan: Plan, target: int, tell: Tell = lambda *_: None
+    divided: Divided,
+    number: int,
+    dataset: Dataset,
+    plan: Plan,
+    target: int,
+    progress: Progress = lambda *_: None,
 ):
     """Writes what is left of a block after the steps in which the method decides. target: Gaussians to keep
     of it; 0: the method decides. Raises SplatError."""
     others = Divided.read(divided.folder / AROUND) if len(divided.blocks) > 1 else None
-    around, views = _around(divided, number, dataset, tell, others)
+    around, views = _around(divided, number, dataset, progress, others)
     scene, (first, end) = around.scene, around.own
     inside = np.zeros(scene.count, bool)
     inside[first:end] = True
@@ -130,7 +135,7 @@ def decide(
     rows = np.arange(*own)
     kept_at = divided.folder / RUNS / f"decide.{number}"
     if views.train_indices and run_plan.phases and len(rows) > 1:
-        scene, rows = _run(divided, number, scene, views, run_plan, kept_at, tell)
+        scene, rows = _run(divided, number, scene, views, run_plan, kept_at, progress)
     if not len(rows):
         scene, rows = around.scene, np.array([first + int(np.argmax(around.scene.opacity_logits[first:end]))])
     start = sum(block.count for block in divided.blocks[:number])
@@ -141,28 +146,30 @@ def decide(
     checkpoint.delete_all(kept_at)
 
 
-def recover(divided: Divided, number: int, dataset: Dataset, plan: Plan, tell: Tell = lambda *_: None):
+def recover(
+    divided: Divided, number: int, dataset: Dataset, plan: Plan, progress: Progress = lambda *_: None
+):
     """Writes a block of what was decided on, after the recovery steps. Raises SplatError."""
     left = gathered(divided.folder / CUT, divided)
-    around, views = _around(left, number, dataset, tell)
+    around, views = _around(left, number, dataset, progress)
     scene, own = around.scene, around.own
     plan = replace(_of_part(plan, False, _share(views, dataset), own, 0), method=copy(plan.method))
     if "count" in plan.method.state():  # of the Gaussians before pruning
         plan.method.restore(plan.method.state() | {"count": round(scene.count * divided.count / left.count)})
     rows, kept_at = np.arange(*own), divided.folder / RUNS / f"recover.{number}"
     if views.train_indices and plan.phases:
-        scene, rows = _run(divided, number, scene, views, plan, kept_at, tell)
+        scene, rows = _run(divided, number, scene, views, plan, kept_at, progress)
     write_own(left, number, around.there[number], scene.select(rows))
     checkpoint.delete_all(kept_at)
 
 
 def _around(
-    divided: Divided, number: int, dataset: Dataset, tell: Tell, others: Divided | None = None
+    divided: Divided, number: int, dataset: Dataset, progress: Progress, others: Divided | None = None
 ) -> tuple[Around, BlockViews]:
     """What is around a block in the training views, with all of the block; and the views that show it.
     others: as for Around.of()."""
     around = Around.of(
-        divided, number, [dataset.cameras[view] for view in dataset.train_indices], tell, others
+        divided, number, [dataset.cameras[view] for view in dataset.train_indices], progress, others
     )
     around.there[number][:] = True
     return around, BlockViews.of(dataset, around)
@@ -187,7 +194,13 @@ def _shortened(phase: Phase, share: float) -> Phase:
 
 
 def _run(
-    divided: Divided, number: int, scene: Scene, views: BlockViews, plan: Plan, kept_at: Path, tell: Tell
+    divided: Divided,
+    number: int,
+    scene: Scene,
+    views: BlockViews,
+    plan: Plan,
+    kept_at: Path,
+    progress: Progress,
 ) -> tuple[Scene, np.ndarray]:
     """The scene after all steps of the plan, and the rows of the block in it. The arrays of the given scene
     are changed. kept_at: folder of the checkpoints."""
@@ -210,11 +223,11 @@ def _run(
         except SceneError as error:
             logging.warning("%s; the block %d goes on without a checkpoint", error, number)
 
-    def observe(progress: loop.Progress):
+    def observe(reached: loop.Progress):
         try:
-            tell(
-                f"block {number}, {progress.count:,} Gaussians: {progress.label}",
-                0.5 + 0.5 * progress.iteration / progress.total,
+            progress(
+                f"block {number}, {reached.count:,} Gaussians: {reached.label}",
+                0.5 + 0.5 * reached.iteration / reached.total,
             )
         except Cancelled:
             save()

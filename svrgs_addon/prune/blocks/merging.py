@@ -30,7 +30,7 @@ from ...scene.camera import Camera
 from ...scene.concatenate import concatenated
 from ...scene.gaussians import PARAMETERS, Scene
 from ...system.errors import FormatError, SceneError
-from .divided import Block, Divided, Tell, leaves, scene_of
+from .divided import Block, Divided, Progress, leaves, scene_of
 from .scoring import SQUARES, UNITS, total, visibility
 
 REDUCED, LEAST = "reduced.json", 0.01
@@ -104,10 +104,12 @@ def counts(divided: Divided, wanted: int) -> list[list[int]]:
     return [[count - next(left) for count in some] for some in cells]
 
 
-def merged(divided: Divided, kept: Sequence[Sequence[int]], tell: Tell = lambda *_: None) -> Iterator[Scene]:
+def merged(
+    divided: Divided, kept: Sequence[Sequence[int]], progress: Progress = lambda *_: None
+) -> Iterator[Scene]:
     """What is left of each block, cell after cell. kept: from counts(). Raises SplatError."""
     for block, wanted in zip(divided.blocks, kept, strict=True):
-        tell("writes what stays", block.number / len(divided.blocks))
+        progress("writes what stays", block.number / len(divided.blocks))
         scene = scene_of(divided, block)
         cells = zip(_cells(block), _merges(block), wanted, strict=True)
         yield concatenated(
@@ -115,7 +117,7 @@ def merged(divided: Divided, kept: Sequence[Sequence[int]], tell: Tell = lambda 
         )
 
 
-def most_needed(divided: Divided, wanted: int, tell: Tell = lambda *_: None) -> Iterator[Scene]:
+def most_needed(divided: Divided, wanted: int, progress: Progress = lambda *_: None) -> Iterator[Scene]:
     """The `wanted` Gaussians of highest removal error (finetune/saliency.py), block after block; of each
     block one at least. Raises SplatError."""
     # a view would keep all columns in memory
@@ -124,7 +126,7 @@ def most_needed(divided: Divided, wanted: int, tell: Tell = lambda *_: None) -> 
         top(np.concatenate(errors), wanted), np.cumsum([block.count for block in divided.blocks])[:-1]
     )
     for block, error, some in zip(divided.blocks, errors, stays, strict=True):
-        tell("writes what stays", block.number / len(divided.blocks))
+        progress("writes what stays", block.number / len(divided.blocks))
         some[np.argmax(error)] = True
         yield scene_of(divided, block).select(np.flatnonzero(some))
 

@@ -20,38 +20,40 @@ from ...scene.camera import evenly
 from ...views.dataset import Dataset
 from ..likeness import VIEWS, Likeness, PhotographLikeness
 from .block_rasterizer import BlockRasterizer
-from .divided import Divided, Told, divide, gathered, scene_of
+from .divided import Divided, ProgressOf, divide, gathered, scene_of
 from .folder import RESULT, measured_views
 from .request import Request
 from .tuning import CUT, mixed, tuned_blocks
 
 
-def original_likeness(divided: Divided, told: Told) -> Likeness:
+def original_likeness(divided: Divided, progress_of: ProgressOf) -> Likeness:
     """Likeness to a divided scene, in VIEWS of those on which its result is measured. Raises SplatError."""
-    return Likeness(divided, evenly(measured_views(divided.folder), VIEWS), BlockRasterizer, told=told)
+    return Likeness(
+        divided, evenly(measured_views(divided.folder), VIEWS), BlockRasterizer, progress_of=progress_of
+    )
 
 
-def finish(divided: Divided, likeness: Likeness, out: Path, told: Told) -> dict[str, Any]:
+def finish(divided: Divided, likeness: Likeness, out: Path, progress_of: ProgressOf) -> dict[str, Any]:
     """Writes what is left of a divided scene, and measures the output. The share of the fine-tuning that is
     used is the one with the highest PSNR.
 
-    told: takes the name of a step, and returns the function that reports its progress. Returns the JSON
-    result. Raises SplatError.
+    progress_of: takes the name of a step, and returns the function that reports its progress. Returns the
+    JSON result. Raises SplatError.
     """
     facts = write_left(divided, likeness, out)
     result = facts | _figures(
-        divide(out, divided.folder / RESULT, tell=told("read")), likeness, out, size_on_disk(out)
+        divide(out, divided.folder / RESULT, progress=progress_of("read")), likeness, out, size_on_disk(out)
     )
     return result | {"notes": loss_notes(result["psnr_values"], result["psnr"])}
 
 
 def finish_learned(
-    divided: Divided, request: Request, dataset: Dataset, out: Path, told: Told
+    divided: Divided, request: Request, dataset: Dataset, out: Path, progress_of: ProgressOf
 ) -> dict[str, Any]:
     """finish() of what a method has decided on photographs, which are the measure. Raises SplatError."""
-    likeness = PhotographLikeness(dataset, BlockRasterizer, told)
+    likeness = PhotographLikeness(dataset, BlockRasterizer, progress_of)
     gathered(divided.folder / CUT, divided)
-    result = finish(divided, likeness, out, told)
+    result = finish(divided, likeness, out, progress_of)
     before = {**likeness.measured(divided), "lpips": None, "ms_per_frame": None, **result["before"]}
     notes = [
         *dataset.notes,
@@ -103,7 +105,7 @@ def write_joined(divided: Divided, out: Path):
 
 
 def join_levels(
-    divided: Divided, likeness: Likeness, files: Sequence[Path], out: Path, told: Told
+    divided: Divided, likeness: Likeness, files: Sequence[Path], out: Path, progress_of: ProgressOf
 ) -> list[dict[str, Any]]:
     """Writes levels of detail as one streamed SOG, and measures each. files: their PLYs, the finest one
     first. Returns for each the part of finish()'s result that comes from the output. Raises SplatError."""
@@ -114,6 +116,6 @@ def join_levels(
     results = []
     for level in range(len(files)):
         read = partial(streamed_sog.read_level, level=level, max_count=MAX_IN_PARTS)
-        written = divide(out, divided.folder / RESULT, tell=told("read"), read=read)
+        written = divide(out, divided.folder / RESULT, progress=progress_of("read"), read=read)
         results.append(_figures(written, likeness, out, streamed_sog.level_bytes(out, level)))
     return results

@@ -16,13 +16,13 @@ from pathlib import Path
 
 import numpy as np
 
-from ...files.atomic import atomic_write
+from ...files.atomic import atomic_write, check_space
 from ...finetune.saliency import reduced
 from ...native.rasterizer import VISIBILITY, Rasterizer
 from ...render.metrics.evaluate import render_options
 from ...scene.camera import Camera
 from ...system.errors import FormatError, SceneError
-from .divided import Divided, Tell
+from .divided import Divided, Progress
 from .visible import seen
 
 UNITS = np.array([{"density": 2.0**-16, "squares": 2.0**-20}.get(name, 2.0**-28) for name in VISIBILITY])
@@ -34,7 +34,7 @@ SCORES = re.compile(r"scores_(\d+)_of_(\d+)_([0-9a-f]{16})\.npy")
 
 
 def score(
-    divided: Divided, cameras: Sequence[Camera], part: int, parts: int, tell: Tell = lambda *_: None
+    divided: Divided, cameras: Sequence[Camera], part: int, parts: int, progress: Progress = lambda *_: None
 ) -> Path:
     """Looks at the views part, part + parts, part + 2 parts … of the cameras. Writes the sums (N, 10) int64,
     in the order of the file, and the pictures of the views into the folder, and returns the path of the sums.
@@ -46,13 +46,12 @@ def score(
         raise SceneError(
             f"{len(cameras):,} views of this size have too many pixels together: give fewer, or smaller ones"
         )
-    sums, views, rasterizer = (
-        np.zeros((divided.count, COLUMNS), np.int64),
-        reduced(cameras[part::parts]),
-        Rasterizer(),
-    )
+    views, rasterizer = reduced(cameras[part::parts]), Rasterizer()
+    pictures = sum(3 * 2 * camera.width * camera.height for camera in views)
+    check_space(path, pictures + 8 * COLUMNS * divided.count)
+    sums = np.zeros((divided.count, COLUMNS), np.int64)
     for number, camera in enumerate(views):
-        tell(f"view {camera.name or number}", number / len(views))
+        progress(f"view {camera.name or number}", number / len(views))
         scene, rows = seen(divided, camera, rasterizer)
         picture = rasterizer.forward(scene, camera, render_options(scene))["rgb"]
         with atomic_write(picture_path(divided, part + number * parts)) as file:

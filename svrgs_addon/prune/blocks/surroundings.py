@@ -18,7 +18,7 @@ from ...scene.camera import Camera
 from ...scene.gaussians import Scene
 from ...system.errors import FormatError
 from .discs import Discs, Window
-from .divided import Block, Divided, Tell, arrays_of
+from .divided import Block, Divided, Progress, arrays_of
 from .visible import shown
 
 # pixels by which a window is larger than the block on each side: SSIM and the Gaussians at the block's border
@@ -44,7 +44,7 @@ class Around:
         divided: Divided,
         number: int,
         views: Sequence[Camera],
-        tell: Tell = lambda *_: None,
+        progress: Progress = lambda *_: None,
         others: Divided | None = None,
     ) -> Around:
         """others: a scene with as many blocks, whose blocks take the place of the others; None: the others
@@ -54,7 +54,7 @@ class Around:
         blocks[number] = divided.blocks[number]
         there = [np.zeros(block.count, bool) for block in blocks]
         for view, camera in enumerate(views):
-            tell(f"block {number}, view {camera.name or view}", 0.5 * view / len(views))
+            progress(f"block {number}, view {camera.name or view}", 0.5 * view / len(views))
             places = _blended(divided, view, camera, rasterizer)
             if others is not None:
                 places = [

@@ -16,7 +16,7 @@ from ...files.reading import json_object
 from ...system.errors import FormatError
 
 if TYPE_CHECKING:  # jobs of Blender need no more of it
-    from .divided import Tell, Told
+    from .divided import Progress, ProgressOf
 
 FILE, LARGEST = "tasks.json", 1 << 22
 # Where steps begin and end, as shares from 0 to 1, roughly as with the town of 5 million in docs/farm.md.
@@ -62,18 +62,18 @@ class Tasks:
         else:
             self.done = found["done"]
 
-    def told(self, step: str, tell: Tell) -> Tell:
-        """`tell` with the share of the whole job, 0 to 1, instead of that of one task. Measuring the result
-        counts as one more task. 0 while `total` is 0. The share never falls, because a task has several
-        steps."""
+    def progress_of(self, step: str, progress: Progress) -> Progress:
+        """`progress` with the share of the whole job, 0 to 1, instead of that of one task. Measuring the
+        result counts as one more task. 0 while `total` is 0. The share never falls, because a task has
+        several steps."""
         start, end = OF_TASK.get(step, (0.0, 1.0))
 
-        def tell_all(text: str, share: float):
+        def of_job(text: str, share: float):
             done = len(self.done) + start + (end - start) * share
             self._most = max(self._most, done / (self.total + 1) if self.total else 0.0)
-            tell(text, self._most)
+            progress(text, self._most)
 
-        return tell_all
+        return of_job
 
     def once(self, name: str, work: Callable[[], object]):
         """Does a task, unless it is done."""
@@ -91,19 +91,19 @@ class Overall:
     """Reports the progress of a job that removes and merges: the share of the whole job instead of that of a
     step. It never falls."""
 
-    def __init__(self, told: Told, rounds: int):
-        """told: of the name of a step. rounds: how often a scene is cut, tuned and measured: for the result
-        and for each level of detail."""
-        self._told, self._rounds, self._round, self._most = told, rounds, -1, 0.0
+    def __init__(self, progress_of: ProgressOf, rounds: int):
+        """progress_of: of the name of a step. rounds: how often a scene is cut, tuned and measured: for the
+        result and for each level of detail."""
+        self._progress_of, self._rounds, self._round, self._most = progress_of, rounds, -1, 0.0
 
-    def __call__(self, step: str) -> Tell:
-        tell, (start, end) = self._told(step), self._span(step)
+    def __call__(self, step: str) -> Progress:
+        progress, (start, end) = self._progress_of(step), self._span(step)
 
-        def tell_all(text: str, share: float):
+        def of_job(text: str, share: float):
             self._most = max(self._most, start + (end - start) * share)
-            tell(text, self._most)
+            progress(text, self._most)
 
-        return tell_all
+        return of_job
 
     def _span(self, step: str) -> tuple[float, float]:
         """The shares of the job at which a step begins and ends; zeros for one that comes at different

@@ -31,7 +31,7 @@ from ...scene.gaussians import PARAMETERS, Scene
 from ...system import memory
 from ...system.errors import FormatError
 from .discs import Window
-from .divided import Divided, Tell, clear, gathered, scene_of, write_block
+from .divided import Divided, Progress, clear, gathered, scene_of, write_block
 from .merging import counts, merged
 from .scoring import picture_path
 from .surroundings import Around
@@ -42,20 +42,22 @@ ERROR_VIEWS = 8  # in which the error is measured, at most
 EPOCHS = 2  # times that each view is shown, if nothing else is asked for
 
 
-def cut(divided: Divided, cameras: Sequence[Camera], wanted: int, tell: Tell = lambda *_: None) -> Divided:
+def cut(
+    divided: Divided, cameras: Sequence[Camera], wanted: int, progress: Progress = lambda *_: None
+) -> Divided:
     """Removes and merges until `wanted` Gaussians are left. Writes what is left of each block, and how large
     the error is in some views. Raises SplatError."""
     emptied(divided, TUNED)
-    left = level(divided, wanted, CUT, tell)
+    left = level(divided, wanted, CUT, progress)
     with atomic_write(left.folder / ERROR) as file:
         file.write(json.dumps({"error": _error(divided, left, reduced(cameras))}).encode())
     return left
 
 
-def level(divided: Divided, wanted: int, name: str, tell: Tell = lambda *_: None) -> Divided:
+def level(divided: Divided, wanted: int, name: str, progress: Progress = lambda *_: None) -> Divided:
     """Removes and merges until `wanted` Gaussians are left, and writes what is left of each block into the
     folder `name`. Raises SplatError."""
-    return written(divided, merged(divided, counts(divided, wanted), tell), name)
+    return written(divided, merged(divided, counts(divided, wanted), progress), name)
 
 
 def written(divided: Divided, scenes: Iterable[Scene], name: str) -> Divided:
@@ -88,11 +90,13 @@ def _error(divided: Divided, left: Divided, views: Sequence[Camera]) -> float:
     return fmean(squares) ** 0.5
 
 
-def tune(divided: Divided, number: int, cameras: Sequence[Camera], steps: int, tell: Tell = lambda *_: None):
+def tune(
+    divided: Divided, number: int, cameras: Sequence[Camera], steps: int, progress: Progress = lambda *_: None
+):
     """Tunes a block of what was cut, in so many steps of the whole scene, of which it takes those whose view
     shows it. Raises SplatError."""
     left, views = Divided.read(divided.folder / CUT), reduced(cameras)
-    around = Around.of(left, number, views, tell)
+    around = Around.of(left, number, views, progress)
     looks = [
         _look(divided, view, camera, window)
         for view, (camera, window) in enumerate(zip(views, around.windows, strict=True))
@@ -106,7 +110,7 @@ def tune(divided: Divided, number: int, cameras: Sequence[Camera], steps: int, t
         needed,
     )
     middle = middle_scale(np.concatenate([block.geometry[:, 3:6] for block in left.blocks]))
-    tell(f"block {number}, {scene.count:,} Gaussians", 0.5)
+    progress(f"block {number}, {scene.count:,} Gaussians", 0.5)
     tuned = refit(
         scene, looks, steps, pace_for(_error_of(left)), middle, render_options(scene), 0, lambda: False
     )

@@ -31,7 +31,7 @@ from ..blocks.allowed_drop import (
 )
 from ..blocks.block_rasterizer import BlockRasterizer, opened
 from ..blocks.block_size import as_memory_allows
-from ..blocks.divided import Divided, Tell, Told, divide
+from ..blocks.divided import Divided, Progress, ProgressOf, divide
 from ..blocks.folder import (
     LEVEL,
     SCORED,
@@ -120,15 +120,15 @@ class ByBlocks:
         """A sentence on what a job that is stopped leaves; "" for one that can be resumed."""
         return ""
 
-    def told(self, step: str) -> Tell:
+    def progress_of(self, step: str) -> Progress:
         """Reports the progress of a step."""
 
-        def tell(text: str, share: float):
+        def progress(text: str, share: float):
             if self.job.stop():
                 raise Cancelled(self.left_by_a_stop())
             self.job.part(f"{step}: {text}", share)
 
-        return tell
+        return progress
 
     def of_prune(self, result: dict[str, Any], how: str) -> dict[str, Any]:
         """The result with what `svrgs prune` adds to that of `svrgs large prune`. how: for the note."""
@@ -159,7 +159,7 @@ class MergedByBlocks(ByBlocks):
 
     def rank(self):
         goal, work, self.started = self.goal, self.work, True
-        self.overall = Overall(self.told, 1 + len(goal.levels))
+        self.overall = Overall(self.progress_of, 1 + len(goal.levels))
         prepare(work, self.scored, self.measured)
         self.scored = scored_views(work)
         block = self.block or as_memory_allows(self.scored, PICTURES)
@@ -193,16 +193,22 @@ class MergedByBlocks(ByBlocks):
         """By write()."""
 
     def write(self):
-        divided, told, self.results = self.divided, self.overall, []
+        divided, progress_of, self.results = self.divided, self.overall, []
         for share, path in zip(self.shares, self.files, strict=True):
-            left = cut(divided, self.scored, max(1, round(share * self.count)), told("cut"))
+            left = cut(divided, self.scored, max(1, round(share * self.count)), progress_of("cut"))
             wanted = EPOCHS * len(self.scored) if self.steps is None else self.steps
             for number in range(len(left.blocks) if wanted and left.count < divided.count else 0):
-                tune(divided, number, self.scored, wanted, _part(told("tune"), number, len(left.blocks)))
-            write = write_left if self.streamed else partial(finish, told=told)
+                tune(
+                    divided,
+                    number,
+                    self.scored,
+                    wanted,
+                    _part(progress_of("tune"), number, len(left.blocks)),
+                )
+            write = write_left if self.streamed else partial(finish, progress_of=progress_of)
             self.results.append(write(divided, self.likeness, path))
         if self.streamed:
-            joined = join_levels(divided, self.likeness, self.files, self.job.out, told)
+            joined = join_levels(divided, self.likeness, self.files, self.job.out, progress_of)
             self.results = [result | new for result, new in zip(self.results, joined, strict=True)]
 
     def measure(self) -> dict[str, Any]:
@@ -240,8 +246,8 @@ class LearnedByBlocks(ByBlocks):
         self.dataset = self.request.dataset()
         super().views()
 
-    def told(self, step: str) -> Tell:
-        return self.tasks.told(step, super().told(step))
+    def progress_of(self, step: str) -> Progress:
+        return self.tasks.progress_of(step, super().progress_of(step))
 
     def rank(self):
         goal, dataset, plan, source = self.goal, self.dataset, self.request.plan(), self.source
@@ -252,7 +258,7 @@ class LearnedByBlocks(ByBlocks):
         def divide_anew():
             prepare(self.work, *views, self.request)
             block = self.block or as_memory_allows(dataset.cameras, dataset.memory_budget)
-            divide(source, self.work, block, self.told("divide"))
+            divide(source, self.work, block, self.progress_of("divide"))
 
         self.tasks.once("divide", divide_anew)
         self.divided = divided = replace(Divided.read(self.work), source=source)
@@ -261,14 +267,15 @@ class LearnedByBlocks(ByBlocks):
         blocks = len(divided.blocks)
         self.wanted = goal.number(divided.count) if goal.count or goal.share else 0
         self.tasks.total = 3 + bool(goal.max_drop) + blocks * (2 if self.request.recovery else 1)
-        self.likeness, self.floor = PhotographLikeness(dataset, BlockRasterizer, self.told), 0.0
+        self.likeness, self.floor = PhotographLikeness(dataset, BlockRasterizer, self.progress_of), 0.0
         if goal.max_drop and ALLOWED not in self.tasks.done:  # may refuse
             self.floor = floor_on_photographs(
-                divided, self.likeness, goal.max_drop, plan, self.job.out, self.told
+                divided, self.likeness, goal.max_drop, plan, self.job.out, self.progress_of
             )
         ordered = self.wanted or goal.max_drop or blocks > 1
         self.tasks.once(
-            ORDER, lambda: _order(divided, scored_views(divided.folder), self.told) if ordered else None
+            ORDER,
+            lambda: _order(divided, scored_views(divided.folder), self.progress_of) if ordered else None,
         )
 
     def budget(self):
@@ -277,18 +284,18 @@ class LearnedByBlocks(ByBlocks):
             self.tasks.once(
                 ALLOWED,
                 lambda: write_number(
-                    divided.folder, fewest_above(divided, self.likeness, self.floor, self.told)
+                    divided.folder, fewest_above(divided, self.likeness, self.floor, self.progress_of)
                 ),
             )
             self.wanted = read_number(divided.folder)
 
     def select(self):
         divided, plan = self.divided, self.request.plan()
-        self.tasks.once("around", lambda: prepare_around(divided, self.told("merge")))
+        self.tasks.once("around", lambda: prepare_around(divided, self.progress_of("merge")))
         for number, target in enumerate(targets(divided, self.wanted)):
             self.tasks.once(
                 f"decide {number}",
-                partial(decide, divided, number, self.dataset, plan, target, self.told("decide")),
+                partial(decide, divided, number, self.dataset, plan, target, self.progress_of("decide")),
             )
 
     def tune(self):
@@ -296,11 +303,11 @@ class LearnedByBlocks(ByBlocks):
         for number in range(len(self.divided.blocks) if self.request.recovery else 0):
             self.tasks.once(
                 f"recover {number}",
-                partial(recover, self.divided, number, self.dataset, plan, self.told("recover")),
+                partial(recover, self.divided, number, self.dataset, plan, self.progress_of("recover")),
             )
 
     def write(self):
-        self.result = finish_learned(self.divided, self.request, self.dataset, self.job.out, self.told)
+        self.result = finish_learned(self.divided, self.request, self.dataset, self.job.out, self.progress_of)
         self.finished = True
 
     def measure(self) -> dict[str, Any]:
@@ -317,18 +324,18 @@ class LearnedByBlocks(ByBlocks):
             remove(self.work)
 
 
-def _order(divided: Divided, scored: Sequence[Camera], told: Told):
+def _order(divided: Divided, scored: Sequence[Camera], progress_of: ProgressOf):
     """Orders removals and merges in all blocks."""
-    score(divided, scored, 0, 1, told("score"))
+    score(divided, scored, 0, 1, progress_of("score"))
     reduce(divided, scored)
     for number in range(len(divided.blocks)):
-        told("merge")(f"block {number}", number / len(divided.blocks))
+        progress_of("merge")(f"block {number}", number / len(divided.blocks))
         merge(divided, number)
 
 
-def _part(tell: Tell, number: int, parts: int) -> Tell:
+def _part(progress: Progress, number: int, parts: int) -> Progress:
     """Tells the share of all parts instead of that of one."""
-    return lambda text, share: tell(text, (number + share) / parts)
+    return lambda text, share: progress(text, (number + share) / parts)
 
 
 def _check_room(work: Path, divided: Divided, goal: Goal, more: float = 0.0):
