@@ -60,7 +60,7 @@ def small_pictures(monkeypatch):
     time."""
     from svrgs_addon.prune import job_views
 
-    monkeypatch.setattr(job_views, "QUICK_SIDE", 192)
+    monkeypatch.setattr(job_views, "QUICK_SIDE", 128)
 
 
 @pytest.fixture

@@ -25,6 +25,7 @@ from svrgs_addon.system import memory
 from svrgs_addon.system.errors import SceneError
 from svrgs_addon.views.cameras_json import write_cameras_json
 from svrgs_addon.views.rig import place, place_rig
+from svrgs_addon.views.rig.around import cameras_around
 from svrgs_bench.scenes import room
 
 COUNT = 3_000
@@ -421,7 +422,7 @@ def test_a_sample_covers_about_what_all_gaussians_do(monkeypatch, source):
     assert (scene.means == whole.means[:: round(enlarged**2)]).all() and np.allclose(
         scene.log_scales, whole.log_scales[:: round(enlarged**2)] + np.log(enlarged)
     )
-    camera = place_rig(whole, views=1).cameras[0]
+    camera = cameras_around(whole, 1, 512)[0]
     alphas = [
         Rasterizer().forward(one, camera, render_options(one), outputs=("alpha",))["alpha"].mean()
         for one in (whole, scene)
@@ -484,6 +485,6 @@ def test_only_some_jobs_can_be_done_by_blocks(tmp_path):
 
 def test_hidden_gaussians_are_counted(source):
     scene = load_scene(source).scene
-    camera = place_rig(scene, views=1).cameras[0]
+    camera = cameras_around(scene, 1, 512)[0]
     sums, _ = visibility_sums(scene, [camera], Rasterizer(), render_options(scene), pictures=False)
     assert 0.1 * COUNT < hidden(sums) < COUNT, "a ball hides its other side"

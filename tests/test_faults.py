@@ -219,7 +219,10 @@ sys.exit(main(sys.argv[1:]))
 """
 
 
-@pytest.mark.parametrize("size", [15_000, 20_000, 40_000])
+@pytest.mark.parametrize(
+    "size",
+    [pytest.param(15_000, marks=pytest.mark.slow), 20_000, pytest.param(40_000, marks=pytest.mark.slow)],
+)
 def test_a_first_checkpoint_that_cannot_be_written_is_one_sentence(tiny, tmp_path, size):
     """Nothing else on the terminal, and no file or folder of it."""
     words = [

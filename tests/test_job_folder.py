@@ -102,7 +102,7 @@ LINKS = [
 
 
 @pytest.mark.parametrize("name", LINKS)
-@pytest.mark.parametrize("dangling", [False, True])
+@pytest.mark.parametrize("dangling", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_a_job_with_a_link_in_its_folder_is_refused(tiny, tmp_path, name, dangling):
     """A job folder of a stranger must not lead to files elsewhere."""
     folder, victim = create(tmp_path / "job", tiny, **SHORT), tmp_path / "victim"

@@ -159,7 +159,14 @@ def test_logits_follow_their_gaussians(method):
 # --- engines
 
 
-@pytest.mark.parametrize("method", [name for name in FAMILIES if name in LEARNED])
+@pytest.mark.parametrize(
+    "method",
+    [
+        pytest.param(name, marks=() if name in ("svr", "maskgs-alpha") else pytest.mark.slow)
+        for name in FAMILIES
+        if name in LEARNED
+    ],
+)
 def test_every_learned_method_ends_alike_with_either_engine(method):
     """In float64, through growth, reset, pruning and recovery. Worst seen: 2.1e-14 of the largest value."""
     native, torch_ = (

@@ -181,8 +181,10 @@ COMMANDS = {
 
 @pytest.mark.parametrize(
     "console",
-    [{"PYTHONIOENCODING": "cp1252"}, {"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0"}],
-    ids=["cp1252", "C"],
+    [
+        pytest.param({"PYTHONIOENCODING": "cp1252"}, id="cp1252", marks=pytest.mark.slow),
+        pytest.param({"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0"}, id="C"),
+    ],
 )
 @pytest.mark.parametrize("command", COMMANDS)
 def test_long_paths_with_umlauts_and_spaces(place, command, console):
