@@ -26,8 +26,8 @@ wheels: $(VENV)/.ready
 
 demo: setup
 	@$(PY) -m tests.demo_scene $(DEMO)/scene
-	$(VENV)/bin/svrgs train --colmap $(DEMO)/scene --iterations 2500 --densify-until 1500 --out $(DEMO)/trained.ply
-	$(VENV)/bin/svrgs prune $(DEMO)/trained.ply --colmap $(DEMO)/scene --recovery 2500 \
+	$(VENV)/bin/svrgs train --data $(DEMO)/scene --iterations 2500 --densify-until 1500 --out $(DEMO)/trained.ply
+	$(VENV)/bin/svrgs prune $(DEMO)/trained.ply --data $(DEMO)/scene --recovery 2500 \
 	  --out $(DEMO)/pruned.ply --report $(DEMO)/report
 	@echo "report: $(DEMO)/report/index.html"
 test: setup wheels; $(PY) -m pytest -n auto --dist loadfile -m "not slow"
