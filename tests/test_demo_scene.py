@@ -105,7 +105,7 @@ def test_same_request_gives_same_bytes(dataset, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", SMALL)
+@pytest.mark.parametrize("name", ["portrait", "row"])  # the next test makes that one again
 def test_every_scene_has_the_same_bytes_again(made, tmp_path, name):
     done = generate(tmp_path / "again", *SMALL[name])
     assert done.returncode == 0, done.stderr
