@@ -73,7 +73,7 @@ def test_no_data_races(tmp_path):
     assert compiled(folder, "svrgs-debug", "-O1 -fsanitize=thread").returncode == 0
     program(tmp_path / "threads", folder / "libsvrgs-debug.so", "threads.cc", "-fsanitize=thread")
     done = subprocess.run(
-        [tmp_path / "threads"],
+        [tmp_path / "threads", "3"],
         env=os.environ | {"TSAN_OPTIONS": "halt_on_error=1"},
         capture_output=True,
         text=True,
