@@ -199,7 +199,7 @@ def test_steps_on_any_number_of_machines_give_the_bytes_of_one(tiny, tmp_path, s
         one["after"]["count"] == 100
         and one["method"] == "removal"
         and one["before"]["psnr"] > 15
-        and one["views"] == 2
+        and one["views"] == 10
     )
     assert not list(tmp_path.glob("*.blocks"))
     work = tmp_path / "work"

@@ -153,7 +153,7 @@ def test_an_installed_wheel_needs_no_compiler(tmp_path):
         check=True,
     )
     code = (
-        "import svrgs_addon, svrgs_addon.native.rasterizer as n; print(svrgs_addon.__version__,"
+        "import svrgs_addon, svrgs_addon.native.library as n; print(svrgs_addon.__version__,"
         " svrgs_addon.__file__, n.best_level() in n.supported_levels())"
     )
     done = subprocess.run([python, "-c", code], env=environment, cwd=tmp_path, capture_output=True, text=True)

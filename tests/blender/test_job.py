@@ -428,13 +428,13 @@ def test_every_panel_draws_without_anything_in_the_scene(panel, said):
 
 @pytest.mark.parametrize("panel", ["prune", "compare", "spatial_mask", "overlay", "engine"])
 def test_without_the_native_library_a_line_says_what_to_do(panel, splat, monkeypatch, tmp_path):
-    native = part("svrgs_addon.native.rasterizer")
+    native = part("svrgs_addon.native.library")
     (tmp_path / "other.so").write_bytes(b"of another computer")
     for library in ("nowhere.so", "other.so"):
-        monkeypatch.setenv(native.LIBRARY_VARIABLE, str(tmp_path / library))
-        native._library.cache_clear()
+        monkeypatch.setenv("SVRGS_LIBRARY", str(tmp_path / library))
+        native.library.cache_clear()
         try:
             assert "install the extension's zip again" in drawn(panel).replace("  ", " ")
         finally:
             monkeypatch.undo()
-            native._library.cache_clear()
+            native.library.cache_clear()
