@@ -33,7 +33,7 @@ ROOT = Path(__file__).resolve().parents[1]
 MANIFEST = tomllib.loads((ROOT / "blender_manifest.toml").read_text(encoding="utf-8"))
 PYTHONS = [sys.executable, *filter(None, os.environ.get("SVRGS_BLENDER_PYTHONS", "").split(":"))]
 BLENDER_TESTS = ROOT / "tests/blender"
-PARTS = 6  # Blenders that share all tests
+PARTS = 5  # Blenders that share all tests
 SHORT = ("test_manners.py", "test_formats.py", "-k", "not 50_times")  # what `make test` runs of them
 ASK_PYTHON = "import sys; print('python tag: cp%d%d' % sys.version_info[:2])"
 

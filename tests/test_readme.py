@@ -69,10 +69,16 @@ RUNS: dict[str, tuple[str, ...]] = {  # command: what it writes
     ): ("scene_pruned.ply",),
     "blender -b --python svrgs_addon/batch.py -- prune FOLDER --out PRUNED": ("PRUNED/one.ply",),
 }
-SHORTER = {  # added, since 30,000 steps take minutes
+STEPS = "--iterations 100 --recovery 100"
+SHORTER = {  # added, since the steps of each take longer than all that this is about
     "svrgs train --data DATASET --out trained.ply": "--iterations 100",
+    "svrgs prune trained.ply --data DATASET --out pruned.ply --report report": STEPS,
+    "svrgs prune trained.ply --data DATASET --target 0.25 --out quarter.ply": STEPS,
     "svrgs prune trained.ply --data DATASET --target 0.25 --time 60 --out quarter.ply": "--time 10",
+    "svrgs prune trained.ply --data DATASET --target 0.25 --levels 0.5,0.1 --out quarter.ply": STEPS,
     "svrgs prune scene.ply --target 0.25 --time 90 --out quarter.ply": "--time 12",
+    "blender --command svrgs prune trained.ply --data DATASET --out pruned.ply": STEPS,
+    "blender -b --python svrgs_addon/batch.py -- prune FOLDER --out PRUNED": STEPS,
 }
 NOT_RUN = {
     "make demo": "renders and trains for minutes, and downloads packages",

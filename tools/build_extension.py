@@ -12,11 +12,12 @@ import importlib.util
 import shutil
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 from platforms import ROOT, TABLE, VERSION, Variant, variant_for, variants
 
-DIST, STAGE = ROOT / "dist", ROOT / "build/extension"
+DIST = ROOT / "dist"
 PRODUCT = ("__init__.py", "LICENSE", "operators", "panels", "svrgs_addon")
 BUILT_HERE = shutil.ignore_patterns("__pycache__", ".*", "*.so", "*.dll", "*.dylib", "*.new")
 
@@ -63,10 +64,12 @@ def stage(variant: Variant, library: Path, folder: Path) -> None:
 def build(variant: Variant, library: Path, folder: Path) -> Path:
     """Builds the zip of a variant in `folder` and validates it. Returns its path. Raises RuntimeError with
     what Blender's builder said."""
-    staged, made = STAGE / variant.name, folder / f"{variant.name}.zip"
-    stage(variant, library, staged)
+    made = folder / f"{variant.name}.zip"
     folder.mkdir(parents=True, exist_ok=True)
-    _blender_ext("build", "--source-dir", staged, "--output-filepath", made)
+    with tempfile.TemporaryDirectory() as temp_dir:
+        staged = Path(temp_dir) / variant.name
+        stage(variant, library, staged)
+        _blender_ext("build", "--source-dir", staged, "--output-filepath", made)
     _blender_ext("validate", made)
     return made
 

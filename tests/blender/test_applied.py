@@ -148,23 +148,6 @@ def test_every_view_layer_hides_the_original(splat, watch, results):
     bpy.data.scenes.remove(other)
 
 
-def test_what_earlier_versions_hid_is_shown_again(pruned):
-    """They used the monitor icon, and left the count of the job on applied splats."""
-    original, result = pruned
-    original.hide_viewport = True
-    result["svrgs_kept"] = 125
-    bpy.ops.svrgs.discard(what="RESULT")
-    assert not hidden(original)
-
-
-def test_a_splat_applied_by_an_earlier_version_is_pruned_again(pruned, watch, results):
-    original, result = pruned
-    bpy.ops.svrgs.apply()
-    result["svrgs_kept"] = 125
-    third = prune(result, watch, results)
-    assert results.pair_of(third) == (result, third) and results.pair_of(original) == (original, result)
-
-
 def test_the_operator_for_scripts_hides_with_the_eye(splat):
     bpy.ops.svrgs.prune(colmap=bpy.context.scene.svrgs_prune.colmap, iterations=5, recovery=0, target=0.5)
     assert hidden(splat) and not hidden(bpy.context.object) and "Pruned from 'scene'" in drawn("prune")
