@@ -186,7 +186,7 @@ def test_a_job_that_dies_is_reported(tmp_path, monkeypatch):
     }
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("entry", [(BATCH, "--"), ("-m", "svrgs_addon")], ids=["batch.py", "svrgs"])
 @pytest.mark.parametrize("everyone", [True, False], ids=["group", "process"])
 def test_a_stopped_batch_can_be_resumed(tiny, tmp_path, number, entry, everyone):

@@ -124,7 +124,9 @@ def test_a_share_counts_from_the_end_of_densification(method):
 # --- one map for all rows, and checkpoints
 
 
-@pytest.mark.parametrize("iteration", [8, 33, 47, 62])
+@pytest.mark.parametrize(
+    "iteration", [pytest.param(8, marks=pytest.mark.slow), 33, pytest.param(47, marks=pytest.mark.slow), 62]
+)
 @pytest.mark.parametrize("method", FAMILIES)
 def test_a_run_restored_from_a_checkpoint_goes_on_bit_for_bit(tmp_path, method, iteration):
     whole, first, second = grown_run(method), grown_run(method), grown_run(method)

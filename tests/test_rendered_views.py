@@ -86,7 +86,14 @@ def test_pictures_come_from_several_threads_in_order_and_stay_within_their_memor
     assert not dataset._cache
 
 
-@pytest.mark.parametrize("method", ("merge", "removal", "svr", "lightgaussian", "maskgs"))
+@pytest.mark.parametrize(
+    "method",
+    (
+        "merge",
+        "svr",
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("removal", "lightgaussian", "maskgs")),
+    ),
+)
 def test_methods_of_every_kind_prune_on_them(splat, method):
     more = {"target": None} if method == "svr" else {}
     result = prune(splat, method=method, iterations=40, **more)

@@ -150,7 +150,9 @@ def test_more_is_cut_where_more_is_won_back():
         ) == pytest.approx(share)
 
 
-@pytest.mark.parametrize("stop", [501, 650, 651, 790])
+@pytest.mark.parametrize(
+    "stop", [pytest.param(501, marks=pytest.mark.slow), 650, 651, pytest.param(790, marks=pytest.mark.slow)]
+)
 def test_a_recovery_that_cuts_goes_on_from_a_checkpoint_bit_for_bit(tiny, data, tmp_path, stop):
     settings = replace(prune_settings("removal", 500, 300), max_drop=0.2)
     whole, first, second = (

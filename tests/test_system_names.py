@@ -186,7 +186,13 @@ COMMANDS = {
         pytest.param({"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0"}, id="C"),
     ],
 )
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize(
+    "command",
+    [
+        pytest.param(name, marks=() if name in ("info", "prune", "batch") else pytest.mark.slow)
+        for name in COMMANDS
+    ],
+)
 def test_long_paths_with_umlauts_and_spaces(place, command, console):
     words = [word.format(*[place] * 4) for word in COMMANDS[command].split()]
     done = run(*words, *(["--json"] if command in ("prune", "compare") else []), **console)

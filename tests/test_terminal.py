@@ -176,7 +176,17 @@ def red(place: Path) -> str:
     return cameras[0].name
 
 
-@pytest.mark.parametrize("command", ["render", "views", "missing", "batch", "broken", "usage"])
+@pytest.mark.parametrize(
+    "command",
+    [
+        "render",
+        pytest.param("views", marks=pytest.mark.slow),
+        pytest.param("missing", marks=pytest.mark.slow),
+        "batch",
+        pytest.param("broken", marks=pytest.mark.slow),
+        "usage",
+    ],
+)
 def test_names_do_not_command_the_terminal(place, command):
     name = red(place)
     words = ["eval", place / "scene.ply", "--colmap", place]
