@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 WORKER = re.compile("gw([0-9]+)")  # how pytest-xdist calls its workers
+LONGEST = ("test_extension.py", "test_sanitizers.py", "test_packaging.py")  # of make test-slow
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 
@@ -26,6 +27,11 @@ def pytest_configure():
     if worker and hasattr(os, "sched_setaffinity"):
         allowed = sorted(os.sched_getaffinity(0))
         os.sched_setaffinity(0, {allowed[int(worker[1]) % len(allowed)]})
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]):
+    """Slow tests that take minutes come first, so that no worker is left with them at the end."""
+    items.sort(key=lambda item: not (item.get_closest_marker("slow") and item.path.name in LONGEST))
 
 
 @pytest.fixture(scope="session")
