@@ -114,11 +114,11 @@ def test_the_drop_asked_for_is_used_up_and_not_exceeded(tiny, data):
     """In most runs: one Gaussian of this tiny scene can be worth tenths of a dB, and now and then a run loses
     several or next to nothing. Of 21 seeds two lost more than asked; the median was 0.66 dB."""
     drops = []
-    for seed in range(1, 12):
+    for seed in range(1, 8):
         run = to_the_end(steered_run(tiny, data, "svr", max_drop=1.0, seed=seed))
         assert run.model.count < 200
         drops.append(run.controller.start - run.psnr(None))
-    assert 0.1 < sorted(drops)[5] <= 1.0 and sum(drop <= 1.0 for drop in drops) >= 7, drops
+    assert 0.1 < sorted(drops)[3] <= 1.0 and sum(drop <= 1.0 for drop in drops) >= 5, drops
 
 
 @pytest.mark.slow

@@ -198,7 +198,7 @@ def test_with_a_window_the_result_is_in_the_scene_alone(saved, bridge, capfd, mo
 @pytest.mark.parametrize(
     "options, sentence",
     [
-        ({"seen_from_only": True}, "name them with --cameras"),
+        ({"seen_from_only": True}, "name them with --seen-from"),
         ({"colmap": "/nowhere"}, "/nowhere: holds no COLMAP model"),
         ({"scene": "/nowhere.ply"}, "there is no such file"),
     ],
