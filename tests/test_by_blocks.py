@@ -17,7 +17,7 @@ from svrgs_addon.finetune.decimate.order import hidden, visibility_sums
 from svrgs_addon.finetune.saliency import reduced
 from svrgs_addon.native.rasterizer import Rasterizer
 from svrgs_addon.prune import by_blocks, job_views, pipeline, plans
-from svrgs_addon.prune.blocks.sample import MOST, finer, refuse_hidden, sample_of
+from svrgs_addon.prune.blocks.sample import MAX_SAMPLED, finer, refuse_hidden, sample_of
 from svrgs_addon.prune.blocks.tuning import tune
 from svrgs_addon.prune.options import PruneOptions
 from svrgs_addon.render.metrics.evaluate import render_options
@@ -137,7 +137,7 @@ def test_the_share_that_is_done_is_that_of_the_whole_job(short, source, tmp_path
         "merge",
         "cut",
         "tune",
-        "look",
+        "original",
         "compare",
         "read",
         "measure",
@@ -411,11 +411,11 @@ def test_cameras_are_placed_for_a_scene_that_is_too_large_too(svrgs, monkeypatch
 
 
 def test_a_sample_covers_about_what_all_gaussians_do(monkeypatch, source):
-    monkeypatch.setattr("svrgs_addon.prune.blocks.sample.MOST", COUNT // 2)
+    monkeypatch.setattr("svrgs_addon.prune.blocks.sample.MAX_SAMPLED", COUNT // 2)
     scene, enlarged = sample_of(source)
     whole = load_scene(source).scene
     assert (
-        MOST > COUNT
+        MAX_SAMPLED > COUNT
         and scene.count == COUNT // 2
         and enlarged == pytest.approx((COUNT / scene.count) ** 0.5, rel=0.01)
     )

@@ -21,7 +21,7 @@ from svrgs_addon.finetune.saliency import reduced
 from svrgs_addon.native.rasterizer import VISIBILITY, Rasterizer
 from svrgs_addon.prune.blocks.block_rasterizer import BlockRasterizer
 from svrgs_addon.prune.blocks.divided import Divided, divide, scene_of
-from svrgs_addon.prune.blocks.merging import LEAST, counts, merge, merged, reduce
+from svrgs_addon.prune.blocks.merging import MIN_SHARE_OF_CELL, counts, merge, merged, reduce
 from svrgs_addon.prune.blocks.pruning import write_joined
 from svrgs_addon.prune.blocks.scoring import UNITS, picture_path, score, total, visibility
 from svrgs_addon.prune.blocks.tuning import cut, mixed, tune, tuned_blocks
@@ -55,7 +55,7 @@ def cameras():
 def small_parts(monkeypatch) -> float:
     """What views blend is found out in small parts of their pictures. The largest alpha T of Gaussians that
     may be missed there: the last ones of rays that end in another part."""
-    for name, value in {"PORTION": COUNT // 20, "LEAST": 16, "REACH": 6.0}.items():
+    for name, value in {"PORTION": COUNT // 20, "MIN_SIDE_PIXELS": 16, "REACH": 6.0}.items():
         monkeypatch.setattr(f"svrgs_addon.prune.blocks.visible.{name}", value)
     return 1e-3
 
@@ -170,7 +170,7 @@ def test_so_many_are_left_as_are_wanted_at_one_cost_for_all_blocks(ordered):
     ]
     assert len(shares) == 1 or max(shares) > 1.3 * min(shares), "what is seen more keeps more"
     assert sum(map(sum, counts(ordered, 1))) == sum(
-        max(1, round(LEAST * block.count)) for block in ordered.blocks
+        max(1, round(MIN_SHARE_OF_CELL * block.count)) for block in ordered.blocks
     )
 
 

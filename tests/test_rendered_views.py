@@ -16,7 +16,7 @@ from svrgs_addon.jobs.estimate import estimate
 from svrgs_addon.jobs.job_folder import JobFolder
 from svrgs_addon.jobs.job_process import Job
 from svrgs_addon.native.rasterizer import Rasterizer
-from svrgs_addon.prune.job_views import LONGEST
+from svrgs_addon.prune.job_views import MAX_SIDE_PIXELS
 from svrgs_addon.prune.options import PruneOptions
 from svrgs_addon.prune.pipeline import prune_scene
 from svrgs_addon.prune.plans import dataset_of_pruning
@@ -276,7 +276,7 @@ def test_large_views_are_reduced(splat):
     write_cameras_json(splat.with_name("shot.json"), front(read_ply(splat), 1, 3840, 2160))
     dataset = dataset_of(PruneOptions(scene=splat, cameras=splat.with_name("shot.json"), seen_from_only=True))
     assert (dataset.cameras[0].width, dataset.cameras[0].height) == (
-        LONGEST,
+        MAX_SIDE_PIXELS,
         900,
     ) and dataset.train_indices == [0]
 

@@ -12,7 +12,7 @@ from svrgs_addon.files.registry import write_scene
 from svrgs_addon.native.rasterizer import Rasterizer
 from svrgs_addon.prune.blocks import visible
 from svrgs_addon.prune.blocks.block_size import as_memory_allows
-from svrgs_addon.prune.blocks.divided import MOST, divide
+from svrgs_addon.prune.blocks.divided import MAX_BLOCK_COUNT, divide
 from svrgs_addon.render.metrics.evaluate import render_options
 from svrgs_addon.system import memory
 from svrgs_addon.system.errors import SceneError
@@ -40,7 +40,7 @@ def test_a_view_is_looked_at_in_smaller_parts_where_memory_is_short(source, tmp_
     monkeypatch.setattr(visible, "FEWEST", COUNT // 100), monkeypatch.setattr(visible, "REACH", np.inf)
     monkeypatch.setattr(memory, "available", lambda: visible._needed(many.count + COUNT // 10, CAMERA))
     few = visible.seen(divided, CAMERA, rasterizer)[0]
-    assert len(parts) == 2, "and no more, because its longer side would have less than LEAST pixels"
+    assert len(parts) == 2, "and no more, because its longer side would have less than MIN_SIDE_PIXELS pixels"
     images = [rasterizer.forward(scene, CAMERA, render_options(scene))["rgb"].copy() for scene in (many, few)]
     assert np.abs(images[0] - images[1]).max() < 2e-3
     monkeypatch.setattr(memory, "available", lambda: 100_000)
@@ -51,7 +51,7 @@ def test_a_view_is_looked_at_in_smaller_parts_where_memory_is_short(source, tmp_
 @pytest.mark.parametrize(
     "count, free, most",
     [
-        (50_000_000, 10**12, MOST),
+        (50_000_000, 10**12, MAX_BLOCK_COUNT),
         (1_000_000, 10**12, 1_000_000),
         (1_000_000, 10**9, 500_000),
         (1_000_000, 10**7, 125_000),

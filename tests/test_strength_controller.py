@@ -225,7 +225,7 @@ def test_an_allowed_drop_keeps_a_twentieth_at_least_and_needs_photographs_that_s
         NativeEngine(),
     )
     assert fewest_within(run, np.arange(run.model.count), -10.0).sum() == math.ceil(
-        quality.LEAST * run.model.count
+        quality.MIN_SHARE * run.model.count
     )
     run.recovery_pruning.before_step(run)
     black = replace(run.plan, max_drop=60.0)

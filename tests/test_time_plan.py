@@ -29,14 +29,14 @@ from svrgs_addon.prune.duration import Pace, pace_of
 from svrgs_addon.prune.options import PruneOptions, TrainOptions
 from svrgs_addon.prune.pipeline import prune_scene, train_scene
 from svrgs_addon.prune.recipes import fine_tuned
-from svrgs_addon.prune.time_plan import GRID, LEAST, MOST, fitted
+from svrgs_addon.prune.time_plan import GRID, MAX_SCHEDULE, MIN_SCHEDULE, fitted
 from svrgs_addon.system.errors import Cancelled, FormatError, SceneError
 
 SLOW = Pace(
     count=250,
     step=0.1,
     power=0.4,
-    look=0.5,
+    ranking=0.5,
     drawn=0.02,
     point=0.04,
     measured=0.1,
@@ -141,10 +141,10 @@ def test_a_longer_time_gives_as_many_steps_or_more_and_never_too_many():
     seconds = lambda some: SLOW.pruning(some, 0.2)
     found = [fitted(asked, plan, seconds, 3.0) for asked in (20, 25, 30, 60, 100, 300, 2_000, 10_000)]
     schedules = [one.schedule for one in found]
-    assert schedules == sorted(schedules) and schedules[0] < 0.05 and schedules[-1] == MOST
+    assert schedules == sorted(schedules) and schedules[0] < 0.05 and schedules[-1] == MAX_SCHEDULE
     for one in found:
         assert one.foreseen == 3.0 + seconds(at_schedule(plan, one.schedule)) <= one.asked
-        assert one.schedule == MOST or 3.0 + seconds(
+        assert one.schedule == MAX_SCHEDULE or 3.0 + seconds(
             at_schedule(plan, round(one.schedule * GRID + 1) / GRID)
         ) > one.asked * (1 - time_plan.MARGIN)
 
@@ -154,7 +154,7 @@ def test_a_time_that_is_too_short_is_refused_with_one_that_is_enough():
     with pytest.raises(SceneError, match=r"^2 s are too short: .* allow (\d+) s or more$") as caught:
         fitted(2, plan, lambda some: SLOW.pruning(some, 0.2), 3.0)
     enough = int(str(caught.value).split("allow ")[1].split()[0])
-    assert fitted(enough, plan, lambda some: SLOW.pruning(some, 0.2), 3.0).schedule >= LEAST
+    assert fitted(enough, plan, lambda some: SLOW.pruning(some, 0.2), 3.0).schedule >= MIN_SCHEDULE
     with pytest.raises(SceneError):
         fitted(enough - 1, plan, lambda some: SLOW.pruning(some, 0.2), 3.0)
 
@@ -172,7 +172,7 @@ def test_the_result_says_what_was_asked_foreseen_and_used_and_can_be_repeated(ti
         time["asked"] == 20
         and 15 < time["foreseen"] <= 18.4
         and time["used"] == 1.5
-        and LEAST < time["schedule"] < 0.1
+        and MIN_SCHEDULE < time["schedule"] < 0.1
     )
     (line,) = [line for line in done.err.splitlines() if line.startswith("--time 20: ")]
     assert (
@@ -300,7 +300,7 @@ def test_a_resumed_job_goes_on_with_its_plan_on_a_faster_machine(tiny, slow, tmp
     planned = job(tiny, tmp_path / "whole.ply")["time"]
     with pytest.raises(Cancelled):
         job(tiny, tmp_path / "a.ply", stop_after=30)
-    monkeypatch.setattr(planning, "pace_of", lambda *_: replace(SLOW, step=1e-3, look=1e-3))
+    monkeypatch.setattr(planning, "pace_of", lambda *_: replace(SLOW, step=1e-3, ranking=1e-3))
     resumed = job(tiny, tmp_path / "a.ply")
     assert resumed["time"]["schedule"] == planned["schedule"] and resumed["time"]["asked"] == 20
     assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "whole.ply").read_bytes()
@@ -347,7 +347,7 @@ def test_training_keeps_its_plan_too(tiny, slow, tmp_path, monkeypatch):
         return train_scene(options, adapt)
 
     planned = training("whole.ply")["time"]
-    assert planned["asked"] == 60 and planned["foreseen"] <= 48 and LEAST < planned["schedule"] < 0.05
+    assert planned["asked"] == 60 and planned["foreseen"] <= 48 and MIN_SCHEDULE < planned["schedule"] < 0.05
     with pytest.raises(Cancelled):
         training("a.ply", stop_after=30)
     monkeypatch.setattr(planning, "pace_of", lambda *_: replace(SLOW, step=1e-3))
@@ -370,7 +370,7 @@ def test_speeds_are_measured_and_the_scene_stays_as_it_was(tiny, data):
         for name in ("means", "log_scales", "quats", "opacity_logits", "sh")
     }
     pace = pace_of(scene, data, whole("removal"))
-    assert min(pace.step, pace.look, pace.drawn, pace.point, pace.measured, pace.photograph) > 0
+    assert min(pace.step, pace.ranking, pace.drawn, pace.point, pace.measured, pace.photograph) > 0
     assert (pace.train_views, pace.test_views, pace.uncached) == (
         len(data.train_indices),
         len(data.test_indices),
@@ -378,7 +378,7 @@ def test_speeds_are_measured_and_the_scene_stays_as_it_was(tiny, data):
     )
     assert before == {name: getattr(scene, name).tobytes() for name in before}
     assert pace_of(scene, replace(data, memory_budget=0), whole("opacity")).uncached == 1
-    assert pace_of(scene, data, whole("maskgs")).look == 0, "it looks at nothing between the steps"
+    assert pace_of(scene, data, whole("maskgs")).ranking == 0, "it ranks nothing between the steps"
 
 
 @pytest.mark.parametrize(("measured", "power"), [(0.7, 0.4), (0.0, 0.1), (1.0, 0.6)])

@@ -11,7 +11,7 @@ from ..files.atomic import check_writable
 from ..files.registry import check_readable
 from ..prune.blocks.block_rasterizer import opened
 from ..prune.blocks.sample import sample_of
-from ..prune.job_views import LONGEST
+from ..prune.job_views import MAX_SIDE_PIXELS
 from ..prune.options import DatasetOptions
 from ..prune.plans import dataset_of
 from ..prune.report.compare import compare
@@ -22,7 +22,7 @@ from ..views.dataset import HOLDOUT, Dataset
 from ..views.rig import place_rig
 from .option_parser import options_from
 
-MOST = 32  # given views, evenly spread in the file
+MAX_VIEWS = 32  # given views, evenly spread in the file
 
 
 def compare_scenes(args: argparse.Namespace) -> dict:
@@ -42,7 +42,7 @@ def _views_alone(args: argparse.Namespace) -> Dataset:
         raise SceneError("--images and --holdout are of photographs: give --data, or leave them out")
     if args.cameras:
         cameras, where = (
-            [camera.fitted(LONGEST) for camera in evenly(load_cameras(args.cameras), MOST)],
+            [camera.fitted(MAX_SIDE_PIXELS) for camera in evenly(load_cameras(args.cameras), MAX_VIEWS)],
             f"from {args.cameras.name}",
         )
     else:

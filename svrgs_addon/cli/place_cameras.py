@@ -9,7 +9,7 @@ from pathlib import Path
 from ..files.atomic import check_writable
 from ..files.images import write_image
 from ..files.registry import load_scene, refuse_input
-from ..prune.blocks.sample import MOST, sample_of
+from ..prune.blocks.sample import MAX_SAMPLED, sample_of
 from ..scene.gaussians import Scene
 from ..system import memory
 from ..system.errors import MemoryShort, SceneError, TooMany
@@ -47,7 +47,7 @@ def _scene(path: Path) -> tuple[Scene, float]:
         logging.warning(
             "%s; its cameras are placed by up to %s of its Gaussians",
             memory.without_advice(str(error)),
-            f"{MOST:,}",
+            f"{MAX_SAMPLED:,}",
         )
     return sample_of(path)
 

@@ -29,7 +29,7 @@ if TYPE_CHECKING:  # reads files; a Blender that only starts needs none of it
 
 # least share of the Gaussians that an allowed drop keeps: in a poor scene, PSNR alone would be held by some
 # large blurs
-LEAST = 0.05
+MIN_SHARE = 0.05
 # shares of the fine-tuned scene in a result, the rest is the scene before the steps; tried after 1
 SHARES = (0.75, 0.5, 0.25, 0.0)
 VIEWS = 16  # most views on which a drop in PSNR is measured, spread evenly over the test views
@@ -45,8 +45,8 @@ def quality_views(dataset: Dataset) -> list[int]:
 
 def fewest_within(run: RunView, score: np.ndarray, floor: float) -> np.ndarray:
     """(N,) bool: the Gaussians of highest score, as few as have a PSNR of at least `floor` dB, but at least
-    LEAST of those at the start. score (N,). To 0.1 % of N."""
-    least, count = math.ceil(LEAST * run.initial_count), run.model.count
+    MIN_SHARE of those at the start. score (N,). To 0.1 % of N."""
+    least, count = math.ceil(MIN_SHARE * run.initial_count), run.model.count
     return top(score, fewest(least, count, lambda some: run.psnr(top(score, some)) >= floor, 1_000))
 
 

@@ -5,11 +5,11 @@ A job reads the splat, measures its quality, does the steps of the plan, and mea
 Between the steps the method looks at all training views to rank the Gaussians, and the PSNR of the curves is
 measured. With the share n of the Gaussians
 
-    a step takes  step * n^power,      a look takes  look * n^LOOK_POWER,
+    a step takes  step * n^power,  a ranking pass takes  ranking * n^RANKING_POWER,
 
 because a part of both depends on the pixels alone. `power` is measured with every sixteenth Gaussian. Those
 that stay in a run grow, and cover more pixels, so it is lowered: in runs on seven scenes it was 0.12 to 0.30
-less than measured, between 0.16 and 0.67. LOOK_POWER is fitted to runs on three scenes (0.5 to 0.8). A
+less than measured, between 0.16 and 0.67. RANKING_POWER is fitted to runs on three scenes (0.5 to 0.8). A
 training starts with small Gaussians, so there it is not measured: 0.3 to 0.45 in runs on three scenes.
 Photographs that are read for the first time are read beside the steps, by all threads. Not foreseen: other
 programs that use the processor.
@@ -46,14 +46,15 @@ from ..views.dataset import READER_THREADS, Dataset
 from ..views.rendered import RenderedDataset
 from .quality_forecast import spread
 
-TRAINING_POWER, LOOK_POWER = 0.4, 0.65
+TRAINING_POWER, RANKING_POWER = 0.4, 0.65
 # power: measured with 1/SOME of the Gaussians, lowered by GROWN, within these limits
 SOME, GROWN, POWERS = 16, 0.3, (0.1, 0.6)
 # the same of a method that merges; measured with the share that stays
 MERGED_GROWN, MERGED_POWERS = 0.05, (0.1, 1.0)
 # time limit of measuring steps after one that is not; most and fewest that are measured
 STEP_SECONDS, STEPS, LEAST_STEPS = 0.5, 8, 3
-LOOKED_AT, MEASURED = 3, 2  # views of which the time of a look and of the measures of quality are measured
+# views of which the time of a ranking pass and of the measures of quality are measured
+RANKED_VIEWS, MEASURED = 3, 2
 # densifications, and how much longer a step takes after them: means over seven scenes
 GROWTH = (0, 3, 10, 40, 145), (1.0, 1.0, 2.2, 4.0, 5.5)
 GROWTH_POWER = 0.27  # of the number of Gaussians in this
@@ -72,7 +73,7 @@ class Pace:
     count: int
     step: float  # one step, its photograph in memory
     power: float  # of the share of the Gaussians in a step
-    look: float  # one look at all training views; 0: the method has none
+    ranking: float  # one ranking pass over all training views; 0: the method has none
     drawn: float  # rendering a view and measuring its PSNR
     point: float  # a point of the curves
     measured: float  # all measures of the quality of a view
@@ -111,14 +112,14 @@ class Pace:
         )
         total, grown, left = 0.0, 1.0, share if plan.method.ranks and not plan.prunes else 1.0
         for phase in plan.phases:
-            looks = plan.method.ranking_passes(plan, phase.steps, share) if phase.active else []
+            passes = plan.method.ranking_passes(plan, phase.steps, share) if phase.active else []
             if plan.method.ranks:  # in training, the cut comes last
-                looks = [(1.0, after) for _, after in looks]
-            parts = gradual(share) if phase.active and not looks else between(looks, left)
+                passes = [(1.0, after) for _, after in passes]
+            parts = gradual(share) if phase.active and not passes else between(passes, left)
             mean, grown = growth(phase, self.count) if phase.densify else (grown, grown)
             total += phase.steps * (self.step + point) * mean * sum(
                 length * n**self.power for length, n in parts
-            ) + grown * self._looks(looks, left)
+            ) + grown * self._ranking_seconds(passes, left)
             left = share if phase.active else left
         return total + self._ordering(plan, left) + self._drop(plan, share) + self._reading(plan.total)
 
@@ -132,26 +133,34 @@ class Pace:
         return (
             first
             + MERGING_STEPS * plan.method.merges * self.step
-            + (self._looks(plan.method.ranking_passes(plan, 0, share), 1.0) if plan.method.ranks else 0.0)
+            + (
+                self._ranking_seconds(plan.method.ranking_passes(plan, 0, share), 1.0)
+                if plan.method.ranks
+                else 0.0
+            )
         )
 
-    def _looks(self, looks: list[tuple[float, float]], left: float) -> float:
-        """Seconds of looks. left: Gaussians before the first one."""
-        return sum(self.look * n**LOOK_POWER for n in [left, *(after for _, after in looks)][: len(looks)])
+    def _ranking_seconds(self, passes: list[tuple[float, float]], left: float) -> float:
+        """Seconds of ranking passes. left: Gaussians before the first one."""
+        return sum(
+            self.ranking * n**RANKING_POWER for n in [left, *(after for _, after in passes)][: len(passes)]
+        )
 
     def _ordering(self, plan: Plan, left: float) -> float:
-        """Seconds of the order of a nested result: looks at fewer and fewer of the Gaussians that are left.
+        """Seconds of the order of a nested result: ranking passes over fewer and fewer Gaussians.
         Its quicker steps are not foreseen."""
-        looks = [(0.0, left * plan.nested ** (k / SIZES)) for k in range(1, SIZES + 1)] if plan.nested else []
-        return self._looks(looks, left)
+        passes = (
+            [(0.0, left * plan.nested ** (k / SIZES)) for k in range(1, SIZES + 1)] if plan.nested else []
+        )
+        return self._ranking_seconds(passes, left)
 
     def _drop(self, plan: Plan, share: float) -> float:
-        """Seconds of holding a loss of quality: PSNRs on a few views, and the looks of the recovery."""
+        """Seconds of holding a loss of quality: PSNRs on a few views, and ranking passes in the recovery."""
         if not plan.max_drop:
             return 0.0
         decisions, cuts = sum(phase.active for phase in plan.phases), 0 if plan.nested else len(CUTS)
         psnrs = BISECTION * (decisions + cuts * share**self.power) + UPDATES * plan.method.learns_masks
-        return min(VIEWS, self.test_views) * self.drawn * psnrs + cuts * self.look * share**LOOK_POWER
+        return min(VIEWS, self.test_views) * self.drawn * psnrs + cuts * self.ranking * share**RANKING_POWER
 
     def _reading(self, steps: int) -> float:
         """Seconds of reading photographs beside the steps."""
@@ -173,14 +182,16 @@ def pace_of(scene: Scene, dataset: Dataset, plan: Plan, lpips: Callable | None =
         Rasterizer(),
     )
     _read_some(dataset, views)
-    looked_at = [dataset.cameras[index] for index in spread(train)[:LOOKED_AT]]
-    looks = bool(plan.method.ranking_passes(plan, max(1, plan.total), 1.0))
-    look = lambda: (plan.method.score if looks else removal_errors)(scene, looked_at, rasterizer, options)
+    ranked_views = [dataset.cameras[index] for index in spread(train)[:RANKED_VIEWS]]
+    passes = bool(plan.method.ranking_passes(plan, max(1, plan.total), 1.0))
+    ranking = lambda: (plan.method.score if passes else removal_errors)(
+        scene, ranked_views, rasterizer, options
+    )
     drawn = _seconds(lambda: mean_psnr(scene, dataset, views, rasterizer, options)) / len(views)
     step = _step(scene, replace(dataset, train_indices=shown), plan)
     return Pace(
         count=scene.count,
-        look=_seconds(look) * len(train) / len(looked_at) if looks or plan.nested else 0.0,
+        ranking=_seconds(ranking) * len(train) / len(ranked_views) if passes or plan.nested else 0.0,
         drawn=drawn,
         point=drawn * min(CURVE_VIEWS, len(dataset.test_indices)),
         measured=_seconds(lambda: evaluate(scene, dataset, views, rasterizer, lpips), warm=True) / len(views),
@@ -216,10 +227,10 @@ def growth(phase: Phase, count: int) -> tuple[float, float]:
     return fmean(at(step) / phase.reduction(round(step)) for step in steps), at(phase.steps)
 
 
-def between(looks: list[tuple[float, float]], left: float) -> list[tuple[float, float]]:
-    """(length, Gaussians) of the parts of a phase with these looks; shares. left: Gaussians before the first
-    look."""
-    starts, lefts = [0.0, *(when for when, _ in looks), 1.0], [left, *(after for _, after in looks)]
+def between(passes: list[tuple[float, float]], left: float) -> list[tuple[float, float]]:
+    """(length, Gaussians) of the parts of a phase with these ranking passes; shares. left: Gaussians before
+    the first pass."""
+    starts, lefts = [0.0, *(when for when, _ in passes), 1.0], [left, *(after for _, after in passes)]
     return [(end - start, n) for start, end, n in zip(starts, starts[1:], lefts, strict=False)]
 
 

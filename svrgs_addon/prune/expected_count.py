@@ -14,7 +14,7 @@ import numpy as np
 from ..finetune import scores
 from ..finetune.methods.removal import Removal, floor_of_drop
 from ..finetune.plan import Plan
-from ..finetune.quality import LEAST, fewest, quality_views
+from ..finetune.quality import MIN_SHARE, fewest, quality_views
 from ..finetune.saliency import saliency
 from ..finetune.view_order import as_real
 from ..native.rasterizer import Rasterizer
@@ -112,7 +112,7 @@ def _fewest_within_drop(scene: Scene, dataset: Dataset, order: np.ndarray, plan:
     before, psnr_of = _psnr_on_some(scene, dataset)
     floor = floor_of_drop(before, plan) if isinstance(plan.method, Removal) else before - plan.max_drop
     within = lambda count: psnr_of(scores.top(order, count).astype(np.uint8)) >= floor
-    return fewest(math.ceil(LEAST * scene.count), scene.count, within)
+    return fewest(math.ceil(MIN_SHARE * scene.count), scene.count, within)
 
 
 def _psnr_on_some(scene: Scene, dataset: Dataset) -> tuple[float, Callable[[np.ndarray | None], float]]:

@@ -23,12 +23,12 @@ from .door import check_views
 from .options import PruneOptions
 
 # pixels of the longer side of a view; larger ones are reduced, as 3DGS does with photographs
-LONGEST = 1_600
-MOST = 256  # given views, and by blocks those of a dataset: evenly spread
+MAX_SIDE_PIXELS = 1_600
+MAX_VIEWS = 256  # given views, and by blocks those of a dataset: evenly spread
 PLACED_FOR_QUICK = 64  # views that are placed for a quick job by blocks
 QUICK_SIDE = 512  # pixels of the longer side of a view of a quick job
 QUICK_TRAIN, QUICK_TEST = 32, 16  # its views to decide on, and to measure in
-OWN = "no photographs: the splat's own pictures take their place"
+OWN_PICTURES = "no photographs: the splat's own pictures take their place"
 
 
 class Views(NamedTuple):
@@ -96,8 +96,8 @@ def without_photographs(
         train, test, facts = train + rig.cameras, test + rig.held_out, facts | rig.facts()
         inside = "within the scene" if rig.inside_out else "around it"
         notes.append(
-            f"{OWN}, from {len(rig.cameras)} cameras {inside} that together show {rig.seen:.1%} of what can"
-            " be seen three times"
+            f"{OWN_PICTURES}, from {len(rig.cameras)} cameras {inside} that together show {rig.seen:.1%} of"
+            " what can be seen three times"
         )
     for note in notes:
         logging.warning("%s", note)
@@ -107,8 +107,8 @@ def without_photographs(
 def by_blocks(options: PruneOptions, scene: Scene, enlarged: float) -> Views:
     """Of `svrgs prune` by blocks. Raises SceneError, FormatError."""
     if options.colmap is not None:
-        train, test = of_dataset(options, scene, LONGEST)
-        return Views(evenly(train, MOST), test, [], {})
+        train, test = of_dataset(options, scene, MAX_SIDE_PIXELS)
+        return Views(evenly(train, MAX_VIEWS), test, [], {})
     placed = PLACED_FOR_QUICK if options.quick else None
     train, test, notes, facts = without_photographs(options, scene, enlarged, placed)
     if not options.seen_from_only:
@@ -139,15 +139,15 @@ def large(options: PruneOptions, scene: Scene, enlarged: float) -> Views:
 def _given(options: PruneOptions, scene: Scene) -> tuple[list[Camera], list[Camera], list[str]]:
     """The given views to train on, those held out, and what the user must know of them."""
     assert options.cameras is not None
-    cameras = [camera.fitted(LONGEST) for camera in evenly(load_cameras(options.cameras), MOST)]
+    cameras = [camera.fitted(MAX_SIDE_PIXELS) for camera in evenly(load_cameras(options.cameras), MAX_VIEWS)]
     # of few views, all are needed
     train, test = _held_out(cameras, options.holdout if options.holdout <= len(cameras) // 2 else 0)
     check_views(scene, cameras, train, str(options.scene))
     notes = []
     if options.seen_from_only:
         notes.append(
-            f"{OWN}, from the {len(cameras)} views of {Path(options.cameras).name} alone: what they do not"
-            " see may be removed"
+            f"{OWN_PICTURES}, from the {len(cameras)} views of {Path(options.cameras).name} alone: what"
+            " they do not see may be removed"
         )
     return train, test, notes
 

@@ -70,7 +70,7 @@ class Likeness:
 
     @cached_property
     def _originals(self) -> list[np.ndarray]:
-        return [picture for picture, _ in self._pictures(self._original, "look")]
+        return [picture for picture, _ in self._pictures(self._original, "original")]
 
     def _pairs(self, scene: Renderable, step: str) -> Iterator[tuple[np.ndarray, np.ndarray, float]]:
         """Of each view the picture of the scene, that of the original, and the seconds of the first one."""
@@ -86,7 +86,7 @@ class Likeness:
             self._progress_of(step),
         )
         for number, camera in enumerate(self.views):
-            progress(f"looks at the view {camera.name or number}", number / len(self.views))
+            progress(f"renders the view {camera.name or number}", number / len(self.views))
             started = time.perf_counter()
             picture = rounded_to_8_bits(renderer.forward(scene, camera, options)["rgb"])
             yield picture, time.perf_counter() - started

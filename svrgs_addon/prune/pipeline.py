@@ -98,8 +98,8 @@ def run(recipe: Recipe, adapt: Adapt = lambda job: job) -> dict[str, Any]:
 
 @contextlib.contextmanager
 def _prepared(recipe: Recipe) -> Iterator[Recipe]:
-    """The recipe after the door and the steps that only look. Its outputs are reserved as long as the context
-    lasts, and it is closed at the end."""
+    """The recipe after the door and the steps that change nothing. Its outputs are reserved as long as the
+    context lasts, and it is closed at the end."""
     job = recipe.job
     further = [job.report / "index.html"] if job.report else []
     with outputs(job.scene, job.outs, [*further, *recipe.further_files()]), contextlib.closing(recipe):

@@ -25,7 +25,7 @@ from ..scene.gaussians import Scene
 from ..views.dataset import Dataset
 
 # time limit of rendering views, without the last one; views that are rendered in any case
-SECONDS, LEAST = 0.8, 2
+SECONDS, MIN_FORECAST_VIEWS = 0.8, 2
 SIDE = 1024  # longer side of a view in pixels; a view of less than twice this size is not reduced
 LEAST_STEPS = 800  # steps of a run below which nothing was measured
 HIGHEST = 99.0  # PSNR of equal pictures, dB
@@ -75,6 +75,6 @@ def _mean_psnrs(scene: Scene, dataset: Dataset, kept: list[np.ndarray | None]) -
         photo = as_real(dataset.image(index), np.dtype(np.float32), factor)
         images = (rasterizer.forward(scene, camera.reduced(factor), options, masks)["rgb"] for masks in kept)
         rows.append([min(HIGHEST, psnr(rounded_to_8_bits(image), photo)) for image in images])
-        if len(rows) >= LEAST and time.monotonic() > end:
+        if len(rows) >= MIN_FORECAST_VIEWS and time.monotonic() > end:
             break
     return [fmean(column) for column in zip(*rows, strict=True)]

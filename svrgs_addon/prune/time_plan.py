@@ -19,7 +19,8 @@ from ..system.errors import FormatError, SceneError
 
 # share of the time that is left free, because steps are not foreseen exactly
 MARGIN, TRAINING_MARGIN = 0.1, 0.2
-LEAST, MOST = 0.01, 1.0  # schedules that are chosen: 80 of the 8 000 steps of `svrgs prune`, and all of them
+# schedules that are chosen: 80 of the 8 000 steps of `svrgs prune`, and all of them
+MIN_SCHEDULE, MAX_SCHEDULE = 0.01, 1.0
 GRID = 10_000  # a schedule is a multiple of 1/GRID
 
 
@@ -34,7 +35,7 @@ class TimePlan:
     def sentence(self, plan: Plan, *foreseen: str) -> str:
         """What is expected, in one line. plan: the chosen one. foreseen: further parts, empty ones are left
         out."""
-        steps = f"{plan.total:,} steps" + (", the whole schedule" if self.schedule == MOST else "")
+        steps = f"{plan.total:,} steps" + (", the whole schedule" if self.schedule == MAX_SCHEDULE else "")
         parts = [
             steps,
             f"about {self.foreseen:.0f} s",
@@ -50,7 +51,7 @@ def fitted(
     """The plan for a time. plan: with the whole schedule. seconds: of a plan; they rise with the schedule.
     fixed: further seconds. Raises SceneError if the time is too short."""
     foreseen = lambda n: fixed + seconds(at_schedule(plan, n / GRID))
-    least, most, limit = round(LEAST * GRID), round(MOST * GRID), asked * (1 - margin)
+    least, most, limit = round(MIN_SCHEDULE * GRID), round(MAX_SCHEDULE * GRID), asked * (1 - margin)
     if (shortest := foreseen(least)) > limit:
         enough = math.ceil(shortest / (1 - margin))
         raise SceneError(

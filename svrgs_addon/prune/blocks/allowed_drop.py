@@ -13,7 +13,7 @@ from ...files.atomic import atomic_write
 from ...files.registry import format_to_write
 from ...finetune.methods.removal import floor_of_drop
 from ...finetune.plan import Plan
-from ...finetune.quality import LEAST, fewest, squared_error
+from ...finetune.quality import MIN_SHARE, fewest, squared_error
 from ...render.metrics.max_drop import ASSUMED, refuse_loss
 from ...scene.camera import Camera
 from ...system.errors import FormatError, SceneError
@@ -51,7 +51,7 @@ def fewest_within(
     errors: Sequence[float],
     progress_of: ProgressOf,
 ) -> int:
-    """The fewest Gaussians, at least LEAST of them, that hold the allowed drop in dB before fine-tuning,
+    """The fewest Gaussians, at least MIN_SHARE of them, that hold the allowed drop in dB before fine-tuning,
     which wins a part of it back. scored: the views that were scored. errors: from errors_of_format(). Raises
     SplatError."""
 
@@ -59,7 +59,7 @@ def fewest_within(
         left = cut(divided, scored, count, progress_of("try"))
         return assumed_psnr(likeness.psnrs(left, "try"), errors) >= ASSUMED - allowed
 
-    return fewest(math.ceil(LEAST * divided.count), divided.count, within)
+    return fewest(math.ceil(MIN_SHARE * divided.count), divided.count, within)
 
 
 def floor_on_photographs(
@@ -82,14 +82,14 @@ def floor_on_photographs(
 
 
 def fewest_above(divided: Divided, likeness: Likeness, floor: float, progress_of: ProgressOf) -> int:
-    """The fewest Gaussians of highest removal error, at least LEAST of all, with this PSNR in dB. Raises
+    """The fewest Gaussians of highest removal error, at least MIN_SHARE of all, with this PSNR in dB. Raises
     SplatError."""
 
     def within(count: int) -> bool:
         left = written(divided, most_needed(divided, count, progress_of("try")), CUT)
         return likeness.psnr(left) >= floor
 
-    return fewest(math.ceil(LEAST * divided.count), divided.count, within)
+    return fewest(math.ceil(MIN_SHARE * divided.count), divided.count, within)
 
 
 @contextlib.contextmanager

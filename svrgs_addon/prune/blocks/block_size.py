@@ -7,7 +7,7 @@ from functools import partial
 
 from ...scene.camera import Camera
 from ...system import memory
-from .divided import MOST, Most
+from .divided import MAX_BLOCK_COUNT, MaxBlockCount
 from .learning import AROUND_SHARE
 from .merging import CELL
 
@@ -16,15 +16,15 @@ from .merging import CELL
 SHARE = 0.5
 
 
-def as_memory_allows(cameras: Sequence[Camera], kept_photographs: int) -> Most:
-    """A function that gives the largest number of Gaussians of a block: MOST; or less, but at least CELL,
-    where SHARE of the available memory is too little to fine-tune a block and the Gaussians around it.
-    cameras, kept_photographs (bytes): as for memory.tuning()."""
+def as_memory_allows(cameras: Sequence[Camera], kept_photographs: int) -> MaxBlockCount:
+    """A function that gives the largest number of Gaussians of a block: MAX_BLOCK_COUNT; or less, but at
+    least CELL, where SHARE of the available memory is too little to fine-tune a block and the Gaussians
+    around it. cameras, kept_photographs (bytes): as for memory.tuning()."""
     return partial(_fitting, cameras=cameras, kept_photographs=kept_photographs)
 
 
 def _fitting(count: int, coefficients: int, cameras: Sequence[Camera], kept_photographs: int) -> int:
-    most = min(MOST, count)
+    most = min(MAX_BLOCK_COUNT, count)
     while most >= 2 * CELL and memory.shortage(
         "", int(memory.tuning(_tuned(most, count), coefficients, cameras, kept_photographs) / SHARE)
     ):

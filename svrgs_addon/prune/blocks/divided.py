@@ -33,13 +33,13 @@ from ...system.errors import FormatError, SceneError
 from ...system.memory import size_text
 
 SCHEMA, INDEX, LARGEST_INDEX = 1, "blocks.json", 1 << 24
-MOST = 2_000_000  # Gaussians of a block
+MAX_BLOCK_COUNT = 2_000_000  # Gaussians of a block
 SPREAD = 100_000  # Gaussians that stand for all of a scene
 GEOMETRY = {"means": 3, "log_scales": 3, "quats": 4, "opacity_logits": 1}
 WIDTH = sum(GEOMETRY.values())
 OWN_COLUMNS = "svrgs_"  # how columns begin that a job has added to its splat
 NUMBER = "number.json"  # of Gaussians that an allowed drop leaves
-OWN = (
+OWN_FILES = (
     INDEX,
     NUMBER,
     *(
@@ -53,7 +53,7 @@ OWN = (
 Progress = Callable[[str, float], None]  # what is done now, and the share of the work that is done
 ProgressOf = Callable[[str], Progress]  # of the name of a step
 # of the number of Gaussians and the SH coefficients per channel of a scene: Gaussians of a block, at most
-Most = Callable[[int, int], int]
+MaxBlockCount = Callable[[int, int], int]
 
 
 @dataclass(frozen=True)
@@ -189,7 +189,7 @@ def scene_of(divided: Divided, block: Block) -> Scene:
 def divide(
     source: Path,
     folder: Path,
-    most: int | Most = MOST,
+    most: int | MaxBlockCount = MAX_BLOCK_COUNT,
     progress: Progress = lambda *_: None,
     read: Callable[[Path], Iterator[Scene]] = load_parts,
 ) -> Divided:
@@ -274,7 +274,7 @@ def gathered(folder: Path, like: Divided) -> Divided:
 
 def clear(folder: Path):
     """Removes the files of a divided scene from a folder, and no others."""
-    for path in (path for name in OWN for path in folder.glob(name)):
+    for path in (path for name in OWN_FILES for path in folder.glob(name)):
         path.unlink(missing_ok=True)
 
 

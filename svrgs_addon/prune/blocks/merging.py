@@ -5,8 +5,8 @@ Cells are small parts of the k-d tree whose large parts are the blocks. So the s
 whatever the number of blocks, if these are not smaller than cells. Beside the blocks lie
 
     NUMBER.visibility   float64, 9 for each Gaussian: the sums over all views
-    NUMBER.order.npz    the operations on its cells and their costs, down to LEAST of each cell; steps: their
-                        number for each cell
+    NUMBER.order.npz    the operations on its cells and their costs, down to MIN_SHARE_OF_CELL
+                        of each cell; steps: their number for each cell
     reduced.json        a point and a length of about a pixel, of the whole scene
 """
 
@@ -33,7 +33,7 @@ from ...system.errors import FormatError, SceneError
 from .divided import Block, Divided, Progress, leaves, scene_of
 from .scoring import SQUARES, UNITS, total, visibility
 
-REDUCED, LEAST = "reduced.json", 0.01
+REDUCED, MIN_SHARE_OF_CELL = "reduced.json", 0.01
 CELL = 1 << 16  # Gaussians of a cell, at most
 OPERATIONS = ("a", "b", "costs")  # arrays of Merges
 NEEDED = "reduce the scores first"
@@ -72,7 +72,7 @@ def merge(divided: Divided, number: int):
     block, (pixel, middle) = divided.blocks[number], _reduced(divided)
     scene, sums = scene_of(divided, block), _visibility(block)
     found = [
-        decimate(scene.select(rows), sums[rows], middle, pixel, max(1, round(LEAST * len(rows))))
+        decimate(scene.select(rows), sums[rows], middle, pixel, max(1, round(MIN_SHARE_OF_CELL * len(rows))))
         for rows in _cells(block)
     ]
     arrays = {name: np.concatenate([getattr(one, name) for one in found]) for name in OPERATIONS}

@@ -18,17 +18,17 @@ from ...scene.concatenate import concatenated
 from ...scene.gaussians import Scene
 from ...system.errors import SceneError
 
-MOST = 500_000  # Gaussians
+MAX_SAMPLED = 500_000  # Gaussians
 
 
 def sample_of(source: Path) -> tuple[Scene, float]:
-    """Evenly spread rows of the file, MOST at most, in one colour each (SH degree 0), enlarged so that they
-    cover about what all do; and by how much. Raises SplatError."""
+    """Evenly spread rows of the file, MAX_SAMPLED at most, in one colour each (SH degree 0), enlarged so
+    that they cover about what all do; and by how much. Raises SplatError."""
     parts, step, start = list[Scene](), 1, 0
     for part in load_parts(source):
         parts.append(_lighter(part, np.arange(-start % step, part.count, step)))
         start += part.count
-        while sum(one.count for one in parts) > MOST:
+        while sum(one.count for one in parts) > MAX_SAMPLED:
             whole = concatenated(parts, columns=True)
             parts, step = [whole.select(np.arange(0, whole.count, 2))], 2 * step
     scene = concatenated(parts, columns=True)

@@ -97,13 +97,13 @@ def tune(
     shows it. Raises SplatError."""
     left, views = Divided.read(divided.folder / CUT), reduced(cameras)
     around = Around.of(left, number, views, progress)
-    looks = [
-        _look(divided, view, camera, window)
+    training = [
+        _training_view(divided, view, camera, window)
         for view, (camera, window) in enumerate(zip(views, around.windows, strict=True))
     ]
     scene, (first, end) = around.scene, around.own
     needed = memory.tuning(
-        scene.count, left.coefficients, views, sum(look.picture.nbytes for look in looks if look)
+        scene.count, left.coefficients, views, sum(one.picture.nbytes for one in training if one)
     )
     memory.refuse_excess(
         f"{divided.source}: fine-tuning the {scene.count:,} Gaussians in and around the block {number}",
@@ -112,7 +112,7 @@ def tune(
     middle = middle_scale(np.concatenate([block.geometry[:, 3:6] for block in left.blocks]))
     progress(f"block {number}, {scene.count:,} Gaussians", 0.5)
     tuned = refit(
-        scene, looks, steps, pace_for(_error_of(left)), middle, render_options(scene), 0, lambda: False
+        scene, training, steps, pace_for(_error_of(left)), middle, render_options(scene), 0, lambda: False
     )
     write_own(left, number, around.there[number], tuned.select(np.arange(first, end)))
 
@@ -148,7 +148,7 @@ def tuned_blocks(divided: Divided) -> Divided | None:
     return gathered(folder, left) if any(folder.glob("*.rows")) else None
 
 
-def _look(divided: Divided, view: int, camera: Camera, window: Window | None) -> TrainingView | None:
+def _training_view(divided: Divided, view: int, camera: Camera, window: Window | None) -> TrainingView | None:
     return (
         TrainingView(camera, _picture(divided, view, camera)[window.slices].astype(np.float32), window.slices)
         if window

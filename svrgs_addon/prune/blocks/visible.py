@@ -27,7 +27,7 @@ from .divided import WIDTH, Block, Divided, arrays_of
 
 ROW = 3 * 4 * 14  # bytes of a Gaussian in one colour: its values, and copies while they are put in order
 # Gaussians that a part of a picture may show, at most, if its longer side is not below so many pixels
-PORTION, LEAST = 4_000_000, 64
+PORTION, MIN_SIDE_PIXELS = 4_000_000, 64
 FEWEST = 125_000  # the same, if memory is too short for more
 # pixels; what reaches farther is not tested in parts, at whose borders the rasterizer limits the shape of
 # large Gaussians
@@ -122,7 +122,7 @@ def _parts(
     more than `portion`. places: those of the window."""
     if (
         sum(map(len, places)) <= portion
-        or max(window.right - window.left, window.bottom - window.top) < 2 * LEAST
+        or max(window.right - window.left, window.bottom - window.top) < 2 * MIN_SIDE_PIXELS
     ):
         yield window, places
         return

@@ -15,7 +15,7 @@ from typing import Any
 from ...files.atomic import check_space
 from ...files.digests import scene_sha256
 from ...files.level_files import holds_levels
-from ...finetune.quality import LEAST
+from ...finetune.quality import MIN_SHARE
 from ...render.metrics.max_drop import loss_notes, missed_drop
 from ...scene.camera import Camera
 from ...scene.gaussians import Scene
@@ -341,7 +341,7 @@ def _part(progress: Progress, number: int, parts: int) -> Progress:
 def _check_room(work: Path, divided: Divided, goal: Goal, more: float = 0.0):
     """more: space that is needed beside that for removals and merges, in sizes of all blocks. Raises
     SceneError if there is less."""
-    share = min(1.0, goal.number(divided.count) / divided.count) if not goal.max_drop else LEAST
+    share = min(1.0, goal.number(divided.count) / divided.count) if not goal.max_drop else MIN_SHARE
     check_space(work / SCORED, int((SUMS + COPIES * share + more) * divided.bytes))
 
 

@@ -27,7 +27,7 @@ from ...finetune.decimate.order import (
     visibility_sums,
 )
 from ...finetune.decimate.saved_order import write_order
-from ...finetune.quality import LEAST, best_share
+from ...finetune.quality import MIN_SHARE, best_share
 from ...finetune.refit import USUAL, TrainingView, interpolated, middle_scale, pace_at, refit
 from ...native.library import thresholds
 from ...native.rasterizer import Rasterizer
@@ -240,7 +240,7 @@ def _wanted(options: PruneOptions, count: int) -> int:
     """The number of Gaussians that is asked for, of `count` in the file; the smallest one if a drop is
     allowed."""
     if options.max_drop:
-        return math.ceil(LEAST * count)
+        return math.ceil(MIN_SHARE * count)
     return options.target_count or max(1, round((options.target or 1.0) * count))
 
 

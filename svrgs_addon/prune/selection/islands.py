@@ -26,7 +26,7 @@ NEIGHBOURS = 16
 TOUCH = 2.0  # standard deviations of both, along the line between them, within which two Gaussians touch
 GAP = 6.0  # ordinary gaps: up to this multiple of the median distance to the nearest Gaussian
 ISLAND = 5e-4  # share of the visible Gaussians below which an island is small
-LEAST = 2 * NEIGHBOURS  # Gaussians: a scene of fewer has no small islands
+MIN_COUNT = 2 * NEIGHBOURS  # Gaussians: a scene of fewer has no small islands
 
 
 def on_small_islands(scene: Scene, gap: float = GAP, island: float = ISLAND) -> np.ndarray:
@@ -38,7 +38,7 @@ def on_small_islands(scene: Scene, gap: float = GAP, island: float = ISLAND) -> 
     """
     mask = np.zeros(scene.count, bool)
     rows = np.flatnonzero(~invisible(scene))
-    if len(rows) < LEAST:
+    if len(rows) < MIN_COUNT:
         return mask
     visible = scene.select(rows)
     near = nearest_rows(visible.means, NEIGHBOURS)
