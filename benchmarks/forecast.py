@@ -136,7 +136,7 @@ def reached(trained: Path, data: list[str], kept: Path, method: str, words: dict
 
 def foreseen(trained: Path, data: list[str], words: dict) -> dict:
     """The estimate of a job with these options."""
-    places = dict(zip(("colmap", "images"), data[1::2], strict=False))
+    places = dict(zip(("data", "images"), data[1::2], strict=False))
     return json.loads(
         run(
             [sys.executable, "-c", ESTIMATE],

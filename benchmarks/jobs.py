@@ -1,7 +1,7 @@
 """Whole jobs, measured in processes of their own: speed, memory, quality, time outside the native core, and
 the effect of each variant.
 
-    .venv/bin/python benchmarks/jobs.py --colmap DIR [--iterations N] [--prune] [--skips] [--seeds N] [--json]
+    .venv/bin/python benchmarks/jobs.py --data DIR [--iterations N] [--prune] [--skips] [--seeds N] [--json]
 
 `python -m tests.demo_scene DIR` makes a dataset. Figures go to stdout, progress to stderr. With --skips the
 training job (and with
@@ -34,7 +34,7 @@ def request(options: argparse.Namespace, kind: str, out: Path, seed: int = 0, **
         (options.iterations, 0) if kind == "train" else (options.prune_iterations, options.prune_iterations)
     )
     job = {
-        "colmap": str(options.colmap),
+        "data": str(options.data),
         "out": str(out),
         "kind": kind,
         "iterations": steps,
@@ -202,7 +202,7 @@ def parsed() -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--colmap", type=Path, required=True, metavar="DIR")
+    parser.add_argument("--data", type=Path, required=True, metavar="DIR")
     parser.add_argument(
         "--scene", type=Path, metavar="FILE", help="prune this scene; without it, a scene is trained first"
     )

@@ -56,7 +56,7 @@ def main():
         _, before = quality(splat, dataset)
         for method in given.method:
             for seed in given.seeds:
-                same = ["--colmap", folder, "--method", method, *goal, "--seed", seed]
+                same = ["--data", folder, "--method", method, *goal, "--seed", seed]
                 same += ["--iterations", given.iterations, "--recovery", given.recovery]
                 ways = [["prune", splat, *same, "--visible-mask", "--quiet"]]
                 ways += [

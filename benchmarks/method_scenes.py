@@ -14,7 +14,7 @@ GENERATED = {"demo": "plaza", "room": "room", "portrait": "portrait", "row": "ro
 
 
 def prepared(name: str, folder: Path | None, work: Path, shrink: int) -> list[str]:
-    """The flags --colmap and --images of a scene. folder None: one of GENERATED, which is made in `work`.
+    """The flags --data and --images of a scene. folder None: one of GENERATED, which is made in `work`.
     shrink: reduction per side."""
     work.mkdir(parents=True, exist_ok=True)
     if folder is None:
@@ -31,13 +31,13 @@ def prepared(name: str, folder: Path | None, work: Path, shrink: int) -> list[st
             stdout=sys.stderr,
         )
     if shrink == 1:
-        return ["--colmap", str(folder)]
+        return ["--data", str(folder)]
     images = work / f"images_{shrink}"
     for source in sorted((folder / "images").rglob("*")):
         smaller = images / source.relative_to(folder / "images")
         if source.is_file() and not smaller.exists():
             shrunk(source, smaller, shrink)
-    return ["--colmap", str(folder), "--images", str(images)]
+    return ["--data", str(folder), "--images", str(images)]
 
 
 def shrunk(source: Path, target: Path, shrink: int):

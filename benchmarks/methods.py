@@ -160,7 +160,7 @@ def requests(options: argparse.Namespace) -> Iterator[dict]:
 
 
 def command(request: dict, data: list[str], work: Path) -> list[str]:
-    """The svrgs command of a run. data: its flags --colmap and --images."""
+    """The svrgs command of a run. data: its flags --data and --images."""
     out = work / f"{request['study']}.ply"
     kept = request["study"] == "table" and request["run"] in STARTS
     trained = (

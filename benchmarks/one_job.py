@@ -1,7 +1,7 @@
 """Runs one train or prune job and measures where its time and memory go. It reads a request from stdin and
 writes an answer to stdout, as JSON.
 
-Request: colmap, out, kind ("train" or "prune"), iterations, recovery, seed, profile (bool); scene (prune
+Request: data, out, kind ("train" or "prune"), iterations, recovery, seed, profile (bool); scene (prune
 only); settings to change: "phase", by name those of the first phase (settings.Phase), and "run", by name
 those of the run (settings.Settings).
 """
@@ -100,7 +100,7 @@ def run_job(request: dict) -> dict:
     from svrgs_addon.views.dataset import load_dataset
 
     native = time_native_calls()
-    dataset = load_dataset(Path(request["colmap"]), need_points=request["kind"] == "train")
+    dataset = load_dataset(Path(request["data"]), need_points=request["kind"] == "train")
     base, counts = peak(), [0]
     options = JobContext(Path(request["out"]), observe=lambda progress: counts.append(progress.count))
     profile = cProfile.Profile()

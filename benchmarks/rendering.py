@@ -1,7 +1,7 @@
 """The figures of docs/rendering.md: errors, steps and time of panoramas, and time of meshes. Prints Markdown.
 
     .venv/bin/python benchmarks/rendering.py            # a generated room of 150,000 Gaussians
-    .venv/bin/python benchmarks/rendering.py --scene SPLAT --colmap DATASET --view 10   # from one camera
+    .venv/bin/python benchmarks/rendering.py --scene SPLAT --data DATASET --view 10   # from one camera
 
 error   |rgb - reference| in levels of 255 at 400 pixels; reference: the middle of a view of 50 degrees in
 that direction, in float64 step    change of a pixel, in levels, if it is drawn with the shares that the views
@@ -179,7 +179,7 @@ def main():
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--scene", type=Path)
-    parser.add_argument("--colmap", type=Path)
+    parser.add_argument("--data", type=Path)
     parser.add_argument("--view", type=int, default=0, help="number of the camera, in name order")
     options = parser.parse_args()
     scene, viewmat = room(150_000), np.eye(4)
@@ -187,7 +187,7 @@ def main():
     if options.scene:
         scene, viewmat = (
             load_scene(options.scene).scene,
-            read_model(find_model(options.colmap)).views[options.view].viewmat,
+            read_model(find_model(options.data)).views[options.view].viewmat,
         )
     print(*panorama_rows(scene, viewmat), "", sep="\n")
     set_threads(1)

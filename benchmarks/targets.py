@@ -1,9 +1,9 @@
 """How close methods come to a target: the Gaussians that masks alone would leave against a share, or the dB
 lost against an allowed drop.
 
-    .venv/bin/python benchmarks/targets.py --colmap DIR --scene TRAINED.ply [--methods svr,maskgs] [--shares
+    .venv/bin/python benchmarks/targets.py --data DIR --scene TRAINED.ply [--methods svr,maskgs] [--shares
     0.5,0.25] [--json]
-    .venv/bin/python benchmarks/targets.py --colmap DIR --scene TRAINED.ply --methods removal,svr --drops
+    .venv/bin/python benchmarks/targets.py --data DIR --scene TRAINED.ply --methods removal,svr --drops
     0.2,0.5,1 [--recovery N]
 
 Further options (--images DIR, --schedule 0.3) are passed to `svrgs prune`.
@@ -46,8 +46,8 @@ def row(options: argparse.Namespace, method: str, flag: str, asked: float, folde
         "svrgs_addon",
         "prune",
         options.scene,
-        "--colmap",
-        options.colmap,
+        "--data",
+        options.data,
         "--method",
         method,
         flag,
@@ -82,7 +82,7 @@ def main():
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--colmap", type=Path, required=True)
+    parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--scene", type=Path, required=True)
     parser.add_argument("--methods", default="svr,maskgs", type=lambda text: text.split(","))
     numbers = lambda text: [float(part) for part in text.split(",")]

@@ -1,37 +1,27 @@
 """What the user sees: one file per panel. Panels ask functions of operators/ what to show."""
 
-from ..operators import registration
-from . import (
-    compare,
-    engine,
-    export,
-    jobs,
-    overlay,
-    panorama,
-    preferences,
-    prune,
-    rendering,
-    scene,
-    select,
-    spatial_mask,
-    train,
-)
+from importlib import import_module
 
-MODULES = (
-    preferences,
-    scene,
-    select,
-    overlay,
-    train,
-    prune,
-    jobs,
-    spatial_mask,
-    compare,
-    export,
-    rendering,
-    engine,
-    panorama,
-)
+from ..operators import registration
+
+MODULES = [
+    import_module(f".{name}", __name__)
+    for name in (
+        "preferences",
+        "scene",
+        "select",
+        "overlay",
+        "train",
+        "prune",
+        "jobs",
+        "spatial_mask",
+        "compare",
+        "export",
+        "rendering",
+        "engine",
+        "panorama",
+    )
+]
 
 
 def register():

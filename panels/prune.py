@@ -84,7 +84,7 @@ def draw_settings(layout, context):
     column = split_column(layout)
     column.prop(settings, "depth")
     if settings.depth == "PHOTOGRAPHS":
-        column.prop(settings, "colmap", placeholder=dataset_of(context)[0])
+        column.prop(settings, "data", placeholder=dataset_of(context)[0])
     if settings.depth == "TUNED":
         column.prop(settings, "views")
         column.operator("svrgs.place_cameras", icon="OUTLINER_OB_CAMERA")

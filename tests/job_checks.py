@@ -17,7 +17,7 @@ LONG = {"iterations": 20_000, "recovery": 0, "lambda_f": 1e-5, "min_contribution
 
 
 def create(path: Path, tiny, **options) -> JobFolder:
-    return JobFolder.create(path, read_ply(tiny.splat), {"colmap": str(tiny.folder), **options}, "tiny")
+    return JobFolder.create(path, read_ply(tiny.splat), {"data": str(tiny.folder), **options}, "tiny")
 
 
 def follow(job: Job, until=lambda job: not job.running, seconds: float = 60) -> list[dict]:

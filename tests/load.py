@@ -29,7 +29,7 @@ SHARE = 0.3  # kept where a score decides
 
 def stages(folder: Path, options: argparse.Namespace) -> dict[str, Callable[[], object]]:
     scene, kept, half = folder / "scene.ply", int(SHARE * options.count), options.steps // 2
-    threads, data = ("--threads", options.threads), ("--colmap", folder)
+    threads, data = ("--threads", options.threads), ("--data", folder)
 
     def pruned(method: str, *words, **expected):
         return command(

@@ -127,7 +127,7 @@ def test_a_batch_into_the_folder_of_its_scenes_keeps_them_and_says_so(tiny, tmp_
         *scenes,
         "--out",
         tmp_path,
-        "--colmap",
+        "--data",
         tiny.folder,
         *SHORT,
     )

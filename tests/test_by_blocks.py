@@ -166,7 +166,7 @@ def test_the_cameras_of_a_dataset_are_taken_for_a_quick_job(svrgs, short, tiny, 
     result = svrgs(
         "prune",
         tiny.splat,
-        "--colmap",
+        "--data",
         tiny.folder,
         "--quick",
         "--target",
@@ -457,7 +457,7 @@ def test_only_some_jobs_can_be_done_by_blocks(tmp_path):
     assert not possible(target=0.5, levels=(0.5,)) and not possible(method="merge", max_drop=0.1)
     assert not possible(target=0.5, recovery=10) and not possible()
     assert plans.method_of(PruneOptions(target=0.5)).merges
-    photographs = {"colmap": tmp_path, "iterations": 10}
+    photographs = {"data": tmp_path, "iterations": 10}
     assert (
         possible(**photographs, target=0.5)
         and possible(**photographs, visible_mask=True)
@@ -472,7 +472,7 @@ def test_only_some_jobs_can_be_done_by_blocks(tmp_path):
     assert possible(**photographs, max_drop=0.5) and not possible(**photographs, target=0.5, time=60.0)
     assert possible(**photographs, target=0.5, schedule=0.1)
     assert (
-        by_blocks.request_of(PruneOptions(colmap=tmp_path, iterations=300, recovery=500, schedule=0.1))
+        by_blocks.request_of(PruneOptions(data=tmp_path, iterations=300, recovery=500, schedule=0.1))
         .plan()
         .total
         == 80

@@ -43,7 +43,7 @@ def pruned(tiny, tmp_path_factory) -> dict:
     words = [
         "prune",
         tiny.splat,
-        "--colmap",
+        "--data",
         tiny.folder,
         "--iterations",
         300,
@@ -84,7 +84,7 @@ def test_prune_result(tiny, pruned):
 
 def test_prune_measures_what_eval_measures(tiny, pruned, svrgs):
     for scene, part in ((pruned["out"], "after"), (tiny.splat, "before")):
-        assert measures(svrgs("eval", scene, "--colmap", tiny.folder, "--json").json) == pytest.approx(
+        assert measures(svrgs("eval", scene, "--data", tiny.folder, "--json").json) == pytest.approx(
             measures(pruned[part]), rel=1e-12
         )
     assert measures(pruned) == measures(pruned["after"])
@@ -119,7 +119,7 @@ def test_every_method_runs(tiny, svrgs, tmp_path, method):
     result = svrgs(
         "prune",
         tiny.splat,
-        "--colmap",
+        "--data",
         tiny.folder,
         "--method",
         method,
@@ -149,7 +149,7 @@ def test_every_method_with_a_budget_prunes_to_it(tiny, svrgs, tmp_path, method):
         words = (
             "prune",
             tiny.splat,
-            "--colmap",
+            "--data",
             tiny.folder,
             "--method",
             method,
@@ -189,14 +189,14 @@ def test_every_method_trains_to_a_share(tiny, svrgs, tmp_path, method):
         "--quiet",
         "--json",
     )
-    result = svrgs("train", "--colmap", tiny.folder, *words, "--out", tmp_path / "o.ply").json
+    result = svrgs("train", "--data", tiny.folder, *words, "--out", tmp_path / "o.ply").json
     assert result["count"] == result["target"] == tiny_dataset.SEEN // 2 and result["iterations"] == 65
 
 
 def test_training_by_mcmc_grows_to_its_cap(tiny, svrgs, tmp_path):
     words = (
         "train",
-        "--colmap",
+        "--data",
         tiny.folder,
         "--densify",
         "mcmc",
@@ -221,7 +221,7 @@ def test_training_by_mcmc_grows_to_its_cap(tiny, svrgs, tmp_path):
 
 def test_the_papers_form_is_chosen_by_a_flag(tiny, svrgs, tmp_path):
     words = (
-        "--colmap",
+        "--data",
         tiny.folder,
         "--paper",
         "--method",
@@ -240,7 +240,7 @@ def test_the_papers_form_is_chosen_by_a_flag(tiny, svrgs, tmp_path):
     refused(svrgs("prune", tiny.splat, *words, "--method", "maskgs"), "--paper", "'maskgs'")
     refused(
         svrgs(
-            "prune", tiny.splat, "--colmap", tiny.folder, "--method", "svr-paper", "--out", tmp_path / "p.ply"
+            "prune", tiny.splat, "--data", tiny.folder, "--method", "svr-paper", "--out", tmp_path / "p.ply"
         ),
         "unknown",
     )
@@ -282,8 +282,8 @@ def test_help_fits_one_screen_and_help_all_has_the_rest(svrgs, monkeypatch):
 def test_older_names_of_options_are_still_read():
     for command, words in {"prune": ["x.ply"], "select": ["x.ply"], "eval": ["x.ply"]}.items():
         for flag in ("--colmap", "--data"):
-            assert parser().parse_args([command, *words, flag, "here"]).colmap == Path("here")
-            assert parser().parse_args([command, *words, f"{flag}=here"]).colmap == Path("here")
+            assert parser().parse_args([command, *words, flag, "here"]).data == Path("here")
+            assert parser().parse_args([command, *words, f"{flag}=here"]).data == Path("here")
     for flag in ("--cameras", "--seen-from"):
         assert parser().parse_args(["prune", "x.ply", flag, "c.json"]).cameras == Path("c.json")
     for flag in ("--steps", "--tuning-steps"):
@@ -293,7 +293,7 @@ def test_older_names_of_options_are_still_read():
 def test_opacity_keeps_the_most_opaque(tiny, svrgs, tmp_path):
     words = ("--method", "opacity", "--target-count", 50, "--recovery", 0, "--quiet", "--json")
     assert (
-        svrgs("prune", tiny.splat, "--colmap", tiny.folder, *words, "--out", tmp_path / "o.ply").json["count"]
+        svrgs("prune", tiny.splat, "--data", tiny.folder, *words, "--out", tmp_path / "o.ply").json["count"]
         == 50
     )
     logits = read_ply(tiny.splat).opacity_logits
@@ -303,7 +303,7 @@ def test_opacity_keeps_the_most_opaque(tiny, svrgs, tmp_path):
 def test_contribution_keeps_what_contributes_most(tiny, svrgs, tmp_path):
     words = ("--method", "contribution", "--target", 0.2, "--recovery", 0, "--quiet", "--json")
     assert (
-        svrgs("prune", tiny.splat, "--colmap", tiny.folder, *words, "--out", tmp_path / "o.ply").json["count"]
+        svrgs("prune", tiny.splat, "--data", tiny.folder, *words, "--out", tmp_path / "o.ply").json["count"]
         == 50
     )
     scene = read_ply(tiny.splat)
@@ -316,7 +316,7 @@ def test_contribution_keeps_what_contributes_most(tiny, svrgs, tmp_path):
 def first_cut(tiny, svrgs, out: Path, *words: object) -> dict:
     """Result of a pruning run that takes no step."""
     words = ("--iterations", 0, "--recovery", 0, "--quiet", "--json", *words)
-    return svrgs("prune", tiny.splat, "--colmap", tiny.folder, *words, "--out", out).json
+    return svrgs("prune", tiny.splat, "--data", tiny.folder, *words, "--out", out).json
 
 
 def test_the_first_cut_drops_what_contributes_little_to_every_training_view(tiny, svrgs, tmp_path):
@@ -345,7 +345,7 @@ def test_the_first_cut_spares_enough_for_a_target(tiny, svrgs, tmp_path):
         "--json",
     )
     assert (
-        svrgs("prune", tiny.splat, "--colmap", tiny.folder, *words, "--out", tmp_path / "o.ply").json["count"]
+        svrgs("prune", tiny.splat, "--data", tiny.folder, *words, "--out", tmp_path / "o.ply").json["count"]
         == 200
     )
 
@@ -363,7 +363,7 @@ def test_a_scene_that_would_lose_everything_is_refused(tiny, svrgs, tmp_path):
     done = svrgs(
         "prune",
         tiny.splat,
-        "--colmap",
+        "--data",
         tiny.folder,
         *words,
         "--out",

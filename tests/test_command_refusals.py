@@ -127,7 +127,7 @@ def nothing(work: Path):
     pass
 
 
-DATA = "--colmap {data}"
+DATA = "--data {data}"
 PRUNE = f"prune {{data}}/scene.ply {DATA} --quiet --out {{work}}/o.ply --report {{work}}/report"
 TRAIN = f"train {DATA} --iterations 5 --quiet --out {{work}}/o.ply"
 INFO = "info {data}/scene.ply"
@@ -248,14 +248,14 @@ def test_bad_input_is_refused_and_nothing_written(work, svrgs, damage, line, wor
 
 
 UNWRITABLE = {
-    "prune": "prune {scene} --colmap {data} --out {file}/o.ply",
-    "prune, report": "prune {scene} --colmap {data} --out {work}/o.ply --report {file}",
-    "prune, checkpoints": "prune {scene} --colmap {data} --out {work}/busy.ply",  # busy.ply.job is a file
-    "prune, other suffix": "prune {scene} --colmap {data} --out {work}/o.obj",
-    "train": "train --colmap {data} --out {file}/o.ply",
-    "train, folder": "train --colmap {data} --out {work}",
-    "render": "render {scene} --colmap {data} --out {file}",
-    "compare": "compare {scene} {scene} --colmap {data} --out {file}/deeper",
+    "prune": "prune {scene} --data {data} --out {file}/o.ply",
+    "prune, report": "prune {scene} --data {data} --out {work}/o.ply --report {file}",
+    "prune, checkpoints": "prune {scene} --data {data} --out {work}/busy.ply",  # busy.ply.job is a file
+    "prune, other suffix": "prune {scene} --data {data} --out {work}/o.obj",
+    "train": "train --data {data} --out {file}/o.ply",
+    "train, folder": "train --data {data} --out {work}",
+    "render": "render {scene} --data {data} --out {file}",
+    "compare": "compare {scene} {scene} --data {data} --out {file}/deeper",
 }
 
 

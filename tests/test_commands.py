@@ -69,7 +69,7 @@ def test_every_format_is_read_and_written(tiny, svrgs, tmp_path, found):
         for name in "ab"
     )
     cut = (
-        "--colmap",
+        "--data",
         tiny.folder,
         "--method",
         "opacity",
@@ -102,7 +102,7 @@ def test_render_npy_is_the_rasterizer_s_output(tiny, svrgs, tmp_path_factory, tm
         "--background",
         "2e-1,0,1",
     )
-    result = svrgs("render", splat, "--colmap", tiny.folder, *words, "--out", tmp_path, "--json").json
+    result = svrgs("render", splat, "--data", tiny.folder, *words, "--out", tmp_path, "--json").json
     names = [f"{view}.{output}.npy" for view in ("03", "07") for output in PICTURES]
     assert result["files"] == [str(tmp_path / name) for name in names] and sorted(files(tmp_path)) == sorted(
         names
@@ -118,7 +118,7 @@ def test_render_npy_is_the_rasterizer_s_output(tiny, svrgs, tmp_path_factory, tm
 
 def test_render_needs_no_photographs(tiny, svrgs, tmp_path):
     shutil.copytree(tiny.folder / "sparse", tmp_path / "sparse")
-    done = svrgs("render", tiny.splat, "--colmap", tmp_path, "--views", "test", "--out", tmp_path / "out")
+    done = svrgs("render", tiny.splat, "--data", tmp_path, "--views", "test", "--out", tmp_path / "out")
     assert done.status == 0 and sorted(files(tmp_path / "out")) == [f"{view}.rgb.png" for view in TEST_VIEWS]
     assert done.out.splitlines() == [f"Saved: '{tmp_path / 'out' / view}.rgb.png'" for view in TEST_VIEWS]
 
@@ -128,7 +128,7 @@ def test_render_png_and_exr(tiny, svrgs, tmp_path):
     for extension in ("png", "exr"):
         words = ("--outputs", ",".join(PICTURES), "--views", "05.png", "--format", extension)
         assert len(
-            svrgs("render", truth, "--colmap", tiny.folder, *words, "--out", tmp_path, "--json").json["files"]
+            svrgs("render", truth, "--data", tiny.folder, *words, "--out", tmp_path, "--json").json["files"]
         ) == len(PICTURES)
     photo = read_image(tiny.folder / "images/05.png")
     assert np.abs(read_image(tmp_path / "05.rgb.png") - photo).max() <= 1 / 255 + 1e-6
@@ -158,14 +158,14 @@ def test_render_from_cameras_json_with_folders_in_names(tiny, svrgs, tmp_path):
     assert sorted(files(tmp_path / "json")) == ["left/a.rgb.npy", "left/b.0012.rgb.npy", "right/a.rgb.npy"]
     assert (
         svrgs(
-            "render", tiny.splat, "--colmap", tiny.folder, "--format", "npy", "--out", tmp_path / "colmap"
+            "render", tiny.splat, "--data", tiny.folder, "--format", "npy", "--out", tmp_path / "data"
         ).status
         == 0
     )
     for name, other in (("right/a", "00"), ("left/a", "01"), ("left/b.0012", "02")):
         assert np.allclose(
             np.load(tmp_path / f"json/{name}.rgb.npy"),
-            np.load(tmp_path / f"colmap/{other}.rgb.npy"),
+            np.load(tmp_path / f"data/{other}.rgb.npy"),
             atol=1e-5,
         )
 
@@ -189,7 +189,7 @@ def test_render_train_and_test_views_are_all_views(tiny, svrgs, tmp_path):
     for views in ("train", "test"):
         assert (
             svrgs(
-                "render", tiny.splat, "--colmap", tiny.folder, "--views", views, "--out", tmp_path / views
+                "render", tiny.splat, "--data", tiny.folder, "--views", views, "--out", tmp_path / views
             ).status
             == 0
         )
@@ -203,7 +203,7 @@ def test_render_train_and_test_views_are_all_views(tiny, svrgs, tmp_path):
 
 def test_eval_of_the_truth_is_perfect(tiny, svrgs, tmp_path):
     truth = truth_file(tiny, tmp_path)
-    result = svrgs("eval", truth, "--colmap", tiny.folder, "--split", "all", "--json").json
+    result = svrgs("eval", truth, "--data", tiny.folder, "--split", "all", "--json").json
     assert result.keys() == MEASURES | {"notes"}
     assert result["psnr"] is None or result["psnr"] > 60  # equal images: infinite, which JSON has not
     assert result["ssim"] > 0.9999 and result["flip"] < 1e-3 and result["lpips"] is None
@@ -214,21 +214,21 @@ def test_eval_of_the_truth_is_perfect(tiny, svrgs, tmp_path):
 
 def test_eval_splits_add_up(tiny, svrgs):
     test, train, whole = (
-        svrgs("eval", tiny.splat, "--colmap", tiny.folder, "--split", split, "--json").json
+        svrgs("eval", tiny.splat, "--data", tiny.folder, "--split", split, "--json").json
         for split in ("test", "train", "all")
     )
     share = len(TEST_VIEWS) / tiny_dataset.VIEWS
     for name in ("psnr", "ssim", "flip"):
         assert whole[name] == pytest.approx(share * test[name] + (1 - share) * train[name])
         assert test[name] != train[name]
-    one = svrgs("eval", tiny.splat, "--colmap", tiny.folder, "--holdout", tiny_dataset.VIEWS, "--json").json
+    one = svrgs("eval", tiny.splat, "--data", tiny.folder, "--holdout", tiny_dataset.VIEWS, "--json").json
     assert one["psnr"] != test["psnr"]
 
 
 def test_eval_says_why_lpips_is_left_out(tiny, svrgs):
     assert (
         "LPIPS left out: no LPIPS weight file was given"
-        in svrgs("eval", tiny.splat, "--colmap", tiny.folder).out
+        in svrgs("eval", tiny.splat, "--data", tiny.folder).out
     )
 
 
@@ -238,7 +238,7 @@ def test_eval_says_why_lpips_is_left_out(tiny, svrgs):
 @pytest.mark.parametrize("method", ["3dgs", "removal"])
 def test_train_from_sparse_points(tiny, svrgs, tmp_path, method):
     words = ("--method", method, "--iterations", 150, "--recovery", 20, "--sh-degree", 1, "--quiet", "--json")
-    result = svrgs("train", "--colmap", tiny.folder, *words, "--out", tmp_path / "trained.ply").json
+    result = svrgs("train", "--data", tiny.folder, *words, "--out", tmp_path / "trained.ply").json
     assert MEASURES | {"seconds", "method", "lambda_f", "out"} <= result.keys() and list(files(tmp_path)) == [
         "trained.ply"
     ]
@@ -253,7 +253,7 @@ def test_train_from_sparse_points(tiny, svrgs, tmp_path, method):
 def test_compare(tiny, svrgs, tmp_path):
     truth = truth_file(tiny, tmp_path)
     result = svrgs(
-        "compare", tiny.splat, truth, "--colmap", tiny.folder, "--out", tmp_path / "out", "--json"
+        "compare", tiny.splat, truth, "--data", tiny.folder, "--out", tmp_path / "out", "--json"
     ).json
     assert result["a"].keys() == result["b"].keys() == MEASURES
     assert (result["a"]["count"], result["b"]["count"]) == (tiny_dataset.COUNT, tiny_dataset.SEEN)
@@ -349,7 +349,7 @@ def test_a_comparison_is_refused_before_views_are_placed(tiny, svrgs, tmp_path, 
         "compare",
         tiny.splat,
         tiny.splat,
-        "--colmap",
+        "--data",
         tiny.folder,
         "--cameras",
         tmp_path / "cameras.json",

@@ -62,7 +62,7 @@ def test_a_disk_that_is_too_small_is_said_before_the_work(
     outcome = svrgs(
         command,
         *scene,
-        "--colmap",
+        "--data",
         tiny.folder,
         "--iterations",
         2,
@@ -81,7 +81,7 @@ def test_a_background_job_is_refused_before_its_folder_is_made(tiny, tmp_path, l
     with pytest.raises(
         SceneError, match=r"needs [\d.]+ [kM]B of disk space for the job, but only 10.0 kB are free"
     ):
-        JobFolder.create(tmp_path / "jobs/job", read_ply(tiny.splat), {"colmap": str(tiny.folder)})
+        JobFolder.create(tmp_path / "jobs/job", read_ply(tiny.splat), {"data": str(tiny.folder)})
     assert not list(tmp_path.iterdir())
 
 

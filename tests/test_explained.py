@@ -66,7 +66,7 @@ def test_pruning_with_the_cameras_of_another_capture_says_so(tiny, tmp_path, cap
     ]
     for number, (folder, warned) in enumerate(((tiny.folder, False), (other.folder, True))):
         with caplog.at_level(logging.WARNING):
-            assert main([*words, "--colmap", str(folder), "--out", str(tmp_path / f"{number}.ply")]) == 0
+            assert main([*words, "--data", str(folder), "--out", str(tmp_path / f"{number}.ply")]) == 0
         notes = json.loads(capsys.readouterr().out.splitlines()[-1])["notes"]
         assert any("another capture" in note for note in notes) == warned
         assert ("another capture" in caplog.text) == warned

@@ -83,7 +83,7 @@ def data(tiny, tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("data")
     (folder / "tiny").symlink_to(tiny.folder)
     assert (
-        run_svrgs(["render", str(tiny.splat), "--colmap", str(tiny.folder), "--out", str(folder / "renders")])
+        run_svrgs(["render", str(tiny.splat), "--data", str(tiny.folder), "--out", str(folder / "renders")])
         == 0
     )
     views = [

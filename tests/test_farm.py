@@ -61,7 +61,7 @@ def test_a_job_holds_every_setting_with_paths_within_the_captures(job, captures)
     assert contents["root"] == str(captures) and [task["name"] for task in contents["tasks"]] == [
         "one-removal-50", "one-opacity-50", "two-removal-50", "two-opacity-50",
     ]  # fmt: skip
-    expected = {"iterations": 40, "recovery": 20, "colmap": "one", "method": "opacity", "target": 0.5}
+    expected = {"iterations": 40, "recovery": 20, "data": "one", "method": "opacity", "target": 0.5}
     assert contents["tasks"][1] == {"name": "one-opacity-50", "scene": "one/scene.ply", "options": expected}
 
 
@@ -249,7 +249,7 @@ def test_an_engine_prunes_a_large_scene_as_one_machine_does(tiny, tmp_path, caps
 @pytest.mark.skipif(sys.platform == "win32", reason="a script of sh")
 def test_an_engine_lets_a_method_decide_on_a_large_scene_as_one_machine_does(tiny, tmp_path):
     words = [
-        "--colmap",
+        "--data",
         str(tiny.folder),
         "--method",
         "svr",
@@ -456,7 +456,7 @@ def test_every_option_survives_the_way_through_the_file(captures, tmp_path):
         True,
         7,
     )
-    assert (options.max_drop, options.nested, options.colmap, options.resume) == (
+    assert (options.max_drop, options.nested, options.data, options.resume) == (
         0.5,
         0.2,
         captures / "one",

@@ -228,7 +228,7 @@ def test_a_first_checkpoint_that_cannot_be_written_is_one_sentence(tiny, tmp_pat
     words = [
         "prune",
         tiny.splat,
-        "--colmap",
+        "--data",
         tiny.folder,
         "--iterations",
         "4",
@@ -247,7 +247,7 @@ def test_a_first_checkpoint_that_cannot_be_written_is_one_sentence(tiny, tmp_pat
 
 
 def test_a_copy_of_a_model_that_cannot_be_written_is_one_sentence(tiny, tmp_path):
-    words = ["prune", tiny.splat, "--colmap", tiny.folder, "--quiet", "--out", tmp_path / "o.ply"]
+    words = ["prune", tiny.splat, "--data", tiny.folder, "--quiet", "--out", tmp_path / "o.ply"]
     done = subprocess.run(
         [sys.executable, "-c", FULL_DISK, "3000", *words], cwd=ROOT, capture_output=True, text=True
     )
@@ -260,8 +260,8 @@ def test_a_splat_that_vanishes(svrgs, tiny, tmp_path):
     gone = tmp_path / "gone.ply"
     for command in (
         ["info", gone],
-        ["prune", gone, "--colmap", tiny.folder, "--out", tmp_path / "o.ply"],
-        ["eval", gone, "--colmap", tiny.folder],
+        ["prune", gone, "--data", tiny.folder, "--out", tmp_path / "o.ply"],
+        ["eval", gone, "--data", tiny.folder],
     ):
         outcome = svrgs(*command)
         assert outcome.status == 2 and outcome.err.count("\n") == 1 and "gone.ply" in outcome.err

@@ -22,13 +22,13 @@ from svrgs_addon.jobs.job_process import Job
 from svrgs_addon.prune.options import RECOVERY
 from svrgs_addon.system.errors import FormatError, SceneError
 
-GOOD = {"schema": 1, "kind": "prune", "name": "a", "count": 3, "options": {"colmap": "somewhere"}}
+GOOD = {"schema": 1, "kind": "prune", "name": "a", "count": 3, "options": {"data": "somewhere"}}
 HOSTILE = [
     b"", b"{", b"[]", b"null", b"[" * 100_000, json.dumps(GOOD | {"schema": 99}).encode(),
     json.dumps(GOOD | {"count": -1}).encode(),
     json.dumps(GOOD | {"count": True}).encode(), json.dumps(GOOD | {"name": 3}).encode(),
     json.dumps(GOOD | {"options": []}).encode(),
-    *(json.dumps(GOOD | {"options": {"colmap": "x", **bad}}).encode() for bad in (
+    *(json.dumps(GOOD | {"options": {"data": "x", **bad}}).encode() for bad in (
         {"out": "/etc/passwd"}, {"report": "/tmp/x"}, {"lpips_weights": "x"}, {"iterations": "3"},
         {"iterations": 1.5}, {"seed": True},
         {"lambda_f": "nan"}, {"images": "a\nb"}, {"visible_mask": 1},
@@ -48,10 +48,10 @@ def test_a_hostile_request_is_refused(content, tmp_path):
 
 def test_words_of_a_request_stay_values(tmp_path):
     (tmp_path / "job.json").write_text(
-        json.dumps(GOOD | {"options": {"colmap": "--out=x", "images": "--overwrite", "visible_mask": True}})
+        json.dumps(GOOD | {"options": {"data": "--out=x", "images": "--overwrite", "visible_mask": True}})
     )
     options = JobFolder(tmp_path).options()
-    assert (str(options.colmap), options.images, options.visible_mask) == ("--out=x", "--overwrite", True)
+    assert (str(options.data), options.images, options.visible_mask) == ("--out=x", "--overwrite", True)
     assert options.out == tmp_path / "recovered.ply"
 
 
@@ -71,7 +71,7 @@ def test_options_out_of_range_are_refused_when_the_job_is_made(tiny, tmp_path, b
 
 def test_a_zero_is_not_left_to_the_default(tmp_path):
     asked = {
-        "colmap": "x",
+        "data": "x",
         "iterations": 0,
         "recovery": 0,
         "holdout": 0,

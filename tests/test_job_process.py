@@ -270,7 +270,7 @@ def test_a_job_without_a_sign_of_life_counts_as_interrupted(tiny, tmp_path):
 
 
 def test_a_vanished_dataset_is_one_sentence(tiny, tmp_path, jobs):
-    folder = JobFolder.create(tmp_path / "job", read_ply(tiny.splat), {"colmap": str(tmp_path / "gone")})
+    folder = JobFolder.create(tmp_path / "job", read_ply(tiny.splat), {"data": str(tmp_path / "gone")})
     job = Job(folder)
     jobs.append(job)
     job.start()

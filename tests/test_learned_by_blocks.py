@@ -67,7 +67,7 @@ def together(divided: Divided) -> dict[str, np.ndarray]:
 def test_one_block_is_decided_as_the_scene_in_memory(tiny, data, tmp_path, svrgs, method):
     """To the bit: with all photographs and all Gaussians, nothing is left out."""
     words = [
-        "--colmap",
+        "--data",
         tiny.folder,
         "--method",
         method,
@@ -191,7 +191,7 @@ def test_a_block_that_no_view_sees_keeps_a_gaussian(tiny, data, tmp_path):
 
 @pytest.mark.slow
 def test_steps_on_any_number_of_machines_give_the_bytes_of_one(tiny, tmp_path, svrgs):
-    words = ["--colmap", tiny.folder, "--method", "removal", *STEPS, "--block", 70]
+    words = ["--data", tiny.folder, "--method", "removal", *STEPS, "--block", 70]
     one = svrgs(
         "large", "prune", tiny.splat, *words, "--target", 0.4, "--out", tmp_path / "one.ply", "--json"
     ).json
@@ -240,7 +240,7 @@ def test_an_allowed_drop_on_photographs_decides_how_many_stay(inside, tmp_path, 
     write_scene(tmp_path / "a.ply", scene)
     same = [
         tmp_path / "a.ply",
-        "--colmap",
+        "--data",
         room.folder,
         "--method",
         "removal",
@@ -291,7 +291,7 @@ def test_a_job_on_photographs_goes_over_to_blocks_where_memory_is_short(
         raise SHORT
 
     monkeypatch.setattr(pipeline.FineTuned, "open", short)
-    words = ["--colmap", tiny.folder, *STEPS, "--out", tmp_path / "o.spz"]
+    words = ["--data", tiny.folder, *STEPS, "--out", tmp_path / "o.spz"]
     result = svrgs("prune", tiny.splat, *words, "--target", 0.5, "--json").json
     assert (
         result["count"] == result["after"]["count"] == COUNT // 2
@@ -323,7 +323,7 @@ def test_a_job_on_photographs_goes_over_to_blocks_where_memory_is_short(
     options = PruneOptions(
         scene=tiny.splat,
         out=tmp_path / "o.ply",
-        colmap=tiny.folder,
+        data=tiny.folder,
         target=0.5,
         iterations=20,
         recovery=10,
@@ -380,7 +380,7 @@ def test_photographs_of_another_capture_are_told(tiny, tmp_path, svrgs, caplog):
             "large",
             "prune",
             tiny.splat,
-            "--colmap",
+            "--data",
             other,
             "--method",
             "svr",
@@ -397,19 +397,19 @@ def test_photographs_of_another_capture_are_told(tiny, tmp_path, svrgs, caplog):
     [
         (["--method", "svr"], "--method decides on photographs: add --data"),
         (
-            ["--colmap", "DATA", "--method", "maskgs"],
+            ["--data", "DATA", "--method", "maskgs"],
             "'maskgs' needs the scene in memory; by blocks, choose one of removal, svr, ",
         ),
-        (["--colmap", "DATA", "--method", "nothing"], "'nothing' is unknown"),
-        (["--colmap", "DATA", "--method", "svr", "--iterations", 0], "give --iterations a number above 0"),
-        (["--colmap", "DATA", "--method", "svr", "--steps", 5], "leave them out, or --method"),
-        (["--colmap", "DATA", "--method", "svr", "--levels", "0.5"], "leave them out, or --method"),
-        (["--colmap", "DATA", "--method", "svr", "--holdout", 1], "all views of the dataset are held out"),
+        (["--data", "DATA", "--method", "nothing"], "'nothing' is unknown"),
+        (["--data", "DATA", "--method", "svr", "--iterations", 0], "give --iterations a number above 0"),
+        (["--data", "DATA", "--method", "svr", "--steps", 5], "leave them out, or --method"),
+        (["--data", "DATA", "--method", "svr", "--levels", "0.5"], "leave them out, or --method"),
+        (["--data", "DATA", "--method", "svr", "--holdout", 1], "all views of the dataset are held out"),
         (
-            ["--colmap", "DATA", "--target", 0.5, "--recovery", 5],
+            ["--data", "DATA", "--target", 0.5, "--recovery", 5],
             "--recovery is for methods that decide on photographs: add --method",
         ),
-        (["--colmap", "DATA/sparse/0", "--method", "svr"], "has no image folder images"),
+        (["--data", "DATA/sparse/0", "--method", "svr"], "has no image folder images"),
         ([], "add --target, --target-count or --max-drop"),
     ],
 )
@@ -430,13 +430,12 @@ def test_what_does_not_go_together_is_refused_before_anything_is_written(
 def test_steps_that_lack_something_say_what(tiny, data, tmp_path, svrgs):
     work = tmp_path / "work"
     assert (
-        svrgs("large", "divide", tiny.splat, "--colmap", tiny.folder, "--work", work, "--block", 70).status
-        == 0
+        svrgs("large", "divide", tiny.splat, "--data", tiny.folder, "--work", work, "--block", 70).status == 0
     )
     assert "was divided without --method" in svrgs("large", "decide", work).err
     assert "add --target or --target-count" in svrgs("large", "cut", work).err
     words = [
-        "--colmap",
+        "--data",
         tiny.folder,
         "--method",
         "svr",

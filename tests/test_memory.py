@@ -48,12 +48,12 @@ def refused(outcome, out):
 
 def test_reading_is_refused(svrgs, little, tiny, tmp_path):
     little(1000)
-    refused(svrgs("render", tiny.splat, "--colmap", tiny.folder, "--out", tmp_path / "out"), tmp_path / "out")
+    refused(svrgs("render", tiny.splat, "--data", tiny.folder, "--out", tmp_path / "out"), tmp_path / "out")
 
 
 def test_rendering_is_refused(svrgs, little, tiny, tmp_path):
     little(memory.reading(tiny.splat.stat().st_size))
-    refused(svrgs("render", tiny.splat, "--colmap", tiny.folder, "--out", tmp_path / "out"), tmp_path / "out")
+    refused(svrgs("render", tiny.splat, "--data", tiny.folder, "--out", tmp_path / "out"), tmp_path / "out")
 
 
 @pytest.mark.parametrize("command", ["prune", "train"])
@@ -63,7 +63,7 @@ def test_jobs_are_refused(svrgs, little, tiny, tmp_path, command):
     outcome = svrgs(
         command,
         *scene,
-        "--colmap",
+        "--data",
         tiny.folder,
         "--iterations",
         2,
@@ -80,7 +80,7 @@ def test_measuring_is_refused(svrgs, little, tiny, tmp_path, monkeypatch, comman
     monkeypatch.setattr(Dataset, "image", lambda *_: pytest.fail("a photograph was read"))
     little(memory.rendering(tiny_dataset.COUNT, tiny_dataset.WIDTH, tiny_dataset.HEIGHT))
     words = [tiny.splat, tiny.splat, "--out", tmp_path / "out"] if command == "compare" else [tiny.splat]
-    refused(svrgs(command, *words, "--colmap", tiny.folder), tmp_path / "out")
+    refused(svrgs(command, *words, "--data", tiny.folder), tmp_path / "out")
 
 
 def test_lpips_counts():
@@ -91,7 +91,7 @@ def test_lpips_counts():
 def test_enough_is_enough(svrgs, little, tiny, tmp_path):
     little(100_000_000)
     assert (
-        svrgs("render", tiny.splat, "--colmap", tiny.folder, "--out", tmp_path / "out", "--views", 0).status
+        svrgs("render", tiny.splat, "--data", tiny.folder, "--out", tmp_path / "out", "--views", 0).status
         == 0
     )
 
@@ -180,7 +180,7 @@ LIMITED = "import resource; resource.setrlimit(resource.RLIMIT_AS, ({0}, {0})); 
 def test_too_few_addresses_give_one_sentence(tiny, tmp_path, command):
     """As with ulimit -v 150000: NumPy's library would fail or never return."""
     words = {"compare": [tiny.splat, tiny.splat], "train": []}.get(command, [tiny.splat]) + (
-        [] if command == "info" else ["--colmap", tiny.folder]
+        [] if command == "info" else ["--data", tiny.folder]
     )
     words += ["--out", tmp_path / "o.ply"] if command in ("render", "train", "compare", "prune") else []
     start = "import sys; from svrgs_addon.cli.main import main; sys.exit(main())"
@@ -215,7 +215,7 @@ def test_lack_of_memory_in_the_middle_is_one_sentence(svrgs, tiny, monkeypatch, 
         raise error
 
     monkeypatch.setattr("svrgs_addon.prune.blocks.block_rasterizer.load_scene", fail)
-    done = svrgs("eval", tiny.splat, "--colmap", tiny.folder)
+    done = svrgs("eval", tiny.splat, "--data", tiny.folder)
     assert done.status == 1 and done.err.startswith(f"svrgs: {sentence}") and done.err.count("\n") == 1, (
         done.err
     )

@@ -39,12 +39,12 @@ def fewer(tiny, tmp_path) -> tiny_dataset.Tiny:
 
 COMMANDS = {
     "prune": (
-        "prune {scene} --colmap {data} --method opacity --target 0.5 --recovery 5 --quiet --out {out}/o.ply"
+        "prune {scene} --data {data} --method opacity --target 0.5 --recovery 5 --quiet --out {out}/o.ply"
         " --report {out}"
     ),
-    "train": "train --colmap {data} --iterations 5 --quiet --out {out}/o.ply",
-    "eval": "eval {scene} --colmap {data}",
-    "compare": "compare {scene} {scene} --colmap {data} --out {out}",
+    "train": "train --data {data} --iterations 5 --quiet --out {out}/o.ply",
+    "eval": "eval {scene} --data {data}",
+    "compare": "compare {scene} {scene} --data {data} --out {out}",
 }
 
 
@@ -61,7 +61,7 @@ def test_commands_go_on_and_say_what_is_missing(fewer, svrgs, tmp_path, caplog, 
 
 
 def test_the_terminal_shows_it(fewer):
-    words = [sys.executable, "-m", "svrgs_addon", "eval", fewer.splat, "--colmap", fewer.folder]
+    words = [sys.executable, "-m", "svrgs_addon", "eval", fewer.splat, "--data", fewer.folder]
     done = subprocess.run(list(map(str, words)), cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0 and f"svrgs: {fewer.folder}/images: {SENTENCE}\n" in done.stderr
 
@@ -69,7 +69,7 @@ def test_the_terminal_shows_it(fewer):
 def test_an_estimate_names_them_too(fewer):
     assert (
         SENTENCE
-        in estimate(PruneOptions(scene=fewer.splat, colmap=fewer.folder, iterations=50)).get("notes")[0]
+        in estimate(PruneOptions(scene=fewer.splat, data=fewer.folder, iterations=50)).get("notes")[0]
     )
 
 
@@ -102,6 +102,6 @@ def test_a_damaged_photograph_is_refused_and_named(fewer, svrgs):
     photo: Path = fewer.folder / "images/03.png"
     photo.write_bytes(photo.read_bytes()[:-200])
     done = svrgs(
-        "train", "--colmap", fewer.folder, "--iterations", 20, "--quiet", "--out", fewer.folder / "o.ply"
+        "train", "--data", fewer.folder, "--iterations", 20, "--quiet", "--out", fewer.folder / "o.ply"
     )
     assert done.status == 2 and f"{photo}: cannot be read as an image" in done.err

@@ -169,7 +169,7 @@ def test_levels_are_the_first_rows_of_the_output(tiny, svrgs, tmp_path):
     words = [
         "prune",
         tiny.splat,
-        "--colmap",
+        "--data",
         tiny.folder,
         *SHORT,
         "--target",
@@ -191,7 +191,7 @@ def test_levels_are_the_first_rows_of_the_output(tiny, svrgs, tmp_path):
 
 
 def test_what_cannot_be_is_one_sentence(tiny, svrgs, tmp_path):
-    words = ["prune", tiny.splat, "--colmap", tiny.folder, "--target", 0.4, "--out", tmp_path / "o.ply"]
+    words = ["prune", tiny.splat, "--data", tiny.folder, "--target", 0.4, "--out", tmp_path / "o.ply"]
     refused(svrgs(*words, "--nested", 0.1, "--recovery", 0), "give --recovery a number above 0")
     refused(
         svrgs(*words, "--levels", "0.5,0.5"),
@@ -207,7 +207,7 @@ def test_a_level_is_never_the_input(tiny, svrgs, tmp_path):
     source = tmp_path / "o_50.ply"
     source.write_bytes(tiny.splat.read_bytes())
     refused(
-        svrgs("prune", source, "--colmap", tiny.folder, "--levels", "0.5", "--out", tmp_path / "o.ply"),
+        svrgs("prune", source, "--data", tiny.folder, "--levels", "0.5", "--out", tmp_path / "o.ply"),
         "o_50.ply: is the input itself",
     )
     assert source.read_bytes() == tiny.splat.read_bytes() and list(tmp_path.iterdir()) == [source]
@@ -218,7 +218,7 @@ def test_a_finished_scene_without_its_levels_is_not_passed_over_in_silence(tiny,
     done = svrgs(
         "prune",
         tiny.splat,
-        "--colmap",
+        "--data",
         tiny.folder,
         "--levels",
         "0.5",

@@ -36,7 +36,7 @@ def trained(tiny, tmp_path_factory):
     """The splat of the tiny scene, trained to its end."""
     out = tmp_path_factory.mktemp("trained") / "trained.ply"
     prune_scene(
-        PruneOptions(scene=tiny.splat, colmap=tiny.folder, method="3dgs", recovery=1500, quiet=True, out=out)
+        PruneOptions(scene=tiny.splat, data=tiny.folder, method="3dgs", recovery=1500, quiet=True, out=out)
     )
     return out
 
@@ -137,7 +137,7 @@ def test_it_is_near_what_a_short_run_reaches(trained, tiny, tmp_path):
     """Seen: 40.9 dB now, 40.9 dB foreseen, 44.2 dB reached: it is never foreseen to become better."""
     options = PruneOptions(
         scene=trained,
-        colmap=tiny.folder,
+        data=tiny.folder,
         method="removal",
         target=0.5,
         iterations=300,
@@ -158,7 +158,7 @@ def test_an_allowed_drop_keeps_no_more_than_foreseen(trained, tiny, tmp_path):
     for drop in (0.3, 3.0):
         options = PruneOptions(
             scene=trained,
-            colmap=tiny.folder,
+            data=tiny.folder,
             method="removal",
             max_drop=drop,
             iterations=300,

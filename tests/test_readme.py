@@ -65,7 +65,7 @@ RUNS: dict[str, tuple[str, ...]] = {  # command: what it writes
     "blender --command svrgs prune trained.ply --data DATASET --out pruned.ply": ("pruned.ply",),
     (
         "blender -b FILE.blend --python-expr"
-        """ "import bpy; bpy.ops.svrgs.prune(colmap='DATASET', target=0.25)\""""
+        """ "import bpy; bpy.ops.svrgs.prune(data='DATASET', target=0.25)\""""
     ): ("scene_pruned.ply",),
     "blender -b --python svrgs_addon/batch.py -- prune FOLDER --out PRUNED": ("PRUNED/one.ply",),
 }

@@ -112,16 +112,16 @@ def test_memory_holds_one_block_of_those_that_the_spatial_mask_counts(
 
 
 def test_figures_are_those_of_the_scene_in_memory(svrgs, tiny, tmp_path, request, caplog):
-    in_memory = svrgs("eval", tiny.splat, "--colmap", tiny.folder, "--json").json
+    in_memory = svrgs("eval", tiny.splat, "--data", tiny.folder, "--json").json
     place = request.getfixturevalue("short")
-    in_blocks = svrgs("eval", tiny.splat, "--colmap", tiny.folder, "--json").json
+    in_blocks = svrgs("eval", tiny.splat, "--data", tiny.folder, "--json").json
     assert SAID in caplog.text and not any(place.iterdir())
     assert in_memory.pop("ms_per_frame") > 0 and in_blocks.pop("ms_per_frame") is None
     assert in_blocks == pytest.approx(in_memory, abs=1e-4) and in_blocks["count"] == tiny_dataset.COUNT
 
 
 def test_scenes_are_compared_by_blocks(svrgs, tiny, tmp_path, request, caplog):
-    words = ["compare", tiny.splat, tiny.splat, "--colmap", tiny.folder, "--json"]
+    words = ["compare", tiny.splat, tiny.splat, "--data", tiny.folder, "--json"]
     in_memory = svrgs(*words, "--out", tmp_path / "whole").json
     request.getfixturevalue("short")
     found = svrgs(*words, "--out", tmp_path / "blocks").json
@@ -157,7 +157,7 @@ def test_other_cameras_are_refused(svrgs, short, tiny, tmp_path):
     scene = room(300, 0)
     scene.means[:] += 1e6
     write_scene(far, scene)
-    said = svrgs("eval", far, "--colmap", tiny.folder)
+    said = svrgs("eval", far, "--data", tiny.folder)
     assert (
         said.status == 2 and "none of its Gaussians is near a camera" in said.err and not any(short.iterdir())
     )

@@ -288,7 +288,7 @@ def test_large_views_are_reduced(splat):
         ({"images": "images_4"}, "--images names a folder of photographs"),
         ({"cameras": "missing.json"}, "missing.json: cannot be read"),
         ({"cameras": "away.json", "seen_from_only": True}, "none of its Gaussians is near a camera"),
-        ({"cameras": "away.json", "colmap": "data"}, "leave them out, or --data"),
+        ({"cameras": "away.json", "data": "data"}, "leave them out, or --data"),
     ],
 )
 def test_what_cannot_be_is_one_sentence(splat, more, words):
@@ -297,8 +297,7 @@ def test_what_cannot_be_is_one_sentence(splat, more, words):
     away[2, 3] -= 1e4
     write_cameras_json(splat.with_name("away.json"), [dataclasses.replace(camera, viewmat=away)])
     more = {
-        name: splat.with_name(value) if name in ("cameras", "colmap") else value
-        for name, value in more.items()
+        name: splat.with_name(value) if name in ("cameras", "data") else value for name, value in more.items()
     }
     with pytest.raises((SceneError, FormatError), match=words):
         prune(splat, **more)

@@ -132,7 +132,7 @@ GOALS = {"target": ["--target", 0.5], "drop": ["--max-drop", 2.0]}
 def test_a_job_that_was_stopped_goes_on_with_resume(
     svrgs, short, stop_at, tiny, tmp_path, steps, goal, step, at
 ):
-    words = ["prune", tiny.splat, "--colmap", tiny.folder, *GOALS[goal], "--iterations", 40, "--recovery", 20]
+    words = ["prune", tiny.splat, "--data", tiny.folder, *GOALS[goal], "--iterations", 40, "--recovery", 20]
     assert svrgs(*words, "--out", tmp_path / "whole.ply").status == 0
     done = len(steps)
     steps.clear()
@@ -155,7 +155,7 @@ def whole_and_stopped(svrgs, short, stop_at, tiny, tmp_path, monkeypatch) -> lis
     words = [
         "prune",
         tiny.splat,
-        "--colmap",
+        "--data",
         tiny.folder,
         "--target",
         0.5,
@@ -195,7 +195,7 @@ def words_for(tiny, out: Path, *more) -> list:
         "large",
         "prune",
         tiny.splat,
-        "--colmap",
+        "--data",
         tiny.folder,
         "--method",
         "removal",
@@ -266,7 +266,7 @@ def test_removals_and_merges_have_nothing_to_resume(svrgs, tiny, tmp_path):
         "large",
         "prune",
         tiny.splat,
-        "--colmap",
+        "--data",
         tiny.folder,
         "--target",
         0.5,
@@ -279,7 +279,7 @@ def test_removals_and_merges_have_nothing_to_resume(svrgs, tiny, tmp_path):
 
 def test_a_stop_before_there_is_anything_to_keep_leaves_nothing(svrgs, short, stop_at, tiny, tmp_path):
     stop_at("score")
-    done = svrgs("prune", tiny.splat, "--colmap", tiny.folder, "--target", 0.5, "--out", tmp_path / "o.ply")
+    done = svrgs("prune", tiny.splat, "--data", tiny.folder, "--target", 0.5, "--out", tmp_path / "o.ply")
     assert done.status == 130 and not any(tmp_path.iterdir())
 
 

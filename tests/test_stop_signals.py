@@ -38,7 +38,7 @@ def words_for(tiny, out: Path, iterations: int, recovery: int) -> list[str]:
     words = [
         "prune",
         tiny.splat,
-        "--colmap",
+        "--data",
         tiny.folder,
         "--iterations",
         iterations,

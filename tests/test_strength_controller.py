@@ -211,9 +211,9 @@ def test_the_command_line_reaches_the_drop(tiny, svrgs, tmp_path):
         "--out",
         tmp_path / "o.ply",
     )
-    result = svrgs("prune", tiny.splat, "--colmap", tiny.folder, *words).json
+    result = svrgs("prune", tiny.splat, "--data", tiny.folder, *words).json
     assert result["count"] < tiny_dataset.COUNT and result["target"] is None and result["strength"] > 0
-    refused = svrgs("prune", tiny.splat, "--colmap", tiny.folder, "--target", 0.5, *words)
+    refused = svrgs("prune", tiny.splat, "--data", tiny.folder, "--target", 0.5, *words)
     assert refused.status == 2 and "not allowed with" in refused.err
 
 

@@ -168,14 +168,14 @@ def run(*words: object, **environment: str) -> subprocess.CompletedProcess[bytes
 
 COMMANDS = {
     "info": "info {}/scene.ply",
-    "render": "render {}/scene.ply --colmap {} --views test --out {}/out",
+    "render": "render {}/scene.ply --data {} --views test --out {}/out",
     "prune": (
-        "prune {}/scene.ply --colmap {} --iterations 3 --recovery 3 --quiet --out {}/ö.ply --report {}/report"
+        "prune {}/scene.ply --data {} --iterations 3 --recovery 3 --quiet --out {}/ö.ply --report {}/report"
     ),
     "batch": "prune {} --iterations 3 --recovery 3 --quiet --batch --out {}/ö.ply",
-    "train": "train --colmap {} --iterations 3 --quiet --out {}/ö.ply",
-    "eval": "eval {}/scene.ply --colmap {}",
-    "compare": "compare {}/scene.ply {}/scene.ply --colmap {} --out {}/out",
+    "train": "train --data {} --iterations 3 --quiet --out {}/ö.ply",
+    "eval": "eval {}/scene.ply --data {}",
+    "compare": "compare {}/scene.ply {}/scene.ply --data {} --out {}/out",
 }
 
 

@@ -54,17 +54,17 @@ def place(tiny, tmp_path) -> Path:
 
 
 COMMANDS = {  # words, and the file whose name is printed
-    "render": ("render {}/scene.ply --colmap {} --views test --out {}/out", "out/08.rgb.png"),
-    "compare": ("compare {}/scene.ply {}/scene.ply --colmap {} --out {}/out", "out/index.html"),
+    "render": ("render {}/scene.ply --data {} --views test --out {}/out", "out/08.rgb.png"),
+    "compare": ("compare {}/scene.ply {}/scene.ply --data {} --out {}/out", "out/index.html"),
     "prune": (
         (
-            "prune {}/scene.ply --colmap {} --iterations 3 --recovery 3 --quiet --out {}/o.ply --report"
+            "prune {}/scene.ply --data {} --iterations 3 --recovery 3 --quiet --out {}/o.ply --report"
             " {}/report"
         ),
         "o.ply",
     ),
-    "train": ("train --colmap {} --iterations 3 --quiet --out {}/o.ply", "o.ply"),
-    "eval": ("eval {}/scene.ply --colmap {}", ""),
+    "train": ("train --data {} --iterations 3 --quiet --out {}/o.ply", "o.ply"),
+    "eval": ("eval {}/scene.ply --data {}", ""),
 }
 
 
@@ -92,7 +92,7 @@ def test_a_page_shows_a_name_that_is_not_utf_8(place):
         run(
             "prune",
             place / f"{NAME}.ply",
-            "--colmap",
+            "--data",
             place,
             *SHORT,
             "--out",
@@ -127,7 +127,7 @@ def test_letters_that_an_encoding_lacks_are_escaped(tiny, tmp_path):
 
 def test_a_photograph_that_is_not_utf_8_is_named(place):
     (place / "images/00.png").write_bytes(b"\x89PNG no image")
-    done = run("eval", place / "scene.ply", "--colmap", place)
+    done = run("eval", place / "scene.ply", "--data", place)
     assert (
         done.returncode == 2
         and os.fsencode(place / "images/00.png") + b": cannot be read as an image" in done.stderr
@@ -149,7 +149,7 @@ def test_streams_may_be_closed(tiny, tmp_path, redirect, printed):
     words = [
         "prune",
         tiny.splat,
-        "--colmap",
+        "--data",
         tiny.folder,
         "--iterations",
         "3",
@@ -189,12 +189,12 @@ def red(place: Path) -> str:
 )
 def test_names_do_not_command_the_terminal(place, command):
     name = red(place)
-    words = ["eval", place / "scene.ply", "--colmap", place]
+    words = ["eval", place / "scene.ply", "--data", place]
     if command in ("render", "views"):
         words = [
             "render",
             place / "scene.ply",
-            "--colmap",
+            "--data",
             place,
             "--out",
             place / "out",
@@ -209,7 +209,7 @@ def test_names_do_not_command_the_terminal(place, command):
             else [
                 "prune",
                 place / "scene.ply",
-                "--colmap",
+                "--data",
                 place,
                 *SHORT,
                 "--batch",
@@ -266,7 +266,7 @@ def test_ctrl_c_while_modules_are_imported(tiny, module):
         module,
         "render",
         tiny.splat,
-        "--colmap",
+        "--data",
         tiny.folder,
         "--out",
         tiny.folder / "none",

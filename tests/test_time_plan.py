@@ -165,7 +165,7 @@ def test_the_plan_is_that_of_the_schedule_alone(method):
 
 
 def test_the_result_says_what_was_asked_foreseen_and_used_and_can_be_repeated(tiny, svrgs, slow, tmp_path):
-    words = ["prune", tiny.splat, "--colmap", tiny.folder, "--target", 0.4, "--json"]
+    words = ["prune", tiny.splat, "--data", tiny.folder, "--target", 0.4, "--json"]
     done = svrgs(*words, "--time", 20, "--out", tmp_path / "a.ply")
     time = done.json["time"]
     assert (
@@ -189,7 +189,7 @@ def test_the_quality_is_said_where_it_is_foreseen(tiny, svrgs, slow, tmp_path):
     done = svrgs(
         "prune",
         tiny.splat,
-        "--colmap",
+        "--data",
         tiny.folder,
         "--target",
         0.4,
@@ -203,7 +203,7 @@ def test_the_quality_is_said_where_it_is_foreseen(tiny, svrgs, slow, tmp_path):
     quiet = svrgs(
         "prune",
         tiny.splat,
-        "--colmap",
+        "--data",
         tiny.folder,
         "--target",
         0.4,
@@ -219,14 +219,14 @@ def test_the_quality_is_said_where_it_is_foreseen(tiny, svrgs, slow, tmp_path):
 
 def test_a_budget_from_lambda_is_measured_on_the_way(tiny, svrgs, slow, tmp_path):
     done = svrgs(
-        "prune", tiny.splat, "--colmap", tiny.folder, "--json", "--time", 20, "--out", tmp_path / "a.ply"
+        "prune", tiny.splat, "--data", tiny.folder, "--json", "--time", 20, "--out", tmp_path / "a.ply"
     )
     assert done.json["count"] < 250 and f" of {done.json['before']['count']} Gaussians stay" in done.err
 
 
 def test_a_time_that_is_too_short_writes_nothing(tiny, svrgs, slow, tmp_path):
     refused(
-        svrgs("prune", tiny.splat, "--colmap", tiny.folder, "--time", 2, "--out", tmp_path / "a.ply"),
+        svrgs("prune", tiny.splat, "--data", tiny.folder, "--time", 2, "--out", tmp_path / "a.ply"),
         "2 s are too short",
         "allow ",
     )
@@ -246,14 +246,14 @@ def test_a_time_that_is_too_short_writes_nothing(tiny, svrgs, slow, tmp_path):
 @pytest.mark.parametrize("command", ["prune", "train"])
 def test_a_time_and_a_number_of_steps_exclude_each_other(tiny, svrgs, tmp_path, command, words):
     scene = [tiny.splat] if command == "prune" else []
-    done = svrgs(command, *scene, "--colmap", tiny.folder, "--out", tmp_path / "a.ply", "--time", 60, *words)
+    done = svrgs(command, *scene, "--data", tiny.folder, "--out", tmp_path / "a.ply", "--time", 60, *words)
     refused(done, "--time chooses the number of steps", *words[::2])
 
 
 @pytest.mark.parametrize("word", ["0", "-3", "nan", "inf", "soon"])
 def test_a_time_is_a_number_of_seconds(tiny, svrgs, tmp_path, word):
     refused(
-        svrgs("prune", tiny.splat, "--colmap", tiny.folder, "--out", tmp_path / "a.ply", "--time", word),
+        svrgs("prune", tiny.splat, "--data", tiny.folder, "--out", tmp_path / "a.ply", "--time", word),
         "is not a number of seconds above 0",
     )
 
@@ -261,11 +261,11 @@ def test_a_time_is_a_number_of_seconds(tiny, svrgs, tmp_path, word):
 def test_a_program_that_gives_both_is_told_so(tiny, tmp_path):
     with pytest.raises(SceneError, match="leave out --iterations"):
         prune_scene(
-            PruneOptions(scene=tiny.splat, colmap=tiny.folder, out=tmp_path / "a.ply", time=60, iterations=5)
+            PruneOptions(scene=tiny.splat, data=tiny.folder, out=tmp_path / "a.ply", time=60, iterations=5)
         )
     with pytest.raises(SceneError, match="leave out --recovery"):
         JobFolder.create(
-            tmp_path / "job", read_ply(tiny.splat), {"colmap": str(tiny.folder), "time": 60, "recovery": 5}
+            tmp_path / "job", read_ply(tiny.splat), {"data": str(tiny.folder), "time": 60, "recovery": 5}
         )
 
 
@@ -276,7 +276,7 @@ def job(tiny, out, stop_after: int = 0, **more) -> dict:
     """`svrgs prune --time 20 --resume`, stopped after so many steps."""
     options = PruneOptions(
         scene=tiny.splat,
-        colmap=tiny.folder,
+        data=tiny.folder,
         out=out,
         target=0.4,
         quiet=True,
@@ -328,7 +328,7 @@ def test_a_job_with_a_time_can_be_continued_with_its_schedule(tiny, slow, tmp_pa
 def test_training_keeps_its_plan_too(tiny, slow, tmp_path, monkeypatch):
     def training(name: str, stop_after: int = 0, **more) -> dict:
         options = TrainOptions(
-            colmap=tiny.folder,
+            data=tiny.folder,
             out=tmp_path / name,
             quiet=True,
             resume=True,
@@ -414,7 +414,7 @@ def test_an_estimate_chooses_the_schedule_of_a_time(tiny, monkeypatch):
     from svrgs_addon.jobs import estimate as module
 
     monkeypatch.setattr(module, "pace_of", lambda *_: SLOW)
-    options = PruneOptions(scene=tiny.splat, colmap=tiny.folder, target=0.4)
+    options = PruneOptions(scene=tiny.splat, data=tiny.folder, target=0.4)
     every = estimate(options)
     assert every["schedule"] == 1 and every["steps"] == 8_000 and every["seconds"] > 400
     some = estimate(replace(options, time=30.0))

@@ -26,7 +26,7 @@ from tiny_jobs import SETTINGS, TRAINING, prune
 def test_the_command_line_reaches_the_skips(tiny, svrgs, tmp_path):
     words = (
         "train",
-        "--colmap",
+        "--data",
         tiny.folder,
         "--iterations",
         30,
@@ -102,7 +102,7 @@ def test_threads_do_not_change_the_output(tiny, svrgs, tmp_path):
     words = (
         "prune",
         tiny.splat,
-        "--colmap",
+        "--data",
         tiny.folder,
         "--iterations",
         60,
@@ -122,7 +122,7 @@ def test_threads_do_not_change_the_output(tiny, svrgs, tmp_path):
 def test_threads_do_not_change_training(tiny, svrgs, tmp_path):
     words = (
         "train",
-        "--colmap",
+        "--data",
         tiny.folder,
         "--iterations",
         620,

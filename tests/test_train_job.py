@@ -20,7 +20,7 @@ SHORT, MEDIUM = 80, 3000  # steps
 
 
 def create(path: Path, tiny, iterations: int) -> JobFolder:
-    return JobFolder.create_training(path, {"colmap": str(tiny.folder), "iterations": iterations}, "tiny")
+    return JobFolder.create_training(path, {"data": str(tiny.folder), "iterations": iterations}, "tiny")
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +46,7 @@ def test_a_job_trains_and_leaves_its_splat(done, tiny, svrgs, tmp_path):
         job.folder / "trained.ply"
     ) == str(job.folder.output)
     words = ("--iterations", SHORT, "--quiet", "--out", tmp_path / "shell.ply")
-    assert svrgs("train", "--colmap", tiny.folder, *words).status == 0
+    assert svrgs("train", "--data", tiny.folder, *words).status == 0
     assert (tmp_path / "shell.ply").read_bytes() == job.folder.output.read_bytes(), (
         "what the command line does"
     )
@@ -77,7 +77,7 @@ def test_what_a_job_needs_is_said(tiny, tmp_path, jobs):
     (tmp_path / "none").mkdir()
     request = json.loads((job.folder / "job.json").read_text())
     (job.folder / "job.json").write_text(
-        json.dumps(request | {"options": {"colmap": str(tmp_path / "none"), "iterations": 5}})
+        json.dumps(request | {"options": {"data": str(tmp_path / "none"), "iterations": 5}})
     )
     jobs.append(job)
     job.start()
@@ -90,9 +90,9 @@ def test_what_a_job_needs_is_said(tiny, tmp_path, jobs):
     [
         {},
         {"iterations": 5},
-        {"colmap": "x", "out": "/etc/x"},
-        {"colmap": "x", "target_count": "all"},
-        {"colmap": "x", "max_drop": 1.0},
+        {"data": "x", "out": "/etc/x"},
+        {"data": "x", "target_count": "all"},
+        {"data": "x", "max_drop": 1.0},
     ],
 )
 def test_unusable_options(tmp_path, options):

@@ -128,7 +128,7 @@ def test_looking_with_the_mouse(drive, tiny, tmp_path):
             [
                 "render",
                 str(tiny.splat),
-                "--colmap",
+                "--data",
                 str(tiny.folder),
                 "--views",
                 seen["camera"],

@@ -45,7 +45,7 @@ def room_case(
 
 def chosen_cases(options: argparse.Namespace) -> Iterator[Case]:
     """Views of options.scene, or of generated rooms if no file is given. Raises SceneError, FormatError."""
-    if options.scene is None and (options.cameras or options.colmap):
+    if options.scene is None and (options.cameras or options.data):
         raise SceneError("cameras are given without a scene: add --scene FILE")
     if options.scene is not None:
         return _given(options.scene, _first_view(options), options.quick)
@@ -72,8 +72,8 @@ def _first_view(options: argparse.Namespace) -> Camera | None:
         from svrgs_addon.views.cameras_json import load_cameras_json
 
         return load_cameras_json(options.cameras)[0]
-    if options.colmap:
+    if options.data:
         from svrgs_addon.views.dataset import load_dataset
 
-        return load_dataset(options.colmap, cameras_only=True).cameras[0]
+        return load_dataset(options.data, cameras_only=True).cameras[0]
     return None

@@ -101,14 +101,14 @@ def _job(folder: Path, tasks: list[Task]) -> FarmJob:
     """The job, with datasets relative to the folder that holds all of them: that of a worker may have another
     name."""
     root = (
-        common_folder([Path(task.options["colmap"]) for task in tasks if task.options.get("colmap")])
+        common_folder([Path(task.options["data"]) for task in tasks if task.options.get("data")])
         or folder / CAPTURES
     )
     return FarmJob(folder, root, tuple(replace(task, options=_within(root, task.options)) for task in tasks))
 
 
 def _within(root: Path, options: dict[str, Any]) -> dict[str, Any]:
-    return options | {"colmap": relative(root, Path(options["colmap"]))} if options.get("colmap") else options
+    return options | {"data": relative(root, Path(options["data"]))} if options.get("data") else options
 
 
 def _finished(folder: Path, answer: Future):

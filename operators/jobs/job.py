@@ -30,9 +30,9 @@ def options_of(context, obj: bpy.types.Object) -> dict:
         return {"quick": True, "seed": s.seed, "threads": threads(context)} | goals.options(
             s, obj, merges=True
         )
-    colmap, images = dataset_paths.dataset_of(context) if depth == depths.PHOTOGRAPHS else ("", "")
+    data, images = dataset_paths.dataset_of(context) if depth == depths.PHOTOGRAPHS else ("", "")
     options = {
-        "colmap": colmap, "images": images, "method": "merge" if depths.merges(context) else s.method,
+        "data": data, "images": images, "method": "merge" if depths.merges(context) else s.method,
         "seed": s.seed, "threads": threads(context),
         "holdout": s.holdout, "visible_mask": s.visible_mask, "views_by_loss": s.views_by_loss,
     }  # fmt: skip

@@ -103,15 +103,15 @@ class SVRGS_OT_job_resume(JobOperator):
         return tr("'{name}' does not wait to be resumed").format(name=job.name)
 
     def work_on(self, context, owner: bpy.types.Object | None, job: Job) -> str:
-        colmap = job.folder.request()["options"].get("colmap", "")
-        if colmap and not os.path.exists(colmap):
+        dataset = job.folder.request()["options"].get("data", "")
+        if dataset and not os.path.exists(dataset):
             dataset = dataset_paths.dataset_of_job(context, owner)  # it may have been moved
             if not os.path.exists(dataset):
                 text = tr(
                     "{folder}: the dataset of this job is not there: with its splat active, find it in step"
                     " 1 or choose it in step 2, then resume"
                 )
-                raise SplatError(text.format(folder=colmap))
+                raise SplatError(text.format(folder=dataset))
             job.folder.set_dataset(dataset)
         waits = job_queue.start(job)
         watch(tick)

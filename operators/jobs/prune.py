@@ -44,8 +44,8 @@ class SVRGS_OT_prune(ReportingOperator):
         options=RELATIVE,
         description="Splat file to prune. Empty: the active splat",
     )
-    colmap: option_property(
-        "colmap",
+    data: option_property(
+        "data",
         name="Dataset",
         options=RELATIVE,
         description=(
@@ -195,15 +195,15 @@ class SVRGS_OT_prune(ReportingOperator):
         """The options of `svrgs prune`: those of the operator, and the dataset that was imported with the
         splat."""
         root = splat_object.root_of(source) or {}
-        colmap, images = (
-            (self.colmap, self.images)
-            if self.colmap
+        data, images = (
+            (self.data, self.images)
+            if self.data
             else (root.get(splat_object.DATASET, ""), self.images or root.get(splat_object.IMAGES, ""))
         )
         given = {
-            "--colmap": absolute(colmap), "--images": images, "--report": absolute(self.report_folder),
+            "--data": absolute(data), "--images": images, "--report": absolute(self.report_folder),
             "--lambda-f": self.lambda_f, "--target": self.target, "--target-count": self.target_count,
-            "--max-drop": self.max_drop, "--time": self.time, "--cameras": absolute(self.cameras),
+            "--max-drop": self.max_drop, "--time": self.time, "--seen-from": absolute(self.cameras),
         }  # fmt: skip
         options = [str(word) for name, value in given.items() if value for word in (name, value)]
         options += [
@@ -216,7 +216,7 @@ class SVRGS_OT_prune(ReportingOperator):
             for name in ("iterations", "recovery")
             if not (self.time or self.quick) or self.properties.is_property_set(name)
         ]
-        more += ["method"] if colmap or self.properties.is_property_set("method") else []
+        more += ["method"] if data or self.properties.is_property_set("method") else []
         return [
             *options,
             *(f"--{name}={getattr(self, name)}" for name in (*more, "seed")),

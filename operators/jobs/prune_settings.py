@@ -47,8 +47,8 @@ def _share_changed(obj, context):
 
 
 class SVRGS_PG_prune(bpy.types.PropertyGroup):
-    colmap: option_property(
-        "colmap",
+    data: option_property(
+        "data",
         name="Dataset",
         description=(
             "Dataset: photographs, and a COLMAP model or transforms.json. Empty: the dataset of the imported"

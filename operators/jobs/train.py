@@ -74,7 +74,7 @@ class SVRGS_OT_train(ReportingOperator):
         root, settings = root_to_train(context), context.scene.svrgs_train
         assert root is not None
         options = {
-            "colmap": dataset_paths.dataset_of_root(root), "images": root.get(splat_object.IMAGES, ""),
+            "data": dataset_paths.dataset_of_root(root), "images": root.get(splat_object.IMAGES, ""),
             "holdout": context.scene.svrgs_prune.holdout,
             "threads": threads(context),
             **({"time": settings.time} if settings.use_time else {"iterations": settings.iterations}),

@@ -37,8 +37,8 @@ def dataset_of(context) -> tuple[str, str]:
     """(dataset, name of its image folder) to prune with: the chosen one, or that of the cameras imported with
     the splat. Absolute; '': none."""
     settings, root = context.scene.svrgs_prune, splat_object.root_of(context.object)
-    if settings.colmap:
-        return absolute(settings.colmap), settings.images
+    if settings.data:
+        return absolute(settings.data), settings.images
     if root is not None:
         return (dataset_of_root(root), settings.images or root.get(splat_object.IMAGES, ""))
     return ("", settings.images)
@@ -52,7 +52,7 @@ def dataset_of_job(context, splat: bpy.types.Object | None) -> str:
     """
     if splat is None:
         return ""
-    root, chosen = splat_object.root_of(splat), absolute(context.scene.svrgs_prune.colmap)
+    root, chosen = splat_object.root_of(splat), absolute(context.scene.svrgs_prune.data)
     of_cameras = dataset_of_root(root) if root is not None else ""
     return of_cameras if os.path.exists(of_cameras) else chosen
 
@@ -64,7 +64,7 @@ def problem(context) -> str:
         return tr("Choose the dataset of the splat's photographs, or import its cameras in step 1")
     if os.path.exists(folder):
         return ""
-    if context.scene.svrgs_prune.colmap:
+    if context.scene.svrgs_prune.data:
         return tr("There is no dataset {folder}: choose it again").format(folder=folder)
     return lost(splat_object.root_of(context.object))
 
@@ -122,7 +122,7 @@ def _paths() -> Iterator[Place]:
         yield partial(obj.__setitem__, FOLDER), folder_of(obj), _stored_below
     for scene in (scene for scene in bpy.data.scenes if not scene.library):
         settings = scene.svrgs_prune
-        yield partial(setattr, settings, "colmap"), settings.colmap, stored
+        yield partial(setattr, settings, "data"), settings.data, stored
         folder = settings.folder if settings.folder.startswith("//") else ""
         yield partial(setattr, settings, "folder"), folder, stored
 
@@ -183,8 +183,8 @@ class SVRGS_OT_find_dataset(ReportingOperator):
         shown, found = find_photographs(root, folder)
         root[splat_object.DATASET] = stored(folder)
         settings = context.scene.svrgs_prune
-        if settings.colmap and not os.path.exists(absolute(settings.colmap)):
-            settings.colmap = stored(folder)
+        if settings.data and not os.path.exists(absolute(settings.data)):
+            settings.data = stored(folder)
         text = tr("Found {found:,} of {count:,} photographs in {folder}")
         text = text.format(found=found, count=shown, folder=folder)
         self.report({"INFO"} if found == shown else {"WARNING"}, text)

@@ -108,7 +108,7 @@ def _prune(commands):
         "scenes", type=extended, nargs="+", metavar="SCENE",
         help="splat file, or folder that holds a splat and its dataset, or folder that holds such folders",
     )  # fmt: skip
-    add_options(command, PruneOptions, colmap=False)
+    add_options(command, PruneOptions, data=False)
     command.place(OUTPUT).add_argument(
         "--out",
         type=extended,
@@ -209,7 +209,7 @@ def _compare(commands):
     )
     command.add_argument("a", type=extended, metavar="A", help="first splat file")
     command.add_argument("b", type=extended, metavar="B", help="second splat file")
-    add_options(command, DatasetOptions, colmap=False)
+    add_options(command, DatasetOptions, data=False)
     help_ = (
         "without --data: cameras.json of 3DGS, or transforms.json; B is measured against pictures of A"
         " (default: views that are placed)"

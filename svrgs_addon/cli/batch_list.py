@@ -23,14 +23,14 @@ class Item:
 
     name: str
     scene: Path
-    colmap: Path | None  # folder of its dataset; None: not found
+    data: Path | None  # folder of its dataset; None: not found
     out: Path
     levels: tuple[Path, ...] = ()  # files of its levels of detail
 
 
 def expand(
     paths: list[Path],
-    colmap: Path | None,
+    data: Path | None,
     out: Path | None,
     report: Path | None = None,
     levels: tuple[float, ...] = (),
@@ -38,7 +38,7 @@ def expand(
     """All scenes under `paths`, in order.
 
     A folder with a splat is one scene, and the folder is its dataset. In a folder without a splat, each
-    folder is tried as a scene. colmap: a dataset for all scenes instead. out: a folder, or a file for a
+    folder is tried as a scene. data: a dataset for all scenes instead. out: a folder, or a file for a
     single scene; None: the folder of each scene. report: the folder of the reports, which are named after the
     scenes. levels: shares of the levels of detail that are written too. Raises SceneError if a path does not
     exist, if a folder has no scene, if two scenes would have the same output or report, if an output of one
@@ -68,7 +68,7 @@ def expand(
     for name, scene in found:
         target = out if out and to_file else _output(name, scene, out)
         items.append(
-            Item(name, scene, colmap or _dataset(scene), target, tuple(level_files(target, levels).values()))
+            Item(name, scene, data or _dataset(scene), target, tuple(level_files(target, levels).values()))
         )
     _refuse_inputs_as_outputs(items)
     _refuse_outputs_of_two(items)

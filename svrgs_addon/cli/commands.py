@@ -54,7 +54,7 @@ def prune(args: argparse.Namespace) -> int:
 
     options = options_from(PruneOptions, args, out=None, report=None)
     method_of(options)  # raises for an unknown method once, not for each scene
-    items = batch_list.expand(args.scenes, args.colmap, args.out, args.report, options.levels)
+    items = batch_list.expand(args.scenes, args.data, args.out, args.report, options.levels)
     if len(items) == 1 and not args.batch:
         result = prune_scene(_of_item(options, items[0], args.report))
         return _print(result, args, _figures(result))
@@ -78,7 +78,7 @@ def prune(args: argparse.Namespace) -> int:
 
 def _of_item(options: PruneOptions, item: Item, report: Path | None) -> PruneOptions:
     """The options of the job of one scene."""
-    return replace(options, scene=item.scene, colmap=item.colmap, out=item.out, report=report)
+    return replace(options, scene=item.scene, data=item.data, out=item.out, report=report)
 
 
 def select(args: argparse.Namespace) -> int:

@@ -27,12 +27,12 @@ MAX_VIEWS = 32  # given views, evenly spread in the file
 
 def compare_scenes(args: argparse.Namespace) -> dict:
     """Writes the report. Returns the result of report.compare.compare(). Raises SplatError."""
-    if args.colmap and args.cameras:
+    if args.data and args.cameras:
         raise SceneError("--data and --cameras both name views; leave one out")
     check_writable(args.out / "index.html")  # before cameras are placed
     for path in (args.a, args.b):
         check_readable(path)
-    dataset = dataset_of(options_from(DatasetOptions, args)) if args.colmap else _views_alone(args)
+    dataset = dataset_of(options_from(DatasetOptions, args)) if args.data else _views_alone(args)
     return compare(args.a, args.b, dataset, args.out, opened, args.lpips_weights)
 
 

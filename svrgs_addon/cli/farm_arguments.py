@@ -122,7 +122,7 @@ def _export(actions):
         export,
         PruneOptions,
         leave_out=("method", "target", "resume", "quiet", "time", "levels"),
-        colmap=False,
+        data=False,
     )
 
 

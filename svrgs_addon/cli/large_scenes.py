@@ -104,7 +104,7 @@ def _request(args: argparse.Namespace) -> Request | None:
     options = options_from(PruneOptions, args)
     check_view_options(options)
     if args.method:
-        if not args.colmap:
+        if not args.data:
             raise SceneError("--method decides on photographs: add --data, or leave it out")
         return request_of(options)
     if others := [name for name in given(options) if name in OF_METHODS]:
@@ -228,7 +228,7 @@ def _finish(args: argparse.Namespace) -> dict[str, Any]:
 
 def _views(args: argparse.Namespace, options: PruneOptions, sample: Scene, enlarged: float) -> Views:
     """The views of a sample of the scene, and a message before some are placed."""
-    if not (options.colmap or options.cameras):
+    if not (options.data or options.cameras):
         _progress_of(args, "rig")("looks for places of cameras", 0.0)
     return job_views.large(options, sample, enlarged)
 

@@ -141,7 +141,7 @@ def threads_of(command: Parser):
 def data_of(command: Parser, container, help_: str):
     """The option --data of a command that has no dataclass of options."""
     command.former |= FORMER_DATA
-    container.add_argument("--data", dest="colmap", type=reader(PATH), metavar="DIR", help=help_)
+    container.add_argument("--data", dest="data", type=reader(PATH), metavar="DIR", help=help_)
 
 
 def add_options(command: Parser, cls: type, leave_out: tuple[str, ...] = (), **required: bool):

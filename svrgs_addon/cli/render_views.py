@@ -52,7 +52,7 @@ def _outputs(text: str) -> tuple[str, ...]:
 def _cameras(args: argparse.Namespace) -> list[Camera]:
     if args.cameras:
         return load_cameras(args.cameras)
-    return load_dataset(args.colmap, cameras_only=True).cameras
+    return load_dataset(args.data, cameras_only=True).cameras
 
 
 def choose(cameras: list[Camera], views: str) -> list[Camera]:

@@ -32,7 +32,7 @@ def select_gaussians(args: argparse.Namespace) -> dict:
     selected and never written), and out.
     """
     options = options_from(SelectOptions, args)
-    if options.colmap and options.cameras:
+    if options.data and options.cameras:
         raise SceneError("--data and --cameras both name views; leave one out")
     with outputs(args.scene, [options.out] if options.out else []):
         return _select(args, options)
@@ -40,7 +40,7 @@ def select_gaussians(args: argparse.Namespace) -> dict:
 
 def _select(args: argparse.Namespace, options: SelectOptions) -> dict:
     needs_views = any(name in OF_VIEWS for name in options.given())
-    cameras = views_of(args) if needs_views or options.colmap or options.cameras else []
+    cameras = views_of(args) if needs_views or options.data or options.cameras else []
     result = {"count": 0, "selected": 0, "unusable": 0, "out": options.out and str(options.out)}
     some = _selected(_parts(args.scene, options, cameras), options, cameras, result)
     if options.out:
@@ -98,8 +98,8 @@ def views_of(args: argparse.Namespace) -> list[Camera]:
     is given."""
     if args.cameras:
         return load_cameras(args.cameras)
-    if args.colmap:
-        return load_dataset(args.colmap, cameras_only=True).cameras
+    if args.data:
+        return load_dataset(args.data, cameras_only=True).cameras
     raise SceneError(
         "contribution, removal error and seen-by are measured in views; name them with --data or --cameras"
     )

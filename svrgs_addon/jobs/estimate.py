@@ -72,7 +72,7 @@ def estimate(options: PruneOptions) -> dict:
         "at_most": bool(options.max_drop),
         "views": seen.views,
         **{f"psnr_{name}": value for name, value in quality._asdict().items()}
-        | ({"psnr_before": None} if options.colmap is None else {}),
+        | ({"psnr_before": None} if options.data is None else {}),
         "steps": plan.total,
         "steps_per_second": 1 / pace.step,
         "schedule": found.schedule if found else options.schedule,

@@ -219,11 +219,11 @@ class JobFolder:
         # a quick job has no checkpoints
         return cls(**(options | paths), resume=not options.get("quick"), quiet=True)
 
-    def set_dataset(self, colmap: str):
+    def set_dataset(self, data: str):
         """Writes another folder of the dataset into job.json: it was moved. Raises FormatError,
         SceneError."""
         request = self.request()
-        self.write_json("job.json", {**request, "options": {**request["options"], "colmap": colmap}})
+        self.write_json("job.json", {**request, "options": {**request["options"], "data": data}})
 
     def refuse_links(self):
         """Raises FormatError if an entry of the folder is a symbolic link: writing to it would change a file
@@ -432,7 +432,7 @@ def facts_of(message: dict) -> dict:
 def _check_options(kind: str, options: object):
     """Raises SceneError if these are not valid options of a job of this kind."""
     checked = check_mapping(OPTIONS[kind], options)
-    if kind == TRAIN and not checked.get("colmap"):
+    if kind == TRAIN and not checked.get("data"):
         raise SceneError("the job has no dataset")
     refuse_time_and_steps(OPTIONS[kind], checked)
 

@@ -73,7 +73,7 @@ class JobMain:
         from .job_recorder import RECORDERS
 
         kind, options = self.folder.kind, self.folder.options()
-        if options.colmap is None:
+        if options.data is None:
             self.tell("STATUS", text="Rendering pictures of the splat")
         recorder = RECORDERS[kind](self.folder, self)
         run: Any = {PRUNE: prune_scene, TRAIN: train_scene}[kind]

@@ -68,15 +68,15 @@ class JobRecorder:
             "STATUS", asked=planned.asked, foreseen=planned.foreseen, schedule=planned.schedule
         )
 
-    def begin(self, run: Run):
+    def begin(self, run: Run, notes: list[str]):
         self.run = run
         self._points = len(run.curves.iteration)
         old = self.folder.metrics()
         rows = [row for row in zip(*(old[name] for name in METRICS), strict=True) if row[0] <= run.iteration]
         self._metrics = [",".join(METRICS), *map(_line, rows)]
         self._write_metrics()
-        if run.dataset.notes:
-            self.listener.tell("STATUS", note=" ".join(run.dataset.notes))
+        if notes:
+            self.listener.tell("STATUS", note=" ".join(notes))
 
     def observe(self, progress: loop.Progress):
         run, curves = self.run, self.run.curves
@@ -153,11 +153,11 @@ class PruneRecorder(JobRecorder):
         self.ranking = Ranking(self.count, folder / "ranking.npz")
         self.merged = True  # until a run begins: the quick way has none
 
-    def begin(self, run: Run):
+    def begin(self, run: Run, notes: list[str]):
         self.merged = run.method.merges and ROW not in run.model.metadata["attributes"]
         if not self.merged:
             self.ranking.begin(run, self._checked_rows(run.model.metadata["attributes"].get(ROW)))
-        super().begin(run)
+        super().begin(run, notes)
 
     def observe(self, progress: loop.Progress):
         if not self.merged:

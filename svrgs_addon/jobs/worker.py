@@ -21,7 +21,7 @@ from ..system.exit_status import STOPPED, answer
 from ..system.processes import ChildProcess
 from ..system.subprocess_python import environment
 
-PATHS = ("scene", "colmap", "cameras", "out", "report", "lpips_weights")
+PATHS = ("scene", "data", "cameras", "out", "report", "lpips_weights")
 
 
 def run_in_child(options: PruneOptions) -> tuple[int, dict]:

@@ -21,7 +21,7 @@ from .options import MIN_CONTRIBUTION, PruneOptions
 from .recipes.by_blocks import Goal, LearnedByBlocks, MergedByBlocks
 
 TAKES = (  # options; with others, the scene must be read as a whole
-    "colmap",
+    "data",
     "images",
     "holdout",
     "cameras",
@@ -63,7 +63,7 @@ def possible(options: PruneOptions) -> bool:
         return _has_only(options, (*TAKES, *OF_METHODS, *held)) and (
             options.visible_mask or _to_number(options)
         )
-    merges = options.quick or (options.colmap is None and options.method in ("", "merge"))
+    merges = options.quick or (options.data is None and options.method in ("", "merge"))
     return (
         merges
         and bool(options.quick or _number(options))
@@ -83,7 +83,7 @@ def was_begun(options: PruneOptions) -> bool:
 
 
 def _learns(options: PruneOptions) -> bool:
-    return options.colmap is not None and not options.quick and (options.method or DEFAULT) in methods()
+    return options.data is not None and not options.quick and (options.method or DEFAULT) in methods()
 
 
 def _number(options: PruneOptions) -> bool:
@@ -125,7 +125,7 @@ def request_of(options: PruneOptions) -> Request:
         "background",
     )
     request = Request(
-        str(options.colmap),
+        str(options.data),
         method,
         min_contribution=first_cut,
         **{name: getattr(options, name) for name in same},

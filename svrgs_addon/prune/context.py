@@ -40,7 +40,7 @@ class JobContext:
     part: Callable[[str, float], None] = lambda *_: None
     stop: Callable[[], bool] = lambda: False  # asked after each step
     # called before the first step, after a checkpoint was restored
-    begin: Callable[[Run], None] = lambda _: None
+    begin: Callable[[Run, list[str]], None] = lambda _run, _notes: None
 
     def seconds(self) -> float:
         """Seconds since the job began, with those that the program needs to start and to end."""

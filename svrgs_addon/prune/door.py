@@ -47,13 +47,13 @@ def outputs(scene: Path | None, outs: Sequence[Path], further: Sequence[Path] = 
 
 def check_view_options(options: PruneOptions):
     """Raises SceneError for options of views that do not go together."""
-    if options.colmap is not None and (options.cameras or options.seen_from_only):
+    if options.data is not None and (options.cameras or options.seen_from_only):
         raise SceneError(
             "--seen-from and --seen-from-only are for scenes without photographs: leave them out, or --data"
         )
     if options.seen_from_only and options.cameras is None:
         raise SceneError("--seen-from-only keeps what given cameras see: name them with --seen-from")
-    if options.images and options.colmap is None:
+    if options.images and options.data is None:
         raise SceneError("--images names a folder of photographs in a dataset: give --data, or leave it out")
 
 

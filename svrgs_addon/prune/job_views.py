@@ -46,8 +46,8 @@ def of_dataset(
 ) -> tuple[list[Camera], list[Camera]]:
     """The training and test views of the dataset, without its photographs. longest: pixels of their longer
     side, at most; None: as they are. Raises SceneError, FormatError."""
-    assert options.colmap is not None
-    dataset = load_dataset(options.colmap, options.images or None, holdout=options.holdout, cameras_only=True)
+    assert options.data is not None
+    dataset = load_dataset(options.data, options.images or None, holdout=options.holdout, cameras_only=True)
     check_views(scene, dataset.cameras, dataset.train_indices, str(options.scene))
     cameras = [camera.fitted(longest) if longest else camera for camera in dataset.cameras]
     return [cameras[i] for i in dataset.train_indices], [cameras[i] for i in dataset.test_indices]
@@ -55,7 +55,7 @@ def of_dataset(
 
 def quick(options: PruneOptions, scene: Scene) -> Views:
     """Of a quick job: of the dataset, or else from outside. Raises SceneError, FormatError."""
-    if options.colmap is None:
+    if options.data is None:
         return Views(
             cameras_around(scene, QUICK_TRAIN, QUICK_SIDE),
             cameras_around(scene, QUICK_TEST, QUICK_SIDE, turn=1.0, nearer=0.9),
@@ -106,7 +106,7 @@ def without_photographs(
 
 def by_blocks(options: PruneOptions, scene: Scene, enlarged: float) -> Views:
     """Of `svrgs prune` by blocks. Raises SceneError, FormatError."""
-    if options.colmap is not None:
+    if options.data is not None:
         train, test = of_dataset(options, scene, MAX_SIDE_PIXELS)
         return Views(evenly(train, MAX_VIEWS), test, [], {})
     placed = PLACED_FOR_QUICK if options.quick else None
@@ -121,7 +121,7 @@ def by_blocks(options: PruneOptions, scene: Scene, enlarged: float) -> Views:
 def large(options: PruneOptions, scene: Scene, enlarged: float) -> Views:
     """Of `svrgs large`: all of a dataset or of a file of cameras, or else placed ones. Raises SceneError,
     FormatError."""
-    if options.colmap is not None:
+    if options.data is not None:
         return Views(*of_dataset(options, scene), [], {})
     if options.cameras is not None:
         cameras = load_cameras(options.cameras)

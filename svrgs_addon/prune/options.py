@@ -46,7 +46,7 @@ ENGINES = ("native", "torch")
 class DatasetOptions:
     """Options of commands that measure a scene on photographs."""
 
-    colmap: Path | None = option(
+    data: Path | None = option(
         PATH,
         None,
         "folder of the dataset (COLMAP or Nerfstudio): photographs, and a COLMAP model or transforms.json",

@@ -82,7 +82,7 @@ def plan_of_pruning(options: PruneOptions) -> Plan:
 def method_of(options: TuningOptions) -> Method:
     """The method of options.method and options.paper. Raises SceneError if it does not exist."""
     # quicker and better than removals, on the splat's own pictures
-    merges = options.colmap is None and (options.target or options.target_count)
+    merges = options.data is None and (options.target or options.target_count)
     method = method_named(options.method or ("merge" if merges else DEFAULT))
     if options.paper and options.method != "svr":
         raise SceneError(
@@ -94,7 +94,7 @@ def method_of(options: TuningOptions) -> Method:
 def dataset_of_pruning(options: PruneOptions, scene: Scene) -> Dataset:
     """The dataset of the options; without one, views of the scene itself, which the dataset keeps. Raises
     SceneError, FormatError."""
-    if options.colmap is not None:
+    if options.data is not None:
         return dataset_of(options)
     train, test, notes, facts = without_photographs(options, scene)
     return RenderedDataset.of(
@@ -110,9 +110,9 @@ def dataset_of_pruning(options: PruneOptions, scene: Scene) -> Dataset:
 
 def dataset_of(options: DatasetOptions, need_points: bool = False) -> Dataset:
     """The dataset of the options. Raises SceneError, FormatError."""
-    assert options.colmap is not None
+    assert options.data is not None
     return load_dataset(
-        options.colmap,
+        options.data,
         options.images or None,
         holdout=options.holdout,
         background=options.background,

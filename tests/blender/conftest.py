@@ -4,6 +4,7 @@ without anything in it."""
 from __future__ import annotations
 
 import os
+import re
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,15 +18,30 @@ from job_helpers import SHORT, follow, set_up
 from svrgs_bench import scenes
 
 KINDS = ("objects", "meshes", "pointclouds", "cameras", "images", "collections")
+# of the installed extension: jobs of tiny splats then take a fraction of the time
+SMALLER = {
+    "svrgs_addon/prune/job_views.py": {"QUICK_SIDE": 128},
+    "svrgs_addon/views/rig/place.py": {
+        "FIRST": 12, "SECOND": 4, "MIN_CHOSEN": 8, "MAX_CHOSEN": 12, "USUAL_VIEWS": 16, "SCORED": 128,
+    },
+}  # fmt: skip
 
 
 @pytest.fixture(scope="session", autouse=True)
 def installed() -> Path:
-    """Folder of the extension, installed and enabled by Blender itself."""
+    """Folder of the extension, installed and enabled by Blender itself. Its jobs have fewer and smaller views
+    than those of users."""
     bpy.ops.extensions.package_install_files(
         filepath=os.environ["SVRGS_TEST_ZIP"], repo="user_default", enable_on_install=True
     )
-    return Path(sys.modules[PACKAGE].__file__).parent
+    folder = Path(sys.modules[PACKAGE].__file__).parent
+    for file, limits in SMALLER.items():
+        text = (folder / file).read_text()
+        for name, value in limits.items():
+            assert re.search(rf"^(\w+, )*{name}(, \w+)* = ", text, re.MULTILINE), (file, name)
+            text += f"{name} = {value}\n"
+        (folder / file).write_text(text)
+    return folder
 
 
 @pytest.fixture(autouse=True)
@@ -196,7 +212,7 @@ def splat(tmp_path):
     """The tiny splat, active, with settings for its dataset and a folder for its jobs."""
     bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
     settings = bpy.context.scene.svrgs_prune
-    settings.colmap, settings.folder = str(DATA / "tiny"), str(tmp_path / "jobs")
+    settings.data, settings.folder = str(DATA / "tiny"), str(tmp_path / "jobs")
     return bpy.context.object
 
 

@@ -149,6 +149,6 @@ def test_every_view_layer_hides_the_original(splat, watch, results):
 
 
 def test_the_operator_for_scripts_hides_with_the_eye(splat):
-    bpy.ops.svrgs.prune(colmap=bpy.context.scene.svrgs_prune.colmap, iterations=5, recovery=0, target=0.5)
+    bpy.ops.svrgs.prune(data=bpy.context.scene.svrgs_prune.data, iterations=5, recovery=0, target=0.5)
     assert hidden(splat) and not hidden(bpy.context.object) and "Pruned from 'scene'" in drawn("prune")
     assert part("operators.jobs.job_result").pair_of(bpy.context.object) == (splat, bpy.context.object)

@@ -35,7 +35,7 @@ def root() -> bpy.types.Object:
 
 
 def test_the_panel_says_that_cameras_are_of_another_capture(splat, match, make_scene, bridge):
-    bpy.context.scene.svrgs_prune.colmap = ""
+    bpy.context.scene.svrgs_prune.data = ""
     bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
     assert match.check(bpy.context) == "" and "another capture" not in drawn("prune")
     other = other_splat(make_scene, bridge)
@@ -95,7 +95,7 @@ def test_the_check_runs_beside_blender(splat, match, monkeypatch):
     work, known = part("operators.data.background_work"), part("operators.data.known").of(splat)
     monkeypatch.setattr(work, "waits", False)
     monkeypatch.setattr(match, "_mismatch", lambda *_: "of another capture")
-    bpy.context.scene.svrgs_prune.colmap = str(DATA / "tiny")
+    bpy.context.scene.svrgs_prune.data = str(DATA / "tiny")
     assert match.sentence(bpy.context) == "" and not known.cameras_checked[0]
     while work.tick() is not None:
         assert match.sentence(bpy.context) in ("", "of another capture")

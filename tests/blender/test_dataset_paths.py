@@ -17,7 +17,7 @@ def project(tmp_path, watch):
     """A folder with a dataset and, unsaved yet, a splat with its cameras."""
     folder = tmp_path / "project"
     shutil.copytree(DATA / "tiny", folder / "data")
-    for name in ("colmap", "folder", "images"):
+    for name in ("data", "folder", "images"):
         bpy.context.scene.svrgs_prune.property_unset(name)
     bpy.ops.wm.read_homefile(use_empty=True)
     bpy.ops.svrgs.import_ply(filepath=str(folder / "data/scene.ply"))
@@ -57,10 +57,10 @@ def select_splat():
 
 
 def test_a_project_that_is_moved_keeps_its_photographs(project, tmp_path):
-    bpy.context.scene.svrgs_prune.colmap = str(project / "data")
+    bpy.context.scene.svrgs_prune.data = str(project / "data")
     save(project / "work.blend")
     settings = bpy.context.scene.svrgs_prune
-    assert root()["svrgs_dataset"] == settings.colmap == "//data" and all(
+    assert root()["svrgs_dataset"] == settings.data == "//data" and all(
         image.filepath.startswith("//data") for image in bpy.data.images if image.filepath
     )
     bpy.ops.wm.read_homefile(use_empty=True)
@@ -69,7 +69,7 @@ def test_a_project_that_is_moved_keeps_its_photographs(project, tmp_path):
     bpy.ops.wm.open_mainfile(filepath=str(moved / "work.blend"))
     select_splat()
     assert dataset() == moved / "data" and photographs() == {moved / "data/images"}
-    bpy.context.scene.svrgs_prune.colmap = ""
+    bpy.context.scene.svrgs_prune.data = ""
     assert dataset() == moved / "data" and bpy.ops.svrgs.job_start.poll() and bpy.ops.svrgs.estimate.poll()
 
 
@@ -86,7 +86,7 @@ def test_cameras_imported_into_a_saved_file_have_relative_paths_at_once(project)
 @pytest.mark.parametrize("copy", [False, True])
 def test_saving_in_another_folder_keeps_the_dataset(project, tmp_path, copy):
     settings = bpy.context.scene.svrgs_prune
-    settings.colmap = str(project / "data")
+    settings.data = str(project / "data")
     save(project / "work.blend")
     settings.folder = "//jobs"
     save(tmp_path / "elsewhere/deep/work.blend", copy=copy)
@@ -96,7 +96,7 @@ def test_saving_in_another_folder_keeps_the_dataset(project, tmp_path, copy):
     select_splat()
     assert dataset() == project / "data" and photographs() == {project / "data/images"}
     assert Path(bpy.path.abspath(bpy.context.scene.svrgs_prune.folder)).resolve() == project / "jobs"
-    bpy.context.scene.svrgs_prune.colmap = ""
+    bpy.context.scene.svrgs_prune.data = ""
     assert dataset() == project / "data"
 
 
@@ -186,7 +186,7 @@ def test_photographs_in_another_folder_of_the_dataset_are_found_by_their_names(p
 
 def test_a_chosen_dataset_that_does_not_exist_disables_the_buttons(project):
     select_splat()
-    bpy.context.scene.svrgs_prune.colmap = "/nowhere"
+    bpy.context.scene.svrgs_prune.data = "/nowhere"
     for operator in (bpy.ops.svrgs.job_start, bpy.ops.svrgs.estimate):
         with pytest.raises(RuntimeError, match="There is no dataset /nowhere: choose it again"):
             operator()
@@ -216,7 +216,7 @@ def test_a_project_that_is_moved_keeps_its_job(project, tmp_path, watch, results
     assert job.state == "stopped" and job.folder.path.parent == tmp_path / "moved/svrgs_jobs"
     bpy.ops.svrgs.job_resume()
     follow(watch, lambda: results.pruned_of(bpy.data.objects["scene"]))
-    assert job.folder.request()["options"]["colmap"] == str(tmp_path / "moved/data")
+    assert job.folder.request()["options"]["data"] == str(tmp_path / "moved/data")
 
 
 def test_saving_while_a_job_runs_keeps_it(project, tmp_path, watch, results):
@@ -235,7 +235,7 @@ def test_saving_while_a_job_runs_keeps_it(project, tmp_path, watch, results):
 
 
 def test_a_job_without_its_dataset_says_so(lost, watch, project):
-    bpy.context.scene.svrgs_prune.colmap = str(lost)
+    bpy.context.scene.svrgs_prune.data = str(lost)
     set_up(LONG)
     bpy.ops.svrgs.job_start()
     (job,) = watch.jobs.values()
@@ -244,7 +244,7 @@ def test_a_job_without_its_dataset_says_so(lost, watch, project):
     shutil.move(lost, project / "gone")
     with pytest.raises(RuntimeError, match=f"{lost}: the dataset of this job is not there"):
         bpy.ops.svrgs.job_resume()
-    bpy.context.scene.svrgs_prune.colmap = str(project / "gone")
+    bpy.context.scene.svrgs_prune.data = str(project / "gone")
     bpy.ops.svrgs.job_resume()
     assert job.running
 
@@ -261,7 +261,7 @@ def test_a_job_without_its_splat_does_not_take_the_dataset_of_another_one(projec
     shutil.copytree(DATA / "tiny", tmp_path / "other")
     bpy.ops.svrgs.import_ply(filepath=str(tmp_path / "other/scene.ply"))
     bpy.ops.svrgs.import_colmap(directory=str(tmp_path / "other"))
-    bpy.context.scene.svrgs_prune.colmap = str(tmp_path / "other")
+    bpy.context.scene.svrgs_prune.data = str(tmp_path / "other")
     with pytest.raises(RuntimeError, match="the dataset of this job is not there"):
         bpy.ops.svrgs.job_resume(folder=str(job.folder.path))
-    assert job.folder.request()["options"]["colmap"] == str(project / "data")
+    assert job.folder.request()["options"]["data"] == str(project / "data")

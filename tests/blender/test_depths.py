@@ -13,7 +13,7 @@ from job_helpers import drawn, ended, follow, set_up
 @pytest.fixture
 def splat(splat):
     """A splat without photographs."""
-    bpy.context.scene.svrgs_prune.colmap = ""
+    bpy.context.scene.svrgs_prune.data = ""
     return splat
 
 
@@ -31,11 +31,11 @@ def run(watch) -> bpy.types.Object:
 
 def test_without_photographs_the_choice_is_quick_and_with_them_they_are_chosen(splat):
     settings = bpy.context.scene.svrgs_prune
-    assert settings.depth == "QUICK" and "colmap" not in drawn("prune") and bpy.ops.svrgs.job_start.poll()
-    settings.colmap = str(DATA / "tiny")
-    assert settings.depth == "PHOTOGRAPHS" and "colmap" in drawn("prune")
+    assert settings.depth == "QUICK" and "data" not in drawn("prune") and bpy.ops.svrgs.job_start.poll()
+    settings.data = str(DATA / "tiny")
+    assert settings.depth == "PHOTOGRAPHS" and "data" in drawn("prune")
     settings.depth = "TUNED"
-    settings.colmap = ""
+    settings.data = ""
     assert settings.depth == "TUNED"
     settings.depth = "PHOTOGRAPHS"
     assert not bpy.ops.svrgs.job_start.poll() and "Choose the dataset of the splat's photographs" in said()

@@ -18,7 +18,7 @@ def said() -> str:
 def test_an_estimate_is_shown_only_beside_what_it_was_made_for(bridge):
     bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
     splat, settings = bpy.context.object, bpy.context.scene.svrgs_prune
-    settings.colmap = str(DATA / "tiny")
+    settings.data = str(DATA / "tiny")
     settings.goal, settings.method = "LAMBDA", "removal"
     bpy.ops.svrgs.estimate()
     for name, other in (("method", "maskgs"), ("goal", "SHARE"), ("lambda_f", 1e-5), ("recovery", 7)):
@@ -35,7 +35,7 @@ def test_an_estimate_is_shown_only_beside_what_it_was_made_for(bridge):
 def test_it_says_how_good_the_result_would_be():
     bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
     splat, settings = bpy.context.object, bpy.context.scene.svrgs_prune
-    settings.colmap = str(DATA / "tiny")
+    settings.data = str(DATA / "tiny")
     settings.method, settings.goal, settings.share = "removal", "SHARE", 20
     bpy.ops.svrgs.estimate()
     found = part("operators.jobs.estimate").of(splat)
@@ -53,7 +53,7 @@ def test_it_says_how_good_the_result_would_be():
 def test_a_limit_of_time_chooses_the_steps():
     bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
     splat, settings = bpy.context.object, bpy.context.scene.svrgs_prune
-    settings.colmap = str(DATA / "tiny")
+    settings.data = str(DATA / "tiny")
     settings.method, settings.goal, settings.share = "removal", "SHARE", 20
     assert "use_time" in drawn("prune") and not re.search(r"\btime\b", drawn("prune"))
     bpy.ops.svrgs.estimate()
@@ -74,7 +74,7 @@ MISSING = "1 of 12 photographs are missing: 05.png; the other 11 are used"
 def test_missing_photographs_are_said_beside_the_estimate_and_while_a_job_runs(splat, watch, tmp_path):
     shutil.copytree(DATA / "tiny", tmp_path / "data")
     (tmp_path / "data/images/05.png").unlink()
-    set_up(LONG | {"colmap": str(tmp_path / "data"), "method": "removal"})
+    set_up(LONG | {"data": str(tmp_path / "data"), "method": "removal"})
     bpy.ops.svrgs.estimate()
     assert "would stay" in said() and MISSING in said()
     bpy.ops.svrgs.job_start()

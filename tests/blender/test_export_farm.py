@@ -58,7 +58,7 @@ def test_a_farm_prunes_as_the_panel_would(splat, bridge, watch, tmp_path):
 def test_every_selected_splat_is_a_task_with_its_photographs(splat, tmp_path):
     set_up(
         {
-            "colmap": str(DATA / "tiny"),
+            "data": str(DATA / "tiny"),
             "depth": "PHOTOGRAPHS",
             "goal": "SHARE",
             "share": 30,
@@ -71,7 +71,7 @@ def test_every_selected_splat_is_a_task_with_its_photographs(splat, tmp_path):
     assert export(tmp_path / "job") == {"FINISHED"}
     contents = json.loads((tmp_path / "job/job.json").read_text())
     assert contents["root"] == str(DATA / "tiny") and [
-        task["options"]["colmap"] for task in contents["tasks"]
+        task["options"]["data"] for task in contents["tasks"]
     ] == [".", "."]
     assert run(tmp_path / "job") == 0 and len(list((tmp_path / "job/results").glob("*.ply"))) == 2
 
@@ -80,7 +80,7 @@ def test_a_worker_may_have_job_and_photographs_elsewhere(splat, tmp_path):
     shutil.copytree(DATA / "tiny", tmp_path / "here/tiny")
     set_up(
         {
-            "colmap": str(tmp_path / "here/tiny"),
+            "data": str(tmp_path / "here/tiny"),
             "depth": "PHOTOGRAPHS",
             "goal": "SHARE",
             "share": 30,

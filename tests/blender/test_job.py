@@ -250,7 +250,7 @@ def test_a_splat_edited_meanwhile_is_told_from_the_one_pruned(splat, watch, brid
 
 
 def test_without_a_dataset_the_button_says_what_to_do(splat):
-    bpy.context.scene.svrgs_prune.colmap, bpy.context.scene.svrgs_prune.depth = "", "PHOTOGRAPHS"
+    bpy.context.scene.svrgs_prune.data, bpy.context.scene.svrgs_prune.depth = "", "PHOTOGRAPHS"
     with pytest.raises(RuntimeError, match="Choose the dataset"):
         bpy.ops.svrgs.job_start()
     bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
@@ -357,7 +357,7 @@ def test_the_estimate_comes_before_anything_runs_and_soon(splat, capfd):
 
 
 def test_an_estimate_that_cannot_be_made_says_why(splat):
-    bpy.context.scene.svrgs_prune.colmap = str(DATA)
+    bpy.context.scene.svrgs_prune.data = str(DATA)
     with pytest.raises(RuntimeError, match=f"{DATA}: holds no COLMAP model"):
         bpy.ops.svrgs.estimate()
 
@@ -368,9 +368,9 @@ def test_the_panel_draws_in_any_state(tmp_path, watch, monkeypatch):
     assert "Select a splat" in drawn("prune")
     bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
     splat = bpy.context.object
-    bpy.context.scene.svrgs_prune.colmap, bpy.context.scene.svrgs_prune.depth = "", "PHOTOGRAPHS"
+    bpy.context.scene.svrgs_prune.data, bpy.context.scene.svrgs_prune.depth = "", "PHOTOGRAPHS"
     assert "Choose the dataset" in drawn("prune") and "250 Gaussians" in drawn("export")
-    set_up(LONG | {"method": "removal", "colmap": str(DATA / "tiny"), "folder": str(tmp_path / "jobs")})
+    set_up(LONG | {"method": "removal", "data": str(DATA / "tiny"), "folder": str(tmp_path / "jobs")})
     for goal in ("LAMBDA", "SHARE", "COUNT", "SIZE"):
         bpy.context.scene.svrgs_prune.goal = goal
         assert "svrgs.job_start" in drawn("prune") and "svrgs.estimate" in drawn("prune")

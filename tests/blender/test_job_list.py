@@ -44,7 +44,7 @@ def new_file():
     """File > New."""
     folder = bpy.context.scene.svrgs_prune.folder
     bpy.ops.wm.read_homefile(use_empty=True)
-    bpy.context.scene.svrgs_prune.folder, bpy.context.scene.svrgs_prune.colmap = folder, str(DATA / "tiny")
+    bpy.context.scene.svrgs_prune.folder, bpy.context.scene.svrgs_prune.data = folder, str(DATA / "tiny")
 
 
 def import_again() -> bpy.types.Object:

@@ -169,7 +169,7 @@ def test_a_linked_splat_is_not_pruned_in_vain(linked):
         with pytest.raises(RuntimeError, match="is linked from another file: make it local first"):
             operator()
     with pytest.raises(RuntimeError, match="is linked from another file: make it local first"):
-        bpy.ops.svrgs.prune(colmap=str(DATA / "tiny"), iterations=5, recovery=0)
+        bpy.ops.svrgs.prune(data=str(DATA / "tiny"), iterations=5, recovery=0)
     assert list(bpy.data.objects) == [linked] and "make it local first" in drawn("prune")
 
 

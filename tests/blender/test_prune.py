@@ -31,7 +31,7 @@ def from_a_shell(tmp_path_factory) -> tuple[dict, bytes]:
         "svrgs_addon",
         "prune",
         DATA / "tiny/scene.ply",
-        "--colmap",
+        "--data",
         DATA / "tiny",
         *words,
         "--out",
@@ -51,7 +51,7 @@ def test_pruning_the_active_splat_is_the_job_of_the_command_line(from_a_shell, b
     bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
     source = bpy.context.object
     bpy.ops.svrgs.prune(
-        colmap=str(DATA / "tiny"),
+        data=str(DATA / "tiny"),
         out=str(tmp_path / "out.ply"),
         report_folder=str(tmp_path / "report"),
         **SHORT,
@@ -91,7 +91,7 @@ def test_photographs_imported_beside_the_splat_need_not_be_named(from_a_shell, b
 
 def test_pruning_a_file_needs_no_object(from_a_shell, bridge, tmp_path):
     bpy.ops.svrgs.prune(
-        scene=str(DATA / "tiny/scene.ply"), colmap=str(DATA / "tiny"), out=str(tmp_path / "out.ply"), **SHORT
+        scene=str(DATA / "tiny/scene.ply"), data=str(DATA / "tiny"), out=str(tmp_path / "out.ply"), **SHORT
     )
     assert bridge.count(bpy.context.object) == from_a_shell[0]["count"]
 
@@ -119,7 +119,7 @@ def unsaved():
 
 @pytest.mark.filterwarnings("error")  # Blender warns of a property that is not made for paths with //
 def test_in_background_the_result_lies_beside_the_blend(from_a_shell, saved, capfd):
-    bpy.ops.svrgs.prune(colmap="//data", report_folder="//report", **SHORT)
+    bpy.ops.svrgs.prune(data="//data", report_folder="//report", **SHORT)
     (result,) = json_lines(capfd.readouterr().out)
     assert result["out"] == str(saved / "tiny_001_pruned.ply") and result["scene"] == str(
         saved / "work.blend"
@@ -129,7 +129,7 @@ def test_in_background_the_result_lies_beside_the_blend(from_a_shell, saved, cap
 
 def test_in_background_the_result_of_a_file_lies_beside_it(from_a_shell, unsaved, tmp_path, capfd):
     scene = shutil.copy(DATA / "tiny/scene.ply", tmp_path / "a.ply")
-    bpy.ops.svrgs.prune(scene=str(scene), colmap=str(DATA / "tiny"), **SHORT)
+    bpy.ops.svrgs.prune(scene=str(scene), data=str(DATA / "tiny"), **SHORT)
     (result,) = json_lines(capfd.readouterr().out)
     assert (result["scene"], result["out"]) == (str(scene), str(tmp_path / "a_pruned.ply"))
     assert (tmp_path / "a_pruned.ply").read_bytes() == from_a_shell[1]
@@ -142,9 +142,9 @@ def test_an_existing_file_is_only_replaced_when_told(saved):
             RuntimeError,
             match=f"{name}: exists; name another output with out=, or replace it with overwrite=True",
         ):
-            bpy.ops.svrgs.prune(colmap="//data", **SHORT, **more)
+            bpy.ops.svrgs.prune(data="//data", **SHORT, **more)
         assert (saved / name).read_text() == "a day's work" and len(bpy.data.objects) == 1
-    bpy.ops.svrgs.prune(colmap="//data", overwrite=True, out="//mine.ply", **SHORT)
+    bpy.ops.svrgs.prune(data="//data", overwrite=True, out="//mine.ply", **SHORT)
     assert (saved / "mine.ply").read_bytes()[:3] == b"ply"
 
 
@@ -153,9 +153,9 @@ def test_a_link_is_only_written_through_when_it_is_named(saved):
     with pytest.raises(
         RuntimeError, match=r"tiny_001_pruned.ply: is a link to .*elsewhere.ply; name the output with out="
     ):
-        bpy.ops.svrgs.prune(colmap="//data", overwrite=True, **SHORT)
+        bpy.ops.svrgs.prune(data="//data", overwrite=True, **SHORT)
     assert not (saved / "elsewhere.ply").exists()
-    bpy.ops.svrgs.prune(colmap="//data", out="//tiny_001_pruned.ply", **SHORT)
+    bpy.ops.svrgs.prune(data="//data", out="//tiny_001_pruned.ply", **SHORT)
     assert (saved / "elsewhere.ply").exists() and (saved / "tiny_001_pruned.ply").is_symlink()
 
 
@@ -171,7 +171,7 @@ def test_a_link_is_only_written_through_when_it_is_named(saved):
         ),
         ({"out": "//a.ply"}, "//a.ply: begins at the folder of the .blend, which has not been saved"),
         (
-            {"out": "/nowhere/a.ply", "colmap": "//tiny"},
+            {"out": "/nowhere/a.ply", "data": "//tiny"},
             "//tiny: begins at the folder of the .blend, which has not been saved",
         ),
         ({"out": "/tmp"}, "/tmp: is a folder; give the name of a file"),
@@ -180,13 +180,13 @@ def test_a_link_is_only_written_through_when_it_is_named(saved):
 )
 def test_an_output_without_a_place_is_refused_in_a_sentence(unsaved, more, sentence):
     with pytest.raises(RuntimeError, match=f"^Error: {sentence}"):
-        bpy.ops.svrgs.prune(**{"colmap": str(DATA / "tiny")} | more, **SHORT)
+        bpy.ops.svrgs.prune(**{"data": str(DATA / "tiny")} | more, **SHORT)
     assert len(bpy.data.objects) == 1
 
 
 def test_with_a_window_the_result_is_in_the_scene_alone(saved, bridge, capfd, monkeypatch):
     monkeypatch.setattr(part("operators.jobs.prune"), "BACKGROUND", False)
-    bpy.ops.svrgs.prune(colmap="//data", **SHORT)
+    bpy.ops.svrgs.prune(data="//data", **SHORT)
     (result,) = json_lines(capfd.readouterr().out)
     assert result["out"] is None and bridge.count(bpy.context.object) == 125
     assert sorted(path.name for path in saved.iterdir()) == ["data", "work.blend"]
@@ -199,38 +199,38 @@ def test_with_a_window_the_result_is_in_the_scene_alone(saved, bridge, capfd, mo
     "options, sentence",
     [
         ({"seen_from_only": True}, "name them with --seen-from"),
-        ({"colmap": "/nowhere"}, "/nowhere: holds no COLMAP model"),
+        ({"data": "/nowhere"}, "/nowhere: holds no COLMAP model"),
         ({"scene": "/nowhere.ply"}, "there is no such file"),
     ],
 )
 def test_what_cannot_be_pruned_is_said_in_a_sentence(options, sentence, tmp_path):
     bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
-    options = {"colmap": str(DATA / "tiny"), **options} if "scene" in options else options
+    options = {"data": str(DATA / "tiny"), **options} if "scene" in options else options
     with pytest.raises(RuntimeError, match=sentence):
         bpy.ops.svrgs.prune(out=str(tmp_path / "out.ply"), **SHORT, **options)
     assert len(bpy.data.objects) == 1
 
 
 def test_a_drop_is_the_option_of_the_command_line(capfd, tmp_path):
-    colmap, out = str(DATA / "tiny"), str(tmp_path / "out.ply")
+    data, out = str(DATA / "tiny"), str(tmp_path / "out.ply")
     bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
     with pytest.raises(RuntimeError, match="method 'opacity' cannot take --max-drop"):
-        bpy.ops.svrgs.prune(colmap=colmap, out=out, max_drop=0.5, method="opacity")
+        bpy.ops.svrgs.prune(data=data, out=out, max_drop=0.5, method="opacity")
     with pytest.raises(RuntimeError, match="not allowed with"):
-        bpy.ops.svrgs.prune(colmap=colmap, out=out, max_drop=0.5, target=0.5)
-    bpy.ops.svrgs.prune(colmap=colmap, out=out, max_drop=0.5, iterations=300, recovery=0)
+        bpy.ops.svrgs.prune(data=data, out=out, max_drop=0.5, target=0.5)
+    bpy.ops.svrgs.prune(data=data, out=out, max_drop=0.5, iterations=300, recovery=0)
     (result,) = json_lines(capfd.readouterr().out)
     assert result["count"] < 250
 
 
 def test_a_limit_of_time_is_the_option_of_the_command_line(capfd, tmp_path):
-    colmap, out = str(DATA / "tiny"), str(tmp_path / "out.ply")
+    data, out = str(DATA / "tiny"), str(tmp_path / "out.ply")
     bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
     with pytest.raises(
         RuntimeError, match="--time chooses the number of steps itself: leave out --iterations"
     ):
-        bpy.ops.svrgs.prune(colmap=colmap, out=out, time=600, iterations=20)
-    bpy.ops.svrgs.prune(colmap=colmap, out=out, time=600, method="opacity", target=0.5)
+        bpy.ops.svrgs.prune(data=data, out=out, time=600, iterations=20)
+    bpy.ops.svrgs.prune(data=data, out=out, time=600, method="opacity", target=0.5)
     (result,) = json_lines(capfd.readouterr().out)
     assert result["time"]["asked"] == 600 and result["iterations"] == round(
         5_000 * result["time"]["schedule"]
@@ -239,7 +239,7 @@ def test_a_limit_of_time_is_the_option_of_the_command_line(capfd, tmp_path):
 
 def test_pruning_without_a_splat_says_so():
     with pytest.raises(RuntimeError, match="there is no object"):
-        bpy.ops.svrgs.prune(colmap=str(DATA / "tiny"))
+        bpy.ops.svrgs.prune(data=str(DATA / "tiny"))
 
 
 def test_the_command_line_of_blender_is_the_products(capfd):
@@ -264,7 +264,7 @@ def test_figures_that_cannot_be_compared_are_left_out(capfd, monkeypatch, tmp_pa
     ask = child.ask
     monkeypatch.setattr(child, "ask", lambda words: ask(words) | {"psnr": None})
     bpy.ops.svrgs.prune(
-        scene=str(DATA / "tiny/scene.ply"), colmap=str(DATA / "tiny"), out=str(tmp_path / "out.ply"), **SHORT
+        scene=str(DATA / "tiny/scene.ply"), data=str(DATA / "tiny"), out=str(tmp_path / "out.ply"), **SHORT
     )
     assert (
         "Kept 125 of 250 Gaussians\n" in capfd.readouterr().out and bpy.context.object.name == "scene pruned"

@@ -16,7 +16,7 @@ from job_helpers import drawn, ended, follow, set_up
 @pytest.fixture
 def splat(splat):
     """A splat without photographs."""
-    bpy.context.scene.svrgs_prune.colmap = ""
+    bpy.context.scene.svrgs_prune.data = ""
     return splat
 
 

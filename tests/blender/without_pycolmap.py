@@ -51,5 +51,5 @@ def test_a_colmap_model_is_refused_with_what_to_do(room, tmp_path):
     ):
         bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
     with pytest.raises(RuntimeError, match="pip install pycolmap"):
-        bpy.ops.svrgs.prune(colmap=str(DATA / "tiny"), out=str(tmp_path / "pruned.ply"), **SHORT)
+        bpy.ops.svrgs.prune(data=str(DATA / "tiny"), out=str(tmp_path / "pruned.ply"), **SHORT)
     assert not (tmp_path / "pruned.ply").exists()

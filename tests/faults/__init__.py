@@ -166,7 +166,7 @@ def kill_blocks(splat: Path, dataset: Path, folder: Path, kills: int, seed: int 
         "large",
         "prune",
         splat,
-        "--colmap",
+        "--data",
         dataset,
         "--method",
         "removal",

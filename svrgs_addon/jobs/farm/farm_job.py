@@ -40,7 +40,7 @@ SCHEMA, JOB, RESULTS, CAPTURES = 1, "job.json", "results", "captures"  # capture
 LARGEST = 1 << 24  # bytes of job.json, and of a result
 NAME = re.compile(r"\w[\w.+ -]{0,200}")
 OWN = "{job}/"  # begins a path within the folder of the job
-INSIDE = ("colmap", "cameras")  # options with a path that may lie in the root
+INSIDE = ("data", "cameras")  # options with a path that may lie in the root
 # options that are not of a farm: it resumes by itself, and one machine's seconds are not another's
 LEFT_OUT = ("resume", "quiet", "time")
 
@@ -162,7 +162,7 @@ def tasks_of(
     tasks = []
     for name, scene, dataset in scenes:
         for way in ways:
-            placed = {"colmap": relative(root, dataset)} if dataset else {}
+            placed = {"data": relative(root, dataset)} if dataset else {}
             title = "-".join(
                 [
                     name,

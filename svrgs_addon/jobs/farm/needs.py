@@ -20,12 +20,12 @@ def memory_of(options: PruneOptions) -> int:
     assert options.scene is not None
     facts = describe(options.scene)
     count, coefficients = facts["count"], SH_COEFFICIENTS[facts["sh_degree"]]
-    if options.colmap:
+    if options.data:
         cameras = load_dataset(
-            options.colmap, options.images or None, holdout=options.holdout, cameras_only=True
+            options.data, options.images or None, holdout=options.holdout, cameras_only=True
         ).cameras
     else:
         cameras = PLACED * [Camera(np.eye(4), np.diag([SIDE, SIDE, 1.0]), SIDE, SIDE)]
     tuned = memory.tuning(count, coefficients, cameras, int(options.image_memory * 1e9))
-    merged = 0 if options.colmap and not options.quick else memory.decimating(count, coefficients, cameras)
+    merged = 0 if options.data and not options.quick else memory.decimating(count, coefficients, cameras)
     return PROGRAM + max(tuned, merged, memory.reading(size_on_disk(options.scene)))

@@ -53,7 +53,7 @@ def _run(job: FarmJob, task: Task, messages: Messages) -> dict[str, Any]:
     assert options.scene is not None
     inputs = {
         "scene_sha256": scene_sha256(options.scene),
-        "dataset_sha256": dataset_sha256(options.colmap, options.images),
+        "dataset_sha256": dataset_sha256(options.data, options.images),
     }
     if (
         done

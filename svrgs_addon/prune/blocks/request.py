@@ -35,7 +35,7 @@ class Request:
     """A dataset, a method and its settings, as the options of `svrgs prune` with these names. F counts up to
     where the colours of a ray stop, because a block does not know what is hidden behind others."""
 
-    colmap: str
+    data: str
     method: str
     iterations: int
     recovery: int
@@ -74,14 +74,14 @@ class Request:
     def dataset(self) -> Dataset:
         """Raises SceneError, FormatError."""
         found = load_dataset(
-            self.colmap,
+            self.data,
             self.images or None,
             holdout=self.holdout,
             background=self.background,
             memory_budget=int(self.image_memory * 1e9),
         )
         if not found.photos:
-            raise SceneError(f"{self.colmap}: has no photographs, which the method '{self.method}' needs")
+            raise SceneError(f"{self.data}: has no photographs, which the method '{self.method}' needs")
         check_training(found.train_indices)
         return found
 

@@ -66,6 +66,7 @@ class Tuned:
         self.plan, self.job, self.seconds = plan, job, seconds
         self.clock, self.room = Clock(), DiskRoom(job.out, job.folder)
         self.held = 0.0  # PSNR in dB from which an allowed drop counts
+        self.notes: list[str] = []  # sentences that the user must see, besides those of the dataset
 
     def further_files(self) -> list[Path]:
         return [self.job.folder / "manifest.json"]
@@ -83,7 +84,7 @@ class Tuned:
         else:
             checkpoint.delete_all(job.folder)
             remove_blocks(job.out)
-        job.begin(run)
+        job.begin(run, self.all_notes())
 
         def save():
             with self.room.for_checkpoint(run.model.count):
@@ -112,6 +113,9 @@ class Tuned:
             "bytes": size_on_disk(path),
         }
 
+    def all_notes(self) -> list[str]:
+        return [*self.dataset.notes, *self.notes]
+
     def facts(self) -> dict[str, Any]:
         """The keys of the JSON result that describe the run, not the quality of the scene."""
         run, plan = self.run, self.run.plan
@@ -133,7 +137,7 @@ class Tuned:
             "nonfinite_gradients": run.nonfinite,
             "densifications_held_back": run.held_back,
             "seed": plan.seed,
-            "notes": list(run.dataset.notes),
+            "notes": self.all_notes(),
             "curves": vars(run.curves),
         }
 
@@ -189,7 +193,9 @@ class FineTuned(Tuned):
             self.before = {"count": source.count, "bytes": size_on_disk(self.path)}
             if not isinstance(dataset, RenderedDataset):
                 self.before = self.measured(source, self.path)
-                note_mismatch(source, dataset)
+                if sentence := mismatch_of(source, dataset):
+                    logging.warning("%s", sentence)
+                    self.notes.append(sentence)
             self.pictures = report_pictures(source, dataset, Rasterizer()) if job.report else []
         with self.clock.phase("first cut"):
             self.held, self.allowed = psnr_to_hold(source, dataset, self.plan), self.plan.max_drop
@@ -200,7 +206,7 @@ class FineTuned(Tuned):
         del self.source  # frees memory for the optimiser
         with self.clock.phase("first cut"):
             start = first_scene(source, self.dataset, self.plan)
-            self.dataset.notes += tuple(lost_columns(source, start, (*NORMALS, ROW)))
+            self.notes += lost_columns(source, start, (*NORMALS, ROW))
             # the dataset renders the source, so that the steps must not change its arrays
             shown = isinstance(self.dataset, RenderedDataset) and np.may_share_memory(
                 start.means, source.means
@@ -224,7 +230,7 @@ class FineTuned(Tuned):
             scene = read_back(job.out, self.scene)
             after = self.measured(scene, job.out)
             self.run.drop = self.held - psnr_to_hold(scene, dataset, self.plan) if self.allowed else None
-            dataset.notes += tuple(missed_drop(self.run.drop, self.allowed))
+            self.notes += missed_drop(self.run.drop, self.allowed)
         result = {
             **after,
             "scene": str(self.path),
@@ -306,13 +312,6 @@ def refuse_excess(what: str, count: int, coefficients: int, dataset: Dataset, pl
         max(needed, memory.ordering(count, coefficients, dataset.cameras)) if plan.method.merges else needed,
         advice,
     )
-
-
-def note_mismatch(scene: Scene, dataset: Dataset):
-    """Warns, and notes in the dataset, if the scene explains little of the photographs."""
-    if sentence := mismatch_of(scene, dataset):
-        logging.warning("%s", sentence)
-        dataset.notes = (*dataset.notes, sentence)
 
 
 def psnr_to_hold(scene: Scene, dataset: Dataset, plan: Plan) -> float:

@@ -53,7 +53,7 @@ STEPS, MOST_STEPS = 60, 120  # of fine-tuning, with USUAL of the Gaussians and a
 # least distance of a camera from the scene, in near depths: smaller scenes are measured enlarged
 NEAREST = 20.0
 TAKES = (  # options; others are refused
-    "colmap",
+    "data",
     "images",
     "holdout",
     "background",
@@ -94,7 +94,7 @@ class Quick:
 
     def views(self):
         options, scene = self.options, self.scene
-        self.enlarged, self.factor = (scene, 1.0) if options.colmap else _enlarged(scene)
+        self.enlarged, self.factor = (scene, 1.0) if options.data else _enlarged(scene)
         self.cameras, self.test, self.notes, _ = job_views.quick(options, self.enlarged)
 
     def check(self):
@@ -105,7 +105,7 @@ class Quick:
         options, scene, job = self.options, self.scene, self.job
         self.rasterizer, settings = Rasterizer(), render_options(scene, options.background)
         sums, self.pictures = visibility_sums(self.enlarged, self.cameras, self.rasterizer, settings)
-        if not options.colmap and (unseen := hidden(sums)) > MOST_HIDDEN * scene.count:
+        if not options.data and (unseen := hidden(sums)) > MOST_HIDDEN * scene.count:
             self.cameras, self.test, self.notes, _ = job_views.quick_within(options, self.enlarged, unseen)
             sums, self.pictures = visibility_sums(self.enlarged, self.cameras, self.rasterizer, settings)
         if job.stop():

@@ -8,7 +8,7 @@ does not have.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
@@ -64,7 +64,7 @@ class Report:
     method: str | None = None
     lambda_f: float | None = None
     lpips_missing: str = ""  # why lpips is None
-    notes: tuple[str, ...] = ()  # sentences of the dataset, such as which photographs are missing
+    notes: Sequence[str] = ()  # sentences that the user must see, such as which photographs are missing
     phases: tuple[Phase, ...] = ()
     seconds: float | None = None  # total
     iterations_per_second: float | None = None

@@ -48,7 +48,7 @@ def write_prune_report(
         method=result["method"],
         lambda_f=result["lambda_f"],
         lpips_missing=lpips_missing,
-        notes=dataset.notes,
+        notes=result["notes"],
         phases=_phases(run, result["seconds_by_phase"]),
         seconds=result["seconds"],
         iterations_per_second=result["iterations_per_second"],

@@ -76,7 +76,7 @@ class Criteria:
 class SelectOptions(Criteria):
     """Options of `svrgs select`."""
 
-    colmap: Path | None = option(
+    data: Path | None = option(
         PATH,
         None,
         "views: dataset, COLMAP model or transforms.json; photographs are not needed",
