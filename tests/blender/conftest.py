@@ -22,8 +22,9 @@ KINDS = ("objects", "meshes", "pointclouds", "cameras", "images", "collections")
 SMALLER = {
     "svrgs_addon/prune/job_views.py": {"QUICK_SIDE": 128},
     "svrgs_addon/views/rig/place.py": {
-        "FIRST": 12, "SECOND": 4, "MIN_CHOSEN": 8, "MAX_CHOSEN": 12, "USUAL_VIEWS": 16, "SCORED": 128,
+        "FIRST": 12, "SECOND": 4, "MIN_CHOSEN": 8, "MAX_CHOSEN": 12, "USUAL_VIEWS": 16, "OUTSIDE": 8,
     },
+    "svrgs_addon/views/rig/viewpoints.py": {"SMALLEST": 128, "LARGEST": 128},
 }  # fmt: skip
 
 
@@ -31,16 +32,15 @@ SMALLER = {
 def installed() -> Path:
     """Folder of the extension, installed and enabled by Blender itself. Its jobs have fewer and smaller views
     than those of users."""
-    bpy.ops.extensions.package_install_files(
-        filepath=os.environ["SVRGS_TEST_ZIP"], repo="user_default", enable_on_install=True
-    )
-    folder = Path(sys.modules[PACKAGE].__file__).parent
+    bpy.ops.extensions.package_install_files(filepath=os.environ["SVRGS_TEST_ZIP"], repo="user_default")
+    folder = Path(bpy.utils.user_resource("EXTENSIONS", path="user_default/svrgs"))
     for file, limits in SMALLER.items():
         text = (folder / file).read_text()
         for name, value in limits.items():
             assert re.search(rf"^(\w+, )*{name}(, \w+)* = ", text, re.MULTILINE), (file, name)
             text += f"{name} = {value}\n"
         (folder / file).write_text(text)
+    bpy.ops.preferences.addon_enable(module=PACKAGE)
     return folder
 
 

@@ -113,7 +113,7 @@ def test_an_original_with_a_running_job_is_not_discarded(pruned, watch):
     original, result = pruned
     bpy.ops.svrgs.apply()
     bpy.context.view_layer.objects.active = original
-    set_up(SHORT | {"iterations": 2000})
+    set_up(SHORT | {"iterations": 800})
     bpy.ops.svrgs.job_start()
     bpy.context.view_layer.objects.active = result
     assert "svrgs.job_start" in drawn("prune"), "the pruned splat has no part in it"

@@ -200,7 +200,7 @@ def test_a_project_that_is_moved_keeps_its_job(project, tmp_path, watch, results
     """Its folder, and its dataset, which the job knows by its former place."""
     save(project / "work.blend")
     select_splat()
-    set_up(SHORT | {"iterations": 3000})
+    set_up(SHORT | {"iterations": 800})
     bpy.ops.svrgs.job_start()
     (job,) = watch.jobs.values()
     follow(watch, lambda: job.facts.get("iteration", 0) > 5)

@@ -208,7 +208,7 @@ def test_a_job_with_a_limit_of_time_says_what_was_planned_and_keeps_to_it(splat,
 
 
 def test_an_interrupted_job_is_found_when_the_file_is_opened_again(splat, watch, bridge, tmp_path):
-    set_up(SHORT | {"iterations": 2000})
+    set_up(SHORT | {"iterations": 800})
     bpy.ops.svrgs.job_start()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "work.blend"))
     (job,) = watch.jobs.values()
@@ -225,7 +225,7 @@ def test_an_interrupted_job_is_found_when_the_file_is_opened_again(splat, watch,
 
 
 def test_a_job_goes_on_while_another_file_is_open(splat, watch, tmp_path):
-    set_up(SHORT | {"iterations": 2000})
+    set_up(SHORT | {"iterations": 800})
     bpy.ops.svrgs.job_start()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "work.blend"))
     (job,) = watch.jobs.values()
@@ -282,7 +282,7 @@ def test_targets_become_counts(splat, goal, target):
 
 
 def test_a_loss_in_db_is_held(splat, watch, results, bridge):
-    set_up({"goal": "DROP", "drop": 0.5, "iterations": 1000, "recovery": 0})
+    set_up({"goal": "DROP", "drop": 0.5, "iterations": 500, "recovery": 0})
     assert part("operators.jobs.job").options_of(bpy.context, splat)["max_drop"] == 0.5
     bpy.ops.svrgs.estimate()
     found = part("operators.jobs.estimate").of(splat)

@@ -33,7 +33,7 @@ def two(splat, watch):
     bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
     other = bpy.context.object
     other.name = "other"
-    set_up(SHORT | {"iterations": 1500})
+    set_up(SHORT | {"iterations": 300})
     for obj in (splat, other):
         bpy.context.view_layer.objects.active = obj
         bpy.ops.svrgs.job_start()
@@ -102,7 +102,7 @@ def test_the_queue_goes_on_with_another_file_open(two, watch, listed):
 def test_undo_changes_nothing_in_the_queue(splat, watch, results):
     other = import_again()
     other.name = "other"
-    set_up(SHORT | {"iterations": 1500})
+    set_up(SHORT | {"iterations": 300})
     bpy.ops.ed.undo_push(message="before")
     for name in ("scene", "other"):
         bpy.context.view_layer.objects.active = bpy.data.objects[name]
@@ -126,7 +126,7 @@ def test_a_job_that_cannot_start_does_not_stop_the_queue(two, watch):
 
 
 def test_a_job_whose_splat_was_deleted_is_listed_stopped_continued_and_opened(splat, watch, listed, bridge):
-    set_up(SHORT | {"iterations": 4000})
+    set_up(SHORT | {"iterations": 800})
     bpy.ops.svrgs.job_start()
     (job,) = watch.jobs.values()
     follow(watch, lambda: job.facts.get("iteration", 0) > 100)
@@ -234,7 +234,7 @@ def test_finished_jobs_are_deleted_together_but_not_what_is_still_to_be_loaded(t
 
 @pytest.mark.parametrize("state", ["stopped", "done", "running"])
 def test_a_splat_that_is_imported_again_takes_its_job_over(splat, watch, results, bridge, state):
-    set_up(SHORT | {"iterations": 40 if state == "done" else 3000})
+    set_up(SHORT | {"iterations": 40 if state == "done" else 800})
     bpy.ops.svrgs.job_start()
     (job,) = watch.jobs.values()
     if state != "done":

@@ -26,7 +26,7 @@ def start(**options):
 
 @pytest.mark.parametrize("times", [1, 2])
 def test_undo_leaves_a_running_job_to_its_splat(splat, watch, results, times):
-    start(**SHORT | {"iterations": 1000})
+    start(**SHORT | {"iterations": 400})
     bpy.context.object.location.x = 3
     bpy.ops.ed.undo_push(message="moved")
     undo(times)

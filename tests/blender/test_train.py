@@ -44,7 +44,7 @@ def test_a_splat_is_trained_and_placed_with_its_cameras(root, watch, bridge):
 
 
 def test_it_is_stopped_and_resumed_like_any_job(root, watch, bridge):
-    bpy.context.scene.svrgs_train.iterations = 1500
+    bpy.context.scene.svrgs_train.iterations = 500
     bpy.ops.svrgs.train()
     (job,) = watch.jobs.values()
     follow(watch, lambda: job.facts.get("iteration", 0) > 5)
