@@ -31,7 +31,7 @@ demo: setup
 	  --out $(DEMO)/pruned.ply --report $(DEMO)/report
 	@echo "report: $(DEMO)/report/index.html"
 test: setup wheels; $(PY) -m pytest -n auto --dist loadfile -m "not slow"
-test-slow: setup wheels; $(PY) -m pytest -n auto --dist worksteal -m slow
+test-slow: setup wheels; $(PY) -m pytest -n auto --dist loadfile --no-loadscope-reorder -m slow
 test-blender: setup wheels
 	@tools/test_blenders.sh $(VENV)
 lint: $(VENV)/.ready

@@ -13,7 +13,10 @@ from pathlib import Path
 import pytest
 
 WORKER = re.compile("gw([0-9]+)")  # how pytest-xdist calls its workers
-LONGEST = ("test_extension.py", "test_sanitizers.py", "test_packaging.py")  # of make test-slow
+LONGEST = (  # files of make test-slow, each of which one worker runs
+    "test_extension.py", "test_sanitizers.py", "test_by_blocks.py", "test_demo_scene.py", "test_readme.py",
+    "test_learned_by_blocks.py", "test_farm.py", "test_strength_controller.py", "test_packaging.py",
+)  # fmt: skip
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 
@@ -30,8 +33,11 @@ def pytest_configure():
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]):
-    """Slow tests that take minutes come first, so that no worker is left with them at the end."""
-    items.sort(key=lambda item: not (item.get_closest_marker("slow") and item.path.name in LONGEST))
+    """The longest files of slow tests come first, so that no worker is left with them at the end."""
+    ranks = {name: rank for rank, name in enumerate(LONGEST)}
+    items.sort(
+        key=lambda item: ranks.get(item.path.name, len(LONGEST)) if item.get_closest_marker("slow") else -1
+    )
 
 
 @pytest.fixture(scope="session")
