@@ -15,6 +15,7 @@ pytest.importorskip("OpenImageIO")
 
 import tiny_dataset
 from svrgs_addon.files.atomic import reserved
+from svrgs_addon.files.images import read_image, to_float, write_image
 from svrgs_addon.files.ply import read_ply, write_ply
 from svrgs_addon.files.registry import write_scene
 from svrgs_addon.files.splat_format import SplatFormat
@@ -117,6 +118,69 @@ def test_the_cameras_do_not_see_the_scene(svrgs, way, inputs):
     scene = read_ply(inputs.scene)
     write_ply(inputs.scene, replace(scene, means=scene.means + np.float32(1e4)))
     assert "none of its Gaussians is near a camera" in refusal(svrgs, way, inputs)
+
+
+ON_PHOTOGRAPHS = ("fine-tuned", "learned by blocks", "goes over to learning", "farm")
+FORCED = "--force"
+
+
+def result_of(svrgs, way: str, inputs: Inputs) -> str:
+    """What a way says that is forced, and ends well."""
+    done = svrgs(*f"{WAYS[way]} {FORCED}".format(**vars(inputs)).split())
+    if way == "farm":
+        done = svrgs("farm", "run", inputs.job)
+        done = replace(done, out=done.out + next(inputs.job.glob("results/*.json")).read_text())
+    assert done.status == 0, done.err
+    return done.out + done.err
+
+
+def move_most_away(splat: Path):
+    """Of five Gaussians four, far below all cameras."""
+    scene = read_ply(splat)
+    down = np.where(np.arange(scene.count) % 5 > 0, np.float32(400), np.float32(0))
+    write_ply(splat, replace(scene, means=scene.means + down[:, None] * np.float32([0, 1, 0])))
+
+
+def invert(photographs: Path):
+    for path in photographs.iterdir():
+        write_image(path, 1 - to_float(read_image(path)))
+
+
+def test_the_views_see_few_of_the_gaussians(svrgs, way, inputs):
+    """Of a splat most of which lies elsewhere."""
+    leave_out(way, "trained", *ON_PHOTOGRAPHS)
+    move_most_away(inputs.scene)
+    said = refusal(svrgs, way, inputs)
+    assert "views see only 20% of its Gaussians" in said and "(--force)" in said
+    said = result_of(svrgs, way, inputs)
+    assert way == "divided" or ("see only 20% of its Gaussians; it was forced" in said)
+
+
+def test_the_photographs_are_of_another_capture(svrgs, way, inputs):
+    leave_out(way, "trained", *(name for name in WAYS if name not in ON_PHOTOGRAPHS))
+    invert(inputs.data / "images")
+    said = refusal(svrgs, way, inputs)
+    assert "explains only 0% of the photographs" in said and "(--force)" in said
+    if way == "farm":
+        shutil.rmtree(inputs.job)
+    assert "it was forced" in result_of(svrgs, way, inputs)
+
+
+def test_a_step_of_a_farm_refuses_photographs_of_another_capture_too(svrgs, inputs):
+    invert(inputs.data / "images")
+    words = f"large divide {{scene}} --data {{data}} --method removal {STEPS} --work {{work}}/blocks"
+    done = svrgs(*words.format(**vars(inputs)).split())
+    assert done.status == 2 and "explains only 0% of the photographs" in done.err
+    assert not (inputs.work / "blocks").exists()
+
+
+def test_select_ranks_no_gaussians_that_no_view_sees(svrgs, inputs):
+    move_most_away(inputs.scene)
+    words = ["select", inputs.scene, "--cameras", inputs.cameras, "--lowest-contribution", 0.5]
+    done = svrgs(*words)
+    assert done.status == 2 and "12 views see only 20% of its Gaussians" in done.err
+    assert svrgs(*words, FORCED, "--json").json["seen"] == pytest.approx(0.2, abs=0.01)
+    assert svrgs("select", inputs.scene, "--cameras", inputs.cameras, "--seen-by", "all").status == 0
 
 
 def test_nothing_of_the_scene_is_visible(svrgs, way, inputs):

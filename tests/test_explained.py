@@ -11,7 +11,7 @@ import pytest
 from svrgs_addon.cli.main import main
 from svrgs_addon.files.registry import load_scene
 from svrgs_addon.jobs.photo_sample import read_in_child
-from svrgs_addon.render.metrics.explained import ENOUGH, explained, fit, mismatch, mismatch_of, sample_views
+from svrgs_addon.render.metrics.explained import ENOUGH, explained, fit, mismatch, sample_views
 from svrgs_addon.views.dataset import load_dataset
 from tiny_dataset import write_tiny
 
@@ -30,9 +30,9 @@ def test_the_share_is_that_of_the_variance():
 def test_own_photographs_are_explained_and_those_of_another_capture_are_not(tiny, tmp_path):
     other = write_tiny(tmp_path / "other", seed=7)
     scene, dataset = load_scene(tiny.splat).scene, load_dataset(tiny.folder)
-    assert fit(scene, sample_views(dataset))["explained"] > 0.8 and mismatch_of(scene, dataset) == ""
-    assert fit(scene, sample_views(load_dataset(other.folder)))["explained"] < ENOUGH
-    assert "may belong to another capture" in mismatch_of(scene, load_dataset(other.folder))
+    own, foreign = (fit(scene, sample_views(one)) for one in (dataset, load_dataset(other.folder)))
+    assert own["explained"] > 0.8 and mismatch(own) == ""
+    assert foreign["explained"] < ENOUGH and "may belong to another capture" in mismatch(foreign)
 
 
 def test_the_sentence_never_names_a_share_below_nothing():
@@ -65,8 +65,9 @@ def test_pruning_with_the_cameras_of_another_capture_says_so(tiny, tmp_path, cap
         "--json",
     ]
     for number, (folder, warned) in enumerate(((tiny.folder, False), (other.folder, True))):
+        more = ["--force"] if warned else []
         with caplog.at_level(logging.WARNING):
-            assert main([*words, "--data", str(folder), "--out", str(tmp_path / f"{number}.ply")]) == 0
+            assert main([*words, *more, "--data", str(folder), "--out", str(tmp_path / f"{number}.ply")]) == 0
         notes = json.loads(capsys.readouterr().out.splitlines()[-1])["notes"]
         assert any("another capture" in note for note in notes) == warned
         assert ("another capture" in caplog.text) == warned

@@ -396,6 +396,7 @@ def test_the_folder_of_blocks_is_not_one_with_other_files(source, cameras, tmp_p
         source,
         "--cameras",
         tmp_path / "views.json",
+        "--force",  # few views
         "--target",
         0.5,
         "--out",

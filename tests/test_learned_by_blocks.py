@@ -385,11 +385,12 @@ def test_photographs_of_another_capture_are_told(tiny, tmp_path, svrgs, caplog):
             "--method",
             "svr",
             *STEPS,
+            "--force",
             "--out",
             tmp_path / "o.ply",
             "--json",
         ).json
-    assert "it may belong to another capture" in " ".join(result["notes"])
+    assert "explains only 16% of the photographs" in " ".join(result["notes"])
 
 
 @pytest.mark.parametrize(

@@ -27,13 +27,12 @@ def options_of(context, obj: bpy.types.Object) -> dict:
     """The settings of the panel as the options of a job."""
     s, depth = context.scene.svrgs_prune, depths.chosen(context)
     if depth == depths.QUICK:
-        return {"quick": True, "seed": s.seed, "threads": threads(context)} | goals.options(
-            s, obj, merges=True
-        )
+        quick = {"quick": True, "seed": s.seed, "threads": threads(context), "force": s.force}
+        return quick | goals.options(s, obj, merges=True)
     data, images = dataset_paths.dataset_of(context) if depth == depths.PHOTOGRAPHS else ("", "")
     options = {
         "data": data, "images": images, "method": "merge" if depths.merges(context) else s.method,
-        "seed": s.seed, "threads": threads(context),
+        "seed": s.seed, "threads": threads(context), "force": s.force,
         "holdout": s.holdout, "visible_mask": s.visible_mask, "views_by_loss": s.views_by_loss,
     }  # fmt: skip
     options |= {"time": s.time} if s.use_time else {"iterations": s.iterations, "recovery": s.recovery}

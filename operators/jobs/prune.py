@@ -117,6 +117,8 @@ class SVRGS_OT_prune(ReportingOperator):
         description="Only what the views of Cameras show counts: what they do not see may be removed",
     )
 
+    force: option_property("force")
+
     @classmethod
     def problem(cls, context) -> str:
         return "" if context.mode == "OBJECT" else tr("Leave Edit Mode first")
@@ -208,7 +210,11 @@ class SVRGS_OT_prune(ReportingOperator):
         options = [str(word) for name, value in given.items() if value for word in (name, value)]
         options += [
             flag
-            for flag, chosen in (("--quick", self.quick), ("--seen-from-only", self.seen_from_only))
+            for flag, chosen in (
+                ("--quick", self.quick),
+                ("--seen-from-only", self.seen_from_only),
+                ("--force", self.force),
+            )
             if chosen
         ]
         more = [

@@ -137,6 +137,7 @@ class SVRGS_PG_prune(bpy.types.PropertyGroup):
         ),
     )  # fmt: skip
     visible_mask: option_property("visible_mask", name="Visible Part Only")
+    force: option_property("force")
     nested: BoolProperty(
         name="Train Smaller Sizes",
         description=(

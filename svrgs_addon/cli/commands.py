@@ -202,7 +202,7 @@ def _set_threads(args: argparse.Namespace):
 def _figures(result: dict, lpips_missing: str = "") -> str:
     """The figures of a result as text."""
     parts = [f"{result['count']:,} Gaussians"]
-    if "psnr" in result:  # not of a scene whose own pictures are the measure
+    if result.get("psnr") is not None:  # not of a scene whose own pictures are the measure
         parts += [f"PSNR {result['psnr']:.2f} dB", f"SSIM {result['ssim']:.4f}", f"FLIP {result['flip']:.4f}"]
     if result.get("lpips") is not None:
         parts.append(f"LPIPS {result['lpips']:.4f}")

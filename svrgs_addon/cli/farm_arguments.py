@@ -193,6 +193,7 @@ def _learning(command: Parser):
         "background",
         "image_memory",
         "seed",
+        "force",
     ):
         add_option(command, command, name, options_of(PruneOptions)[name], default_of(PruneOptions, name))
 

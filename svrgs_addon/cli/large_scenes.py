@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -12,10 +11,12 @@ from typing import Any
 from ..jobs.farm.engine_messages import Messages
 from ..native import library
 from ..prune import job_views
+from ..prune.belonging import check_explained, check_seen, seen_of
+from ..prune.blocks.block_rasterizer import BlockRasterizer
 from ..prune.blocks.divided import Divided, clear, divide
-from ..prune.blocks.folder import prepare, refuse_foreign, scored_views
+from ..prune.blocks.folder import prepare, refuse_foreign, remove, scored_views
 from ..prune.blocks.learning import decide, prepare_around, recover, targets
-from ..prune.blocks.merging import merge, reduce
+from ..prune.blocks.merging import merge, reduce, with_seen
 from ..prune.blocks.pruning import finish, finish_learned, original_likeness
 from ..prune.blocks.request import Request
 from ..prune.blocks.sample import sample_of
@@ -65,16 +66,17 @@ def as_text(args: argparse.Namespace, result: dict[str, Any]) -> str:
     merged = (
         f" ({result['psnr_merged']:.2f} dB before fine-tuning)" if result["psnr_merged"] is not None else ""
     )
-    psnr = result["psnr"]  # NaN without views that are held out
-    against = "" if math.isnan(psnr) else f"; PSNR {psnr:.2f} dB against {measure}{merged}"
+    psnr = result["psnr"]
+    against = "" if psnr is None else f"; PSNR {psnr:.2f} dB against {measure}{merged}"
     lines = [
         f"kept {after['count']:,} of {before['count']:,} Gaussians"
         f" ({after['count'] / before['count']:.1%}){against}; saved {result['out']}"
     ]
     for level in result.get("levels", ()):
         lines.append(
-            f"level {level['share']:g}: {level['count']:,} Gaussians, PSNR {level['psnr']:.2f} dB; saved"
-            f" {level['out']}"
+            f"level {level['share']:g}: {level['count']:,} Gaussians"
+            + ("" if level["psnr"] is None else f", PSNR {level['psnr']:.2f} dB")
+            + f"; saved {level['out']}"
         )
     return "\n".join([*lines, *result["notes"]])
 
@@ -92,7 +94,7 @@ def _prune(args: argparse.Namespace) -> dict[str, Any]:
         raise SceneError(
             "--resume is for methods that decide on photographs: removals and merges begin again"
         )
-    job = JobContext(args.out, resume=args.resume, part=Messages(args.messages).progress)
+    job = JobContext(args.out, resume=args.resume, force=args.force, part=Messages(args.messages).progress)
     views, more = partial(_views, args, options), {"work": args.work, "block": args.block}
     if request is not None:
         return run(LearnedByBlocks(args.scene, job, goal, views, request=request, **more))
@@ -124,8 +126,16 @@ def _divide(args: argparse.Namespace) -> dict[str, Any]:
     sample, enlarged = sample_of(args.scene)
     check_visible(sample, str(args.scene))
     scored, measured, *_ = _views(args, options_from(PruneOptions, args), sample, enlarged)
+    if request is None:
+        check_seen(seen_of(sample, scored), str(args.scene), args.force)
     prepare(args.work, scored, measured, request)
     divided = divide(args.scene.absolute(), args.work, args.block, _progress_of(args, "divide"))
+    if request is not None:
+        try:
+            check_explained(divided, request.dataset(), str(args.scene), args.force, BlockRasterizer())
+        except SceneError:
+            remove(args.work)
+            raise
     return {
         "work": str(args.work),
         "count": divided.count,
@@ -222,7 +232,8 @@ def _finish(args: argparse.Namespace) -> dict[str, Any]:
         if request is not None:
             result = finish_learned(divided, request, request.dataset(), args.out, progress_of)
         else:
-            result = finish(divided, original_likeness(divided, progress_of), args.out, progress_of)
+            likeness = original_likeness(divided, progress_of)
+            result = with_seen(divided, finish(divided, likeness, args.out, progress_of))
     return result | {"views": len(scored_views(args.work))}
 
 

@@ -11,8 +11,9 @@ from pathlib import Path
 from ..files.memory_mapped import mapped_scene
 from ..files.registry import read_parts, read_scene, write_scene
 from ..files.repair import unusable
+from ..prune.belonging import Seen, check_seen, seen_of
 from ..prune.door import outputs
-from ..prune.selection.options import OF_ONE, OF_VIEWS, SelectOptions
+from ..prune.selection.options import OF_ONE, OF_VIEWS, RANKING, SelectOptions
 from ..prune.selection.select import selected
 from ..scene.camera import Camera
 from ..scene.gaussians import Scene
@@ -29,7 +30,8 @@ def select_gaussians(args: argparse.Namespace) -> dict:
     SplatError.
 
     Returns count (Gaussians of the file), selected, unusable (Gaussians that cannot be rendered: never
-    selected and never written), and out.
+    selected and never written), and out; where views rank Gaussians, seen and seen_views
+    (prune/belonging.py), and notes.
     """
     options = options_from(SelectOptions, args)
     if options.data and options.cameras:
@@ -42,7 +44,7 @@ def _select(args: argparse.Namespace, options: SelectOptions) -> dict:
     needs_views = any(name in OF_VIEWS for name in options.given())
     cameras = views_of(args) if needs_views or options.data or options.cameras else []
     result = {"count": 0, "selected": 0, "unusable": 0, "out": options.out and str(options.out)}
-    some = _selected(_parts(args.scene, options, cameras), options, cameras, result)
+    some = _selected(args.scene, _parts(args.scene, options, cameras), options, cameras, result)
     if options.out:
         with mapped_scene(some, options.out) as scene:
             if not scene.count:
@@ -77,11 +79,17 @@ def _parts(path: Path, options: SelectOptions, cameras: list[Camera]) -> Iterato
 
 
 def _selected(
-    parts: Iterator[Scene], options: SelectOptions, cameras: list[Camera], result: dict
+    path: Path, parts: Iterator[Scene], options: SelectOptions, cameras: list[Camera], result: dict
 ) -> Iterator[Scene]:
-    """The selected Gaussians of each part. Adds to the counts of the result."""
+    """The selected Gaussians of each part. Adds to the counts of the result. Raises SceneError if views that
+    rank them see too few."""
+    ranking = any(name in RANKING for name in options.given())
     for part in parts:
         bad = unusable(part)
+        if ranking:
+            seen = seen_of(part.select(~bad), cameras)
+            result["notes"] = check_seen(seen, str(path), options.force)
+            result |= seen.facts()
         mask = selected(part, options, lambda named: choose(cameras, named) if named else cameras)
         if options.invert:
             mask = ~mask & ~bad
@@ -107,4 +115,6 @@ def views_of(args: argparse.Namespace) -> list[Camera]:
 
 def as_text(result: dict) -> str:
     text = f"{result['selected']:,} of {result['count']:,} Gaussians selected"
-    return f"{text}; saved {result['out']}" if result["out"] else text
+    saved = f"; saved {result['out']}" if result["out"] else ""
+    seen = Seen(result["seen"], result["seen_views"]).sentence() if "seen" in result else ""
+    return "\n".join(filter(None, [text + saved, seen, *result.get("notes", ())]))

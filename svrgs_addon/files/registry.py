@@ -307,8 +307,13 @@ def sampled_size(scene: Scene, splat_format: SplatFormat, quantise: float = 1.0)
 def invisible(scene: Scene) -> np.ndarray:
     """Marks Gaussians with an opacity below the rasterizer's alpha cut (1/255), (N,) bool. No pixel shows
     them."""
+    return too_faint(scene.opacity_logits)
+
+
+def too_faint(opacity_logits: np.ndarray) -> np.ndarray:
+    """As invisible(), of the logits alone."""
     cut = thresholds().alpha_cut
-    return scene.opacity_logits < np.float32(np.log(cut / (1 - cut)))
+    return opacity_logits < np.float32(np.log(cut / (1 - cut)))
 
 
 def describe(path: str | Path) -> dict:

@@ -14,6 +14,7 @@ import time
 from ..files.registry import invisible, load_scene
 from ..finetune.plan import at_schedule
 from ..native import library
+from ..prune.belonging import check_dataset
 from ..prune.context import PROCESS
 from ..prune.door import check_view_options, check_views, check_visible
 from ..prune.duration import pace_of
@@ -23,10 +24,12 @@ from ..prune.plans import dataset_of_pruning, plan_of_pruning
 from ..prune.quality_forecast import forecast
 from ..prune.recipes.quick import like_quick
 from ..prune.time_plan import fitted
-from ..render.metrics.explained import mismatch_of
+from ..scene.gaussians import Scene
+from ..system.errors import SceneError
 from ..system.exit_status import answer
 from ..system.file_names import extended
 from ..system.option_kinds import check_mapping
+from ..views.dataset import Dataset
 from .job_recorder import RECORDED
 
 
@@ -77,8 +80,16 @@ def estimate(options: PruneOptions) -> dict:
         "steps_per_second": 1 / pace.step,
         "schedule": found.schedule if found else options.schedule,
         "seconds": others + seconds_of(plan),
-        "notes": [*dataset.notes, *filter(None, [mismatch_of(scene, dataset)])],
+        "notes": [*dataset.notes, *_doubts(scene, dataset, options.force)],
     }
+
+
+def _doubts(scene: Scene, dataset: Dataset, force: bool) -> list[str]:
+    """What is said or refused when the job starts, if views or photographs seem to be of another splat."""
+    try:
+        return check_dataset(scene, dataset, "the splat", force)[0]
+    except SceneError as error:
+        return [str(error)]
 
 
 def _estimate_request(request: dict) -> dict:

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import replace
+from functools import partial
 
 from ..finetune.methods import DEFAULT, method_named
-from ..scene.gaussians import Scene
 from ..system import memory
 from ..system.errors import MemoryShort, TooMany
 from . import job_views
@@ -16,7 +16,6 @@ from .blocks.request import Request, methods, methods_of_drop
 from .blocks.tasks import progress
 from .context import JobContext
 from .door import given
-from .job_views import Views
 from .options import MIN_CONTRIBUTION, PruneOptions
 from .recipes.by_blocks import Goal, LearnedByBlocks, MergedByBlocks
 
@@ -32,6 +31,7 @@ TAKES = (  # options; with others, the scene must be read as a whole
     "target_count",
     "quiet",
     "quick",
+    "force",
     "method",
     "scene",
     "out",
@@ -139,11 +139,7 @@ def recipe_of(options: PruneOptions, job: JobContext, reason: str) -> MergedByBl
     assert options.scene is not None
     goal = Goal(options.target_count or 0, options.target or 0.0, options.max_drop or 0.0, options.levels)
     scene, reason = options.scene, memory.without_advice(reason)
-
-    def views_of(sample: Scene, enlarged: float) -> Views:
-        views = job_views.by_blocks(options, sample, enlarged)
-        return views._replace(test=views.test or views.train)
-
+    views_of = partial(job_views.by_blocks, options)
     if _learns(options):
         return LearnedByBlocks(scene, job, goal, views_of, request=request_of(options), reason=reason)
     return MergedByBlocks(scene, job, goal, views_of, reason=reason)

@@ -24,6 +24,7 @@ class JobContext:
     report: Path | None = None
     resume: bool = False
     engine: str = "native"
+    force: bool = False  # prune also where views or photographs seem to be of another splat
     scene: Path | None = None  # the splat that is pruned; None: a training
     order: Path | None = None  # folder for the order of a quick job (finetune/decimate/saved_order.py)
     levels: tuple[float, ...] = ()  # shares of a nested result that are written too

@@ -10,7 +10,7 @@ import logging
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ..scene.camera import Camera, evenly
+from ..scene.camera import Camera, evenly, halfway
 from ..scene.gaussians import Scene
 from ..system.errors import SceneError
 from ..views.camera_files import load_cameras
@@ -18,7 +18,7 @@ from ..views.dataset import HOLDOUT, load_dataset
 from ..views.rig import place_rig
 from ..views.rig.around import cameras_around
 from ..views.rig.place import quick_rig
-from .blocks.sample import finer, refuse_hidden
+from .blocks.sample import finer
 from .door import check_views
 from .options import PruneOptions
 
@@ -29,6 +29,7 @@ PLACED_FOR_QUICK = 64  # views that are placed for a quick job by blocks
 QUICK_SIDE = 512  # pixels of the longer side of a view of a quick job
 QUICK_TRAIN, QUICK_TEST = 32, 16  # its views to decide on, and to measure in
 OWN_PICTURES = "no photographs: the splat's own pictures take their place"
+BETWEEN = "from halfway between the cameras, because none is held out"
 
 
 class Views(NamedTuple):
@@ -63,19 +64,17 @@ def quick(options: PruneOptions, scene: Scene) -> Views:
             {},
         )
     train, test = of_dataset(options, scene, QUICK_SIDE)
-    where = "from the cameras of the dataset"
-    return Views(evenly(train, QUICK_TRAIN), evenly(test or train, QUICK_TEST), _measured_from(where), {})
+    where = "from the cameras of the dataset" if test else BETWEEN
+    train = evenly(train, QUICK_TRAIN)
+    return Views(train, evenly(test or halfway(train), QUICK_TEST), _measured_from(where), {})
 
 
-def quick_within(options: PruneOptions, scene: Scene, unseen: int) -> Views:
-    """Of a quick job of a scene that is seen from inside. unseen: number of Gaussians that views from outside
-    do not show. Raises SceneError if no free space is found inside."""
+def quick_within(options: PruneOptions, scene: Scene) -> Views | None:
+    """Of a quick job of a scene that is seen from inside; None if there is no free space inside. Raises
+    SceneError if the scene shows nothing."""
     rig = quick_rig(scene, QUICK_TRAIN, held_out=QUICK_TEST, seed=options.seed)
     if not rig.inside_out:
-        raise SceneError(
-            f"{options.scene}: {unseen:,} of its {scene.count:,} Gaussians are hidden in all views from"
-            " outside, and no free space was found inside; give the cameras with --data DIR"
-        )
+        return None
     where = (
         "from places inside; what is seen only from outside is not measured. To choose the cameras, give"
         " --data"
@@ -91,14 +90,13 @@ def without_photographs(
     placed: number of views to place, as for place_rig(). Raises SceneError, FormatError."""
     train, test, notes = _given(options, scene) if options.cameras else ([], [], [])
     facts: dict[str, Any] = {"given": len(train) + len(test)}
-    if not options.seen_from_only:
+    if options.seen_from_only:
+        test = test or halfway(train)
+    else:
         rig = place_rig(scene, views=placed, seed=options.seed, enlarged=enlarged)
         train, test, facts = train + rig.cameras, test + rig.held_out, facts | rig.facts()
         inside = "within the scene" if rig.inside_out else "around it"
-        notes.append(
-            f"{OWN_PICTURES}, from {len(rig.cameras)} cameras {inside} that together show {rig.seen:.1%} of"
-            " what can be seen three times"
-        )
+        notes.append(f"{OWN_PICTURES}, from {len(rig.cameras)} cameras {inside}")
     for note in notes:
         logging.warning("%s", note)
     return Views(train, test, notes, facts)
@@ -108,12 +106,9 @@ def by_blocks(options: PruneOptions, scene: Scene, enlarged: float) -> Views:
     """Of `svrgs prune` by blocks. Raises SceneError, FormatError."""
     if options.data is not None:
         train, test = of_dataset(options, scene, MAX_SIDE_PIXELS)
-        return Views(evenly(train, MAX_VIEWS), test, [], {})
+        return Views(evenly(train, MAX_VIEWS), test or halfway(train), [], {})
     placed = PLACED_FOR_QUICK if options.quick else None
     train, test, notes, facts = without_photographs(options, scene, enlarged, placed)
-    if not options.seen_from_only:
-        assert options.scene is not None
-        refuse_hidden(scene, train, options.scene)
     given = len(train) - facts.get("views", 0)
     return Views(train[:given] + finer(train[given:]), test, notes, facts)
 
@@ -122,7 +117,8 @@ def large(options: PruneOptions, scene: Scene, enlarged: float) -> Views:
     """Of `svrgs large`: all of a dataset or of a file of cameras, or else placed ones. Raises SceneError,
     FormatError."""
     if options.data is not None:
-        return Views(*of_dataset(options, scene), [], {})
+        train, test = of_dataset(options, scene)
+        return Views(train, test or halfway(train), [], {})
     if options.cameras is not None:
         cameras = load_cameras(options.cameras)
         train, test = _held_out(cameras, HOLDOUT)
@@ -130,9 +126,7 @@ def large(options: PruneOptions, scene: Scene, enlarged: float) -> Views:
             raise SceneError("one view is held out for the test, and no other is there: give at least two")
         check_views(scene, cameras, train, str(options.scene))
         return Views(train, test, [], {})
-    assert options.scene is not None
     rig = place_rig(scene, enlarged=enlarged)
-    refuse_hidden(scene, rig.cameras, options.scene)
     return Views(finer(rig.cameras), rig.held_out, [], {})
 
 

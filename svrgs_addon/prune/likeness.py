@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
@@ -15,10 +14,12 @@ from ..files.images import to_float
 from ..render.metrics import flip, psnr, ssim
 from ..render.metrics.evaluate import Renderable, Renderer, picture_options, rounded_to_8_bits
 from ..render.metrics.max_drop import ASSUMED, EQUAL
-from ..render.metrics.measures import with_error
+from ..render.metrics.measures import almost_empty, with_error
 from ..scene.camera import Camera, evenly
+from ..system.errors import SceneError
 from ..views.dataset import Dataset
 from ..views.rendered import PHOTOGRAPHED
+from .belonging import measuring_notes
 from .blocks.divided import ProgressOf
 
 Colour = tuple[float, float, float]
@@ -29,7 +30,8 @@ SILENT: ProgressOf = lambda _: lambda *_: None
 class Likeness:
     """Compares scenes with the pictures of the original, which are rendered when they are first needed.
 
-    Scenes are in memory or divided, as their renderer takes them. Pictures are rounded to 8 bits.
+    Scenes are in memory or divided, as their renderer takes them. Pictures are rounded to 8 bits. Views that
+    show almost nothing of the original are left out, because any two pictures are alike there.
     """
 
     def __init__(
@@ -42,7 +44,7 @@ class Likeness:
     ):
         """renderer_of: gives what renders the views once. background: display sRGB 0..1. progress_of: of
         the name of a step."""
-        self.views, self._original, self._background = views, original, background
+        self._views, self._original, self._background = views, original, background
         self._renderer_of, self._progress_of = renderer_of, progress_of
 
     def psnrs(self, scene: Renderable, step: str = "compare") -> list[float]:
@@ -50,12 +52,12 @@ class Likeness:
         return [psnr(picture, original) for picture, original, _ in self._pairs(scene, step)]
 
     def psnr(self, scene: Renderable) -> float:
-        """Mean PSNR in dB, that of equal pictures as EQUAL; NaN without views. Raises SplatError."""
-        return fmean(min(value, EQUAL) for value in self.psnrs(scene)) if self.views else math.nan
+        """Mean PSNR in dB, that of equal pictures as EQUAL, of at least one view. Raises SplatError."""
+        return fmean(min(value, EQUAL) for value in self.psnrs(scene))
 
     def measured(self, scene: Renderable) -> dict[str, Any]:
         """Means over the views: psnr (dB, that of equal pictures as EQUAL), ssim, flip, and ms_per_frame, the
-        milliseconds to render one; NaN without views. Raises SplatError."""
+        milliseconds to render one; None without views. Raises SplatError."""
         rows = [
             (
                 min(psnr(picture, original), EQUAL),
@@ -65,28 +67,52 @@ class Likeness:
             )
             for picture, original, seconds in self._pairs(scene, "measure")
         ]
-        means = [fmean(column) for column in zip(*rows, strict=True)] or [math.nan] * 4
+        means = [fmean(column) for column in zip(*rows, strict=True)] if rows else [None] * 4
         return dict(zip(("psnr", "ssim", "flip", "ms_per_frame"), means, strict=True))
 
+    @property
+    def views(self) -> list[Camera]:
+        """Those that are compared. Raises SplatError."""
+        return [camera for camera, _ in self._originals]
+
+    def refuse_without_views(self):
+        """Raises SceneError if there are no views in which an allowed drop could be measured."""
+        if not self.views:
+            raise SceneError(
+                "--max-drop is measured in views that are held out, and none shows the splat: give more"
+                " cameras, or --target"
+            )
+
+    def notes(self) -> list[str]:
+        """What the user must know of the views. Raises SplatError."""
+        return measuring_notes(len(self._originals), len(self._views))
+
     @cached_property
-    def _originals(self) -> list[np.ndarray]:
-        return [picture for picture, _ in self._pictures(self._original, "original")]
+    def _originals(self) -> list[tuple[Camera, np.ndarray]]:
+        pictures = self._pictures(self._original, self._views, "original")
+        return [
+            (camera, picture)
+            for camera, (picture, _) in zip(self._views, pictures, strict=True)
+            if not almost_empty(picture, self._background)
+        ]
 
     def _pairs(self, scene: Renderable, step: str) -> Iterator[tuple[np.ndarray, np.ndarray, float]]:
         """Of each view the picture of the scene, that of the original, and the seconds of the first one."""
-        originals = self._originals
-        for (picture, seconds), original in zip(self._pictures(scene, step), originals, strict=True):
+        pictures = self._pictures(scene, self.views, step)
+        for (picture, seconds), (_, original) in zip(pictures, self._originals, strict=True):
             yield picture, original, seconds
 
-    def _pictures(self, scene: Renderable, step: str) -> Iterator[tuple[np.ndarray, float]]:
+    def _pictures(
+        self, scene: Renderable, views: Sequence[Camera], step: str
+    ) -> Iterator[tuple[np.ndarray, float]]:
         """What each view shows, (H, W, 3), rounded to 8 bits, and the seconds to render it."""
         renderer, options, progress = (
             self._renderer_of(),
             picture_options(scene, self._background),
             self._progress_of(step),
         )
-        for number, camera in enumerate(self.views):
-            progress(f"renders the view {camera.name or number}", number / len(self.views))
+        for number, camera in enumerate(views):
+            progress(f"renders the view {camera.name or number}", number / len(views))
             started = time.perf_counter()
             picture = rounded_to_8_bits(renderer.forward(scene, camera, options)["rgb"])
             yield picture, time.perf_counter() - started
@@ -101,12 +127,13 @@ class PhotographLikeness(Likeness):
         """As for Likeness; of VIEWS of the dataset."""
         self._dataset = dataset
         self._indices = evenly(dataset.test_indices or dataset.train_indices, VIEWS)
-        self.views, self._background = [dataset.cameras[index] for index in self._indices], dataset.background
+        self._views, self._background = [dataset.cameras[i] for i in self._indices], dataset.background
         self._renderer_of, self._progress_of = renderer_of, progress_of
 
     @cached_property
-    def _originals(self) -> list[np.ndarray]:
-        return [to_float(self._dataset.image(index)) for index in self._indices]
+    def _originals(self) -> list[tuple[Camera, np.ndarray]]:
+        photographs = (to_float(self._dataset.image(index)) for index in self._indices)
+        return list(zip(self._views, photographs, strict=True))
 
 
 def assumed_psnr(psnrs: Sequence[float], errors: Sequence[float] | None = None) -> float:

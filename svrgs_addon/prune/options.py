@@ -333,6 +333,13 @@ class PruneOptions(TuningOptions):
         "with --seen-from, only those views count: what they do not see may be removed",
         in_job=True,
     )
+    force: bool = option(
+        FLAG,
+        False,
+        "prune also where the views see less than half of the Gaussians, or the splat explains less than a"
+        " fifth of its photographs",
+        in_job=True,
+    )
     scene: Path | None = None  # splat file to prune
     out: Path | None = None  # splat file to write
     report: Path | None = None  # folder of the HTML report

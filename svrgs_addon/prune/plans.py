@@ -167,6 +167,7 @@ def context_of(options: TrainOptions | PruneOptions) -> JobContext:
         prunes.report if prunes else None,
         options.resume,
         options.engine,
+        force=prunes.force if prunes else False,
         scene=prunes.scene if prunes else None,
         levels=prunes.levels if prunes else (),
         lpips=lpips,

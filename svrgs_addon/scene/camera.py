@@ -3,6 +3,8 @@ at k + 0.5."""
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import PurePosixPath
@@ -119,6 +121,21 @@ def evenly(views: Sequence[View], count: int) -> list[View]:
 def spaced(views: Sequence[View], count: int) -> list[View]:
     """At most `count` of the views: the first one, and others at equal distances in the list."""
     return list(views[:: max(1, len(views) // count)][:count])
+
+
+def halfway(cameras: Sequence[Camera]) -> list[Camera]:
+    """Views halfway between each camera and the next one in the list, with the intrinsics of the first one.
+    There is none where the two look in directions more than a right angle apart."""
+    between = list[Camera]()
+    for a, b in itertools.pairwise(cameras):
+        # the rotation nearest to the sum of two is the one halfway; 2 cos(angle / 2) is a singular value
+        U, values, Vt = np.linalg.svd(a.viewmat[:3, :3] + b.viewmat[:3, :3])
+        if values[-1] >= math.sqrt(2):
+            viewmat = np.eye(4)
+            viewmat[:3, :3] = U @ Vt
+            viewmat[:3, 3] = -viewmat[:3, :3] @ (a.position + b.position) / 2
+            between.append(replace(a, viewmat=viewmat, name=f"between_{len(between):03d}"))
+    return between
 
 
 def view_stem(name: str) -> str:

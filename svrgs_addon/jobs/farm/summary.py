@@ -26,9 +26,9 @@ COLUMNS: dict[str, Callable[[dict[str, Any]], str]] = {  # title -> text of a ro
     "Gaussians": lambda row: f"{row['count']:,}",
     "kept": lambda row: f"{row['kept']:.1%}",
     "size": lambda row: size_text(row["bytes"]),
-    "PSNR, dB": lambda row: "equal" if row["psnr"] is None else f"{row['psnr']:.2f}",
-    "loss, dB": lambda row: f"{row['loss']:.2f}",
-    "SSIM": lambda row: f"{row['ssim']:.4f}",
+    "PSNR, dB": lambda row: _text(row["psnr"], 2),
+    "loss, dB": lambda row: _text(row["loss"], 2),
+    "SSIM": lambda row: _text(row["ssim"], 4),
     "seconds": lambda row: f"{row['seconds']:.0f}",
 }
 
@@ -67,18 +67,24 @@ def _row(task: Task, result: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _loss(before: dict[str, Any], after: dict[str, Any]) -> float:
+def _text(value: float | None, digits: int) -> str:
+    return "not measured" if value is None else f"{value:.{digits}f}"
+
+
+def _loss(before: dict[str, Any], after: dict[str, Any]) -> float | None:
     """The loss of PSNR in dB against the photographs. Without photographs: what a scene would lose whose own
-    error is PHOTOGRAPHED."""
-    if before.get("psnr") is not None and after.get("psnr") is not None:
+    error is PHOTOGRAPHED. None: not measured."""
+    if after.get("psnr") is None:
+        return None
+    if before.get("psnr") is not None:
         return before["psnr"] - after["psnr"]
-    return 0.0 if after.get("psnr") is None else ASSUMED - with_error(after["psnr"], PHOTOGRAPHED)
+    return ASSUMED - with_error(after["psnr"], PHOTOGRAPHED)
 
 
 def _means(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Means over the scenes of each method and target that all scenes have."""
     ways: dict[tuple, list[dict[str, Any]]] = defaultdict(list)
-    for row in rows:
+    for row in _measured(rows):
         ways[row["method"], row["target"]].append(row)
     scenes = len({row["scene"] for row in rows})
     names = ("kept", "loss", "seconds")
@@ -94,10 +100,14 @@ def _means(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     ]
 
 
+def _measured(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    return [row for row in rows if row["loss"] is not None]
+
+
 def _chart(rows: list[dict[str, Any]], means: list[dict[str, Any]]) -> str:
     """Loss over the share that is kept: means over the scenes, and single tasks as rings."""
     named = [Point(100 * row["kept"], row["loss"], row["method"]) for row in means]
-    single = [Point(100 * row["kept"], row["loss"], "") for row in rows]
+    single = [Point(100 * row["kept"], row["loss"], "") for row in _measured(rows)]
     x, y = Axis("Gaussians kept, %", from_zero=True), Axis("loss of PSNR, dB")
     return chart(
         "Loss over what is kept: means over all scenes; rings: single tasks",

@@ -16,7 +16,7 @@ from ...finetune.plan import Plan
 from ...finetune.quality import MIN_SHARE, fewest, squared_error
 from ...render.metrics.max_drop import ASSUMED, refuse_loss
 from ...scene.camera import Camera
-from ...system.errors import FormatError, SceneError
+from ...system.errors import FormatError
 from ..likeness import Likeness, PhotographLikeness, assumed_psnr
 from .divided import NUMBER, Divided, ProgressOf, divide
 from .folder import HELD
@@ -30,11 +30,7 @@ def errors_of_format(
 ) -> list[float]:
     """The mean squared error in each view of the whole scene as the format of the output holds it. Raises
     SplatError; SceneError if the format alone loses the allowed drop in dB, or without views."""
-    if not likeness.views:
-        raise SceneError(
-            "--max-drop is measured in views that are held out, and there are none: give more cameras, or"
-            " --target"
-        )
+    likeness.refuse_without_views()
     if format_to_write(out).lossless:
         return [0.0] * len(likeness.views)
     with _held(divided, out, progress_of) as stored:

@@ -37,6 +37,7 @@ MAX_BLOCK_COUNT = 2_000_000  # Gaussians of a block
 SPREAD = 100_000  # Gaussians that stand for all of a scene
 GEOMETRY = {"means": 3, "log_scales": 3, "quats": 4, "opacity_logits": 1}
 WIDTH = sum(GEOMETRY.values())
+OPACITY = WIDTH - 1  # its column
 OWN_COLUMNS = "svrgs_"  # how columns begin that a job has added to its splat
 NUMBER = "number.json"  # of Gaussians that an allowed drop leaves
 OWN_FILES = (

@@ -7,7 +7,7 @@ whatever the number of blocks, if these are not smaller than cells. Beside the b
     NUMBER.visibility   float64, 9 for each Gaussian: the sums over all views
     NUMBER.order.npz    the operations on its cells and their costs, down to MIN_SHARE_OF_CELL
                         of each cell; steps: their number for each cell
-    reduced.json        a point and a length of about a pixel, of the whole scene
+    reduced.json        a point and a length of about a pixel, of the whole scene; what the views see
 """
 
 from __future__ import annotations
@@ -16,13 +16,15 @@ import json
 import zipfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ...files.atomic import atomic_write, check_space
 from ...files.npz import write_arrays
 from ...files.reading import json_object
-from ...finetune.decimate.order import Order
+from ...files.registry import too_faint
+from ...finetune.decimate.order import Order, hidden
 from ...finetune.scores import top
 from ...native.decimation import REMOVED, Merges, decimate
 from ...native.rasterizer import VISIBILITY
@@ -30,7 +32,8 @@ from ...scene.camera import Camera
 from ...scene.concatenate import concatenated
 from ...scene.gaussians import PARAMETERS, Scene
 from ...system.errors import FormatError, SceneError
-from .divided import Block, Divided, Progress, leaves, scene_of
+from ..belonging import Seen
+from .divided import OPACITY, Block, Divided, Progress, leaves, scene_of
 from .scoring import SQUARES, UNITS, total, visibility
 
 REDUCED, MIN_SHARE_OF_CELL = "reduced.json", 0.01
@@ -55,13 +58,18 @@ def reduce(divided: Divided, cameras: Sequence[Camera]):
             np.sqrt(columns["views"][seen] * units["views"] / (columns["density"][seen] * units["density"]))
         )
     )
+    drawn, unseen = 0, 0
     for block in divided.blocks:
+        values = visibility(sums[block.rows])
         with atomic_write(divided.folder / f"{block.number}.visibility") as file:
-            file.write(visibility(sums[block.rows]).data)
+            file.write(values.data)
+        visible = ~too_faint(block.geometry[:, OPACITY])
+        drawn, unseen = drawn + int(visible.sum()), unseen + hidden(values[visible])
     means = np.concatenate([block.geometry[seen[block.rows], :3] for block in divided.blocks])
     middle = [float(np.median(means[:, axis])) for axis in range(3)]
     with atomic_write(divided.folder / REDUCED) as file:
-        file.write(json.dumps({"pixel": pixel, "middle": middle}).encode())
+        facts = {"pixel": pixel, "middle": middle, "seen": 1 - unseen / max(1, drawn), "views": len(cameras)}
+        file.write(json.dumps(facts).encode())
 
 
 def merge(divided: Divided, number: int):
@@ -69,7 +77,7 @@ def merge(divided: Divided, number: int):
     SplatError."""
     if not 0 <= number < len(divided.blocks):
         raise SceneError(f"{divided.folder}: has no block {number}, only 0 to {len(divided.blocks) - 1}")
-    block, (pixel, middle) = divided.blocks[number], _reduced(divided)
+    block, (pixel, middle, _) = divided.blocks[number], _reduced(divided)
     scene, sums = scene_of(divided, block), _visibility(block)
     found = [
         decimate(scene.select(rows), sums[rows], middle, pixel, max(1, round(MIN_SHARE_OF_CELL * len(rows))))
@@ -160,11 +168,18 @@ def _merges(block: Block) -> Iterator[Merges]:
         yield Merges(a, b, costs, {name: arrays[name][first:last] for name in PARAMETERS})
 
 
-def _reduced(divided: Divided) -> tuple[float, np.ndarray]:
+def with_seen(divided: Divided, result: dict[str, Any]) -> dict[str, Any]:
+    """The JSON result, with what the views see of the scene. Raises SplatError before reduce()."""
+    seen = _reduced(divided)[2]
+    return result | seen.facts() | {"notes": [seen.sentence(), *result["notes"]]}
+
+
+def _reduced(divided: Divided) -> tuple[float, np.ndarray, Seen]:
     path = divided.folder / REDUCED
     try:
         found = json_object(path, 1 << 16) or {}
-        return float(found["pixel"]), np.array(found["middle"], np.float64).reshape(3)
+        middle = np.array(found["middle"], np.float64).reshape(3)
+        return float(found["pixel"]), middle, Seen(float(found["seen"]), int(found["views"]))
     except OSError:
         raise SceneError(f"{path}: is not there; {NEEDED}") from None
     except (KeyError, TypeError, ValueError):

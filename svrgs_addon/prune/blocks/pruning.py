@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -14,10 +13,10 @@ from ...files.memory_mapped import mapped_scene
 from ...files.reading import MAX_IN_PARTS
 from ...files.registry import load_parts, size_on_disk, write_scene
 from ...finetune.quality import best_share
-from ...render.metrics.explained import mismatch_of
 from ...render.metrics.max_drop import loss_notes
 from ...scene.camera import evenly
 from ...views.dataset import Dataset
+from ..belonging import check_explained
 from ..likeness import VIEWS, Likeness, PhotographLikeness
 from .block_rasterizer import BlockRasterizer
 from .divided import Divided, ProgressOf, divide, gathered, scene_of
@@ -44,7 +43,13 @@ def finish(divided: Divided, likeness: Likeness, out: Path, progress_of: Progres
     result = facts | _figures(
         divide(out, divided.folder / RESULT, progress=progress_of("read")), likeness, out, size_on_disk(out)
     )
-    return result | {"notes": loss_notes(result["psnr_values"], result["psnr"])}
+    return result | {"notes": result_notes(likeness, result)}
+
+
+def result_notes(likeness: Likeness, result: dict[str, Any]) -> list[str]:
+    """What the user must know of the measured quality. Raises SplatError."""
+    measured = result["psnr"] is not None
+    return likeness.notes() + (loss_notes(result["psnr_values"], result["psnr"]) if measured else [])
 
 
 def finish_learned(
@@ -57,7 +62,7 @@ def finish_learned(
     before = {**likeness.measured(divided), "lpips": None, "ms_per_frame": None, **result["before"]}
     notes = [
         *dataset.notes,
-        *filter(None, [mismatch_of(divided, dataset, BlockRasterizer())]),
+        *check_explained(divided, dataset, str(divided.source), True, BlockRasterizer()),
         *result["notes"],
     ]
     return result | {"method": request.method, "seed": request.seed, "before": before, "notes": notes}
@@ -88,13 +93,13 @@ def _figures(written: Divided, likeness: Likeness, out: Path, size: int) -> dict
 
 def _settled(divided: Divided, likeness: Likeness) -> tuple[Divided, dict[str, float | None]]:
     """What is left, tuned as far as that does good; and its PSNR in dB: psnr_merged before it was tuned
-    (None: it was not), psnr_values now."""
+    (None: it was not), psnr_values now. Both None without views."""
     left, tuned = Divided.read(divided.folder / CUT), tuned_blocks(divided)
-    merged = likeness.psnr(left)
+    merged = likeness.psnr(left) if likeness.views else None
     if not tuned:
         return left, {"psnr_merged": None, "tuned_share": 0.0, "psnr_values": merged}
     quality = lambda share: likeness.psnr(mixed(divided, tuned, share))
-    share, values = best_share(quality) if likeness.views else (1.0, math.nan)
+    share, values = best_share(quality) if likeness.views else (1.0, None)
     return mixed(divided, tuned, share), {"psnr_merged": merged, "tuned_share": share, "psnr_values": values}
 
 

@@ -10,13 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from ...files.registry import load_parts
-from ...finetune.decimate.order import MOST_HIDDEN, hidden, visibility_sums
-from ...native.rasterizer import Rasterizer
-from ...render.metrics.evaluate import render_options
 from ...scene.camera import Camera
 from ...scene.concatenate import concatenated
 from ...scene.gaussians import Scene
-from ...system.errors import SceneError
 
 MAX_SAMPLED = 500_000  # Gaussians
 
@@ -34,18 +30,6 @@ def sample_of(source: Path) -> tuple[Scene, float]:
     scene = concatenated(parts, columns=True)
     enlarged = step**0.5
     return replace(scene, log_scales=scene.log_scales + np.float32(np.log(enlarged))), enlarged
-
-
-def refuse_hidden(scene: Scene, cameras: Sequence[Camera], source: Path):
-    """Raises SceneError if cameras that were placed leave many Gaussians hidden: these would be removed
-    first. scene: from sample_of()."""
-    sums, _ = visibility_sums(scene, cameras, Rasterizer(), render_options(scene), pictures=False)
-    share = hidden(sums) / scene.count
-    if share > MOST_HIDDEN:
-        raise SceneError(
-            f"{source}: about {share:.0%} of its Gaussians are hidden in all views that were placed, and"
-            " would be removed; give the cameras"
-        )
 
 
 def finer(cameras: Sequence[Camera]) -> list[Camera]:

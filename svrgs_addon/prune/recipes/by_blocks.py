@@ -16,11 +16,12 @@ from ...files.atomic import check_space
 from ...files.digests import scene_sha256
 from ...files.level_files import holds_levels
 from ...finetune.quality import MIN_SHARE
-from ...render.metrics.max_drop import loss_notes, missed_drop
+from ...render.metrics.max_drop import missed_drop
 from ...scene.camera import Camera
 from ...scene.gaussians import Scene
 from ...system.errors import Cancelled
 from ...views.dataset import Dataset
+from ..belonging import check_explained, check_seen, seen_of
 from ..blocks.allowed_drop import (
     errors_of_format,
     fewest_above,
@@ -42,8 +43,8 @@ from ..blocks.folder import (
     scored_views,
 )
 from ..blocks.learning import AROUND_SHARE, decide, prepare_around, recover, targets
-from ..blocks.merging import merge, reduce
-from ..blocks.pruning import finish, finish_learned, join_levels, original_likeness, write_left
+from ..blocks.merging import merge, reduce, with_seen
+from ..blocks.pruning import finish, finish_learned, join_levels, original_likeness, result_notes, write_left
 from ..blocks.request import Request
 from ..blocks.sample import sample_of
 from ..blocks.scoring import score
@@ -109,12 +110,12 @@ class ByBlocks:
         refuse_foreign(self.work)
 
     def views(self):
-        sample, enlarged = sample_of(self.source)
-        check_visible(sample, str(self.job.scene))
-        self.scored, self.measured, self.notes, _ = self.views_of(sample, enlarged)
+        self.sample, enlarged = sample_of(self.source)
+        check_visible(self.sample, str(self.job.scene))
+        self.scored, self.measured, self.notes, _ = self.views_of(self.sample, enlarged)
 
     def check(self):
-        """views() has checked a sample of the scene."""
+        del self.sample  # frees memory
 
     def left_by_a_stop(self) -> str:
         """A sentence on what a job that is stopped leaves; "" for one that can be resumed."""
@@ -151,6 +152,10 @@ class MergedByBlocks(ByBlocks):
         """steps: of fine-tuning; None: EPOCHS for each view."""
         super().__init__(*arguments, **more)
         self.steps = steps
+
+    def check(self):
+        self.forced = check_seen(seen_of(self.sample, self.scored), str(self.source), self.job.force)
+        super().check()
 
     def left_by_a_stop(self) -> str:
         what = "the files that are there are complete" if self.goal.levels else "nothing was written"
@@ -217,9 +222,9 @@ class MergedByBlocks(ByBlocks):
             {"share": share, **_figures(result)}
             for share, result in zip(goal.levels, results[1:], strict=True)
         ]
-        notes = loss_notes(results[0]["psnr_values"], results[0]["psnr"])
+        notes = [*self.forced, *result_notes(self.likeness, results[0])]
         facts = {"views": len(self.scored), "levels": levels, "drop": None, "notes": notes}
-        result = {**results[0], **facts}
+        result = with_seen(self.divided, {**results[0], **facts})
         if goal.max_drop:
             result |= _of_drop(result, assumed_drop(result["psnr"]), goal)
         return self.of_prune(result, f", and fine-tuned in {EPOCHS} steps for each view")
@@ -263,6 +268,7 @@ class LearnedByBlocks(ByBlocks):
         self.tasks.once("divide", divide_anew)
         self.divided = divided = replace(Divided.read(self.work), source=source)
         if ORDER not in self.tasks.done:
+            check_explained(divided, dataset, str(source), self.job.force, BlockRasterizer())
             _check_room(self.work, divided, goal, AROUND_SHARE)
         blocks = len(divided.blocks)
         self.wanted = goal.number(divided.count) if goal.count or goal.share else 0

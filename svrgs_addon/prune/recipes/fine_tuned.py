@@ -32,7 +32,6 @@ from ...finetune.quality import quality_views
 from ...finetune.run import Run
 from ...native.rasterizer import Rasterizer, RenderOptions
 from ...render.metrics.evaluate import evaluate, mean_psnr, render_options
-from ...render.metrics.explained import mismatch_of
 from ...render.metrics.max_drop import format_loss, missed_drop
 from ...scene.camera import spaced
 from ...scene.gaussians import Scene
@@ -41,6 +40,7 @@ from ...system.errors import SceneError
 from ...system.memory_limits import peak
 from ...views.dataset import Dataset
 from ...views.rendered import RenderedDataset
+from ..belonging import check_dataset
 from ..blocks.folder import remove_blocks
 from ..context import JobContext
 from ..disk_room import ROW, DiskRoom
@@ -106,12 +106,12 @@ class Tuned:
         self.room.release()
 
     def measured(self, scene: Scene, path: Path) -> dict[str, Any]:
-        """The figures of `svrgs eval` for a scene. path: its file, for the size in bytes."""
-        views = self.dataset.test_indices or self.dataset.train_indices
-        return {
-            **evaluate(scene, self.dataset, views, Rasterizer(), self.job.lpips),
-            "bytes": size_on_disk(path),
-        }
+        """The figures of `svrgs eval` for a scene. path: its file, for the size in bytes. On the splat's own
+        pictures, views that decided do not count."""
+        own = isinstance(self.dataset, RenderedDataset)
+        views = self.dataset.test_indices or ([] if own else self.dataset.train_indices)
+        figures = evaluate(scene, self.dataset, views, Rasterizer(), self.job.lpips)
+        return {**figures, "bytes": size_on_disk(path)}
 
     def all_notes(self) -> list[str]:
         return [*self.dataset.notes, *self.notes]
@@ -176,6 +176,10 @@ class FineTuned(Tuned):
         check_request(dataset, plan)
         refuse_lost_order(plan, self.job)
         check_views(source, dataset.cameras, dataset.train_indices, str(self.path))
+        found, self.seen = check_dataset(source, dataset, str(self.path), self.job.force)
+        for note in found:
+            logging.warning("%s", note)
+        self.notes += found
         refuse_excess(
             f"{self.path}: pruning it", source.count, source.sh.shape[1], dataset, plan, memory.BY_BLOCKS
         )
@@ -193,9 +197,6 @@ class FineTuned(Tuned):
             self.before = {"count": source.count, "bytes": size_on_disk(self.path)}
             if not isinstance(dataset, RenderedDataset):
                 self.before = self.measured(source, self.path)
-                if sentence := mismatch_of(source, dataset):
-                    logging.warning("%s", sentence)
-                    self.notes.append(sentence)
             self.pictures = report_pictures(source, dataset, Rasterizer()) if job.report else []
         with self.clock.phase("first cut"):
             self.held, self.allowed = psnr_to_hold(source, dataset, self.plan), self.plan.max_drop
@@ -240,6 +241,7 @@ class FineTuned(Tuned):
             "first_cut": self.cut,
             **self.facts(),
             **({"rig": dataset.facts} if isinstance(dataset, RenderedDataset) else {}),
+            **self.seen,
         }
         if job.report:
             write_prune_report(

@@ -41,6 +41,7 @@ from ...system.errors import Cancelled, SceneError
 from ...views.rendered import RenderedDataset
 from ...views.rig.around import DISTANCE, middle_and_radius
 from .. import job_views
+from ..belonging import Seen, check_seen
 from ..context import JobContext
 from ..disk_room import ROW
 from ..door import check_options, check_visible
@@ -64,6 +65,7 @@ TAKES = (  # options; others are refused
     "max_drop",
     "quiet",
     "quick",
+    "force",
     "scene",
     "out",
     "levels",
@@ -105,12 +107,19 @@ class Quick:
         options, scene, job = self.options, self.scene, self.job
         self.rasterizer, settings = Rasterizer(), render_options(scene, options.background)
         sums, self.pictures = visibility_sums(self.enlarged, self.cameras, self.rasterizer, settings)
-        if not options.data and (unseen := hidden(sums)) > MOST_HIDDEN * scene.count:
-            self.cameras, self.test, self.notes, _ = job_views.quick_within(options, self.enlarged, unseen)
-            sums, self.pictures = visibility_sums(self.enlarged, self.cameras, self.rasterizer, settings)
+        if not options.data and hidden(sums) > MOST_HIDDEN * scene.count:
+            if (within := job_views.quick_within(options, self.enlarged)) is not None:
+                self.cameras, self.test, self.notes, _ = within
+                sums, self.pictures = visibility_sums(self.enlarged, self.cameras, self.rasterizer, settings)
         if job.stop():
             raise Cancelled(NOT_FINISHED)
         self.hidden, self.wanted = hidden(sums), min(_wanted(options, self.source.count), scene.count)
+        self.seen = Seen(1 - self.hidden / scene.count, len(self.cameras))
+        others = f"; the other {self.hidden:,} are removed or merged first" if self.hidden else ""
+        self.notes += [
+            self.seen.sentence() + others,
+            *check_seen(self.seen, str(options.scene), options.force),
+        ]
         least = max(1, math.floor(min(options.levels, default=1) * self.wanted))
         kept = min(least, math.ceil(SMALLEST * scene.count)) if job.order else least
         self.order = order_of(self.enlarged, sums, kept)
@@ -120,6 +129,7 @@ class Quick:
         self.likeness = self._likeness(evenly(self.test, DROP_VIEWS))
         self.count, self.quantise = self.wanted, 1.0
         if options.max_drop:
+            self.likeness.refuse_without_views()
             self.count, self.quantise = smallest_file(
                 self.order, self.wanted, self._psnr, self.job.out, options.max_drop, 1 / self.factor
             )
@@ -146,6 +156,7 @@ class Quick:
             "views": len(self.cameras),
             "invisible": self.source.count - self.scene.count,
             "hidden": self.hidden,
+            **self.seen.facts(),
         }
         before = {"count": self.source.count, "bytes": size_on_disk(options.scene or "")}
         likeness = self._likeness(self.test)
@@ -156,7 +167,12 @@ class Quick:
         )
         facts["levels"] = [{"share": share, **one} for share, one in zip(options.levels, levels, strict=True)]
         facts["drop"] = assumed_drop(after["psnr"]) if options.max_drop else None
-        notes = [*self.notes, *self._result_notes(), *missed_drop(facts["drop"], options.max_drop)]
+        notes = [
+            *self.notes,
+            *likeness.notes(),
+            *self._result_notes(),
+            *missed_drop(facts["drop"], options.max_drop),
+        ]
         return {
             **after,
             "scene": str(options.scene),
@@ -188,21 +204,21 @@ class Quick:
             tuned = refit(small, shown, steps, pace, middle, settings, options.seed, self.job.stop)
         except Cancelled:
             raise Cancelled(NOT_FINISHED) from None
+        if not self.likeness.views:
+            return tuned
         mixed = lambda part: interpolated(small, tuned, part) if part < 1 else tuned
         return mixed(best_share(lambda part: self._psnr(mixed(part)))[0])
 
     def _result_notes(self) -> Iterator[str]:
         """What the user must know of the result that was written."""
         pruned, stored = self.scenes[0], self.written[0].scene
-        if self.hidden:
-            yield f"{self.hidden:,} Gaussians are hidden in all views, so they are removed or merged first"
         if self.quantise != 1:
             yield (
                 "spherical harmonics are stored more coarsely, as by svrgs convert --quantise"
                 f" {self.quantise:g}: that makes the smallest file"
             )
         yield from lost_columns(self.source, stored, (*NORMALS, ROW))
-        if not format_to_write(self.job.out).lossless:
+        if not format_to_write(self.job.out).lossless and self.likeness.views:
             psnr = self.likeness.psnr
             yield from loss_notes(psnr(pruned), psnr(scaled(stored, self.factor)))
 

@@ -17,6 +17,7 @@ from ...scene.camera import refuse_same_stems, view_stem
 from ...system import memory
 from ...views.dataset import Dataset
 from ...views.rendered import RenderedDataset
+from ..belonging import leave_out_empty_tests
 from .page import MASK_PERCENTILE, Report, View, write_report
 from .pictures import difference_image, mask_to_rgb, to_uint8
 from .prune_report import Opens, report_indices, report_pictures, report_views
@@ -35,17 +36,14 @@ def compare(
     """
     check_writable(out / "index.html")
     lpips, missing = load_lpips(lpips_weights)
-    views, shown = (
-        dataset.test_indices or dataset.train_indices,
-        [dataset.cameras[i] for i in report_indices(dataset)],
-    )
+    shown = [dataset.cameras[i] for i in report_indices(dataset)]
     rename = (
         "give one of the photographs another name, in the COLMAP model too"
         if dataset.photos
         else "give one of the cameras another name"
     )
     refuse_same_stems(shown, rename)
-    cameras = [dataset.cameras[i] for i in views]
+    cameras = [dataset.cameras[i] for i in dataset.test_indices or dataset.train_indices]
     needed = functools.partial(
         memory.comparing,
         cameras=cameras,
@@ -58,8 +56,11 @@ def compare(
         opened_scenes = ((a, *first), (b, *second))
         for path, scene, _ in opened_scenes:
             refuse_unseen(scene, dataset.cameras, str(path))
-        dataset = dataset if dataset.photos else _of_pictures(dataset, *first)
-        own = isinstance(dataset, RenderedDataset)
+        notes, own = list(dataset.notes), not dataset.photos
+        if own:
+            dataset = _of_pictures(dataset, *first)
+            notes += leave_out_empty_tests(dataset)
+        views = dataset.test_indices or ([] if own else dataset.train_indices)
         for path, scene, rasterizer in opened_scenes:
             quality = (
                 {"count": scene.count}
@@ -72,7 +73,7 @@ def compare(
     files = [_save(out, view) for view in pictures]
     page = Report(
         scene=f"{a.name} and {b.name}", before=figures[0], after=figures[1], names=(a.name, b.name),
-        lpips_missing=missing, notes=dataset.notes, views=tuple(pictures), versions={"SVR-GS": __version__},
+        lpips_missing=missing, notes=notes, views=tuple(pictures), versions={"SVR-GS": __version__},
     )  # fmt: skip
     path = write_report(out, page)
     return {
@@ -80,7 +81,7 @@ def compare(
         "b": figures[1],
         "report": str(path),
         "pictures": [str(file) for file in files],
-        "notes": list(dataset.notes),
+        "notes": notes,
     }
 
 

@@ -10,6 +10,7 @@ from ...system.option_kinds import BOX, COUNT, FLAG, PATH, RANGE, SHARE, SPHERE,
 
 # criteria that need views
 OF_VIEWS = ("contribution", "lowest_contribution", "removal_error", "lowest_removal_error", "seen_by")
+RANKING = OF_VIEWS[:-1]  # those by which Gaussians are ranked, over all views
 OF_ONE = ("box", "sphere", "opacity", "size")  # criteria that judge each Gaussian by itself
 
 
@@ -90,6 +91,7 @@ class SelectOptions(Criteria):
     invert: bool = option(
         FLAG, False, "select all other Gaussians instead: with --out, the criteria then say what is deleted"
     )
+    force: bool = option(FLAG, False, "rank Gaussians also where the views see less than half of them")
     threads: int = option(
         COUNT,
         0,

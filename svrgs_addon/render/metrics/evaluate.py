@@ -108,9 +108,9 @@ def evaluate(
 ) -> dict:
     """Renders the views and compares them with the photographs.
 
-    Returns means over the views: psnr (dB), ssim, flip, lpips (None without `lpips`); and count (Gaussians),
-    ms_per_frame (median duration of a forward pass in milliseconds; None for a divided scene, which is read
-    for each view).
+    Returns means over the views: psnr (dB), ssim, flip, lpips (None without `lpips`), all None without views;
+    and count (Gaussians), ms_per_frame (median duration of a forward pass in milliseconds; None for a divided
+    scene, which is read for each view, and without views).
     """
     options = picture_options(scene, dataset.background)
     rows, seconds = [], []
@@ -122,14 +122,15 @@ def evaluate(
         del rgb
         perceived = lpips(image, photo) if lpips else math.nan
         rows.append((psnr(image, photo), ssim(image, photo), perceived, flip(image, photo)))
-    means = np.mean(rows, axis=0)
+    means = np.mean(rows, axis=0).tolist() if rows else [None] * 4
+    timed = rows and isinstance(rasterizer, Rasterizer)
     return {
-        "psnr": float(means[0]),
-        "ssim": float(means[1]),
-        "lpips": float(means[2]) if lpips else None,
-        "flip": float(means[3]),
+        "psnr": means[0],
+        "ssim": means[1],
+        "lpips": means[2] if lpips else None,
+        "flip": means[3],
         "count": scene.count,
-        "ms_per_frame": 1e3 * statistics.median(seconds) if isinstance(rasterizer, Rasterizer) else None,
+        "ms_per_frame": 1e3 * statistics.median(seconds) if timed else None,
     }
 
 

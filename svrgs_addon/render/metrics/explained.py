@@ -77,9 +77,3 @@ def mismatch(found: dict) -> str:
         f"The splat explains only {share:.0%} of its photographs (PSNR {found['psnr']:.1f} dB): it may belong"
         " to another capture, or show only a part of this one"
     )
-
-
-def mismatch_of(scene: Renderable, dataset: Dataset, rasterizer: Renderer | None = None) -> str:
-    """As mismatch(), for some views of the dataset. rasterizer: as for fit(). Raises FormatError,
-    SceneError."""
-    return mismatch(fit(scene, sample_views(dataset), dataset.background, rasterizer))

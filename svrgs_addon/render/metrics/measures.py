@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from ...native.rasterizer import Rasterizer
 from ...system.errors import SceneError
 
 # 67.02: a monitor 0.7 m wide with 3840 pixels, seen from 0.7 m
+SHOWN = 0.001  # share of the pixels of a picture; with fewer it is almost empty
 PIXELS_PER_DEGREE = 0.7 * (3840 / 0.7) * np.pi / 180
 
 
@@ -36,6 +38,13 @@ def psnr(a: np.ndarray, b: np.ndarray) -> float:
     # float64 sum without a float64 copy of the image
     error = float(np.einsum("i,i", difference, difference, dtype=np.float64)) / difference.size
     return math.inf if error == 0.0 else 10.0 * math.log10(1.0 / error)
+
+
+def almost_empty(image: np.ndarray, background: Sequence[float]) -> bool:
+    """Whether fewer than SHOWN of the pixels differ from the background by more than one step of 8 bits: any
+    two such pictures are alike. image: (H, W, 3), display sRGB 0..1."""
+    differs = (np.abs(image - np.array(background, np.float32)) > 1.5 / 255).any(axis=2)
+    return bool(differs.mean() < SHOWN)
 
 
 def with_error(value: float, error: float) -> float:

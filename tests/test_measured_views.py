@@ -1,0 +1,103 @@
+"""Without photographs, quality is measured in views apart from those that decided, and never in pictures that
+show almost nothing."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pycolmap")
+pytest.importorskip("OpenImageIO")
+
+from svrgs_addon.prune.belonging import percent
+from svrgs_addon.render.metrics.measures import SHOWN, almost_empty
+from svrgs_addon.scene.camera import Camera, halfway
+from svrgs_addon.views.cameras_json import write_cameras_json
+
+WAYS = {
+    "quick": "prune {scene} --data {data} --holdout 0 --quick --target 0.5 --out {out} --json",
+    "own pictures": (
+        "prune {scene} --seen-from {cameras} --seen-from-only --target 0.5 --recovery 10 --out {out} --json"
+    ),
+    "by blocks": "large prune {scene} --data {data} --holdout 0 --target 0.5 --out {out} --json",
+}
+
+
+def away(camera: Camera, number: int) -> Camera:
+    """The view turned round."""
+    return replace(camera, viewmat=np.diag([-1.0, 1, -1, 1]) @ camera.viewmat, name=f"away_{number}.png")
+
+
+def test_a_view_halfway_stands_and_looks_between_its_neighbours(tiny):
+    between = halfway(tiny.cameras)
+    assert len(between) == len(tiny.cameras) - 1
+    for a, b, middle in zip(tiny.cameras, tiny.cameras[1:], between, strict=False):
+        assert middle.position == pytest.approx((a.position + b.position) / 2)
+        axes = [camera.viewmat[:3, :3] for camera in (a, middle, b)]
+        assert axes[1] @ axes[1].T == pytest.approx(np.eye(3), abs=1e-12) and np.linalg.det(axes[1]) > 0
+        turns = [np.trace(axes[1] @ other.T) for other in (axes[0], axes[2])]
+        assert turns[0] == pytest.approx(turns[1])
+    assert halfway([tiny.cameras[0], away(tiny.cameras[0], 0)]) == [] == halfway(tiny.cameras[:1])
+
+
+def test_a_picture_is_almost_empty_if_few_pixels_differ_from_its_background():
+    picture = np.full((100, 100, 3), 0.5, np.float32)
+    assert almost_empty(picture, (0.5, 0.5, 0.5)) and not almost_empty(picture, (0.5, 0.5, 0.51))
+    picture[0, : round(1e4 * SHOWN) - 1, 1] = 0.6
+    assert almost_empty(picture, (0.5, 0.5, 0.5))
+    picture[1, 0] = 0
+    assert not almost_empty(picture, (0.5, 0.5, 0.5))
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_no_view_that_decided_measures(svrgs, tiny, tmp_path, monkeypatch, way):
+    """Where none is held out, views halfway between them do. Renders of the original tell which."""
+    write_cameras_json(tmp_path / "cameras.json", tiny.cameras[:6])
+    places = {
+        "scene": shutil.copy(tiny.splat, tmp_path),
+        "data": tiny.folder,
+        "cameras": tmp_path / "cameras.json",
+    }
+    result = svrgs(*WAYS[way].format(**places, out=tmp_path / "o.ply").split()).json
+    assert 15 < result["psnr"] < 60 and result["seen"] > 0.5 and result["seen_views"] > 4
+    assert any(f"{result['seen_views']} views see" in note for note in result["notes"])
+
+
+@pytest.mark.parametrize("shown", [1, 0])
+def test_views_that_show_nothing_do_not_count(svrgs, tiny, tmp_path, shown):
+    """Every second view is held out: of these some or all look away."""
+    held_out = [c if k < shown else away(c, k) for k, c in enumerate(tiny.cameras[:4])]
+    cameras = [camera for pair in zip(held_out, tiny.cameras[4:8], strict=True) for camera in pair]
+    cameras = [replace(camera, name=f"{k}.png") for k, camera in enumerate(cameras)]  # in this order
+    write_cameras_json(tmp_path / "cameras.json", cameras)
+    words = ["--seen-from", tmp_path / "cameras.json", "--seen-from-only", "--holdout", 2]
+    splat = shutil.copy(tiny.splat, tmp_path)  # apart from its photographs
+    done = svrgs(
+        "prune", splat, *words, "--target", 0.5, "--recovery", 10, "--out", tmp_path / "o.ply", "--json"
+    )
+    result = done.json
+    if shown:
+        assert 15 < result["psnr"] < 60
+        assert "3 of the 4 views that measure show almost nothing, so they do not count" in result["notes"]
+    else:
+        assert result["psnr"] is result["ssim"] is result["flip"] is None
+        assert any("the quality is not measured" in note for note in result["notes"])
+
+
+def test_compare_measures_in_no_view_that_shows_nothing(svrgs, tiny, tmp_path):
+    cameras = [tiny.cameras[0], away(tiny.cameras[0], 1)]
+    for number in (2, 1):
+        write_cameras_json(tmp_path / "cameras.json", cameras[-number:])
+        words = ["--cameras", tmp_path / "cameras.json", "--out", tmp_path / "report", "--json"]
+        done = svrgs("compare", tiny.splat, tiny.splat, *words)
+        if number == 2:
+            assert any("1 of the 2 views" in note for note in done.json["notes"])
+        else:
+            assert done.status == 2 and "none of its Gaussians is near a camera" in done.err
+
+
+def test_shares_are_never_rounded_to_all_or_nothing():
+    assert [percent(share) for share in (0, 1e-4, 0.5, 0.999, 1)] == ["0%", "1%", "50%", "99%", "100%"]
