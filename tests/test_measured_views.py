@@ -13,6 +13,7 @@ pytest.importorskip("pycolmap")
 pytest.importorskip("OpenImageIO")
 
 from svrgs_addon.prune.belonging import percent
+from svrgs_addon.prune.likeness import apart
 from svrgs_addon.render.metrics.measures import SHOWN, almost_empty
 from svrgs_addon.scene.camera import Camera, halfway
 from svrgs_addon.views.cameras_json import write_cameras_json
@@ -101,3 +102,9 @@ def test_compare_measures_in_no_view_that_shows_nothing(svrgs, tiny, tmp_path):
 
 def test_shares_are_never_rounded_to_all_or_nothing():
     assert [percent(share) for share in (0, 1e-4, 0.5, 0.999, 1)] == ["0%", "1%", "50%", "99%", "100%"]
+
+
+@pytest.mark.parametrize(("count", "decide"), [(0, 0), (1, 0), (5, 2), (16, 6)])
+def test_views_that_decide_and_views_that_measure_are_apart(count, decide):
+    deciding, measuring = apart(range(count), 6)
+    assert len(deciding) == decide and sorted([*deciding, *measuring]) == list(range(count))

@@ -36,9 +36,9 @@ VIEWS = 16  # most views on which a drop in PSNR is measured, spread evenly over
 
 
 def quality_views(dataset: Dataset) -> list[int]:
-    """The views on which a drop in PSNR is measured: test views, because training fits its own views more
-    closely than any other; training views if there are none."""
-    views = dataset.test_indices or dataset.train_indices
+    """The views on which a drop in PSNR is held: those that are chosen for it, or else test views, because
+    training fits its own views more closely than any other; training views if there are none."""
+    views = dataset.deciding_indices or dataset.test_indices or dataset.train_indices
     count = min(VIEWS, len(views))
     return [views[k * len(views) // count] for k in range(count)]
 

@@ -15,7 +15,7 @@ from ..render.metrics import flip, psnr, ssim
 from ..render.metrics.evaluate import Renderable, Renderer, picture_options, rounded_to_8_bits
 from ..render.metrics.max_drop import ASSUMED, EQUAL
 from ..render.metrics.measures import almost_empty, with_error
-from ..scene.camera import Camera, evenly
+from ..scene.camera import Camera, View, evenly
 from ..system.errors import SceneError
 from ..views.dataset import Dataset
 from ..views.rendered import PHOTOGRAPHED
@@ -41,11 +41,17 @@ class Likeness:
         renderer_of: Callable[[], Renderer],
         background: Colour = (0.0, 0.0, 0.0),
         progress_of: ProgressOf = SILENT,
+        others: Sequence[Camera] = (),
     ):
         """renderer_of: gives what renders the views once. background: display sRGB 0..1. progress_of: of
-        the name of a step."""
-        self._views, self._original, self._background = views, original, background
+        the name of a step. others: views of deciding."""
+        self._views, self._original, self._background, self._others = views, original, background, others
         self._renderer_of, self._progress_of = renderer_of, progress_of
+
+    @cached_property
+    def deciding(self) -> Likeness:
+        """In the other views: in those in which something was decided, nothing is measured."""
+        return Likeness(self._original, self._others, self._renderer_of, self._background, self._progress_of)
 
     def psnrs(self, scene: Renderable, step: str = "compare") -> list[float]:
         """PSNR in dB of each view; infinite where the pictures are equal. Raises SplatError."""
@@ -119,7 +125,8 @@ class Likeness:
 
 
 class PhotographLikeness(Likeness):
-    """The same against the photographs of test views; of training views, if none is held out."""
+    """The same against the photographs of test views; of training views, if none is held out. They also
+    decide, as in memory."""
 
     def __init__(
         self, dataset: Dataset, renderer_of: Callable[[], Renderer], progress_of: ProgressOf = SILENT
@@ -130,10 +137,21 @@ class PhotographLikeness(Likeness):
         self._views, self._background = [dataset.cameras[i] for i in self._indices], dataset.background
         self._renderer_of, self._progress_of = renderer_of, progress_of
 
+    @property
+    def deciding(self) -> Likeness:
+        return self
+
     @cached_property
     def _originals(self) -> list[tuple[Camera, np.ndarray]]:
         photographs = (to_float(self._dataset.image(index)) for index in self._indices)
         return list(zip(self._views, photographs, strict=True))
+
+
+def apart(views: Sequence[View], most: int) -> tuple[list[View], list[View]]:
+    """Up to half of the views, `most` at the most, evenly spread, to decide in; and the others, to measure
+    in."""
+    chosen = evenly(range(len(views)), min(most, len(views) // 2))
+    return [views[k] for k in chosen], [view for k, view in enumerate(views) if k not in chosen]
 
 
 def assumed_psnr(psnrs: Sequence[float], errors: Sequence[float] | None = None) -> float:

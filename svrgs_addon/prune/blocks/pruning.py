@@ -17,7 +17,7 @@ from ...render.metrics.max_drop import loss_notes
 from ...scene.camera import evenly
 from ...views.dataset import Dataset
 from ..belonging import check_explained
-from ..likeness import VIEWS, Likeness, PhotographLikeness
+from ..likeness import VIEWS, Likeness, PhotographLikeness, apart
 from .block_rasterizer import BlockRasterizer
 from .divided import Divided, ProgressOf, divide, gathered, scene_of
 from .folder import RESULT, measured_views
@@ -26,10 +26,9 @@ from .tuning import CUT, mixed, tuned_blocks
 
 
 def original_likeness(divided: Divided, progress_of: ProgressOf) -> Likeness:
-    """Likeness to a divided scene, in VIEWS of those on which its result is measured. Raises SplatError."""
-    return Likeness(
-        divided, evenly(measured_views(divided.folder), VIEWS), BlockRasterizer, progress_of=progress_of
-    )
+    """Likeness to a divided scene in VIEWS views that are not scored and do not decide. Raises SplatError."""
+    decide, measure = apart(measured_views(divided.folder), VIEWS)
+    return Likeness(divided, evenly(measure, VIEWS), BlockRasterizer, progress_of=progress_of, others=decide)
 
 
 def finish(divided: Divided, likeness: Likeness, out: Path, progress_of: ProgressOf) -> dict[str, Any]:
@@ -95,12 +94,14 @@ def _settled(divided: Divided, likeness: Likeness) -> tuple[Divided, dict[str, f
     """What is left, tuned as far as that does good; and its PSNR in dB: psnr_merged before it was tuned
     (None: it was not), psnr_values now. Both None without views."""
     left, tuned = Divided.read(divided.folder / CUT), tuned_blocks(divided)
-    merged = likeness.psnr(left) if likeness.views else None
+    psnr_of = lambda scene: likeness.psnr(scene) if likeness.views else None
+    merged = psnr_of(left)
     if not tuned:
         return left, {"psnr_merged": None, "tuned_share": 0.0, "psnr_values": merged}
-    quality = lambda share: likeness.psnr(mixed(divided, tuned, share))
-    share, values = best_share(quality) if likeness.views else (1.0, None)
-    return mixed(divided, tuned, share), {"psnr_merged": merged, "tuned_share": share, "psnr_values": values}
+    quality = lambda share: likeness.deciding.psnr(mixed(divided, tuned, share))
+    share = best_share(quality)[0] if likeness.deciding.views else 1.0
+    best = mixed(divided, tuned, share)
+    return best, {"psnr_merged": merged, "tuned_share": share, "psnr_values": psnr_of(best)}
 
 
 def write_joined(divided: Divided, out: Path):

@@ -174,7 +174,7 @@ class MergedByBlocks(ByBlocks):
         self.errors = list[float]()
         if goal.max_drop:
             self.errors = errors_of_format(
-                self.divided, self.likeness, goal.max_drop, self.job.out, self.overall
+                self.divided, self.likeness.deciding, goal.max_drop, self.job.out, self.overall
             )
         _order(self.divided, self.scored, self.overall)
 
@@ -183,7 +183,7 @@ class MergedByBlocks(ByBlocks):
         self.count = goal.number(divided.count)
         if goal.max_drop:
             self.count = fewest_within(
-                divided, self.scored, self.likeness, goal.max_drop, self.errors, self.overall
+                divided, self.scored, self.likeness.deciding, goal.max_drop, self.errors, self.overall
             )
 
     def select(self):

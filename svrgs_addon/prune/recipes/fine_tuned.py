@@ -46,6 +46,7 @@ from ..context import JobContext
 from ..disk_room import ROW, DiskRoom
 from ..door import check_training, check_views, check_visible
 from ..first_cut import first_cut
+from ..likeness import apart
 from ..planning import pruning_within
 from ..report.prune_report import report_pictures, write_prune_report
 
@@ -180,6 +181,9 @@ class FineTuned(Tuned):
         for note in found:
             logging.warning("%s", note)
         self.notes += found
+        if plan.max_drop and isinstance(dataset, RenderedDataset):
+            tests = dataset.test_indices
+            dataset.deciding_indices, dataset.test_indices = apart(tests, len(tests))
         refuse_excess(
             f"{self.path}: pruning it", source.count, source.sh.shape[1], dataset, plan, memory.BY_BLOCKS
         )

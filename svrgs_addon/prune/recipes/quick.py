@@ -34,7 +34,6 @@ from ...native.rasterizer import Rasterizer
 from ...render.metrics.evaluate import render_options
 from ...render.metrics.max_drop import loss_notes, missed_drop
 from ...scene.affine import scaled
-from ...scene.camera import Camera, evenly
 from ...scene.gaussians import Scene
 from ...system import memory
 from ...system.errors import Cancelled, SceneError
@@ -45,11 +44,11 @@ from ..belonging import Seen, check_seen
 from ..context import JobContext
 from ..disk_room import ROW
 from ..door import check_options, check_visible
-from ..likeness import Likeness, assumed_drop, assumed_psnr
+from ..likeness import Likeness, apart, assumed_drop, assumed_psnr
 from ..options import PruneOptions
 from ..smallest_file import smallest_file
 
-DROP_VIEWS = 6  # of those that it is measured in, for an allowed drop
+DECIDING = 6  # views in which an allowed drop is held, apart from those in which the result is measured
 STEPS, MOST_STEPS = 60, 120  # of fine-tuning, with USUAL of the Gaussians and at most
 # least distance of a camera from the scene, in near depths: smaller scenes are measured enlarged
 NEAREST = 20.0
@@ -126,10 +125,13 @@ class Quick:
 
     def budget(self):
         options = self.options
-        self.likeness = self._likeness(evenly(self.test, DROP_VIEWS))
+        decide, measure = apart(self.test, DECIDING)
+        self.likeness = Likeness(
+            self.enlarged, measure, lambda: self.rasterizer, options.background, others=decide
+        )
         self.count, self.quantise = self.wanted, 1.0
         if options.max_drop:
-            self.likeness.refuse_without_views()
+            self.likeness.deciding.refuse_without_views()
             self.count, self.quantise = smallest_file(
                 self.order, self.wanted, self._psnr, self.job.out, options.max_drop, 1 / self.factor
             )
@@ -159,9 +161,8 @@ class Quick:
             **self.seen.facts(),
         }
         before = {"count": self.source.count, "bytes": size_on_disk(options.scene or "")}
-        likeness = self._likeness(self.test)
         after, *levels = (
-            likeness.measured(scaled(one.scene, self.factor))
+            self.likeness.measured(scaled(one.scene, self.factor))
             | {"lpips": None, "count": one.scene.count, "bytes": one.bytes, "out": str(one.path)}
             for one in self.written
         )
@@ -169,7 +170,7 @@ class Quick:
         facts["drop"] = assumed_drop(after["psnr"]) if options.max_drop else None
         notes = [
             *self.notes,
-            *likeness.notes(),
+            *self.likeness.notes(),
             *self._result_notes(),
             *missed_drop(facts["drop"], options.max_drop),
         ]
@@ -185,12 +186,9 @@ class Quick:
     def close(self):
         """It holds nothing."""
 
-    def _likeness(self, cameras: list[Camera]) -> Likeness:
-        return Likeness(self.enlarged, cameras, lambda: self.rasterizer, self.options.background)
-
     def _psnr(self, scene: Scene) -> float:
         """PSNR in dB on some views, if the original had the error PHOTOGRAPHED."""
-        return assumed_psnr(self.likeness.psnrs(scene))
+        return assumed_psnr(self.likeness.deciding.psnrs(scene))
 
     def _tuned(self, small: Scene, shown: list[TrainingView]) -> Scene:
         """The scene fine-tuned on the pictures. Where that does harm in other views, it is interpolated with
@@ -204,7 +202,7 @@ class Quick:
             tuned = refit(small, shown, steps, pace, middle, settings, options.seed, self.job.stop)
         except Cancelled:
             raise Cancelled(NOT_FINISHED) from None
-        if not self.likeness.views:
+        if not self.likeness.deciding.views:
             return tuned
         mixed = lambda part: interpolated(small, tuned, part) if part < 1 else tuned
         return mixed(best_share(lambda part: self._psnr(mixed(part)))[0])
