@@ -38,7 +38,7 @@ def change(folder: Path, changed):
     [
         (lambda meta: meta.update(version=3), "version 3"),
         (lambda meta: meta.pop("version"), "version unknown"),
-        (lambda meta: meta.update(count=10**9), "number of Gaussians"),
+        (lambda meta: meta.update(count=10**9), "more than the limit"),
         (lambda meta: meta.update(count=True), "number of Gaussians"),
         (lambda meta: meta.update(count=60_000), "pixels for 60,000"),
         (lambda meta: meta.pop("quats"), "no quats"),
@@ -88,9 +88,23 @@ def test_a_bundle_that_unpacks_to_much_is_refused(folder, tmp_path):
     with zipfile.ZipFile(tmp_path / "b.sog", "w", zipfile.ZIP_DEFLATED) as bundle:
         for file in folder.iterdir():
             bundle.write(file, file.name)
-        bundle.writestr("more.webp", bytes(50_000_000))
-    with pytest.raises(FormatError, match="more than it can hold"):
+        bundle.writestr("sh0.webp", bytes(50_000_000))
+    with pytest.raises(FormatError, match="sh0.webp that is larger than it can be"):
         read_scene(tmp_path / "b.sog")
+
+
+def test_of_a_bundle_only_what_meta_json_names_is_unpacked(folder, tmp_path, monkeypatch):
+    unpacked, extract = [], zipfile.ZipFile.extract
+    with zipfile.ZipFile(tmp_path / "b.sog", "w") as bundle:
+        for file in folder.iterdir():
+            bundle.write(file, file.name)
+        for number in range(1_000):
+            bundle.writestr(f"{number}.webp", b"")
+    monkeypatch.setattr(
+        zipfile.ZipFile, "extract", lambda *words: (unpacked.append(words[1].filename), extract(*words))
+    )
+    assert read_scene(tmp_path / "b.sog").count == read_scene(folder).count
+    assert sorted(unpacked) == sorted(file.name for file in folder.iterdir())
 
 
 def test_a_bundle_with_a_damaged_member_is_refused(folder, tmp_path):

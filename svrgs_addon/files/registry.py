@@ -17,7 +17,7 @@ import numpy as np
 from ..native.library import thresholds
 from ..scene.gaussians import Scene
 from ..system import memory
-from ..system.errors import FormatError, SceneError
+from ..system.errors import FormatError, SceneError, TooMany
 from ..system.file_names import extended, real
 from . import compressed_ply, dot_splat, glb, glb_spz, ksplat, ply, sog, spz, streamed_sog, usd
 from .reading import MAX_IN_PARTS
@@ -220,9 +220,12 @@ def _log_repairs(path: str | Path, dropped: int, clamped: int, filtered: bool):
 def write_scene(path: str | Path, scene: Scene, version: int = 0, quantise: float = 1.0):
     """Writes the scene atomically, in the format of the suffix of `path`. What the format cannot hold is
     logged. version: of the format; 0: the newest. quantise: factor on the error in SH that a format may make
-    which chooses it. Raises SceneError."""
+    which chooses it. Raises SceneError; also if the file cannot be read again, or, but for a PLY, without a
+    Gaussian."""
     splat_format = format_to_write(path)
     assert splat_format.write is not None
+    if not scene.count and not splat_format.lossless:
+        raise SceneError(f"{path}: there is no Gaussian to write")
     if version and version not in splat_format.versions:
         raise SceneError(f"{path}: the format {splat_format.label} has no version {version}")
     if quantise != 1 and not splat_format.quantises:
@@ -233,8 +236,20 @@ def write_scene(path: str | Path, scene: Scene, version: int = 0, quantise: floa
     choices: dict[str, float] = {"version": version} if version else {}
     choices |= {"quantise": quantise} if quantise != 1 else {}
     splat_format.write(extended(path), scene, **choices)
+    if not splat_format.lossless:
+        _check_written(path)
     for sentence in left_out(scene, splat_format):
         logging.warning("%s: %s", path, sentence)
+
+
+def _check_written(path: str | Path):
+    """Raises SceneError if a file that was just written cannot be read."""
+    try:
+        check_readable(path)
+    except TooMany:
+        return  # memory is short now; the file may be good
+    except FormatError as error:
+        raise SceneError(f"{error}: it was written just now, so write another format") from None
 
 
 def read_back(path: str | Path, scene: Scene) -> Scene:

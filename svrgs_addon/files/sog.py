@@ -36,9 +36,11 @@ from .sog_layout import (
 from .sog_writer import limits, write
 from .splat_format import SplatFormat, by_parts
 
-RATIO, ALWAYS = 32, 1 << 20  # most bytes per packed byte of a bundle; bytes that are unpacked from any
-MANY = 1 << 16  # Gaussians that any file may name; more need a byte each
+# most bytes of a file in a bundle: of any, and for each Gaussian; a texture that is not packed has 4
+ALWAYS, OF_GAUSSIAN = 1 << 24, 8
+MANY = 1 << 16  # pixels that any texture may have
 PART = 2**16  # Gaussians that are converted together
+FLOAT_MAX = float(np.finfo(np.float32).max)
 BROKEN = "; export it again"
 # what zipfile raises, also for a password
 DAMAGED = (
@@ -98,29 +100,41 @@ def _folder(file: Path) -> Iterator[Path]:
 
 
 def _unpack(file: Path, folder: Path):
-    """Writes the files of a bundle that may belong to a SOG into the folder, and no others."""
+    """Writes meta.json of a bundle and the textures that it names into the folder, and no other files."""
     try:
         with zipfile.ZipFile(file) as bundle:
-            members = [one for one in bundle.infolist() if Path(one.filename).name == one.filename]
-            members = [one for one in members if one.filename.endswith((".webp", ".json"))]
-            if sum(one.file_size for one in members) > max(ALWAYS, RATIO * file.stat().st_size):
-                raise FormatError(f"unpacks to more than it can hold{BROKEN}")
-            for one in members:
-                bundle.extract(one, folder)
+            members = {one.filename: one for one in bundle.infolist()}
+            if META not in members or members[META].file_size > MAX_META:
+                return  # _meta() says so
+            bundle.extract(members[META], folder)
+            meta = _meta(folder / META)
+            count = meta.get("count")
+            most = max(ALWAYS, OF_GAUSSIAN * count) if isinstance(count, int) else ALWAYS
+            for name in sorted(_named(meta) & members.keys()):
+                if members[name].file_size > most:
+                    raise FormatError(f"has a texture {name} that is larger than it can be{BROKEN}")
+                bundle.extract(members[name], folder)
     except DAMAGED as error:
         raise FormatError(f"is no SOG, or damaged ({error}); copy or export it again") from None
 
 
+def _named(meta: dict[str, Any]) -> set[str]:
+    """The textures that meta.json names."""
+    lists = [part.get("files") for part in meta.values() if isinstance(part, dict)]
+    names = [name for some in lists if isinstance(some, list) for name in some if isinstance(name, str)]
+    return set(filter(is_texture, names))
+
+
 def _read(folder: Path, max_count: int) -> _Sog:
-    meta, held = _meta(folder / META), sum(one.stat().st_size for one in folder.iterdir() if one.is_file())
+    meta = _meta(folder / META)
     version, count = meta.get("version"), meta.get("count")
     if version != VERSION:
         raise FormatError(
             f"is a SOG of version {version if isinstance(version, int) else 'unknown'}; version {VERSION} is"
             " read"
         )
-    if not isinstance(count, int) or isinstance(count, bool) or not 0 <= count <= max(MANY, held):
-        raise FormatError(f"names a number of Gaussians that its {held:,} bytes cannot hold{BROKEN}")
+    if not isinstance(count, int) or isinstance(count, bool) or count < 0:
+        raise FormatError(f"names no number of Gaussians{BROKEN}")
     degree = _degree(meta)
     refuse_unpacking(count, SH_COEFFICIENTS[degree], max_count)
     ranges = np.array([_numbers(_part(meta, "means"), name, 3) for name in ("mins", "maxs")])
@@ -169,7 +183,7 @@ def _part(meta: dict[str, Any], name: str) -> dict[str, Any]:
 def _numbers(part: dict[str, Any], name: str, count: int) -> np.ndarray:
     """(count,) float32 finite numbers of meta.json."""
     found = part.get(name)
-    valid = lambda one: isinstance(one, int | float) and abs(one) < 1e30
+    valid = lambda one: isinstance(one, int | float) and abs(one) <= FLOAT_MAX
     if not isinstance(found, list) or len(found) != count or not all(map(valid, found)):
         raise FormatError(f"has no {name} of {count} numbers in its {META}{BROKEN}")
     return np.array(found, np.float32)

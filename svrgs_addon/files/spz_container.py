@@ -27,7 +27,9 @@ ENTRY = struct.Struct("<QQ")
 ANTIALIASED, EXTENSIONS = 1, 2  # flags
 ADOBE_AXES = 0xADBE0003  # type of an extension after which axes may be others
 MAX_DEGREE = 4  # of SH; that beyond 3 is not read
-RATIO, ALWAYS = 32, 1 << 20  # most bytes per packed byte; bytes that are unpacked from any file
+# most bytes that a byte of the file can hold: in Deflate 258 for 2 bits, in Zstandard a block of 128 kB for 4
+# bytes
+DEFLATED, ZSTANDARD = 1_032, 1 << 15
 LEVEL, GZIP_LEVEL = 9, 6  # of compression
 # of Zstandard: short matches in SH cost time, and bytes too
 FOR_SH = {"strategy": 4, "search_log": 4, "min_match": 6}
@@ -74,7 +76,7 @@ def streams(data: bytes, max_count: int) -> tuple[Header, dict[str, np.ndarray]]
     if version != NEWEST:
         raise FormatError(f"is an SPZ of version {version}; versions 1 to {NEWEST} are read")
     header = Header(version, count, degree, bits, bool(flags & ANTIALIASED))
-    _check(header, size, max_count)
+    _check(header, size * ZSTANDARD, max_count)
     if flags & EXTENSIONS:
         _refuse_other_axes(data[HEADER.size : table])
     widths = {name: width for name, width in header.widths().items() if width * count}
@@ -111,19 +113,16 @@ def packed(header: Header, rows: dict[str, np.ndarray], path: str | os.PathLike)
     return b"".join([head, *table, *frames])
 
 
-def _check(header: Header, size: int, max_count: int):
-    """Raises FormatError for values that no writer sets, and for more Gaussians than so few bytes can
-    hold."""
+def _check(header: Header, held: int, max_count: int):
+    """Raises FormatError for values that no writer sets, and for more Gaussians than fit into the bytes that
+    the file can hold, at most."""
     if header.degree > MAX_DEGREE or header.fraction_bits > 30:
         raise FormatError(
             f"has SH of degree {header.degree} or {header.fraction_bits} bits of fraction, which no program"
             f" writes{BROKEN}"
         )
-    if header.count * sum(header.widths().values()) > max(ALWAYS, RATIO * size):
-        raise FormatError(
-            f"is too small, with {size:,} bytes, for the {header.count:,} Gaussians that its header"
-            f" names{BROKEN}"
-        )
+    if header.count * sum(header.widths().values()) > held:
+        raise FormatError(f"is too small for the {header.count:,} Gaussians that its header names{BROKEN}")
     refuse_unpacking(header.count, header.coefficients, max_count)
 
 
@@ -171,7 +170,7 @@ def _gunzipped(data: bytes, max_count: int) -> tuple[Header, dict[str, np.ndarra
         if not 1 <= version < NEWEST:
             raise FormatError(f"is an SPZ of version {version}; versions 1 to {NEWEST} are read")
         header = Header(version, count, degree, bits, bool(flags & ANTIALIASED))
-        _check(header, len(data), max_count)
+        _check(header, len(data) * DEFLATED, max_count)
         needed = count * sum(header.widths().values())
         content = unpacker.decompress(unpacker.unconsumed_tail, needed) if needed else b""
     except zlib.error as error:
