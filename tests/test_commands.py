@@ -281,7 +281,7 @@ def test_compare_without_photographs(tiny, svrgs, tmp_path):
     ]
     result = svrgs(*words, tmp_path / "out", "--json").json
     assert (
-        result["a"].keys() == {"count", "bytes"}
+        result["a"].keys() == {"count", "bytes", "ms_per_frame"}
         and result["b"].keys() == MEASURES
         and len(result["pictures"]) == 3
     )

@@ -104,6 +104,40 @@ def test_what_is_done_stays_and_what_was_changed_is_done_again(job, captures, tm
     assert json.loads(capsys.readouterr().out)["tasks"][0] == first
 
 
+def test_names_that_a_shell_would_read_become_plain(captures, tmp_path, capsys):
+    for name in ("Scan (1)", "a$b&c;d"):
+        shutil.copytree(captures / "one", captures / name)
+    words = ["--out", str(tmp_path / "job"), "--method", "removal", "--target", "0.5", *STEPS]
+    assert main(["farm", "export", str(captures), *words]) == 0, capsys.readouterr().err
+    names = {task.name.removesuffix("-removal-50") for task in FarmJob.read(tmp_path / "job").tasks}
+    assert names == {"Scan _1_", "a_b_c_d", "one", "two"}
+
+
+def test_a_photograph_of_the_same_size_with_other_pixels_is_another_dataset(captures):
+    before = dataset_sha256(captures / "one", "")
+    photograph = next((captures / "one/images").iterdir())
+    contents = photograph.read_bytes()
+    photograph.write_bytes(bytes([*contents[:-20], contents[-20] ^ 1, *contents[-19:]]))
+    assert dataset_sha256(captures / "one", "") != before
+
+
+@pytest.mark.parametrize("link", ["results", "results/one-removal-50.ply", "report", "report/table.md"])
+def test_nothing_is_written_through_links_of_a_job_folder(job, tmp_path, capsys, link):
+    victim = tmp_path / "victim"
+    if link in ("results", "report"):
+        victim.mkdir()
+        (victim / "mine.txt").write_text("mine")
+    else:
+        victim.write_text("mine")
+    if link.startswith("report"):
+        assert main(["farm", "run", str(job), "--tasks", "0"]) == 0
+    (job / link).parent.mkdir(exist_ok=True)
+    (job / link).symlink_to(victim)
+    action = "report" if link.startswith("report") else "run"
+    assert main(["farm", action, str(job)]) == 2 and "is a link" in capsys.readouterr().err
+    assert [file.read_text() for file in ([victim] if victim.is_file() else victim.iterdir())] == ["mine"]
+
+
 def test_the_report_has_all_tasks_and_means_over_the_scenes(job, capsys):
     assert (
         main(["farm", "report", str(job)]) == 2 and "none of its 4 tasks is done" in capsys.readouterr().err
@@ -387,6 +421,7 @@ def test_what_flamenco_asks_for_is_what_a_submission_has(job, flamenco):
         ({"tasks": [{"name": "a", "options": {}}]}, "without a name or a scene"),
         ({"tasks": [{"name": "a", "scene": "a", "options": {"shell": "rm"}}]}, "'shell' is no option"),
         ({"tasks": [{"name": "a", "scene": "a", "options": {"target": "half"}}]}, "'target' is not"),
+        ({"tasks": [{"name": "a", "scene": "a", "options": {"resume": True}}]}, "the option resume"),
         ({"tasks": [{"name": "a", "scene": "a", "options": {"background": [0, 1]}}]}, "'background' is not"),
     ],
 )

@@ -390,19 +390,8 @@ def test_the_folder_of_blocks_is_not_one_with_other_files(source, cameras, tmp_p
     write_cameras_json(
         tmp_path / "views.json", [replace(camera, name=str(k)) for k, camera in enumerate(cameras)]
     )
-    words = [
-        "large",
-        "prune",
-        source,
-        "--cameras",
-        tmp_path / "views.json",
-        "--force",  # few views
-        "--target",
-        0.5,
-        "--out",
-        tmp_path / "out.ply",
-        "--json",
-    ]
+    words = ["large", "prune", source, "--cameras", tmp_path / "views.json", "--force", "--target", 0.5]
+    words += ["--out", tmp_path / "out.ply", "--json"]
     (tmp_path / "out.ply.blocks").mkdir()
     (tmp_path / "out.ply.blocks/mine.txt").write_text("mine")
     refused = svrgs(*words)

@@ -196,6 +196,7 @@ def test_no_block_is_mapped_where_it_is_removed(svrgs, short, monkeypatch, sourc
         tmp_path / "pruned.ply",
         "--block",
         COUNT // 3,
+        "--force",
     )
     assert done.status == 0 and len(mapped) == 2 and "pruned.ply.blocks" not in mapped[1]
 

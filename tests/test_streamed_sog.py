@@ -128,6 +128,29 @@ def test_an_older_one_is_replaced_with_its_files(town):
     )
 
 
+@pytest.mark.parametrize("named", ["link/meta.json", "portrait/meta.json", "0_9/meta.json"])
+def test_an_older_one_names_what_is_not_its_own(town, tmp_path, named):
+    """Files behind a link, and a splat of its own beside it."""
+    write_scene(tmp_path / "victim/meta.json", levels_of(100)[0])
+    folder = town.parent / named.split("/")[0]
+    if folder.name == "portrait":
+        shutil.copytree(tmp_path / "victim", folder)
+    else:
+        folder.symlink_to(tmp_path / "victim")
+    meta = json.loads(town.read_text())
+    meta |= {"filenames": [*meta["filenames"], named], "environment": "portrait/meta.json"}
+    town.write_text(json.dumps(meta))
+    write_levels(town, levels_of(1500, 0)[:2])
+    assert read_scene(town).count == 1500 and read_scene(folder / "meta.json").count == 100
+
+
+def test_a_splat_in_a_folder_of_such_a_name_is_not_replaced(tmp_path):
+    write_scene(tmp_path / "0_0/meta.json", levels_of(100)[0])
+    write_levels(tmp_path / "lod-meta.json", levels_of(1500, 0)[:2])
+    assert read_scene(tmp_path / "0_0/meta.json").count == 100
+    assert read_scene(tmp_path / "lod-meta.json").count == 1500
+
+
 def test_an_older_one_stays_until_the_new_one_is_complete(town, monkeypatch):
     def full(*_):
         raise SceneError("no space")

@@ -153,6 +153,7 @@ def test_a_target_may_be_as_small_as_is_asked_for(tiny, data, tmp_path):
             data,
             tmp_path / "o.ply",
             prune_settings(method, 30, 2, target=2),
+            force=True,
         )
         assert read_ply(tmp_path / "o.ply").count == 2
 

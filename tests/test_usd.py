@@ -4,6 +4,10 @@ damaged ones end no process of ours."""
 from __future__ import annotations
 
 import dataclasses
+import os
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -173,3 +177,21 @@ def test_a_flat_stage_keeps_what_3dgs_has(tmp_path):
     found = differences(read_scene(tmp_path / "a.usdc"), scene)
     assert max(found.values()) < 1e-6, found
     assert Sdf.Layer.FindOrOpen(str(tmp_path / "a.usdc")).GetPrimAtPath("/Splat")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names of files are text there")
+def test_a_folder_whose_name_is_not_utf_8_and_a_full_disk_are_one_sentence(tmp_path):
+    folder = Path(os.fsdecode(os.fsencode(tmp_path) + b"/\xff"))
+    folder.mkdir()
+    with pytest.raises(SceneError, match="names are UTF-8"):
+        write_scene(folder / "a.usdc", like_trained(1, 9))
+    assert not list(folder.iterdir())
+    code = (
+        "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000));"
+        "from svrgs_addon.cli.main import main; sys.exit(main(sys.argv[1:]))"
+    )
+    write_scene(tmp_path / "a.ply", like_trained(1, 900))
+    words = ["convert", tmp_path / "a.ply", tmp_path / "a.usdc"]
+    done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True)
+    assert done.returncode and "Traceback" not in done.stderr and "a.usdc" in done.stdout + done.stderr
+    assert [path.name for path in tmp_path.iterdir() if path.is_file()] == ["a.ply"]

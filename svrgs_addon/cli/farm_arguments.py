@@ -94,6 +94,7 @@ def _export(actions):
         metavar="DIR",
         help="folder of the job, in which the results will be",
     )
+    export.former |= {"--method": "--methods", "--target": "--targets"}  # as of svrgs prune
     export.place(GOAL).add_argument(
         "--methods",
         default="",

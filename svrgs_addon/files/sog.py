@@ -32,6 +32,7 @@ from .sog_layout import (
     TABLE,
     VERSION,
     is_texture,
+    named_in,
 )
 from .sog_writer import limits, write
 from .splat_format import SplatFormat, by_parts
@@ -110,19 +111,12 @@ def _unpack(file: Path, folder: Path):
             meta = _meta(folder / META)
             count = meta.get("count")
             most = max(ALWAYS, OF_GAUSSIAN * count) if isinstance(count, int) else ALWAYS
-            for name in sorted(_named(meta) & members.keys()):
+            for name in (name for name in named_in(meta) if name in members):
                 if members[name].file_size > most:
                     raise FormatError(f"has a texture {name} that is larger than it can be{BROKEN}")
                 bundle.extract(members[name], folder)
     except DAMAGED as error:
         raise FormatError(f"is no SOG, or damaged ({error}); copy or export it again") from None
-
-
-def _named(meta: dict[str, Any]) -> set[str]:
-    """The textures that meta.json names."""
-    lists = [part.get("files") for part in meta.values() if isinstance(part, dict)]
-    names = [name for some in lists if isinstance(some, list) for name in some if isinstance(name, str)]
-    return set(filter(is_texture, names))
 
 
 def _read(folder: Path, max_count: int) -> _Sog:

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import itertools
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -42,10 +43,14 @@ def files_of(meta: Path) -> list[Path]:
         contents = json_object(meta, MAX_META) or {}
     except OSError:
         return [meta]
+    return [meta, *(meta.parent / name for name in named_in(contents) if (meta.parent / name).is_file())]
+
+
+def named_in(contents: dict[str, Any]) -> list[str]:
+    """The textures that a meta.json names, each once."""
     lists = [part.get("files") for part in contents.values() if isinstance(part, dict)]
     found = itertools.chain(*(names for names in lists if isinstance(names, list)))
-    names = dict.fromkeys(name for name in found if isinstance(name, str) and is_texture(name))
-    return [meta, *(meta.parent / name for name in names if (meta.parent / name).is_file())]
+    return list(dict.fromkeys(name for name in found if isinstance(name, str) and is_texture(name)))
 
 
 def is_texture(name: str) -> bool:

@@ -40,6 +40,7 @@ CHUNK = 512 * 1024  # Gaussians of a leaf, of all levels together, and of a file
 # a leaf is not larger, in units of the scene, unless it has no more Gaussians than this
 MAX_EXTENT, FEW_GAUSSIANS = 16.0, 8192
 UNIT = re.compile(r"[\w-][\w.-]*/meta\.json")
+OWN_UNIT = re.compile(r"[0-9]+_[0-9]+(\.[0-9a-f]{8})?/meta\.json")  # names as _Cut gives them
 DIGITS = 7  # of the numbers of a box
 BROKEN = "; export it again"
 
@@ -96,12 +97,12 @@ def write(path: str | os.PathLike, scene: Scene, quantise: float = 1.0):
 
 def write_levels(path: str | os.PathLike, scenes: Sequence[Scene], quantise: float = 1.0):
     """Writes levels of detail, the finest one first: the SOGs, then lod-meta.json. Until then, an older one
-    and its files stay as they are; at the end, its files are removed. quantise: as of a SOG. Raises
-    SceneError."""
+    and its files stay as they are; at the end, those of its files are removed that have names as they are
+    given here. quantise: as of a SOG. Raises SceneError."""
     path = Path(path)
     check_space(path, BYTES * sum(scene.count for scene in scenes))
-    old = parts(path)[1:] if path.exists() else []
-    cut = _Cut(scenes, f".{secrets.token_hex(4)}" if old else "")
+    old, taken = _own_files(path), path.exists() or any(path.parent.glob("[0-9]*_[0-9]*"))
+    cut = _Cut(scenes, f".{secrets.token_hex(4)}" if taken else "")
     tree = cut.node([np.arange(scene.count) for scene in scenes])
     counts = [scene.count for scene in scenes]
     meta = {
@@ -120,6 +121,19 @@ def write_levels(path: str | os.PathLike, scenes: Sequence[Scene], quantise: flo
     for folder in {one.parent for one in old}:
         with contextlib.suppress(OSError):  # it holds files of others
             folder.rmdir()
+
+
+def _own_files(path: Path) -> list[Path]:
+    """The files of the SOGs that an older lod-meta.json names, in folders that this program or one like it
+    has made for it: none of others, and none through links."""
+    try:
+        meta = _checked(path)
+    except (FormatError, OSError):
+        return []
+    units = [path.parent / name for name in dict.fromkeys(meta["filenames"]) if OWN_UNIT.fullmatch(name)]
+    return [
+        file for unit in units if unit.is_file() and not unit.parent.is_symlink() for file in files_of(unit)
+    ]
 
 
 @dataclass

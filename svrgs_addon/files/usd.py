@@ -103,7 +103,15 @@ def write(path: str | os.PathLike, scene: Scene):
     stage.SetDefaultPrim(prim)
     _fill(prim, turned_over(scene))
     with atomic_path(path) as temporary:
-        if not layer.Export(str(temporary)):
+        try:
+            exported = layer.Export(str(temporary))
+        except UnicodeError:
+            raise SceneError(
+                f"{path}: OpenUSD writes only where all names are UTF-8; choose another folder"
+            ) from None
+        except module("Tf").ErrorException:
+            exported = False
+        if not exported:
             raise SceneError(f"{path}: cannot be written by OpenUSD; is the disk full?")
 
 

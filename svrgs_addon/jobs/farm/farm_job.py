@@ -38,7 +38,7 @@ from ...system.option_kinds import check_mapping, default_of, options_of
 
 SCHEMA, JOB, RESULTS, CAPTURES = 1, "job.json", "results", "captures"  # captures: of a job that Blender made
 LARGEST = 1 << 24  # bytes of job.json, and of a result
-NAME = re.compile(r"\w[\w.+ -]{0,200}")
+NAME, UNUSUAL = re.compile(r"\w[\w.+ -]{0,200}"), re.compile(r"^\W|[^\w.+ -]")
 OWN = "{job}/"  # begins a path within the folder of the job
 INSIDE = ("data", "cameras")  # options with a path that may lie in the root
 # options that are not of a farm: it resumes by itself, and one machine's seconds are not another's
@@ -118,11 +118,21 @@ class FarmJob:
             quiet=True,
         )
 
+    def inside(self, *names: str) -> Path:
+        """A path in the folder of the job, which may come from elsewhere. Raises SceneError if a link leads
+        out of it."""
+        path = self.folder
+        for name in names:
+            path /= name
+            if path.is_symlink():
+                raise SceneError(f"{path}: is a link, and a farm job writes through none: remove it")
+        return path
+
     def out(self, task: Task) -> Path:
-        return self.folder / RESULTS / f"{task.name}{self.to}"
+        return self.inside(RESULTS, f"{task.name}{self.to}")
 
     def result_path(self, task: Task) -> Path:
-        return self.folder / RESULTS / f"{task.name}.json"
+        return self.inside(RESULTS, f"{task.name}.json")
 
     def result(self, task: Task) -> dict[str, Any] | None:
         """The result of the task; None if it is not done, or was done with other options."""
@@ -172,6 +182,7 @@ def tasks_of(
                     ),
                 ]
             )
+            title = UNUSUAL.sub("_", title)
             tasks.append(
                 _checked({"name": title, "scene": relative(root, scene), "options": common | placed | way})
             )
@@ -222,4 +233,8 @@ def _checked(found: Any) -> Task:
     if not NAME.fullmatch(found["name"]):
         raise SceneError(f"the name of a task, '{found['name'][:60]}', is no plain name of a file")
     check_mapping(PruneOptions, found.get("options"), in_job=False)
+    if own := [name for name in LEFT_OUT if name in found["options"]]:
+        raise SceneError(
+            f"the task '{found['name']}' has the option {own[0]}, which tasks of a farm do not take"
+        )
     return Task(found["name"], found["scene"], found["options"])

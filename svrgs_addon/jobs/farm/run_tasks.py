@@ -94,8 +94,8 @@ def _run(job: FarmJob, task: Task, messages: Messages) -> dict[str, Any]:
 
 
 def dataset_sha256(folder: Path | None, images: str) -> str:
-    """Of a dataset, in hexadecimal digits: of the files of its cameras, and of the names and sizes of its
-    photographs. Empty if there is none, or if it cannot be read; the task then says so."""
+    """Of a dataset, in hexadecimal digits: of the files of its cameras, and of its photographs. Empty if
+    there is none, or if it cannot be read; the task then says so."""
     if folder is None:
         return ""
     try:
@@ -110,7 +110,5 @@ def dataset_sha256(folder: Path | None, images: str) -> str:
     facts = [sha256(one) for one in files]
     if source.image_folder is not None:
         photographs = sorted(one for one in source.image_folder.rglob("*") if one.is_file())
-        facts += [
-            f"{one.relative_to(source.image_folder).as_posix()} {one.stat().st_size}" for one in photographs
-        ]
+        facts += [f"{one.relative_to(source.image_folder).as_posix()} {sha256(one)}" for one in photographs]
     return hashlib.sha256("\n".join(facts).encode(errors="surrogateescape")).hexdigest()

@@ -43,12 +43,12 @@ def summarise(job: FarmJob) -> dict[str, Any]:
         raise SceneError(
             f"{job.folder}: none of its {len(missing)} tasks is done; do them first with svrgs farm run"
         )
-    means, folder = _means(rows), job.folder / "report"
+    means, page = _means(rows), job.inside("report", "index.html")
     facts = {"tasks": rows, "over_all_scenes": means, "missing": missing}
-    write_json(folder / "table.json", facts)
-    _write(folder / "table.md", "\n".join(_markdown(rows)) + "\n")
-    _write(folder / "index.html", _page(rows, means, missing))
-    return facts | {"report": str(folder / "index.html")}
+    write_json(job.inside("report", "table.json"), facts)
+    _write(job.inside("report", "table.md"), "\n".join(_markdown(rows)) + "\n")
+    _write(page, _page(rows, means, missing))
+    return facts | {"report": str(page)}
 
 
 def _row(task: Task, result: dict[str, Any]) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from ... import __version__
 from ...files.atomic import check_writable
 from ...files.images import write_image
 from ...files.registry import size_on_disk
+from ...native.rasterizer import Rasterizer
 from ...render.metrics import load_lpips
 from ...render.metrics.evaluate import Renderable, Renderer, evaluate, refuse_unseen
 from ...scene.camera import refuse_same_stems, view_stem
@@ -20,7 +21,7 @@ from ...views.rendered import RenderedDataset
 from ..belonging import leave_out_empty_tests
 from .page import MASK_PERCENTILE, Report, View, write_report
 from .pictures import difference_image, mask_to_rgb, to_uint8
-from .prune_report import Opens, report_indices, report_pictures, report_views
+from .prune_report import Opens, report_indices, report_pictures, report_views, timed_in_turn
 
 
 def compare(
@@ -37,12 +38,8 @@ def compare(
     check_writable(out / "index.html")
     lpips, missing = load_lpips(lpips_weights)
     shown = [dataset.cameras[i] for i in report_indices(dataset)]
-    rename = (
-        "give one of the photographs another name, in the COLMAP model too"
-        if dataset.photos
-        else "give one of the cameras another name"
-    )
-    refuse_same_stems(shown, rename)
+    photographs = "photographs another name, in the COLMAP model too"
+    refuse_same_stems(shown, f"give one of the {photographs if dataset.photos else 'cameras another name'}")
     cameras = [dataset.cameras[i] for i in dataset.test_indices or dataset.train_indices]
     needed = functools.partial(
         memory.comparing,
@@ -69,6 +66,9 @@ def compare(
             )
             figures.append({**quality, "bytes": size_on_disk(path)})
             renders.append(report_pictures(scene, dataset, rasterizer))
+        if all(isinstance(rasterizer, Rasterizer) for _, _, rasterizer in opened_scenes):
+            figures, more = timed_in_turn([scene for _, scene, _ in opened_scenes], figures, dataset)
+            notes += more
         pictures = list(report_views(renders[0], renders[1], dataset))
     files = [_save(out, view) for view in pictures]
     page = Report(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 
@@ -11,10 +11,18 @@ import numpy as np
 
 from ... import __version__
 from ...files.images import to_float
+from ...files.registry import load_scene
 from ...finetune.run import Run
+from ...native import library
 from ...native.rasterizer import Rasterizer
 from ...render.metrics import psnr
-from ...render.metrics.evaluate import Renderable, Renderer, picture_options, rounded_to_8_bits
+from ...render.metrics.evaluate import (
+    Renderable,
+    Renderer,
+    frame_milliseconds,
+    picture_options,
+    rounded_to_8_bits,
+)
 from ...scene.camera import spaced
 from ...scene.gaussians import Scene
 from ...system import memory
@@ -41,14 +49,17 @@ def write_prune_report(
     """Writes folder/index.html. before: report_pictures() of the source scene; after: the pruned scene;
     result: the JSON result of the job; lpips_missing: why LPIPS was not measured. Raises SceneError if it
     cannot be written."""
+    source = load_scene(Path(result["scene"])).scene
+    figures, notes = timed_in_turn((source, after), (result["before"], result["after"]), dataset)
+    del source
     page = Report(
         scene=name,
-        before=result["before"],
-        after=result["after"],
+        before=figures[0],
+        after=figures[1],
         method=result["method"],
         lambda_f=result["lambda_f"],
         lpips_missing=lpips_missing,
-        notes=result["notes"],
+        notes=[*result["notes"], *notes],
         phases=_phases(run, result["seconds_by_phase"]),
         seconds=result["seconds"],
         iterations_per_second=result["iterations_per_second"],
@@ -121,6 +132,20 @@ def _series(run: Run) -> tuple[Series, ...]:
 def report_indices(dataset: Dataset, count: int = REPORT_VIEWS) -> list[int]:
     """Indices of a few test views, spread over the dataset; of training views if there are no test views."""
     return spaced(dataset.test_indices or dataset.train_indices, count)
+
+
+def timed_in_turn(
+    scenes: Sequence[Renderable], figures: Sequence[dict], dataset: Dataset
+) -> tuple[list[dict], list[str]]:
+    """The figures of the scenes with the time per frame, measured in turn in the views of the report, and a
+    sentence on how."""
+    cameras = [dataset.cameras[i] for i in report_indices(dataset)]
+    times = frame_milliseconds(scenes, cameras)
+    note = (
+        f"time per frame: medians of rendering both splats in turn, in {len(cameras)} views of"
+        f" {cameras[0].width} x {cameras[0].height} pixels, with {library.threads()} threads of this machine"
+    )
+    return [one | {"ms_per_frame": ms} for one, ms in zip(figures, times, strict=True)], [note]
 
 
 def report_pictures(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import statistics
 import time
@@ -25,6 +26,7 @@ VISIBLE_CAMERAS = 32  # approximate number of cameras that are checked, evenly s
 VISIBLE_POINTS = 100_000  # approximate number of Gaussians that are checked
 # largest z, as a multiple of the largest distance of a camera from the mean of the cameras
 VISIBLE_REACH = 100.0
+TIMED_ROUNDS = 5  # of frame_milliseconds()
 
 
 class Renderable(Protocol):
@@ -132,6 +134,19 @@ def evaluate(
         "count": scene.count,
         "ms_per_frame": 1e3 * statistics.median(seconds) if timed else None,
     }
+
+
+def frame_milliseconds(scenes: Sequence[Any], cameras: Sequence[Camera]) -> list[float]:
+    """Milliseconds to render one view of each scene: medians over TIMED_ROUNDS rounds of all views, in which
+    the scenes take turns, so that what else the machine does falls on all of them. scenes: in memory."""
+    rasterizer, rows = Rasterizer(), list[list[float]]()
+    for camera in [camera for _ in range(TIMED_ROUNDS) for camera in cameras]:
+        started = [time.perf_counter()]
+        for scene in scenes:
+            rasterizer.forward(scene, camera, picture_options(scene))
+            started.append(time.perf_counter())
+        rows.append([1e3 * (end - start) for start, end in itertools.pairwise(started)])
+    return [statistics.median(column) for column in zip(*rows, strict=True)]
 
 
 def refuse_unseen(scene: Renderable, cameras: Sequence[Camera], name: str):
