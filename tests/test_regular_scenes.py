@@ -3,7 +3,9 @@ format, and is the same scene."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +16,7 @@ from svrgs_addon.scene.gaussians import Scene
 from svrgs_addon.system.errors import SceneError
 
 WRITTEN = sorted({one.suffixes[0] for one in FORMATS if one.write and one.suffixes})
-SIDE = 64  # of the grid: 262,144 Gaussians
+SMALL, LARGE = 12, 64  # sides of grids: 1,728 and 262,144 Gaussians
 
 
 def equal(means: np.ndarray, degree: int = 3) -> Scene:
@@ -39,15 +41,15 @@ def with_sh(value: float) -> Scene:
 
 
 SCENES = {
-    "a regular grid": lambda: equal(grid(SIDE)),
-    "a plane of equal Gaussians": lambda: equal(grid(SIDE) * [1, 1, 0]),
+    "a regular grid": lambda: equal(grid(SMALL)),
+    "a plane of equal Gaussians": lambda: equal(grid(SMALL) * [1, 1, 0]),
     "one Gaussian": lambda: equal(np.array([[0.3, -0.2, 5.0]])),
     "SH of zeros": lambda: with_sh(0.0),
     "SH of 1e30": lambda: with_sh(1e30),
     "opacities of 0 and 1": lambda: replace(
         scattered(), opacity_logits=np.resize(np.float32([-100, 100]), 500)
     ),
-    "duplicates": lambda: equal(np.zeros((100_000, 3))),
+    "duplicates": lambda: equal(np.zeros((1_000, 3))),
     "coordinates of 1e6": lambda: equal(1e6 * np.random.default_rng(1).normal(size=(500, 3))),
     "scales of 1e-20 and 1e20": lambda: replace(
         scattered(), log_scales=np.resize(np.float32([-46, 46]), (500, 3))
@@ -73,10 +75,24 @@ def test_a_file_that_cannot_be_read_again_is_not_called_saved(tmp_path, monkeypa
         write_scene(tmp_path / "a.spz", scattered())
 
 
-@pytest.mark.parametrize("suffix", WRITTEN)
-@pytest.mark.parametrize("case", SCENES)
+MANY = {
+    "a large regular grid": lambda: equal(grid(LARGE)),
+    "a large plane of equal Gaussians": lambda: equal(grid(LARGE) * [1, 1, 0]),
+    "2 million duplicates": lambda: equal(np.zeros((2_000_000, 3)), degree=0),
+}
+
+
+def cases() -> Iterator[Any]:
+    """(case, suffix). A stage of USD is read by a process of its own; some scenes are large."""
+    for case in SCENES | MANY:
+        for suffix in WRITTEN:
+            slow = case in MANY or suffix == ".usd"
+            yield pytest.param(case, suffix, marks=[pytest.mark.slow] if slow else [])
+
+
+@pytest.mark.parametrize(("case", "suffix"), cases())
 def test_what_is_written_can_be_read(tmp_path, case, suffix):
-    scene = SCENES[case]()
+    scene = (SCENES | MANY)[case]()
     path = tmp_path / f"scene{suffix}"
     write_scene(path, scene)
     found = read_scene(path)
