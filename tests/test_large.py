@@ -424,7 +424,7 @@ def test_steps_that_are_killed_and_done_again_give_the_same_bytes(source, camera
     write_cameras_json(
         tmp_path / "views.json", [replace(camera, name=str(k)) for k, camera in enumerate(cameras)]
     )
-    work, given = tmp_path / "work", ["--cameras", tmp_path / "views.json", "--block", "2000"]
+    work, given = tmp_path / "work", ["--cameras", tmp_path / "views.json", "--block", "2000", "--force"]
     assert (
         svrgs(
             "large",
