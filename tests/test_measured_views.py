@@ -12,7 +12,8 @@ import pytest
 pytest.importorskip("pycolmap")
 pytest.importorskip("OpenImageIO")
 
-from svrgs_addon.prune.belonging import percent
+import scenes
+from svrgs_addon.prune.belonging import percent, seen_of
 from svrgs_addon.prune.likeness import apart
 from svrgs_addon.render.metrics.measures import SHOWN, almost_empty
 from svrgs_addon.scene.camera import Camera, halfway
@@ -51,6 +52,21 @@ def test_a_picture_is_almost_empty_if_few_pixels_differ_from_its_background():
     assert almost_empty(picture, (0.5, 0.5, 0.5))
     picture[1, 0] = 0
     assert not almost_empty(picture, (0.5, 0.5, 0.5))
+
+
+def test_many_views_of_a_large_place_that_each_show_little_see_all_of_it():
+    """Houses in a row, and one view of each."""
+    houses = 80
+    house = scenes.random_scene(20, 0, 0, spread=0.3, scale=0.05, opacity=2.0)
+    street = house.select(np.tile(np.arange(20), houses))
+    along = np.repeat(np.arange(houses, dtype=np.float32), 20)[:, None] * np.float32([100, 0, 0])
+    street = replace(street, means=street.means + along)
+    cameras, matrix = [], np.eye(4)
+    for k in range(houses):
+        matrix[0, 3] = -100 * k
+        cameras.append(scenes.camera(64, 48, eye=(0, 0, -3)).moved(matrix))
+    assert seen_of(street, cameras[:40]).share < 0.55 < 0.9 < seen_of(street, cameras).share
+    assert seen_of(street, cameras).views == houses
 
 
 @pytest.mark.parametrize("way", WAYS)

@@ -21,7 +21,8 @@ from ..views.rendered import RenderedDataset
 
 MIN_SEEN = 0.5  # share of the Gaussians that the views of a job must see
 MIN_EXPLAINED = 0.2  # share of the variance of its photographs that a splat must explain
-MAX_LOOKED = 32  # views in which Gaussians are looked for, evenly spread
+# views in which Gaussians are looked for, evenly spread: at first, and if those see too few of them
+FIRST_LOOKED, MAX_LOOKED = 32, 256
 LOOKED_SIDE = 512  # pixels of the longer side of such a view
 
 
@@ -40,12 +41,17 @@ class Seen(NamedTuple):
 
 
 def seen_of(scene: Scene, cameras: Sequence[Camera]) -> Seen:
-    """What MAX_LOOKED of the cameras see. A Gaussian is seen unless its mean transmittance is at most
-    HIDDEN (finetune/decimate/order.py)."""
-    some = [camera.fitted(LOOKED_SIDE) for camera in evenly(cameras, MAX_LOOKED)]
-    sums, _ = visibility_sums(scene, some, Rasterizer(), render_options(scene), pictures=False)
+    """What FIRST_LOOKED of the cameras see, or, if that is less than MIN_SEEN, MAX_LOOKED of them: each view
+    of a large place shows little of it. A Gaussian is seen unless its mean transmittance is at most HIDDEN
+    (finetune/decimate/order.py)."""
     drawn = ~invisible(scene)
-    return Seen(1 - hidden(sums[drawn]) / max(1, int(drawn.sum())), len(some))
+    for most in (FIRST_LOOKED, MAX_LOOKED):
+        some = [camera.fitted(LOOKED_SIDE) for camera in evenly(cameras, most)]
+        sums, _ = visibility_sums(scene, some, Rasterizer(), render_options(scene), pictures=False)
+        seen = Seen(1 - hidden(sums[drawn]) / max(1, int(drawn.sum())), len(some))
+        if seen.share >= MIN_SEEN or len(some) == len(cameras):
+            break
+    return seen
 
 
 def check_seen(seen: Seen, name: str, force: bool) -> list[str]:

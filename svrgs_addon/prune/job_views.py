@@ -28,6 +28,7 @@ MAX_VIEWS = 256  # given views, and by blocks those of a dataset: evenly spread
 PLACED_FOR_QUICK = 64  # views that are placed for a quick job by blocks
 QUICK_SIDE = 512  # pixels of the longer side of a view of a quick job
 QUICK_TRAIN, QUICK_TEST = 32, 16  # its views to decide on, and to measure in
+QUICK_MOST = 128  # to decide on, where QUICK_TRAIN of a dataset leave many Gaussians hidden
 OWN_PICTURES = "no photographs: the splat's own pictures take their place"
 BETWEEN = "from halfway between the cameras, because none is held out"
 
@@ -54,8 +55,9 @@ def of_dataset(
     return [cameras[i] for i in dataset.train_indices], [cameras[i] for i in dataset.test_indices]
 
 
-def quick(options: PruneOptions, scene: Scene) -> Views:
-    """Of a quick job: of the dataset, or else from outside. Raises SceneError, FormatError."""
+def quick(options: PruneOptions, scene: Scene, most: int = QUICK_TRAIN) -> Views:
+    """Of a quick job: of the dataset, or else from outside. most: views to decide on. Raises SceneError,
+    FormatError."""
     if options.data is None:
         return Views(
             cameras_around(scene, QUICK_TRAIN, QUICK_SIDE),
@@ -65,13 +67,15 @@ def quick(options: PruneOptions, scene: Scene) -> Views:
         )
     train, test = of_dataset(options, scene, QUICK_SIDE)
     where = "from the cameras of the dataset" if test else BETWEEN
-    train = evenly(train, QUICK_TRAIN)
+    train = evenly(train, most)
     return Views(train, evenly(test or halfway(train), QUICK_TEST), _measured_from(where), {})
 
 
-def quick_within(options: PruneOptions, scene: Scene) -> Views | None:
-    """Of a quick job of a scene that is seen from inside; None if there is no free space inside. Raises
-    SceneError if the scene shows nothing."""
+def quick_instead(options: PruneOptions, scene: Scene) -> Views | None:
+    """Of a quick job whose views leave many Gaussians hidden: more of the dataset, or from inside; None if
+    there is no free space inside. Raises SceneError, FormatError."""
+    if options.data is not None:
+        return quick(options, scene, QUICK_MOST)
     rig = quick_rig(scene, QUICK_TRAIN, held_out=QUICK_TEST, seed=options.seed)
     if not rig.inside_out:
         return None

@@ -225,7 +225,7 @@ class MergedByBlocks(ByBlocks):
         notes = [*self.forced, *result_notes(self.likeness, results[0])]
         facts = {"views": len(self.scored), "levels": levels, "drop": None, "notes": notes}
         result = with_seen(self.divided, {**results[0], **facts})
-        if goal.max_drop:
+        if goal.max_drop and result["psnr"] is not None:
             result |= _of_drop(result, assumed_drop(result["psnr"]), goal)
         return self.of_prune(result, f", and fine-tuned in {EPOCHS} steps for each view")
 

@@ -106,9 +106,9 @@ class Quick:
         options, scene, job = self.options, self.scene, self.job
         self.rasterizer, settings = Rasterizer(), render_options(scene, options.background)
         sums, self.pictures = visibility_sums(self.enlarged, self.cameras, self.rasterizer, settings)
-        if not options.data and hidden(sums) > MOST_HIDDEN * scene.count:
-            if (within := job_views.quick_within(options, self.enlarged)) is not None:
-                self.cameras, self.test, self.notes, _ = within
+        if hidden(sums) > MOST_HIDDEN * scene.count:
+            if (instead := job_views.quick_instead(options, self.enlarged)) is not None:
+                self.cameras, self.test, self.notes, _ = instead
                 sums, self.pictures = visibility_sums(self.enlarged, self.cameras, self.rasterizer, settings)
         if job.stop():
             raise Cancelled(NOT_FINISHED)
@@ -167,7 +167,8 @@ class Quick:
             for one in self.written
         )
         facts["levels"] = [{"share": share, **one} for share, one in zip(options.levels, levels, strict=True)]
-        facts["drop"] = assumed_drop(after["psnr"]) if options.max_drop else None
+        measured = after["psnr"] is not None
+        facts["drop"] = assumed_drop(after["psnr"]) if options.max_drop and measured else None
         notes = [
             *self.notes,
             *self.likeness.notes(),
