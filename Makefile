@@ -11,6 +11,8 @@ PYTHON ?= $(shell tools/find_python.sh 3.11 3.12 3.13)
 VENV := .venv
 PY := $(VENV)/bin/python
 DEMO := build/demo
+# Tests start hundreds of processes: without files of bytecode each would compile every module anew.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: setup native wheels demo test test-slow test-blender lint format sanitize fuzz zip package clean
 

@@ -48,7 +48,7 @@ def compare(
         kept_photographs=dataset.memory_budget,
         lpips=lpips is not None,
     )
-    figures, renders = list[dict](), []
+    figures, renders, timing = list[dict](), [], list[str]()
     with opened(a, "comparing", needed) as first, opened(b, "comparing", needed) as second:
         opened_scenes = ((a, *first), (b, *second))
         for path, scene, _ in opened_scenes:
@@ -67,13 +67,13 @@ def compare(
             figures.append({**quality, "bytes": size_on_disk(path)})
             renders.append(report_pictures(scene, dataset, rasterizer))
         if all(isinstance(rasterizer, Rasterizer) for _, _, rasterizer in opened_scenes):
-            figures, more = timed_in_turn([scene for _, scene, _ in opened_scenes], figures, dataset)
-            notes += more
+            figures, timing = timed_in_turn([scene for _, scene, _ in opened_scenes], figures, dataset)
         pictures = list(report_views(renders[0], renders[1], dataset))
     files = [_save(out, view) for view in pictures]
     page = Report(
         scene=f"{a.name} and {b.name}", before=figures[0], after=figures[1], names=(a.name, b.name),
-        lpips_missing=missing, notes=notes, views=tuple(pictures), versions={"SVR-GS": __version__},
+        lpips_missing=missing, notes=[*notes, *timing], views=tuple(pictures),
+        versions={"SVR-GS": __version__},
     )  # fmt: skip
     path = write_report(out, page)
     return {
