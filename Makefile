@@ -11,8 +11,7 @@ PYTHON ?= $(shell tools/find_python.sh 3.11 3.12 3.13)
 VENV := .venv
 PY := $(VENV)/bin/python
 DEMO := build/demo
-# Tests start hundreds of processes: without files of bytecode each would compile every module anew.
-unexport PYTHONDONTWRITEBYTECODE
+unexport PYTHONDONTWRITEBYTECODE # tests start hundreds of processes, each of which would compile all modules anew
 
 .PHONY: setup native wheels demo test test-slow test-blender lint format sanitize fuzz zip package clean
 
@@ -44,8 +43,7 @@ sanitize: setup
 	@tools/sanitize.sh $(VENV)
 fuzz:
 	@tools/fuzz.sh
-zip: setup wheels
-	@$(PY) tools/build_extension.py
+zip: setup wheels; @$(PY) tools/build_extension.py
 package: setup
 	@tools/package.sh $(VENV)
 clean:
