@@ -55,7 +55,7 @@ def test_the_plain_goals_are_multiples_of_the_default_strength_or_shares(splat, 
 @pytest.mark.parametrize(
     "method, goal, sentence",
     [
-        ("removal", "BALANCED", "almost no visible loss"), ("svr", "BALANCED",
+        ("removal", "BALANCED", "with little loss"), ("svr", "BALANCED",
         "The default λ_F of this method"),
         ("svr", "LIGHT", "0.1 times the default λ_F of this method"), ("gns", "BALANCED",
         "Keeps 25% of the Gaussians"),
