@@ -14,7 +14,8 @@ pytest.importorskip("OpenImageIO")
 
 import scenes
 from svrgs_addon.prune.belonging import percent, seen_of
-from svrgs_addon.prune.likeness import apart
+from svrgs_addon.prune.likeness import Likeness, apart
+from svrgs_addon.prune.recipes import fine_tuned
 from svrgs_addon.render.metrics.measures import SHOWN, almost_empty
 from svrgs_addon.scene.camera import Camera, halfway
 from svrgs_addon.views.cameras_json import write_cameras_json
@@ -71,7 +72,22 @@ def test_many_views_of_a_large_place_that_each_show_little_see_all_of_it():
 
 @pytest.mark.parametrize("way", WAYS)
 def test_no_view_that_decided_measures(svrgs, tiny, tmp_path, monkeypatch, way):
-    """Where none is held out, views halfway between them do. Renders of the original tell which."""
+    """Where none is held out, views halfway between them measure, and not those of them that decide how much
+    of the fine-tuning is used."""
+    names: list[str] = []
+    measured, evaluate = Likeness.measured, fine_tuned.evaluate
+
+    def of_likeness(self, scene):
+        names.extend(camera.name for camera in self.views)
+        assert not {camera.key for camera in self.views} & {camera.key for camera in self.deciding.views}
+        return measured(self, scene)
+
+    def of_dataset(scene, dataset, indices, *more):
+        names.extend(dataset.cameras[i].name for i in indices)
+        return evaluate(scene, dataset, indices, *more)
+
+    monkeypatch.setattr(Likeness, "measured", of_likeness)
+    monkeypatch.setattr(fine_tuned, "evaluate", of_dataset)
     write_cameras_json(tmp_path / "cameras.json", tiny.cameras[:6])
     places = {
         "scene": shutil.copy(tiny.splat, tmp_path),
@@ -79,6 +95,7 @@ def test_no_view_that_decided_measures(svrgs, tiny, tmp_path, monkeypatch, way):
         "cameras": tmp_path / "cameras.json",
     }
     result = svrgs(*WAYS[way].format(**places, out=tmp_path / "o.ply").split()).json
+    assert names and all(name.startswith("between_") for name in names), names
     assert 15 < result["psnr"] < 60 and result["seen"] > 0.5 and result["seen_views"] > 4
     assert any(f"{result['seen_views']} views see" in note for note in result["notes"])
 

@@ -130,7 +130,7 @@ def test_an_older_one_is_replaced_with_its_files(town):
 
 @pytest.mark.parametrize("named", ["link/meta.json", "portrait/meta.json", "0_9/meta.json"])
 def test_an_older_one_names_what_is_not_its_own(town, tmp_path, named):
-    """Files behind a link, and a splat of its own beside it."""
+    """An index may name a folder behind a link, or another splat beside it: those files stay."""
     write_scene(tmp_path / "victim/meta.json", levels_of(100)[0])
     folder = town.parent / named.split("/")[0]
     if folder.name == "portrait":

@@ -67,7 +67,7 @@ class Tuned:
         self.plan, self.job, self.seconds = plan, job, seconds
         self.clock, self.room = Clock(), DiskRoom(job.out, job.folder)
         self.held = 0.0  # PSNR in dB from which an allowed drop counts
-        self.notes: list[str] = []  # sentences that the user must see, besides those of the dataset
+        self.notes: list[str] = []  # for the user, besides those of the dataset
 
     def further_files(self) -> list[Path]:
         return [self.job.folder / "manifest.json"]
