@@ -28,25 +28,6 @@ def runtime() -> str:
     return found if os.path.isabs(found) else ""
 
 
-def compiled(folder: Path, target: str, flags: str) -> subprocess.CompletedProcess:
-    """Builds a target of native/CMakeLists.txt with these flags."""
-    configure = [
-        variants.cmake(),
-        "-S",
-        ROOT / "native",
-        "-B",
-        folder,
-        f"-DCMAKE_CXX_FLAGS_RELEASE={flags}",
-        f"-DCMAKE_CXX_COMPILER={CXX}",
-    ]
-    subprocess.run(configure, check=True, capture_output=True)
-    return subprocess.run(
-        [variants.cmake(), "--build", folder, "--target", target, "--parallel", "2"],
-        capture_output=True,
-        text=True,
-    )
-
-
 def program(out: Path, library: Path, *words: str):
     """Compiles sources of tests/sanitizers/ with the library."""
     words = [ROOT / "tests/sanitizers" / word if word.endswith(".cc") else word for word in words]
@@ -69,23 +50,21 @@ def program(out: Path, library: Path, *words: str):
 @pytest.mark.slow
 @pytest.mark.skipif(not runtime(), reason="the compiler has no thread sanitizer")
 def test_no_data_races(tmp_path):
-    folder = ROOT / "build" / "sanitize" / "tsan"  # kept: built anew only after a change
-    assert compiled(folder, "svrgs-debug", "-O1 -fsanitize=thread").returncode == 0
+    """At the levels that every processor has; the others compile the same sources."""
+    folder = ROOT / "build" / "sanitize" / "tsan-short"  # kept: built anew only after a change
+    configure = [variants.cmake(), "-S", ROOT / "native", "-B", folder, "-Davx=OFF"]
+    flags = [f"-DCMAKE_CXX_COMPILER={CXX}", "-DCMAKE_CXX_FLAGS_RELEASE=-O1 -fsanitize=thread"]
+    subprocess.run([*configure, *flags], check=True, capture_output=True)
+    build = [variants.cmake(), "--build", folder, "--target", "svrgs-debug", "--parallel", "2"]
+    subprocess.run(build, check=True, capture_output=True)
     program(tmp_path / "threads", folder / "libsvrgs-debug.so", "threads.cc", "-fsanitize=thread")
     done = subprocess.run(
-        [tmp_path / "threads", "3"],
+        [tmp_path / "threads", "2"],
         env=os.environ | {"TSAN_OPTIONS": "halt_on_error=1"},
         capture_output=True,
         text=True,
     )
     assert (done.returncode, done.stdout) == (0, "clean\n"), done.stderr[-3000:]
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(variants.missing_tools() != "", reason="there is no compiler")
-def test_no_warnings(tmp_path):
-    done = compiled(tmp_path, "objects", "-O3 -Werror -fsyntax-only")
-    assert done.returncode == 0, done.stderr[-3000:]
 
 
 @pytest.mark.skipif(not shutil.which(CXX) or platform.system() != "Linux", reason="there is no compiler")

@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# Compiles the native core into svrgs_addon/, if its sources have changed: tools/build_native.sh VENV. CXX names the compiler.
+# Compiles the native core into svrgs_addon/, if its sources have changed, and shows warnings: tools/build_native.sh VENV.
+# CXX names the compiler.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 cmake=$1/bin/cmake
@@ -11,3 +12,4 @@ if ! [ -f build/native/CMakeCache.txt ] || ! [ -f svrgs_addon/libsvrgs.so ]; the
 fi
 { "$cmake" -S native -B build/native "-Dlibrary_folder=$PWD/svrgs_addon" && "$cmake" --build build/native --target svrgs --parallel 2; } >"$log" 2>&1 ||
     { cat "$log" >&2 && exit 1; }
+grep -A 4 'warning:' "$log" >&2 || true

@@ -59,7 +59,7 @@ const svrgs::Kernels* kernels_of(int32_t level) {
 #else
     case SVRGS_BASELINE: return &svrgs::baseline_kernels;
 #endif
-#if defined(__x86_64__)
+#if defined(SVRGS_WITH_AVX)
     case SVRGS_AVX2: return svrgs::has_avx2() ? &svrgs::avx2_kernels : nullptr;
     case SVRGS_AVX512: return svrgs::has_avx512() ? &svrgs::avx512_kernels : nullptr;
 #endif

@@ -117,10 +117,8 @@ void count_tiles(const BinEntry* entry, const BinEntry* end, uint32_t counts[kBi
   }
 }
 
-// Deals the sorted entries of a bin out to its tiles. next[tile]: where the next entry of the tile goes.
+// Deals the sorted entries of a bin out to its tiles. next[tile]: where the next entry of the tile goes; one more for those of no tile.
 void deal_out(const BinEntry* binned, const uint64_t* keys, int64_t n, TileEntry* next[kBinTiles + 1]) {
-  TileEntry none;
-  next[kBinTiles] = &none;
   for (int64_t i = 0; i < n; ++i) {
     const BinEntry& e = binned[static_cast<uint32_t>(keys[i])];
     uint32_t left = e.tiles, slot = e.slot;
@@ -188,7 +186,8 @@ void list_bin(const TileLists& lists, int64_t bin) {
   int64_t* const tile_begin = lists.tile_begin + bin * kBinTiles;
   uint32_t counts[kBinTiles] = {};
   count_tiles(lists.binned + begin, lists.binned + end, counts);
-  TileEntry* next[kBinTiles + 1];
+  TileEntry none, *next[kBinTiles + 1];
+  next[kBinTiles] = &none;
   for (int k = 0; k < kBinTiles; ++k) {
     if (k) tile_begin[k] = tile_begin[k - 1] + counts[k - 1];
     next[k] = lists.entries + tile_begin[k];

@@ -63,7 +63,7 @@ void cancelled(int microseconds) {
 std::vector<float> triangles() {
   std::mt19937 random(2);
   std::normal_distribution<float> normal;
-  const int n = 3000, width = 900, height = 400;
+  const int n = 500, width = 900, height = 400;
   std::vector<float> corners(9 * n), colors(9 * n, 0.5f), light(3 * n, 0.1f);
   for (int i = 0; i < 9 * n; ++i) corners[i] = (i % 3 == 2 ? 5.0f : 0.0f) + normal(random);
   const std::vector<uint8_t> holdout(n);
