@@ -76,6 +76,17 @@ def small_pictures(monkeypatch):
 
 
 @pytest.fixture
+def small_rig(small_pictures, monkeypatch):
+    """As above, and fewer and smaller views are placed."""
+    from svrgs_addon.views.rig import place, viewpoints
+
+    few = {"FIRST": 12, "SECOND": 4, "MIN_CHOSEN": 8, "MAX_CHOSEN": 12, "USUAL_VIEWS": 16}
+    for module, limits in ((place, few), (viewpoints, {"SMALLEST": 96, "LARGEST": 96})):
+        for name, value in limits.items():
+            monkeypatch.setattr(module, name, value)
+
+
+@pytest.fixture
 def default_threads():
     """As many threads as processors again, after a test that changes their number."""
     yield

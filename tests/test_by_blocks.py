@@ -25,7 +25,7 @@ from svrgs_addon.render.metrics.evaluate import render_options
 from svrgs_addon.system import memory
 from svrgs_addon.system.errors import SceneError
 from svrgs_addon.views.cameras_json import write_cameras_json
-from svrgs_addon.views.rig import place, place_rig
+from svrgs_addon.views.rig import place_rig, viewpoints
 from svrgs_addon.views.rig.around import cameras_around
 from svrgs_bench.scenes import room
 
@@ -47,9 +47,8 @@ def short(monkeypatch):
 
 
 @pytest.fixture(autouse=True)
-def few_views(monkeypatch):
+def few_views(small_rig, monkeypatch):
     monkeypatch.setattr(job_views, "PLACED_FOR_QUICK", 12)
-    monkeypatch.setattr(place, "USUAL_VIEWS", 20)
 
 
 @pytest.mark.slow
@@ -428,6 +427,7 @@ def test_a_sample_covers_about_what_all_gaussians_do(monkeypatch, source):
 def test_pictures_are_as_fine_as_all_gaussians_need(monkeypatch, source):
     whole = load_scene(source).scene
     small = replace(whole, log_scales=whole.log_scales - 3.5)
+    monkeypatch.setattr(viewpoints, "LARGEST", 1024)
     sides = [place_rig(small, views=1, enlarged=factor).width for factor in (1.0, 1.2, 100.0)]
     assert sides[0] < sides[1] < sides[2] == 1024
 

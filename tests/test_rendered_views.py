@@ -26,19 +26,9 @@ from svrgs_addon.scene.camera import Camera
 from svrgs_addon.system.errors import Cancelled, FormatError, SceneError
 from svrgs_addon.views.camera_files import load_cameras
 from svrgs_addon.views.cameras_json import load_cameras_json, write_cameras_json
-from svrgs_addon.views.rig import place
 from svrgs_addon.views.rig.around import cameras_around
 
-# views of a rig in these tests
-FEW = {"FIRST": 12, "SECOND": 4, "MIN_CHOSEN": 8, "MAX_CHOSEN": 12, "USUAL_VIEWS": 16}
-
-
-@pytest.fixture(autouse=True)
-def few_views(monkeypatch):
-    for name, value in FEW.items():
-        monkeypatch.setattr(place, name, value)
-    monkeypatch.setattr("svrgs_addon.views.rig.viewpoints.SMALLEST", 96)
-    monkeypatch.setattr("svrgs_addon.views.rig.viewpoints.LARGEST", 96)
+pytestmark = pytest.mark.usefixtures("small_rig")
 
 
 @pytest.fixture
