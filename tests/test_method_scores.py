@@ -23,6 +23,8 @@ from svrgs_addon.finetune.settings import Densify
 from svrgs_addon.native.rasterizer import RenderOptions
 from svrgs_addon.scene.gaussians import PARAMETERS, Scene
 
+# of torch itself, where it differentiates forward
+pytestmark = pytest.mark.filterwarnings("ignore:.torch.jit.script")
 BACKGROUND = (0.2, 0.5, 0.9)
 
 
@@ -107,7 +109,9 @@ def sensitivities(scene, camera) -> np.ndarray:
             means, log_scales, *tensors[2:], ones, viewmat, K, camera.width, camera.height, background
         ).rgb.reshape(-1)
 
-    g = torch.cat(torch.autograd.functional.jacobian(colours, tuple(tensors[:2])), dim=2)  # (colours, N, 6)
+    forward = {"strategy": "forward-mode", "vectorize": True}  # ten times as many colours as parameters
+    both = torch.autograd.functional.jacobian(colours, tuple(tensors[:2]), **forward)
+    g = torch.cat(both, dim=2)  # (colours, N, 6)
     return torch.einsum("pni,pnj->nij", g, g).numpy()
 
 
