@@ -19,8 +19,9 @@ class ComparePanel(SidebarPanel):
         if not native_library_works(layout):
             return
         column = split_column(layout)
+        guessed = compare.guessed(context)
         for name in ("original", "pruned", "compare_camera"):
-            column.prop(settings, name)
+            column.prop(settings, name, placeholder=guessed.get(name, ""))
         column = layout.column(align=True)
         column.operator("svrgs.viewport_wipe", icon="ARROW_LEFTRIGHT", depress=wiping)
         row = column.row(align=True)

@@ -4,6 +4,7 @@ import bpy
 from bpy.app.translations import pgettext_iface as tr
 
 from ..operators.data.splat_object import is_splat
+from ..operators.data.splat_size import of_its_file
 from ..operators.io import export_farm, export_levels
 from ..operators.jobs.job_result import marked_count
 from ..operators.jobs.prune_state import size
@@ -19,7 +20,8 @@ class SVRGS_PT_export(SidebarPanel, bpy.types.Panel):
         if not is_splat(obj):
             layout.label(text="Select the splat to export", icon="INFO")
             return
-        wrapped_label(layout, f"{obj.name}: {size(obj)}")
+        wrapped_label(layout, tr("{name}: {size} as PLY").format(name=obj.name, size=size(obj)))
+        wrapped_label(layout, of_its_file(obj))
         if marked := marked_count(obj):
             wrapped_label(
                 layout,

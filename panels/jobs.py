@@ -1,15 +1,16 @@
-"""All jobs that this Blender knows, below step 2: with or without a splat in the file, running, waiting,
-stopped or finished."""
+"""All jobs that this Blender knows: with or without a splat in the file, running, waiting, stopped or
+finished. One line on what runs, or how it ended, is in the title and in the header of the 3D View."""
 
 from __future__ import annotations
 
 import bpy
 from bpy.app.translations import pgettext_n as n_
 
-from ..operators.jobs import job_list
+from ..operators.jobs import job_list, job_pictures, job_state, prune_state
 from .sidebar import SidebarPanel, wrapped_label
 
 BUTTONS = {  # action -> operator, icon
+    "run_now": ("svrgs.job_run_now", "TRIA_UP"),
     "stop": ("svrgs.job_stop", "PAUSE"),
     "resume": ("svrgs.job_resume", "PLAY"),
     "load": ("svrgs.job_load", "IMPORT"),
@@ -19,8 +20,11 @@ BUTTONS = {  # action -> operator, icon
 
 class SVRGS_PT_jobs(SidebarPanel, bpy.types.Panel):
     bl_label = "Jobs"
-    bl_parent_id = "SVRGS_PT_prune"
+    bl_order = 2
     bl_options = {"DEFAULT_CLOSED"}
+
+    def draw_header_preset(self, context):
+        self.layout.label(text=job_list.headline(context), translate=False)
 
     def draw(self, context):
         layout, rows = self.layout, job_list.rows(context)
@@ -49,6 +53,37 @@ def draw_actions(layout, job, actions: tuple[str, ...], named: bool = True):
         button.folder = str(job.folder.path)
         if action == "stop":
             button.now = stop_now
+
+
+def draw_job(layout, context, subject, job):
+    """A job that runs, waits, or has stopped: its progress, what it says, its pictures, and its buttons."""
+    layout.label(text=subject.name, icon="OUTLINER_OB_POINTCLOUD", translate=False)
+    if job_state.is_busy(job):
+        layout.progress(factor=job.progress, text=job_state.time_left(job))
+    icon = "NONE" if job_state.is_busy(job) else "INFO" if job_state.is_resumable(job) else "CHECKMARK"
+    for sentence in prune_state.sentences(context):
+        wrapped_label(layout, sentence, icon)
+        icon = "NONE"
+    if job.state != "done" and job_pictures.plot_icon(job.folder):
+        row = layout.row()
+        pictures = job_pictures.plot_icon(job.folder), job_pictures.preview_icon(job.folder)
+        for picture in filter(None, pictures):
+            row.template_icon(icon_value=picture, scale=6)
+        layout.label(text="Blue: Gaussians. Orange: PSNR")
+    draw_actions(layout.row(align=True), job, job_state.of(job).actions)
+
+
+def draw_headline(header, context):
+    if line := job_list.headline(context):
+        header.layout.label(text=line, icon="OUTLINER_OB_POINTCLOUD", translate=False)
+
+
+def register():
+    bpy.types.VIEW3D_HT_header.append(draw_headline)
+
+
+def unregister():
+    bpy.types.VIEW3D_HT_header.remove(draw_headline)
 
 
 CLASSES = (SVRGS_PT_jobs,)

@@ -1,4 +1,4 @@
-"""Step 2: settings of pruning, progress of a job, and its result. In every state the panel says what to do
+"""Step 2: settings of pruning, progress of its job, and its result. In every state the panel says what to do
 next."""
 
 from __future__ import annotations
@@ -9,15 +9,14 @@ from ..operators.data import quick_order
 from ..operators.jobs import (
     depths,
     goals,
-    job_pictures,
     job_result,
-    job_state,
     job_watch,
     orphan_jobs,
     prune_state,
+    train,
 )  # fmt: skip
 from ..operators.scene.dataset_paths import dataset_of
-from .jobs import draw_actions
+from .jobs import draw_job
 from .sidebar import SidebarPanel, split_column, wrapped_label
 
 PAPER_VALUES = (1e-4, 1.25e-4, 1.6e-4, 2e-4)  # values of λ_F in the paper
@@ -29,36 +28,34 @@ ADVANCED = (
 )  # fmt: skip
 STEPS = ("iterations", "recovery")  # chosen by the program if the time is limited
 # stage -> icon of the first sentence
-ICONS = {"BROKEN": "ERROR", "NOTHING": "INFO", "WAITING": "INFO", "FINISHED": "CHECKMARK"}
+ICONS = {"BROKEN": "ERROR", "NOTHING": "INFO"}
 
 
 class SVRGS_PT_prune(SidebarPanel, bpy.types.Panel):
     bl_label = "2  Prune"
     bl_order = 2
 
+    @classmethod
+    def poll(cls, context):
+        return not train.is_shown(context)
+
     def draw(self, context):
         layout, stage, subject = self.layout, prune_state.stage(context), prune_state.subject(context)
         found = job_watch.current(context)
-        job = found[1] if found is not None else None
-        if subject is not None and stage not in ("BROKEN", "NOTHING", "READY"):
+        if stage != "BROKEN" and found is not None:
+            draw_job(layout, context, *found)
+            return
+        if stage == "RESULT":
             layout.label(text=subject.name, icon="OUTLINER_OB_POINTCLOUD", translate=False)
         if stage == "READY":
             draw_settings(layout, context)
-        elif stage == "BUSY" and job is not None:
-            layout.progress(factor=job.progress, text=prune_state.time_left(job))
         elif stage == "RESULT" and job_result.has_slider(subject):
             layout.prop(subject, "svrgs_share", slider=True)
         icon = ICONS.get(stage, "NONE")
         for sentence in prune_state.sentences(context):
             wrapped_label(layout, sentence, icon)
             icon = "NONE"
-        if stage in ("BUSY", "WAITING") and job is not None and job_pictures.plot_icon(job.folder):
-            row = layout.row()
-            pictures = job_pictures.plot_icon(job.folder), job_pictures.preview_icon(job.folder)
-            for picture in filter(None, pictures):
-                row.template_icon(icon_value=picture, scale=6)
-            layout.label(text="Blue: Gaussians. Orange: PSNR")
-        draw_buttons(layout, context, stage, job)
+        draw_buttons(layout, context, stage)
 
 
 class SVRGS_PT_prune_advanced(SidebarPanel, bpy.types.Panel):
@@ -117,12 +114,10 @@ def draw_strength(column, settings):
             row.operator("svrgs.set_lambda", text=f"{value * 1e4:g}e-4").value = value
 
 
-def draw_buttons(layout, context, stage: str, job):
+def draw_buttons(layout, context, stage: str):
     original, pruned = job_result.pair_of(context.object)
     row = layout.row(align=True)
-    if job is not None:
-        draw_actions(row, job, job_state.of(job).actions)
-    elif stage == "RESULT":
+    if stage == "RESULT":
         if quick_order.is_shown(pruned):
             row.operator("svrgs.prune_again", icon="PLAY")
             row = layout.row(align=True)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from svrgs_addon.scene.bounds import (
+    body_box,
     clipping,
     corners,
     median_depth,
@@ -29,6 +30,17 @@ def test_a_background_all_around_does_not_either():
     sky = rng.normal(size=(3000, 3))
     sky *= 60 / np.linalg.norm(sky, axis=1, keepdims=True)
     assert np.abs(robust_box(np.concatenate([rng.uniform(-1, 1, (7000, 3)), sky]))).max() < 3
+
+
+def test_limbs_belong_to_the_body_but_floaters_and_a_sky_do_not():
+    rng = np.random.default_rng(4)
+    body, head = rng.uniform(-1, 1, (9_700, 3)), rng.uniform(-0.1, 0.1, (200, 3)) + [0, 1.9, 0]
+    sky = rng.uniform(-1, 1, (100, 3)) + [0, 0, 40]
+    points = np.concatenate([body, head, sky])
+    low, high = body_box(points)
+    assert 1.8 < high[1] < 2.1 and robust_box(points)[1, 1] < 1.2
+    assert np.abs(high[[0, 2]]).max() < 1.2 and np.abs(low).max() < 1.2
+    assert body_box(np.empty((0, 3))) is None
 
 
 def test_what_is_faint_counts_little():

@@ -29,6 +29,10 @@ def problem(context, splat: bpy.types.Object | None) -> str:
     # it may be edited in another window's scene
     if context.mode != "OBJECT" or (splat is not None and splat.mode == "EDIT"):
         return tr("Leave Edit Mode first")
+    if splat is not None and splat.override_library:
+        return tr(
+            "'{name}' overrides one of another file: make it local first (Object > Relations > Make Local)"
+        ).format(name=splat.name)
     if splat is not None and (splat.library or (splat.data is not None and splat.data.library)):
         return tr(
             "'{name}' is linked from another file: make it local first (Object > Relations > Make Local)"

@@ -50,7 +50,7 @@ def sphere_of(objects: list[bpy.types.Object]) -> tuple[Vector, float] | None:
 
     None if there is nothing of the kind.
     """
-    boxes = (bounds.robust_box(points, weights) for points, weights in _points(objects))
+    boxes = (bounds.body_box(points, weights) for points, weights in _points(objects))
     found = [bounds.corners(box, np.eye(4)) for box in boxes if box is not None]
     if not any(map(splat_object.is_splat, objects)):
         found += [

@@ -43,6 +43,8 @@ from ...svrgs_addon.system.errors import SceneError, SplatError
 NOTES = "svrgs"  # property of a splat's data-block: types and order of further columns, comments
 # property of a splat without a root: whether its import has turned it from y down to z up; default True
 Y_DOWN = "svrgs_y_down"
+# properties of an imported splat: name of its file's format, bytes of the file
+FORMAT, BYTES = "svrgs_format", "svrgs_bytes"
 SAME_PLACE = 1e-6  # difference between matrices in float32 that means nothing
 ROOT = "svrgs_root"  # property of an empty: its children share the coordinates of the files
 # properties of a root: folder of its dataset, name of the image folder in it
@@ -182,7 +184,7 @@ def copy_with(obj: bpy.types.Object, name: str, scene: Scene) -> bpy.types.Objec
     constraints, not its properties."""
     copy = obj.copy()
     copy.name = name
-    for key in [key for key in copy.keys() if key.startswith("svrgs_") and key != Y_DOWN]:
+    for key in [key for key in copy.keys() if key.startswith("svrgs_") and key not in (Y_DOWN, FORMAT)]:
         del copy[key]
     obj.users_collection[0].objects.link(copy)
     replace_gaussians(copy, scene)

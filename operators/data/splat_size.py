@@ -30,7 +30,19 @@ def size_of(obj: bpy.types.Object, count: int) -> int:
 
 def size_text(obj: bpy.types.Object, count: int) -> str:
     """size_of as text."""
-    size = size_of(obj, count)
+    return file_size_text(size_of(obj, count))
+
+
+def of_its_file(obj: bpy.types.Object) -> str:
+    """The format and the size of the file that the splat was imported from; '' for PLY, or without a file."""
+    size = obj.get(splat_object.BYTES)
+    label = next((one.label for one in FORMATS[1:] if one.name == obj.get(splat_object.FORMAT)), "")
+    if not label or not isinstance(size, float):
+        return ""
+    return tr("Imported from {format}, {size}").format(format=label, size=file_size_text(size))
+
+
+def file_size_text(size: float) -> str:
     return f"{size / 1e6:.1f} MB" if size >= 1e5 else f"{size / 1e3:.1f} kB"
 
 

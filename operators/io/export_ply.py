@@ -22,6 +22,7 @@ from ...svrgs_addon.files.registry import (
     write_scene,
 )
 from ...svrgs_addon.files.splat_format import SplatFormat
+from ...svrgs_addon.system.errors import SceneError
 from ..data import splat_object
 from ..data.reporting import ReportingOperator
 from ..data.splat_size import size_in
@@ -67,6 +68,8 @@ class SVRGS_OT_export_ply(ReportingOperator, ExportHelper, ExportSpace):
         return "" if splat_object.is_splat(context.object) else tr("Select a Gaussian splat first")
 
     def invoke(self, context, event):
+        if not self.properties.is_property_set("kind"):
+            self.kind = default_kind(context.object)
         if not self.properties.is_property_set("filepath"):
             self.filepath = str(default_path(context.object))
         self.check(context)
@@ -98,16 +101,24 @@ class SVRGS_OT_export_ply(ReportingOperator, ExportHelper, ExportSpace):
 
     def work(self, context) -> str:
         obj, path = context.object, Path(bpy.path.abspath(self.filepath))
+        if not path.parent.is_dir():
+            raise SceneError(tr("{folder}: there is no such folder").format(folder=path.parent))
         scene, dropped = self.chosen(context, obj)
         splat_format = format_to_write(path)
         version = int(self.version) if splat_format.versions else 0
         write_scene(path, scene, version, self.quantise if splat_format.quantises else 1.0)
         text = tr("Exported {count:,} Gaussians to {file}, {size:.1f} MB").format(
-            count=scene.count, file=path.name, size=path.stat().st_size / 1e6
+            count=scene.count, file=path, size=path.stat().st_size / 1e6
         )
         lost = left_out(scene, splat_format)
         self.report({"WARNING" if lost else "INFO"}, "; ".join([text, *self.left_out(obj, dropped), *lost]))
         return ""
+
+
+def default_kind(obj: bpy.types.Object) -> str:
+    """The format of the splat's file; PLY for one that is not of a file, or whose format is not written."""
+    name, kinds = obj.get(splat_object.FORMAT), [kind for kind, *_ in KINDS]
+    return name if name in kinds else kinds[0]
 
 
 def _format(kind: str) -> SplatFormat:
@@ -115,9 +126,9 @@ def _format(kind: str) -> SplatFormat:
 
 
 def default_path(obj: bpy.types.Object) -> Path:
-    """A file beside the .blend file, with the name of the splat."""
+    """A file beside the .blend file, with the name of the splat, in the format of its file."""
     folder = Path(bpy.data.filepath).parent if bpy.data.filepath else Path()
-    return folder / (bpy.path.clean_name(obj.name) + suffixes(written=True)[0])
+    return folder / (bpy.path.clean_name(obj.name) + _format(default_kind(obj)).suffixes[0])
 
 
 def menu(self, context):

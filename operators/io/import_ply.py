@@ -13,8 +13,10 @@ from mathutils import Matrix
 from ...svrgs_addon.files.registry import (
     INDEXES,
     check_readable,
+    format_to_read,
     menu_label,
     read_scene,
+    size_on_disk,
     split_name,
     suffixes,
 )
@@ -64,6 +66,8 @@ class SVRGS_OT_import_ply(ReportingOperator, ImportHelper):
                 self.report({"WARNING"}, str(error))
                 continue
             objects.append(self.add(context, split_name(path)[0], scene))
+            objects[-1][splat_object.FORMAT] = format_to_read(path).name
+            objects[-1][splat_object.BYTES] = float(size_on_disk(path))
             root = splat_object.root_of(objects[-1])
             text = tr("{file}: {count:,} Gaussians")
             texts.append(text.format(file="".join(split_name(path)), count=scene.count))

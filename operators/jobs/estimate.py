@@ -55,11 +55,11 @@ def sentences(obj: bpy.types.Object) -> list[str]:
         if found["at_most"]
         else tr("About {kept:,} of {count:,} would stay ({share:.0%})")
     )
-    seen = tr("{invisible:,} invisible, {unseen:,} outside the {views} sampled views")
+    seen = tr("{invisible:,} Gaussians are invisible; {unseen:,} are in none of the {views} views looked at")
     if found["faint"]:
         seen = tr(
-            "{invisible:,} invisible, {unseen:,} outside the {views} sampled views, {faint:,} dropped first"
-            " as too faint"
+            "{invisible:,} Gaussians are invisible; {unseen:,} are in none of the {views} views looked at;"
+            " {faint:,} are too faint and go first"
         )
     time = (
         tr("About {minutes:.0f} min for {steps:,} steps")
@@ -86,6 +86,9 @@ def quality(found: dict) -> str:
         if found["psnr_after"] is not None:
             return text.format(**found)
         return tr("The quality is not foreseen for this method or goal")
+    figures = (found["psnr_before"], found["psnr_after"], found["psnr_removed"])
+    if None not in figures and len({round(value, 1) for value in figures}) == 1:
+        return tr("PSNR stays at about {psnr_before:.1f} dB").format(**found)
     if found["psnr_after"] is None:
         return tr(
             "PSNR now {psnr_before:.1f} dB; after pruning: not foreseen for this method or goal"

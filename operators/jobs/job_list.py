@@ -98,6 +98,19 @@ def _row(job: Job, owner: bpy.types.Object | None) -> Row:
     return Row(job, owner.name if owner is not None else job.name, state.icon, said, ", ".join(size), actions)
 
 
+def headline(context) -> str:
+    """The running job in one line, with those that wait; or how the last one ended; '' if there was none."""
+    busy = [job for job in job_queue.jobs.values() if job_state.is_busy(job)]
+    if not busy:
+        last = job_queue.last_ended()
+        return "" if last is None else f"{last.name}: {job_state.text(last)}"
+    busy.sort(key=lambda job: not job.running)
+    texts = [f"{busy[0].name}: {job_state.time_left(busy[0])}"]
+    if len(busy) > 1:
+        texts.append(tr("{count} more").format(count=len(busy) - 1))
+    return "; ".join(texts)
+
+
 def _is_loaded(owner: bpy.types.Object | None) -> bool:
     """Whether the result is beside the splat."""
     return owner is not None and job_result.undecided(job_result.pruned_of(owner))

@@ -93,6 +93,22 @@ class SVRGS_OT_job_stop(JobOperator):
         return tr(job.facts["text"])
 
 
+class SVRGS_OT_job_run_now(JobOperator):
+    action = "run_now"
+    bl_idname = "svrgs.job_run_now"
+    bl_label = "Run Now"
+    bl_description = (
+        "Run this job next: the one that it waits for saves a checkpoint, stops, and goes on after it"
+    )
+
+    def refusal(self, job: Job) -> str:
+        return tr("'{name}' does not wait for another job").format(name=job.name)
+
+    def work_on(self, context, owner: bpy.types.Object | None, job: Job) -> str:
+        job_queue.run_now(job)
+        return tr("'{name}' runs next").format(name=job.name)
+
+
 class SVRGS_OT_job_resume(JobOperator):
     action = "resume"
     bl_idname = "svrgs.job_resume"
@@ -190,6 +206,6 @@ class SVRGS_OT_delete_finished_jobs(ConfirmedDeletion):
 
 
 CLASSES = (
-    SVRGS_OT_job_stop, SVRGS_OT_job_resume, SVRGS_OT_job_load, SVRGS_OT_job_discard,
+    SVRGS_OT_job_stop, SVRGS_OT_job_run_now, SVRGS_OT_job_resume, SVRGS_OT_job_load, SVRGS_OT_job_discard,
     SVRGS_OT_delete_finished_jobs,
 )  # fmt: skip

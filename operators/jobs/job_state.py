@@ -25,7 +25,7 @@ class State(NamedTuple):
 
 _LEFT = ("resume", "discard")
 STATES = {
-    "waiting": State("SORTTIME", n_("Waiting"), n_("Waiting"), ("stop",)),
+    "waiting": State("SORTTIME", n_("Waiting"), n_("Waiting"), ("run_now", "stop")),
     "running": State("PLAY", n_("Running"), n_("Running at {share:.0%}"), ("stop",)),
     "stopping": State("PLAY", n_("Stopping"), n_("Stopping at {share:.0%}"), ("stop",)),
     "measuring": State("PLAY", n_("Running"), n_("Running at {share:.0%}"), ()),  # it ends by itself
@@ -69,3 +69,20 @@ def resume_sentence(job: Job) -> str:
     """From where a job that has not ended well would be continued."""
     template, values = job.resume_point()
     return tr(template).format(**values)
+
+
+def time_left(job: Job) -> str:
+    """How far a busy job is, and how long it will take."""
+    if job_queue.is_queued(job):
+        return tr("Waiting")
+    if not job.knows_progress:
+        return tr("Starting")
+    if "seconds_left" not in job.facts:  # by blocks
+        return f"{job.progress:.0%}"
+    left = job.facts["seconds_left"]
+    text = (
+        tr("{share:.0%}, {minutes:.0f} min left")
+        if left >= job_queue.MINUTES
+        else tr("{share:.0%}, {seconds:.0f} s left")
+    )
+    return text.format(share=job.progress, minutes=left / 60, seconds=left)

@@ -99,6 +99,8 @@ def _update(job: Job):
     if job.poll() or not job.running:
         job_pictures.redraw(job.folder)
         redraw_panels()
+    if not job.running:
+        job_queue.note_end(job)
     if not job.running and job.state == "done":
         _load_if_possible(job)
 

@@ -57,7 +57,7 @@ class SVRGS_PG_prune(bpy.types.PropertyGroup):
     )
     images: option_property("images")
     depth: EnumProperty(
-        name="Depth", items=depths.ITEMS, get=depths.number_of, set=depths.choose,
+        name="Mode", items=depths.ITEMS, get=depths.number_of, set=depths.choose,
         description=(
             "How thoroughly the splat is pruned. Until you choose: on photographs if the splat has"
             " some, else quick"

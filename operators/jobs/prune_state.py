@@ -13,7 +13,7 @@ from ..data import edit_guard, option_properties, quick_order, splat_object
 from ..data.native_check import native_problem
 from ..data.option_properties import CHOICES
 from ..data.splat_size import size_text
-from ..scene import camera_match, place_cameras
+from ..scene import camera_match, dataset_paths, place_cameras
 from . import depths, estimate, goals, job_queue, job_result, job_state, orphan_jobs
 from .job_watch import current
 
@@ -65,7 +65,7 @@ def _of_ready(context) -> list[str]:
         camera_match.sentence(context),
         edit_guard.problem(context, obj),
         goals.problem(context.scene.svrgs_prune),
-        depths.problem(context),
+        _problem_of_depth(context),
         place_cameras.sentence(obj),
         orphan_jobs.sentence(context),
         _of_applied(obj),
@@ -73,10 +73,20 @@ def _of_ready(context) -> list[str]:
     return [text for text in texts if text]
 
 
+def _problem_of_depth(context) -> str:
+    """As depths.problem(), but not what step 1 says already."""
+    problem = depths.problem(context)
+    return problem if problem != dataset_paths.lost(splat_object.root_of(context.object)) else ""
+
+
 def _of_job(job: Job) -> list[str]:
     facts = job.facts
     if job_queue.is_queued(job):
-        return [tr("{waiting}: one job runs at a time").format(waiting=job_queue.waiting_text(job))]
+        return [
+            tr("{waiting}. One job runs at a time; Quick ones do not wait for longer ones").format(
+                waiting=job_queue.waiting_text(job) or tr("Waiting")
+            )
+        ]
     if job_state.is_resumable(job):
         reason = tr(facts["text"]) if facts.get("text") else ""
         texts = [job_state.text(job), reason, job_state.resume_sentence(job), _figures(facts)]
@@ -88,13 +98,18 @@ def _of_job(job: Job) -> list[str]:
         if facts.get("schedule"):  # its time is limited
             text = tr("Planned for {asked:.0f} s: {schedule:.1%} of the steps, about {foreseen:.0f} s")
             texts.append(text.format(**facts))
-        texts.append(facts.get("note", ""))
+        texts.append(_with_capital(facts.get("note", "")))
         if job.stopping:
             texts.append(". ".join((tr("Stop Now does not wait for it"), job_state.resume_sentence(job))))
         if job.seconds_silent > SILENT_SECONDS:
             text = tr("No sign of life for {seconds:.0f} s: Stop ends the job")
             texts.append(text.format(seconds=job.seconds_silent))
     return [text for text in texts if text]
+
+
+def _with_capital(note: str) -> str:
+    """The note, with a capital unless it begins with the name of a file."""
+    return note[0].upper() + note[1:] if note.strip() and note.split()[0].isalpha() else note
 
 
 def _figures(facts: dict) -> str:
@@ -121,9 +136,7 @@ def _of_result(original: bpy.types.Object | None, pruned: bpy.types.Object) -> l
     if job_result.OWN_PSNR in pruned:
         text = tr("Quality at {kept:,} Gaussians: PSNR {psnr:.2f} dB against the original's own pictures")
         texts.append(text.format(kept=kept, psnr=pruned[job_result.OWN_PSNR]))
-    for note in filter(str.strip, pruned.get(job_result.NOTES, "").splitlines()):
-        # a capital, unless it begins with the name of a file
-        texts.append(note[0].upper() + note[1:] if note.split()[0].isalpha() else note)
+    texts += map(_with_capital, filter(str.strip, pruned.get(job_result.NOTES, "").splitlines()))
     if quick_order.is_shown(pruned):
         texts.append(
             tr("This number is not fine-tuned yet: press Fine-Tune for that. Apply keeps what you see")
@@ -149,21 +162,6 @@ def _of_applied(obj: bpy.types.Object) -> str:
     )
     said = text.format(name=other.name, count=splat_object.count(other))
     return ", ".join((said, tr("which is hidden"))) if other.hide_get() and other.hide_render else said
-
-
-def time_left(job: Job) -> str:
-    """How far the job is, and how long it will take."""
-    if job_queue.is_queued(job):
-        return tr("Waiting")
-    if not job.knows_progress:
-        return tr("Starting")
-    if "seconds_left" not in job.facts:  # by blocks
-        return f"{job.progress:.0%}"
-    left = job.facts["seconds_left"]
-    text = (
-        tr("{share:.0%}, {minutes:.0f} min left") if left >= 90 else tr("{share:.0%}, {seconds:.0f} s left")
-    )
-    return text.format(share=job.progress, minutes=left / 60, seconds=left)
 
 
 def method_sentence(context) -> str:

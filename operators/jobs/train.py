@@ -1,6 +1,6 @@
 """Training of a splat from imported cameras, for a dataset that has none yet: a background job of their root.
 
-Progress, stop and resume are those of every job (job.py); the panel of step 2 shows them. The splat is placed
+Progress, stop and resume are those of every job (job.py); the panel Train shows them. The splat is placed
 below the root (job_result.py).
 """
 
@@ -10,7 +10,8 @@ import bpy
 from bpy.app.translations import pgettext_iface as tr
 from bpy.props import IntProperty, PointerProperty
 
-from ...svrgs_addon.jobs.job_folder import JobFolder
+from ...svrgs_addon.jobs.job_folder import TRAIN, JobFolder
+from ...svrgs_addon.jobs.job_process import Job
 from ...svrgs_addon.prune.options import ITERATIONS
 from ..data import camera_object, splat_object
 from ..data.job_paths import new_folder
@@ -20,7 +21,7 @@ from ..data.preferences import threads
 from ..data.reporting import ReportingOperator
 from ..scene import dataset_paths
 from . import job_queue, job_state
-from .job_watch import begin, job_of
+from .job_watch import begin, current, job_of
 
 QUICK = 7_000  # steps: a usable splat in a quarter of the time
 
@@ -55,6 +56,17 @@ def problem(context) -> str:
             " points with the cameras"
         )
     return dataset_paths.lost(root) or native_problem()
+
+
+def current_job(context) -> tuple[bpy.types.Object, Job] | None:
+    """As job_watch.current(), if the job is one of training."""
+    found = current(context)
+    return found if found is not None and found[1].kind == TRAIN else None
+
+
+def is_shown(context) -> bool:
+    """Whether step 2 is to train a splat: it is being trained, or cameras without a splat are active."""
+    return current_job(context) is not None or bool(about(context))
 
 
 class SVRGS_OT_train(ReportingOperator):

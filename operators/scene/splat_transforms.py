@@ -22,8 +22,10 @@ from ..data.select import select
 
 
 def selected_splats(context) -> list[bpy.types.Object]:
-    """The selected splats, the active one first."""
+    """The selected splats, the active one first; where none is selected, as after hiding, the active one."""
     splats = [obj for obj in context.selected_objects if splat_object.is_splat(obj)]
+    if not splats and splat_object.is_splat(context.object):
+        return [context.object]
     return sorted(splats, key=lambda obj: obj != context.object)
 
 

@@ -64,6 +64,17 @@ def chosen_pair(context: bpy.types.Context) -> tuple[bpy.types.Object, bpy.types
     return original, settings.pruned or pruned_of(original)
 
 
+def guessed(context: bpy.types.Context) -> dict[str, str]:
+    """The names of what is compared where the panel leaves it open; {} if there is no pair."""
+    try:
+        original, pruned = chosen_pair(context)
+    except SceneError:
+        return {}
+    camera = context.scene.camera
+    names = {"original": original.name, "pruned": pruned.name}
+    return names | ({"compare_camera": camera.name} if camera is not None else {})
+
+
 def shown_scene(pruned: bpy.types.Object) -> Scene:
     """Of a job's result: what Apply would keep. Of any other splat: the Gaussians that are not marked as
     removed."""

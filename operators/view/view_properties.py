@@ -128,7 +128,7 @@ class SVRGS_PG_view(bpy.types.PropertyGroup):
         description="What the colours of splats show in Solid and Material Preview viewports",
     )
     overlay_moving: IntProperty(
-        name="While Moving",
+        name="Gaussians While Moving",
         default=200_000,
         min=1000,
         soft_max=2_000_000,

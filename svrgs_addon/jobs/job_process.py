@@ -110,7 +110,7 @@ class Job:
             }
         saved, total, done = (
             self.folder.checkpoint(),
-            self.facts.get("total", 0),
+            self.facts.get("total", 0) or self._steps(),
             self.facts.get("iteration", 0),
         )
         if not saved:
@@ -132,6 +132,12 @@ class Job:
             else "Resume continues at step {step:,}"
         )
         return text, {"step": saved}
+
+    def _steps(self) -> int:
+        """The steps that were asked for; 0 if the time was."""
+        options = self.request.get("options", {})
+        steps = [options.get(name, 0) for name in ("iterations", "recovery")]
+        return sum(one for one in steps if isinstance(one, int)) if not options.get("time") else 0
 
     def refresh(self):
         """Reads the state of a job that another Blender started or continued, at most every REFRESH_EVERY

@@ -12,6 +12,8 @@ from .camera import Camera
 MIDDLE = 0.2, 0.8  # quantiles along each axis; outliers and a background all around are outside
 # of the box between them: it then holds a body of even density as a whole
 WIDER = 1 / (MIDDLE[1] - MIDDLE[0])
+NEARLY_ALL = 0.005, 0.995  # quantiles along each axis between which a body lies with its limbs
+LIMB = 2.5  # half sides of the box around the mass, from its middle, up to which a limb belongs to the body
 SAMPLES = 200_000  # points that count, at most, evenly spaced in the list
 # clipping distances over the distance of the view; far over near
 CLIP_NEAR, CLIP_FAR, CLIP_RATIO = 0.01, 100.0, 1e6
@@ -30,6 +32,18 @@ def robust_box(points: np.ndarray, weights: np.ndarray | None = None) -> np.ndar
     low, high = np.array([weighted_quantiles(axis, weights, MIDDLE) for axis in points.T]).T
     middle, reach = (low + high) / 2, WIDER * (high - low) / 2
     return np.array([middle - reach, middle + reach])
+
+
+def body_box(points: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray | None:
+    """As robust_box(), but also around the quantiles NEARLY_ALL of what lies no farther than LIMB: a head or
+    a hand is then inside, floaters and a sky are not."""
+    box = robust_box(points, weights)
+    if box is None:
+        return None
+    points, weights = _usable(points, weights)
+    near = (np.abs(points - box.mean(axis=0)) <= LIMB * np.ptp(box, axis=0) / 2).all(axis=1)
+    outer = np.array([weighted_quantiles(axis, weights[near], NEARLY_ALL) for axis in points[near].T]).T
+    return np.array([np.minimum(box[0], outer[0]), np.maximum(box[1], outer[1])])
 
 
 def median_depth(camera: Camera, points: np.ndarray, weights: np.ndarray | None = None) -> float | None:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
 import pytest
 from extension import DATA, part
+from job_helpers import Layout
 from view_helpers import LEVEL, mark_removed, pixels
 
 pytestmark = pytest.mark.usefixtures("stage")
@@ -37,6 +39,24 @@ def test_compare_draws_both_and_measures_against_the_photograph(tmp_path, stage,
     for picture, row in ((original, result["original"]), (pruned, result["pruned"])):
         assert math.isclose(row["psnr"], -10 * math.log10(np.mean((picture - photo) ** 2)), rel_tol=1e-3)
         assert 0 < row["ssim"] <= 1 and 0 <= row["flip"] < 1
+
+
+def test_the_panel_names_the_pair_that_it_guesses(stage, room, camera):
+    compare = part("operators.view.compare")
+    assert compare.guessed(bpy.context) == {}
+    mark_removed(room, np.arange(3000) % 2)
+    assert compare.guessed(bpy.context) == {
+        "original": "room",
+        "pruned": "room",
+        "compare_camera": "camera",
+    }
+    layout = Layout()
+    part("panels.compare").SVRGS_PT_compare.draw(SimpleNamespace(layout=layout), bpy.context)
+    assert [note[2:] for note in layout.notes if note[0] == "prop"][:3] == [
+        ("original", "room"),
+        ("pruned", "room"),
+        ("compare_camera", "camera"),
+    ]
 
 
 def test_the_picture_opens_in_a_window_where_there_is_one():

@@ -36,6 +36,14 @@ def test_every_selected_splat_and_its_levels_are_written(two, formats, bridge, t
     assert all(f"{obj.name}: 100 %" in said for obj in two) and "50 %" in said and "dB" in said
 
 
+def test_a_splat_that_was_hidden_and_shown_is_written(splat, tmp_path):
+    """It is active then, and not selected."""
+    splat.hide_set(True)
+    splat.hide_set(False)
+    assert not bpy.context.selected_objects and bpy.context.object == splat
+    assert export(tmp_path, kind="splat", shares="") == {"FINISHED"} and list(tmp_path.glob("*.splat"))
+
+
 def test_a_streamed_sog_holds_all_levels(splat, formats, tmp_path):
     assert export(tmp_path, kind="streamed-sog", shares="40") == {"FINISHED"}
     path = tmp_path / bpy.path.clean_name(splat.name) / "lod-meta.json"

@@ -9,6 +9,7 @@ import bpy
 import numpy as np
 import pytest
 from extension import part
+from job_helpers import drawn
 
 WRITTEN = (".ply", ".compressed.ply", ".spz", ".glb", ".usd", ".sog", ".splat")
 
@@ -71,6 +72,27 @@ def test_blenders_own_reader_of_gltf_takes_a_splat_for_points(splat, bridge, tmp
         + np.array(splat.matrix_world)[:3, 3]
     )
     assert np.sort(points, axis=0) == pytest.approx(np.sort(means, axis=0), abs=1e-4)
+
+
+def test_a_splat_is_exported_as_it_came_unless_another_format_is_chosen(splat, tmp_path):
+    export = part("operators.io.export_ply")
+    assert export.default_path(splat).name == "scene.ply" and "as PLY" in drawn("export")
+    assert "Imported from" not in drawn("export")
+    bpy.ops.svrgs.export_ply(filepath=str(tmp_path / "toy.spz"))
+    bpy.ops.svrgs.import_ply(filepath=str(tmp_path / "toy.spz"))
+    toy, size = bpy.context.object, (tmp_path / "toy.spz").stat().st_size
+    assert export.default_kind(toy) == "spz" and export.default_path(toy).name == "toy.spz"
+    assert f"Imported from SPZ, {size / 1e3:.1f} kB" in drawn("export")
+    toy["svrgs_format"] = 7  # a property that anybody may set
+    assert export.default_kind(toy) == "ply" and "Imported from" not in drawn("export")
+
+
+def test_a_folder_that_is_not_there_is_not_made(splat, tmp_path, capfd):
+    with pytest.raises(RuntimeError, match="there is no such folder"):
+        bpy.ops.svrgs.export_ply(filepath=str(tmp_path / "mistyped/toy.ply"))
+    assert not (tmp_path / "mistyped").exists()
+    bpy.ops.svrgs.export_ply(filepath=str(tmp_path / "toy.ply"))
+    assert str(tmp_path / "toy.ply") in "".join(capfd.readouterr())
 
 
 def test_what_a_format_cannot_hold_is_said(splat, tmp_path, capfd):

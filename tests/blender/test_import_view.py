@@ -103,11 +103,11 @@ def floaters(bridge, make_scene):
 
 def test_frame_shows_the_mass_of_the_splat_and_not_its_floaters(bridge, make_scene, views):
     obj = floaters(bridge, make_scene)
-    obj.location = (10, 20, 30)
+    obj.location, obj.scale = (10, 20, 30), (0.5, 0.5, 0.5)
     bpy.context.view_layer.objects.active = obj
     bpy.ops.svrgs.frame()
     for space, view in views:
-        assert (view.view_location - Vector((10, 20, 30))).length < 0.5 and 3 < view.view_distance < 20
+        assert (view.view_location - Vector((10, 20, 30))).length < 0.3 and 3 < view.view_distance < 10
         assert (space.clip_start, space.clip_end) == (
             pytest.approx(0.01),
             1000,

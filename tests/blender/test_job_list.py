@@ -3,13 +3,15 @@ of finished jobs."""
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
 import pytest
 from extension import DATA, part
-from job_helpers import COUNT, LONG, SHORT, delete, drawn, ended, follow, set_up
+from job_helpers import COUNT, LONG, SHORT, Layout, delete, drawn, ended, follow, set_up
 
 
 @pytest.fixture
@@ -64,7 +66,7 @@ def test_a_second_job_waits_and_starts_when_the_first_has_ended(two, watch, resu
     assert first.running and not second.running and second.folder.state()["state"] == "queued"
     assert (
         bpy.context.object == other
-        and "Waiting for 'scene': one job runs at a time" in drawn("prune")
+        and "Waiting for 'scene'. One job runs at a time" in drawn("prune")
         and "svrgs.job_stop" in drawn("prune")
     )
     assert listed()["other"].state == "Waiting for 'scene'" and listed()["scene"].state.startswith("Running")
@@ -74,6 +76,51 @@ def test_a_second_job_waits_and_starts_when_the_first_has_ended(two, watch, resu
     assert first.state == "done"
     follow(watch, lambda: ended(second))
     assert results.pruned_of(splat) and results.pruned_of(other) and not watch.tick()
+
+
+def test_a_quick_job_does_not_wait_for_a_long_one(two, watch, results):
+    (_, first), (other, second) = two
+    bpy.ops.svrgs.job_stop()
+    assert not part("operators.jobs.job_queue").is_queued(second)
+    bpy.ops.svrgs.job_discard()
+    bpy.context.scene.svrgs_prune.depth = "QUICK"
+    bpy.ops.svrgs.job_start()
+    quick = watch.job_of(other)
+    assert quick is not second and quick.running and first.running
+    follow(watch, lambda: results.pruned_of(other))
+    assert quick.state == "done"
+
+
+def test_a_job_that_waits_can_run_now_and_the_other_goes_on_after_it(splat, watch, results, listed):
+    set_up(LONG)
+    bpy.ops.svrgs.job_start()
+    bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
+    bpy.context.object.name, other = "other", bpy.context.object
+    set_up(SHORT)
+    bpy.ops.svrgs.job_start()
+    first, second = watch.jobs.values()
+    follow(watch, lambda: first.facts.get("iteration", 0) > 20)
+    assert "Waiting for 'scene', about" in drawn("prune") and "svrgs.job_run_now" in drawn("prune")
+    assert bpy.ops.svrgs.job_run_now() == {"FINISHED"} and first.stopping
+    with pytest.raises(RuntimeError, match="'scene' does not wait for another job"):
+        bpy.ops.svrgs.job_run_now(folder=str(first.folder.path))
+    follow(watch, lambda: results.pruned_of(other))
+    follow(watch, lambda: first.running and first.facts.get("iteration", 0) > 20)
+    assert first.folder.checkpoint() > 0 and listed()["scene"].state.startswith("Running")
+
+
+def test_one_line_tells_what_runs_and_how_it_ended(two, watch, results):
+    (_, first), (other, _) = two
+    lists, header = part("operators.jobs.job_list"), Layout()
+    follow(watch, lambda: first.knows_progress)
+    bpy.context.view_layer.objects.active = None
+    assert re.fullmatch(r"scene: \d+%, .* left; 1 more", lists.headline(bpy.context))
+    part("panels.jobs").draw_headline(SimpleNamespace(layout=header), bpy.context)
+    assert header.text.startswith("scene: ")
+    follow(watch, lambda: results.pruned_of(other))
+    assert lists.headline(bpy.context) == "other: Finished"
+    bpy.ops.wm.read_homefile(use_empty=True)
+    assert lists.headline(bpy.context) == ""
 
 
 def test_a_job_that_waits_can_be_taken_out_of_the_queue_and_put_back(two, watch):

@@ -31,8 +31,12 @@ def test_a_splat_is_trained_and_placed_with_its_cameras(root, watch, bridge):
         part("operators.jobs.prune_state").stage(bpy.context) == "BUSY"
         and part("operators.jobs.prune_state").subject(bpy.context).name == root.name
     )
+    panels = [getattr(part(f"panels.{name}"), f"SVRGS_PT_{name}") for name in ("train", "prune")]
+    assert [panel.poll(bpy.context) for panel in panels] == [True, False]
+    assert "job_stop" in drawn("train") and "iterations" not in drawn("train")
     follow(watch, lambda: splats(bridge))
     (splat,) = splats(bridge)
+    assert [panel.poll(bpy.context) for panel in panels] == [False, True]
     assert splat.name == f"{root.name} splat" and splat.parent == root and bpy.context.object == splat
     bpy.context.view_layer.update()
     np.testing.assert_array_equal(splat.matrix_world, root.matrix_world)
@@ -68,7 +72,7 @@ def test_a_limit_of_time_takes_the_place_of_the_steps(root, watch):
     (job,) = watch.jobs.values()
     assert job.folder.request()["options"]["time"] == 3600
     follow(watch, lambda: job.facts.get("iteration"))
-    assert job.facts["asked"] == 3600 and "Planned for 3600 s" in drawn("prune")
+    assert job.facts["asked"] == 3600 and "Planned for 3600 s" in drawn("train")
     bpy.ops.svrgs.job_stop(now=True)
     follow(watch, lambda: not job.running)
 
