@@ -19,7 +19,7 @@ from svrgs_addon.views.rig.around import cameras_around
 from test_formats import by_gaussforge
 from test_rendered_views import ball
 
-pytestmark = pytest.mark.usefixtures("small_pictures")
+pytestmark = pytest.mark.usefixtures("small_rig")
 
 
 def prune(path, out, **more) -> dict:

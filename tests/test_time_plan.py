@@ -300,7 +300,7 @@ def test_a_resumed_job_goes_on_with_its_plan_on_a_faster_machine(tiny, slow, tmp
     planned = job(tiny, tmp_path / "whole.ply")["time"]
     with pytest.raises(Cancelled):
         job(tiny, tmp_path / "a.ply", stop_after=30)
-    monkeypatch.setattr(planning, "pace_of", lambda *_: replace(SLOW, step=1e-3, ranking=1e-3))
+    monkeypatch.setattr(planning, "pace_of", lambda *_: replace(SLOW, step=SLOW.step / 3))
     resumed = job(tiny, tmp_path / "a.ply")
     assert resumed["time"]["schedule"] == planned["schedule"] and resumed["time"]["asked"] == 20
     assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "whole.ply").read_bytes()

@@ -88,7 +88,7 @@ def _of_job(job: Job) -> list[str]:
             )
         ]
     if job_state.is_resumable(job):
-        reason = tr(facts["text"]) if facts.get("text") else ""
+        reason = _with_capital(tr(facts["text"])) if facts.get("text") else ""
         texts = [job_state.text(job), reason, job_state.resume_sentence(job), _figures(facts)]
     elif not job_state.is_busy(job):
         found = tr("A finished job was found: load its result, or discard it and start again")
