@@ -45,12 +45,12 @@ class SVRGS_PT_prune(SidebarPanel, bpy.types.Panel):
         if stage != "BROKEN" and found is not None:
             draw_job(layout, context, *found)
             return
-        if stage == "RESULT":
-            layout.label(text=subject.name, icon="OUTLINER_OB_POINTCLOUD", translate=False)
         if stage == "READY":
             draw_settings(layout, context)
-        elif stage == "RESULT" and job_result.has_slider(subject):
-            layout.prop(subject, "svrgs_share", slider=True)
+        elif stage == "RESULT" and subject is not None:
+            layout.label(text=subject.name, icon="OUTLINER_OB_POINTCLOUD", translate=False)
+            if job_result.has_slider(subject):
+                layout.prop(subject, "svrgs_share", slider=True)
         icon = ICONS.get(stage, "NONE")
         for sentence in prune_state.sentences(context):
             wrapped_label(layout, sentence, icon)
