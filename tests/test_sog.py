@@ -59,7 +59,11 @@ def test_meta_json_that_does_not_fit(folder, changed, said):
     assert "meta.json" in str(caught.value) and "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("text", ["", "[1]", "{", "[" * 100_000, '{"a": 1' + " " * 1_000_000 + "}"])
+@pytest.mark.parametrize(
+    "text",
+    ["", "[1]", "{", "[" * 100_000, '{"a": 1' + " " * 1_000_000 + "}"],
+    ids=["empty", "list", "cut", "deep", "large"],
+)
 def test_meta_json_that_is_none(folder, text):
     (folder / "meta.json").write_text(text)
     with pytest.raises(FormatError, match="that can be read"):

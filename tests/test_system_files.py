@@ -106,7 +106,7 @@ def test_a_reader_waits_while_a_file_is_being_replaced(windows, old):
     )
     timer = threading.Timer(0.1, lambda: (closed.set(), os.close(descriptor)))
     timer.start()
-    assert replacing.read_bytes(old) == b"old" and closed.is_set()
+    assert replacing.patiently(old.read_bytes) == b"old" and closed.is_set()
     timer.join()
 
 
@@ -128,7 +128,7 @@ def test_no_result_is_lost_to_a_program_that_lets_others_rename_the_file(windows
 def test_a_missing_file_is_not_waited_for(windows, tmp_path):
     began = time.monotonic()
     with pytest.raises(FileNotFoundError):
-        replacing.read_bytes(tmp_path / "none")
+        replacing.patiently((tmp_path / "none").read_bytes)
     assert replacing.may_be_replaced(tmp_path / "none") and time.monotonic() < began + 0.3
 
 

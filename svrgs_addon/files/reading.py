@@ -13,6 +13,7 @@ import numpy as np
 
 from ..system import memory
 from ..system.errors import FormatError, TooMany
+from ..system.foreign import open_regular
 
 MAX_COUNT, MAX_IN_PARTS = 20_000_000, 2**32 - 1  # Gaussians of a file that is read as a whole, in parts
 SHORTER = "became shorter while it was read; try again when no program writes it"
@@ -24,7 +25,7 @@ def open_splat(path: str | os.PathLike) -> Iterator[BinaryIO]:
     try:
         if not Path(path).is_file():
             raise FormatError("is not a file")
-        with open(path, "rb") as file:
+        with open_regular(path) as file:
             yield file
     except FormatError as error:
         raise type(error)(f"{path} {error}") from None
@@ -34,7 +35,7 @@ def open_splat(path: str | os.PathLike) -> Iterator[BinaryIO]:
 
 def json_object(path: Path, most: int) -> dict[str, Any] | None:
     """The JSON object in a file of at most so many bytes; None if it holds none. Raises OSError."""
-    with open(path, "rb") as file:
+    with open_regular(path) as file:
         data = file.read(most + 1)
     try:
         found = json.loads(data) if len(data) <= most else None

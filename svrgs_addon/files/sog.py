@@ -17,6 +17,7 @@ import numpy as np
 
 from ..scene.gaussians import SH_COEFFICIENTS, Scene
 from ..system.errors import FormatError
+from ..system.foreign import inside
 from . import images
 from .images import read_texture
 from .quantised import logits_of, quats_of_three
@@ -218,9 +219,10 @@ def _file(folder: Path, part: dict[str, Any], number: int) -> Path:
     name = names[number] if isinstance(names, list) and len(names) > number else None
     if not isinstance(name, str) or not is_texture(name):
         raise FormatError(f"names no texture next to its {META}{BROKEN}")
-    if not (folder / name).is_file():
+    path = inside(folder, name)
+    if not path.is_file():
         raise FormatError(f"is incomplete: {name} is missing; copy or export it again")
-    return folder / name
+    return path
 
 
 def _scene(sog: _Sog, rows: slice) -> Scene:

@@ -27,6 +27,7 @@ from ..scene.gaussians import SH_COEFFICIENTS, Scene
 from ..scene.morton_order import morton_order
 from ..scene.rotations import rotation_matrices
 from ..system.errors import FormatError
+from ..system.foreign import inside, own
 from . import images, sog
 from .atomic import atomic_write, check_space
 from .reading import MAX_COUNT, MAX_IN_PARTS, json_object, open_splat, refuse_many
@@ -56,7 +57,7 @@ def read_level(path: Path, level: int, max_count: int = MAX_COUNT) -> Iterator[S
     """The Gaussians of a level of detail, in parts. Raises FormatError, which names the file."""
     with open_splat(path):
         units = _units_of(_checked(path), level, max_count)
-    files = [path.parent / name for name in units]
+        files = [inside(path.parent, name) for name in units]
     most, left = max(map(sog.degree_of, files), default=0), max_count
     for file in files:
         for part in sog.read_parts(file, left):
@@ -130,10 +131,12 @@ def _own_files(path: Path) -> list[Path]:
         meta = _checked(path)
     except (FormatError, OSError):
         return []
-    units = [path.parent / name for name in dict.fromkeys(meta["filenames"]) if OWN_UNIT.fullmatch(name)]
-    return [
-        file for unit in units if unit.is_file() and not unit.parent.is_symlink() for file in files_of(unit)
-    ]
+    found = []
+    for name in filter(OWN_UNIT.fullmatch, dict.fromkeys(meta["filenames"])):
+        with contextlib.suppress(FormatError):
+            unit = own(path.parent, *name.split("/"))
+            found += files_of(unit) if unit.is_file() else []
+    return found
 
 
 @dataclass

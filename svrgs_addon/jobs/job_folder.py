@@ -50,6 +50,7 @@ import numpy as np
 from .. import __version__
 from ..files.atomic import atomic_write
 from ..files.ply_header import MAX_HEADER_BYTES, parse_header
+from ..files.reading import json_object
 from ..files.registry import write_scene
 from ..finetune.decimate.saved_order import MERGED, ORDER
 from ..prune.blocks import folder as blocks
@@ -60,8 +61,9 @@ from ..scene.camera import Camera
 from ..scene.gaussians import Scene
 from ..system.errors import FormatError, SceneError
 from ..system.file_names import extended, is_link, remove_link
+from ..system.foreign import open_regular, refuse_entry
 from ..system.option_kinds import check_mapping
-from ..system.replacing import read_bytes
+from ..system.replacing import patiently
 
 SCHEMA = 1
 BLOCKS = blocks.blocks_of(Path("recovered.ply")).name
@@ -226,18 +228,16 @@ class JobFolder:
         self.write_json("job.json", {**request, "options": {**request["options"], "data": data}})
 
     def refuse_links(self):
-        """Raises FormatError if an entry of the folder is a symbolic link: writing to it would change a file
-        elsewhere."""
+        """Raises FormatError if an entry of the folder is a link, a pipe or a device."""
         for entry in self._entries():
-            if is_link(entry):
-                raise FormatError(f"{entry.path}: is a link; a job folder must hold its files itself")
+            refuse_entry(entry)
 
     def check_scene(self):
         """Raises FormatError if scene.ply of a job that prunes does not have the number of Gaussians that
         job.json says."""
         count, file = self.request()["count"], self / "scene.ply"
         try:
-            with open(file, "rb") as stream:
+            with open_regular(file) as stream:
                 (stored,) = [
                     element.count
                     for element in parse_header(stream.read(MAX_HEADER_BYTES)).elements
@@ -297,9 +297,9 @@ class JobFolder:
         skipped."""
         with (
             contextlib.suppress(OSError, UnicodeDecodeError, csv.Error),
-            open(self / "metrics.csv", encoding="utf-8") as file,
+            open_regular(self / "metrics.csv") as file,
         ):
-            lines = list(csv.reader(io.StringIO(file.read(LARGEST_JSON))))[1:]
+            lines = list(csv.reader(io.StringIO(file.read(LARGEST_JSON).decode())))[1:]
             rows = [row for row in map(_numbers, lines) if len(row) == len(METRICS) and math.isfinite(row[0])]
             return dict(zip(METRICS, np.array(rows, np.float64).reshape(-1, len(METRICS)).T, strict=True))
         return {name: np.empty(0) for name in METRICS}
@@ -310,7 +310,7 @@ class JobFolder:
 
     def log_tail(self, lines: int = 5) -> list[str]:
         """The last lines of log.txt that are not blank."""
-        with contextlib.suppress(OSError), open(self / "log.txt", "rb") as file:
+        with contextlib.suppress(OSError), open_regular(self / "log.txt") as file:
             file.seek(max(0, file.seek(0, io.SEEK_END) - 4096))
             return [line for line in file.read().decode(errors="replace").splitlines() if line.strip()][
                 -lines:
@@ -396,7 +396,8 @@ class JobFolder:
         has another shape or dtype."""
         file, count = self / f"{name}.npy", self.request()["count"]
         try:
-            array = np.load(file, allow_pickle=False)
+            with open_regular(file) as stream:
+                array = np.load(stream, allow_pickle=False)
         except (OSError, ValueError, EOFError) as error:
             raise FormatError(f"{file}: cannot be read ({error})") from None
         if array.shape != (count,) or array.dtype != dtype:
@@ -407,13 +408,9 @@ class JobFolder:
 
     def _json(self, name: str) -> dict | None:
         """The JSON object in a file; None if the file is missing, too large or no JSON object."""
-        try:
-            if (self / name).stat().st_size > LARGEST_JSON:
-                return None
-            value = json.loads(read_bytes(self / name))
-        except (OSError, ValueError, RecursionError):
-            return None
-        return value if isinstance(value, dict) else None
+        with contextlib.suppress(OSError):
+            return patiently(lambda: json_object(self / name, LARGEST_JSON))
+        return None
 
 
 def digest_of(scene: Scene) -> str:

@@ -38,11 +38,6 @@ def replace(source: Path, target: Path) -> None:
     patiently(lambda: os.replace(source, target))
 
 
-def read_bytes(path: Path) -> bytes:
-    """The content of a file that another process may replace at any time. Raises OSError."""
-    return patiently(path.read_bytes)
-
-
 def may_be_replaced(path: Path) -> bool:
     """Whether no program has the file open in a way that keeps it from being replaced. Always true on systems
     without such a way.

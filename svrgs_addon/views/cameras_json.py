@@ -13,7 +13,7 @@ from ..files.atomic import atomic_write
 from ..files.images import MAX_SIDE
 from ..scene.camera import Camera
 from ..system.errors import FormatError
-from .colmap import check_name
+from ..system.foreign import check_name
 
 MAX_BYTES = 64 * 2**20
 MAX_ROTATION_ERROR = 1e-3  # largest entry of |Rᵀ R - I|
@@ -86,7 +86,7 @@ def _camera(entry: dict) -> Camera:
     if not isinstance(entry, dict):
         raise FormatError("not an object")
     name = str(entry["img_name"])
-    check_name(name)
+    check_name(name, "image")
     width, height = (_side(entry[key]) for key in ("width", "height"))
     fx, fy = float(entry["fx"]), float(entry["fy"])
     position = np.array(entry["position"], np.float64).reshape(3)

@@ -9,13 +9,12 @@ from __future__ import annotations
 
 import functools
 import itertools
-import os
 import signal
 import sys
 import tempfile
 import threading
 from dataclasses import dataclass
-from pathlib import Path, PurePosixPath, PureWindowsPath
+from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING
 
@@ -25,6 +24,7 @@ from ..files.images import MAX_SIDE
 from ..scene.camera import Camera
 from ..system import packages
 from ..system.errors import FormatError, SceneError
+from ..system.foreign import check_name
 from .colmap_files import copy_checked, has_files
 
 if TYPE_CHECKING:
@@ -151,20 +151,6 @@ def undistort_image(pixels: np.ndarray, distorted: pycolmap.Camera) -> np.ndarra
     return library.undistort_image(library.UndistortCameraOptions(), bitmap, distorted)[0].to_array()
 
 
-def check_name(name: str) -> None:
-    """Raises FormatError if an image name leads out of the image folder, on POSIX or on Windows, or cannot be
-    the name of a file."""
-    try:
-        possible = b"\0" not in os.fsencode(name)
-    except UnicodeEncodeError:  # half of a pair of surrogates
-        possible = False
-    if not possible:
-        raise FormatError(f"image name {name!r} cannot be the name of a file")
-    for path in (PurePosixPath(name), PureWindowsPath(name)):
-        if not path.name or path.anchor or ".." in path.parts:
-            raise FormatError(f"image name {name!r} does not stay inside the image folder")
-
-
 def import_pycolmap(purpose: str = "reading a COLMAP model, unlike a transforms.json,") -> ModuleType:
     """pycolmap. purpose: subject of the sentence if it is missing. The handler of SIGTERM stays as it was.
 
@@ -200,7 +186,7 @@ def _convert(reconstruction: pycolmap.Reconstruction, names: dict[int, str]) -> 
 def _view(name: str, image: pycolmap.Image) -> View:
     """The view of an image with a pose. Raises FormatError for a name or an image size that is not
     allowed."""
-    check_name(name)
+    check_name(name, "image")
     assert image.camera is not None
     width, height = image.camera.width, image.camera.height
     if not (0 < width <= MAX_SIDE and 0 < height <= MAX_SIDE):  # undistorting visits every border pixel

@@ -27,7 +27,8 @@ import numpy as np
 from ..files.images import MAX_SIDE, image_size
 from ..files.ply_points import read_points
 from ..system.errors import FormatError
-from .colmap import Intrinsics, Model, View, check_name
+from ..system.foreign import check_name
+from .colmap import Intrinsics, Model, View
 from .photo_files import photograph
 
 NAME, PARSER_NAME = "transforms.json", "dataparser_transforms.json"
@@ -107,7 +108,7 @@ def _name(frame: object) -> str:
     if not isinstance(frame["file_path"], str):
         raise FormatError("its file_path is no text")
     name = frame["file_path"].replace("\\", "/")
-    check_name(name)
+    check_name(name, "image")
     return str(PurePosixPath(name))
 
 

@@ -34,6 +34,7 @@ from ...files.registry import suffixes
 from ...prune.options import PruneOptions
 from ...system.errors import FormatError, SceneError
 from ...system.file_names import extended, real
+from ...system.foreign import own
 from ...system.option_kinds import check_mapping, default_of, options_of
 
 SCHEMA, JOB, RESULTS, CAPTURES = 1, "job.json", "results", "captures"  # captures: of a job that Blender made
@@ -118,21 +119,12 @@ class FarmJob:
             quiet=True,
         )
 
-    def inside(self, *names: str) -> Path:
-        """A path in the folder of the job, which may come from elsewhere. Raises SceneError if a link leads
-        out of it."""
-        path = self.folder
-        for name in names:
-            path /= name
-            if path.is_symlink():
-                raise SceneError(f"{path}: is a link, and a farm job writes through none: remove it")
-        return path
-
     def out(self, task: Task) -> Path:
-        return self.inside(RESULTS, f"{task.name}{self.to}")
+        """Raises FormatError, as result_path(), if a link is on the way."""
+        return own(self.folder, RESULTS, f"{task.name}{self.to}")
 
     def result_path(self, task: Task) -> Path:
-        return self.inside(RESULTS, f"{task.name}.json")
+        return own(self.folder, RESULTS, f"{task.name}.json")
 
     def result(self, task: Task) -> dict[str, Any] | None:
         """The result of the task; None if it is not done, or was done with other options."""

@@ -16,6 +16,7 @@ from ...prune.report.style import CSS
 from ...render.metrics.max_drop import ASSUMED
 from ...render.metrics.measures import with_error
 from ...system.errors import SceneError
+from ...system.foreign import own
 from ...system.memory import size_text
 from ...views.rendered import PHOTOGRAPHED
 from .farm_job import FarmJob, Task, write_json
@@ -43,10 +44,10 @@ def summarise(job: FarmJob) -> dict[str, Any]:
         raise SceneError(
             f"{job.folder}: none of its {len(missing)} tasks is done; do them first with svrgs farm run"
         )
-    means, page = _means(rows), job.inside("report", "index.html")
+    means, page = _means(rows), own(job.folder, "report", "index.html")
     facts = {"tasks": rows, "over_all_scenes": means, "missing": missing}
-    write_json(job.inside("report", "table.json"), facts)
-    _write(job.inside("report", "table.md"), "\n".join(_markdown(rows)) + "\n")
+    write_json(own(job.folder, "report", "table.json"), facts)
+    _write(own(job.folder, "report", "table.md"), "\n".join(_markdown(rows)) + "\n")
     _write(page, _page(rows, means, missing))
     return facts | {"report": str(page)}
 
