@@ -5,20 +5,24 @@ Scenes are float32, around the origin; `camera` looks at the origin from 4 units
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import pickle
 from dataclasses import replace
 
 import numpy as np
-import torch
 
-from reference import rasterize as ref
 from svrgs_addon.scene.camera import Camera
 from svrgs_addon.scene.gaussians import SH_COEFFICIENTS, Scene
 
 DISTANCE = 4.0
 
-torch.set_num_threads(1)  # these tensors are small: waiting for a busy core costs more than it saves
+with contextlib.suppress(ImportError):  # the twins alone need it
+    import torch
+
+    from reference import rasterize as ref
+
+    torch.set_num_threads(1)  # these tensors are small: waiting for a busy core costs more than it saves
 
 
 def _float32(*arrays: np.ndarray) -> list[np.ndarray]:

@@ -1,0 +1,30 @@
+#!/usr/bin/env bash
+# Runs tests with Python for Windows, under Wine: tools/test_windows.sh VENV [ARGUMENTS OF PYTEST]. Debian only, as root; the pinned packages of
+# requirements-package.txt. The library and the wheel are those of tools/build_wheels.py windows-x64.
+# Python comes out of panda3d's wheel, which carries python311.dll and the extension modules; its standard library is that of a CPython 3.11.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+bin=$(cd "$1/bin" && pwd)
+shift
+root=$PWD/build/windows
+library=$PWD/build/platforms/x86_64-windows-gnu/svrgs.dll
+packages=(numpy==1.26.4 pycolmap==4.2.1 OpenImageIO==3.2.2.0 zstandard==0.25.0 pytest==8.4.2 hypothesis==6.170.15 scipy==1.17.0)
+pip=("$bin/python" -m pip --disable-pip-version-check)
+for_windows=(--platform win_amd64 --python-version 3.11 --only-binary :all:)
+command -v wine >/dev/null || apt-get install -y -qq --no-install-recommends wine wine64 >/dev/null
+[ -x "$bin/auditwheel" ] || "${pip[@]}" install -qq -r requirements-package.txt
+if ! [ -f "$root/.ready" ]; then
+    echo "making a Python for Windows in $root"
+    rm -rf "$root" && mkdir -p "$root"
+    "${pip[@]}" download -qq --no-deps "${for_windows[@]}" -d "$root/wheels" panda3d==1.10.16
+    "$bin/python" -m zipfile -e "$root"/wheels/panda3d-*.whl "$root/panda3d"
+    cp "$root"/panda3d/deploy_libs/* "$root"
+    cp -r "$("$bin/python" -c 'import sysconfig; print(sysconfig.get_path("stdlib"))')" "$root/Lib"
+    rm -rf "$root"/panda3d "$root"/Lib/{site-packages,lib-dynload,test,config-3*}
+    "$bin/python" -m ziglang cc -target x86_64-windows-gnu -municode -O1 tools/windows_python.c -o "$root/python.exe"
+    "${pip[@]}" install -qq "${for_windows[@]}" --target "$root/Lib/site-packages" "${packages[@]}"
+    touch "$root/.ready"
+fi
+[ -f "$library" ] || "$bin/python" tools/build_wheels.py windows-x64
+export WINEPREFIX=$root/prefix WINEDEBUG=-all WINEARCH=win64 PYTHONDONTWRITEBYTECODE=
+SVRGS_LIBRARY=$(winepath -w "$library") exec wine "$root/python.exe" -m pytest -q -p no:cacheprovider -m "not slow" "$@"
