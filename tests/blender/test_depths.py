@@ -98,7 +98,7 @@ def test_goals_that_quick_cannot_reach_say_so(splat):
 def test_each_has_an_estimate(splat, depth):
     set_up({"depth": depth, "goal": "SHARE", "share": 20, "recovery": 100})
     bpy.ops.svrgs.estimate()
-    assert "About 50 of 250 would stay" in said() and "sampled views" in said() and "not foreseen" in said()
+    assert "About 50 of 250 would stay" in said() and "views looked at" in said() and "not foreseen" in said()
 
 
 def test_a_device_is_a_number_of_gaussians(splat):
