@@ -8,7 +8,7 @@ bin=$(cd "$1/bin" && pwd)
 shift
 root=$PWD/build/windows
 library=$PWD/build/platforms/x86_64-windows-gnu/svrgs.dll
-packages=(numpy==1.26.4 pycolmap==4.2.1 OpenImageIO==3.2.2.0 zstandard==0.25.0 pytest==8.4.2 hypothesis==6.170.15 scipy==1.17.0)
+packages=(numpy==1.26.4 pycolmap==4.2.1 OpenImageIO==3.0.21.0 zstandard==0.25.0 pytest==8.4.2 hypothesis==6.170.15 scipy==1.17.0)
 pip=("$bin/python" -m pip --disable-pip-version-check)
 for_windows=(--platform win_amd64 --python-version 3.11 --only-binary :all:)
 command -v wine >/dev/null || apt-get install -y -qq --no-install-recommends wine wine64 >/dev/null
