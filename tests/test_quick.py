@@ -48,6 +48,16 @@ def ordered():
     return scene, order_of(scene, sums, 50), pictures, rasterizer
 
 
+def test_more_than_there_are_keeps_all_that_can_be_seen(splat):
+    scene = read_ply(splat)
+    scene.opacity_logits[:7] = -20
+    write_ply(splat, scene)
+    result = run(splat, target=None, target_count=9_999)
+    assert result["count"] == scene.count - 7
+    assert "7 Gaussians are invisible, so they are left out" in result["notes"]
+    assert not any("left out" in note for note in run(splat)["notes"])
+
+
 def test_an_order_gives_every_number(ordered):
     scene, order, *_ = ordered
     assert order.least == 50

@@ -176,6 +176,14 @@ def test_scenes_of_every_place_and_size(scene):
     assert 512 <= rig.width == rig.height <= 1024
 
 
+@pytest.mark.filterwarnings("error")
+def test_places_at_the_end_of_all_numbers_are_finite():
+    scene = solid()
+    scene.means[:3], scene.means[3:5] = 3e38, -3e38
+    rig = place_rig(scene, views=4)
+    assert all(np.isfinite(camera.viewmat).all() for camera in rig.cameras)
+
+
 def test_rows_that_are_not_finite_are_left_out():
     scene = solid()
     scene.means[:100] = np.nan

@@ -229,6 +229,20 @@ def test_control_characters_are_escaped():
     assert printable("a\x1b[31m\n\x9b\u202eλ é\udce9") == "a\\x1b[31m\\n\\x9b\\u202eλ é\udce9"
 
 
+def test_what_a_file_says_is_not_repeated_at_any_length():
+    said = printable("a.ply: " + "x" * 100_000 + " is no name")
+    assert len(said) < 2_000 and said.startswith("a.ply: x") and said.endswith("x is no name")
+    assert printable("y" * 1_500) == "y" * 1_500
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a pipe of sh")
+def test_who_reads_no_more_is_told_nothing(tiny):
+    words = f"{sys.executable} -m svrgs_addon info {tiny.splat} | true"
+    for _ in range(3):
+        done = subprocess.run(["sh", "-c", words], cwd=ROOT, capture_output=True, text=True)
+        assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
 # --- Ctrl-C at the start
 
 INTERRUPTED = """

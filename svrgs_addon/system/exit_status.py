@@ -10,6 +10,7 @@ import io
 import json
 import logging
 import math
+import os
 import re
 import sys
 from collections.abc import Callable
@@ -19,6 +20,7 @@ from .file_names import shown
 from .packages import import_reason
 
 STOPPED = 130
+LONGEST, KEPT = 2000, 900  # characters of a sentence; of each end of a longer one, which quotes a file
 # Control characters of ASCII and Latin-1, separators of lines and paragraphs, changes of the writing
 # direction.
 CONTROLS = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
@@ -45,6 +47,8 @@ def guarded(run: Callable[[], int], report: Callable[[str], None]) -> int:
         report(f"the package {error.name or 'that is needed'} cannot be loaded ({import_reason(error)})")
     except MemoryError as error:
         report("out of memory" + (f": {printable(str(error))}" if str(error) else ""))
+    except BrokenPipeError:  # whoever read stdout has heard enough, as head
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except (NativeError, OSError) as error:
         report(printable(str(error)))
     except RuntimeError as error:
@@ -59,7 +63,10 @@ def guarded(run: Callable[[], int], report: Callable[[str], None]) -> int:
 
 def printable(text: str) -> str:
     """The text with control characters replaced by escapes such as \\x1b, so that a name in it cannot command
-    the terminal or add a line. Paths are as the user wrote them."""
+    the terminal or add a line, and without the middle of one that is very long. Paths are as the user wrote
+    them."""
+    if len(text) > LONGEST:
+        text = f"{text[:KEPT]} … {text[-KEPT:]}"
     return CONTROLS.sub(lambda found: found[0].encode("unicode_escape").decode(), shown(text))
 
 

@@ -112,7 +112,10 @@ class Quick:
                 sums, self.pictures = visibility_sums(self.enlarged, self.cameras, self.rasterizer, settings)
         if job.stop():
             raise Cancelled(NOT_FINISHED)
-        self.hidden, self.wanted = hidden(sums), min(_wanted(options, self.source.count), scene.count)
+        wanted, invisibles = _wanted(options, self.source.count), self.source.count - scene.count
+        if wanted > scene.count:
+            self.notes.append(f"{invisibles:,} Gaussians are invisible, so they are left out")
+        self.hidden, self.wanted = hidden(sums), min(wanted, scene.count)
         self.seen = Seen(1 - self.hidden / scene.count, len(self.cameras))
         others = f"; the other {self.hidden:,} are removed or merged first" if self.hidden else ""
         self.notes += [

@@ -62,7 +62,7 @@ def usable_rows(scene: Scene) -> np.ndarray:
     are none."""
     good = np.isfinite(scene.opacity_logits) & np.isfinite(scene.sh[:, 0]).all(axis=1)
     for array in (scene.means, scene.log_scales, scene.quats):
-        good &= np.isfinite(array.sum(axis=1))
+        good &= np.isfinite(array).all(axis=1)
     if not good.any():
         raise SceneError(
             "the splat has no Gaussian with finite values, so there is nothing that cameras could look at"
