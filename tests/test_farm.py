@@ -121,6 +121,14 @@ def test_a_photograph_of_the_same_size_with_other_pixels_is_another_dataset(capt
     assert dataset_sha256(captures / "one", "") != before
 
 
+def test_the_folder_that_was_given_is_that_of_the_captures_even_of_one(captures, tmp_path, capsys):
+    shutil.rmtree(captures / "two")
+    words = ["--out", str(tmp_path / "job"), "--targets", "0.5", *STEPS]
+    assert main(["farm", "export", str(captures), *words]) == 0
+    contents = json.loads((tmp_path / "job/job.json").read_text())
+    assert contents["root"] == str(captures) and contents["tasks"][0]["scene"] == "one/scene.ply"
+
+
 @pytest.mark.parametrize("link", ["results", "results/one-removal-50.ply", "report", "report/table.md"])
 def test_nothing_is_written_through_links_of_a_job_folder(job, tmp_path, capsys, link):
     victim = tmp_path / "victim"

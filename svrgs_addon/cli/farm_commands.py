@@ -54,9 +54,9 @@ def _export(args: argparse.Namespace) -> dict[str, Any]:
             "--targets and --target-count or --max-drop each say how many Gaussians stay: leave one out"
         )
     items = expand(args.scenes, args.data, folder / "results")
-    folders = [item.scene.absolute().parent for item in items] + [
-        item.data.absolute() for item in items if item.data
-    ]
+    folders = [item.scene.absolute().parent for item in items]
+    folders += [path.absolute() for path in args.scenes if path.is_dir()]  # also if it holds one capture
+    folders += [item.data.absolute() for item in items if item.data]
     root = common_folder(folders) or folders[0]
     scenes = [(item.name, item.scene, None if args.no_photographs else item.data) for item in items]
     job = FarmJob(folder.absolute(), root, tasks_of(root, scenes, list(_ways(args)), options), suffix)
