@@ -39,6 +39,7 @@ else
     check "ruff format --check" "$bin/ruff" format --quiet --check .
     check "mypy" types
     check "clang-format --dry-run" cpp_format --dry-run -Werror
+    check "check-jsonschema" "$bin/check-jsonschema" --quiet --builtin-schema vendor.github-workflows .github/workflows/*.yml
     for script in "${scripts[@]}"; do
         check "bash -n $script" bash -n "$script"
     done
