@@ -23,7 +23,8 @@ SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 def pytest_configure():
     """A worker of pytest-xdist and its children keep to one core each: the native library, torch and numpy
     then run one thread unless they are told another number. Ctrl-C is heard also where a shell's & let it be
-    ignored."""
+    ignored. This process does not wait for the disk; its children do, as the product does."""
+    os.fsync = lambda descriptor: None
     if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     worker = WORKER.fullmatch(os.environ.get("PYTEST_XDIST_WORKER", ""))

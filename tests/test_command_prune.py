@@ -193,6 +193,7 @@ def test_every_method_trains_to_a_share(tiny, svrgs, tmp_path, method):
     assert result["count"] == result["target"] == tiny_dataset.SEEN // 2 and result["iterations"] == 65
 
 
+@pytest.mark.slow
 def test_training_by_mcmc_grows_to_its_cap(tiny, svrgs, tmp_path):
     words = (
         "train",

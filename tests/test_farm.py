@@ -23,6 +23,7 @@ from svrgs_addon.jobs.farm.run_tasks import dataset_sha256
 ROOT = Path(__file__).resolve().parents[1]
 FLAMENCO = ROOT / "svrgs_addon/jobs/farm/flamenco/svrgs_prune.js"
 STEPS = ["--iterations", "40", "--recovery", "20"]
+TO_THE_END = ("--step", "Finish", "--run-dependencies")  # of a large scene
 
 
 @pytest.fixture
@@ -273,14 +274,7 @@ def test_an_engine_prunes_a_large_scene_as_one_machine_does(tiny, tmp_path, caps
     }
     values |= {"Block": 60, "Parts": 3, "LastPart": 2}
     (tmp_path / "work").mkdir()
-    run = engine_run(
-        openjd.TEMPLATE.with_name("large_scene.json"),
-        values,
-        tmp_path,
-        "--step",
-        "Finish",
-        "--run-dependencies",
-    )
+    run = engine_run(openjd.TEMPLATE.with_name("large_scene.json"), values, tmp_path, *TO_THE_END)
     said = run.communicate(timeout=120)[0]
     assert run.returncode == 0 and "openjd_status: score: " in said, said
     assert (tmp_path / "many.ply").read_bytes() == (tmp_path / "one.ply").read_bytes()
@@ -314,14 +308,8 @@ def test_an_engine_lets_a_method_decide_on_a_large_scene_as_one_machine_does(tin
     }
     values |= {"Iterations": 40, "Recovery": 20, "Block": 70, "Parts": 2, "LastPart": 1}
     (tmp_path / "work").mkdir()
-    run = engine_run(
-        openjd.TEMPLATE.with_name("large_scene_photographs.json"),
-        values,
-        tmp_path,
-        "--step",
-        "Finish",
-        "--run-dependencies",
-    )
+    template = openjd.TEMPLATE.with_name("large_scene_photographs.json")
+    run = engine_run(template, values, tmp_path, *TO_THE_END)
     said = run.communicate(timeout=180)[0]
     assert run.returncode == 0 and "openjd_status: decide: " in said, said
     assert (tmp_path / "many.ply").read_bytes() == (tmp_path / "one.ply").read_bytes()

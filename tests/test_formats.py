@@ -323,6 +323,7 @@ def test_what_is_beyond_the_limits_of_an_spz_is_said(tmp_path, caplog, change, s
     assert found.max() == pytest.approx(scene.means.max(), rel=0.01)
 
 
+@pytest.mark.slow
 def test_opaque_and_transparent_gaussians_stay_finite_and_what_they_are(tmp_path):
     scene = dataclasses.replace(like_trained(0, 4), opacity_logits=np.array([-80, -6, 6, 80], np.float32))
     for suffix in WRITTEN:

@@ -119,6 +119,7 @@ def evaluate_of(divided: Divided, data: Dataset) -> float:
     return evaluate(scene, data, data.test_indices, Rasterizer())["psnr"]
 
 
+@pytest.mark.slow
 def test_lambda_f_is_the_same_price_in_all_blocks(tiny, data, tmp_path):
     plan = prune_settings("saliency", 30, 0, full=False, lambda_f=2e-2)
     counts = [learned(tiny, data, tmp_path / str(most), most, plan)[0].count for most in (COUNT, COUNT // 4)]

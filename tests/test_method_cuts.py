@@ -66,6 +66,7 @@ def removal_errors(scene, kept: np.ndarray) -> np.ndarray:
     return errors
 
 
+@pytest.mark.slow
 def test_gaussianpop_removes_in_looks_what_really_changes_the_pictures_least():
     scene = faint_scene(24, 5)
     expected = np.ones(24, bool)

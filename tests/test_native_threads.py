@@ -92,6 +92,7 @@ def test_threads_that_would_only_wait_are_not_started(asked, default_threads):
     assert library.threads() == max(32, 8 * len(os.sched_getaffinity(0)))
 
 
+@pytest.mark.slow
 def test_thousands_of_short_jobs_with_more_threads_than_cores():
     """In a process of its own: a thread that left a job too late would change a bit, and one that does not
     tell that it has left would let it wait for ever."""

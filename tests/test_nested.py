@@ -109,6 +109,7 @@ def test_a_step_changes_the_first_rows_alone():
     assert len(changed) > SIZES / 2
 
 
+@pytest.mark.slow
 def test_smaller_numbers_of_gaussians_look_better_than_without():
     first, recover = SETTINGS.phases
     phases = (first, replace(recover, steps=600))

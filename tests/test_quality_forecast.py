@@ -55,6 +55,7 @@ def foreseen(scene, data, ranking, share: float, plan=PLAN):
     return forecast(scene, data, plan, ranking, round(share * scene.count))
 
 
+@pytest.mark.slow
 def test_the_fewer_stay_the_lower_it_is(scene, data, ranking):
     found = [foreseen(scene, data, ranking, share) for share in SHARES]
     for values in ([one.after for one in found], [one.removed for one in found]):
@@ -153,6 +154,7 @@ def test_it_is_near_what_a_short_run_reaches(trained, tiny, tmp_path):
     assert abs(found["psnr_after"] - reached["psnr"]) < reached["psnr"] - found["psnr_removed"]
 
 
+@pytest.mark.slow
 def test_an_allowed_drop_keeps_no_more_than_foreseen(trained, tiny, tmp_path):
     kept = []
     for drop in (0.3, 3.0):

@@ -158,6 +158,7 @@ def test_what_cannot_be_seen_is_refused(tmp_path):
         run(tmp_path / "s.ply")
 
 
+@pytest.mark.slow
 def test_a_scene_with_a_sky_around_it_is_seen_from_inside(tmp_path):
     """A ball in a sky: from outside the ball is hidden, and would be removed first."""
     write_ply(tmp_path / "s.ply", _joined(ball(4_000), ball(6_000, radius=60.0)))
@@ -260,6 +261,7 @@ def test_an_allowed_drop_decides_how_many_stay(splat):
     assert run(splat)["drop"] is None
 
 
+@pytest.mark.slow
 def test_the_smallest_file_within_a_drop_is_chosen_by_count_and_steps_together(splat, tmp_path, monkeypatch):
     """Coarser steps of SH that hardly show make the file smaller than more pruning does."""
     scene, chance = ball(), np.random.default_rng(0)

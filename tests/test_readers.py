@@ -211,6 +211,7 @@ def test_cameras_of_any_values(value, key):
     cameras_json(json.dumps([camera_entries(1)[0] | {key: value}]).encode())
 
 
+@pytest.mark.slow
 def test_hostile_camera_files():
     whole = json.dumps(camera_entries()).encode()
     assert cameras_json(whole)

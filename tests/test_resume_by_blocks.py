@@ -248,6 +248,7 @@ def test_another_job_is_not_continued(svrgs, tiny, tmp_path, stopped, change):
     )
 
 
+@pytest.mark.slow
 def test_without_resume_a_job_starts_again(svrgs, tiny, tmp_path, steps, stopped):
     steps.clear()
     assert svrgs(*words_for(tiny, tmp_path / "o.ply", "--target", 0.4)).status == 0
@@ -348,6 +349,7 @@ def test_a_job_that_is_discarded_takes_its_blocks_along_and_nothing_else(tiny, t
     assert not folder.path.exists() and sorted(elsewhere.iterdir()) == kept
 
 
+@pytest.mark.slow
 def test_a_removal_that_was_killed_leaves_a_folder_of_blocks(stopped, tmp_path, monkeypatch):
     """Whichever file was the last to be removed. So the next job can take the folder."""
     unlink = Path.unlink

@@ -127,6 +127,7 @@ def test_a_porous_object_takes_as_many_views_as_there_may_be():
     assert len(rig.cameras) >= MAX_CHOSEN and rig.seen is not None and 0.96 < rig.seen < 0.995
 
 
+@pytest.mark.slow
 def test_a_picture_shows_the_cameras_and_hides_those_behind_the_scene():
     scene = solid()
     rig = place_rig(scene, views=16, held_out=4)

@@ -44,6 +44,7 @@ def town(town_written, tmp_path, monkeypatch) -> Path:
     return Path(shutil.copytree(town_written, tmp_path / "town")) / "lod-meta.json"
 
 
+@pytest.mark.slow
 def test_more_than_are_read_as_a_whole_are_read_in_parts(town):
     with pytest.raises(TooMany, match="holds 6000 Gaussians, more than the limit of 5000"):
         list(read_level(town, 0, 5000))

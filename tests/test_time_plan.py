@@ -185,6 +185,7 @@ def test_the_result_says_what_was_asked_foreseen_and_used_and_can_be_repeated(ti
     assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
 
 
+@pytest.mark.slow
 def test_the_quality_is_said_where_it_is_foreseen(tiny, svrgs, slow, tmp_path):
     done = svrgs(
         "prune",
@@ -325,6 +326,7 @@ def test_a_job_with_a_time_can_be_continued_with_its_schedule(tiny, slow, tmp_pa
     assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "whole.ply").read_bytes()
 
 
+@pytest.mark.slow
 def test_training_keeps_its_plan_too(tiny, slow, tmp_path, monkeypatch):
     def training(name: str, stop_after: int = 0, **more) -> dict:
         options = TrainOptions(

@@ -119,6 +119,7 @@ def test_threads_do_not_change_the_output(tiny, svrgs, tmp_path):
     assert one == two != seed
 
 
+@pytest.mark.slow
 def test_threads_do_not_change_training(tiny, svrgs, tmp_path):
     words = (
         "train",
