@@ -203,7 +203,12 @@ def test_a_splat_of_several_files_is_not_replaced_by_itself(
 
 @pytest.mark.parametrize(
     ("out", "factors"),
-    [("b.spz", (0.3, 1, 8)), ("b.sog", (0.1, 100)), ("meta.json", (0.1, 100)), ("lod-meta.json", (0.1, 100))],
+    [
+        ("b.spz", (0.3, 1, 8)),
+        ("b.sog", (0.1, 100)),
+        pytest.param("meta.json", (0.1, 100), marks=pytest.mark.slow),
+        pytest.param("lod-meta.json", (0.1, 100), marks=pytest.mark.slow),
+    ],
 )
 def test_coarser_spherical_harmonics_make_smaller_files_that_are_less_exact(tmp_path, capsys, out, factors):
     scene, lines, errors = like_trained(2, 8_000), [], []

@@ -61,7 +61,14 @@ def test_info_counts_what_is_not_finite(tiny, svrgs, tmp_path):
     ).all()
 
 
-@pytest.mark.parametrize("found", [found for found in FORMATS if found.write], ids=lambda found: found.name)
+@pytest.mark.parametrize(
+    "found",
+    [
+        pytest.param(found, marks=[pytest.mark.slow] if found.name == "usd" else [], id=found.name)
+        for found in FORMATS
+        if found.write
+    ],
+)
 def test_every_format_is_read_and_written(tiny, svrgs, tmp_path, found):
     """From the columns of a 3DGS file, of which a format may have to leave some out."""
     first, second = (

@@ -92,6 +92,7 @@ def project(model, image, xyz: np.ndarray) -> np.ndarray:
     return model.cameras[image.camera_id].img_from_cam(xyz_c)
 
 
+@pytest.mark.slow
 def test_same_request_gives_same_bytes(dataset, tmp_path):
     again = tmp_path / "again"
     done = generate(again, *TINY)

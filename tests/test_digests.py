@@ -13,13 +13,8 @@ def program(tmp_path_factory):
     return digests.build(tmp_path_factory.mktemp("digests"))
 
 
-@pytest.mark.parametrize(
-    "level",
-    [
-        pytest.param(level, marks=[pytest.mark.slow] if level != "scalar" else [])
-        for level in digests.RECORDED_LEVELS
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("level", digests.RECORDED_LEVELS)
 def test_levels_that_are_the_same_everywhere_give_what_is_recorded(program, level):
     if level not in library.supported_levels():
         pytest.skip(f"this processor has no {level}")

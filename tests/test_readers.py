@@ -257,7 +257,9 @@ def test_a_checkpoint_changed_anywhere_is_none(tmp_path):
 # --- in processes of their own: a reader in C++ could take the tests down with it
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] if name == "usd" else []) for name in NAMES]
+)
 def test_what_the_search_starts_from_is_valid(name, tmp_path):
     if name.startswith("colmap"):
         pytest.importorskip("pycolmap")

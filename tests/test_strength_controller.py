@@ -151,7 +151,13 @@ def test_more_is_cut_where_more_is_won_back():
 
 
 @pytest.mark.parametrize(
-    "stop", [pytest.param(501, marks=pytest.mark.slow), 650, 651, pytest.param(790, marks=pytest.mark.slow)]
+    "stop",
+    [
+        pytest.param(501, marks=pytest.mark.slow),
+        pytest.param(650, marks=pytest.mark.slow),
+        651,
+        pytest.param(790, marks=pytest.mark.slow),
+    ],
 )
 def test_a_recovery_that_cuts_goes_on_from_a_checkpoint_bit_for_bit(tiny, data, tmp_path, stop):
     settings = replace(prune_settings("removal", 500, 300), max_drop=0.2)
@@ -174,7 +180,11 @@ def test_a_recovery_that_cuts_goes_on_from_a_checkpoint_bit_for_bit(tiny, data, 
     )
 
 
-@pytest.mark.parametrize("goal", [{"target": 90}, {"max_drop": 1.0}], ids=["target", "max-drop"])
+@pytest.mark.parametrize(
+    "goal",
+    [{"target": 90}, pytest.param({"max_drop": 1.0}, marks=pytest.mark.slow)],
+    ids=["target", "max-drop"],
+)
 def test_a_steered_run_restored_from_a_checkpoint_goes_on_bit_for_bit(tiny, data, tmp_path, goal):
     whole, first, second = (steered_run(tiny, data, "svr", 600, **goal) for _ in range(3))
     while first.iteration < 501:
