@@ -181,7 +181,7 @@ def replace_gaussians(obj: bpy.types.Object, scene: Scene):
 
 def copy_with(obj: bpy.types.Object, name: str, scene: Scene) -> bpy.types.Object:
     """A copy of the splat with other Gaussians, in the same collection: with its place, modifiers and
-    constraints, not its properties."""
+    constraints; of its properties, those of its import alone."""
     copy = obj.copy()
     copy.name = name
     for key in [key for key in copy.keys() if key.startswith("svrgs_") and key not in (Y_DOWN, FORMAT)]:

@@ -86,6 +86,7 @@ class SVRGS_OT_job_stop(JobOperator):
         if job_queue.is_queued(job):
             job_queue.leave(job)
             return tr("'{name}' does not wait any more: Resume starts it").format(name=job.name)
+        job_queue.leave(job)  # Run Now of another job may have let it wait to go on
         if self.now and job.running:
             job.kill()
             return ". ".join((tr("Stopped at once"), job_state.resume_sentence(job)))

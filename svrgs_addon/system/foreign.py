@@ -31,7 +31,7 @@ def open_regular(path: str | os.PathLike) -> BinaryIO:
 
 def check_name(name: str, kind: str = "file") -> None:
     """Raises FormatError if a name leads out of its folder, on POSIX or on Windows, or cannot be that of a
-    file. kind: of the file and of the folder, in the sentence."""
+    file. kind: of the file, in the sentence."""
     try:
         possible = b"\0" not in os.fsencode(name)
     except UnicodeEncodeError:  # half of a pair of surrogates
@@ -40,15 +40,16 @@ def check_name(name: str, kind: str = "file") -> None:
         raise FormatError(f"{kind} name {name!r} cannot be the name of a file")
     for path in (PurePosixPath(name), PureWindowsPath(name)):
         if not path.name or path.anchor or ".." in path.parts:
-            raise FormatError(f"{kind} name {name!r} does not stay inside the {kind} folder")
+            raise FormatError(f"{kind} name {name!r} does not stay inside its folder")
 
 
 def inside(folder: Path, name: str) -> Path:
-    """A path in the folder, to read it. Raises FormatError if its name or a link leads out of the folder."""
+    """A path in the folder, to read it. Raises FormatError (without the name of the folder) if its name or a
+    link leads out of the folder."""
     check_name(name)
     path = folder / name
     if not real(path).is_relative_to(real(folder)):
-        raise FormatError(f"{path}: is a link that leads out of the folder: copy here what it leads to")
+        raise FormatError(f"has a link that leads out of the folder, {name}: copy here what it leads to")
     return path
 
 

@@ -102,11 +102,27 @@ def test_a_job_that_waits_can_run_now_and_the_other_goes_on_after_it(splat, watc
     follow(watch, lambda: first.facts.get("iteration", 0) > 20)
     assert "Waiting for 'scene', about" in drawn("prune") and "svrgs.job_run_now" in drawn("prune")
     assert bpy.ops.svrgs.job_run_now() == {"FINISHED"} and first.stopping
+    assert part("operators.jobs.job_queue").is_queued(first) is False, "it stops first"
     with pytest.raises(RuntimeError, match="'scene' does not wait for another job"):
         bpy.ops.svrgs.job_run_now(folder=str(first.folder.path))
     follow(watch, lambda: results.pruned_of(other))
     follow(watch, lambda: first.running and first.facts.get("iteration", 0) > 20)
     assert first.folder.checkpoint() > 0 and listed()["scene"].state.startswith("Running")
+
+
+def test_a_job_that_makes_way_and_is_stopped_does_not_go_on(splat, watch):
+    set_up(LONG)
+    bpy.ops.svrgs.job_start()
+    (first,) = watch.jobs.values()
+    bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
+    set_up(SHORT)
+    bpy.ops.svrgs.job_start()
+    second = watch.job_of(bpy.context.object)
+    follow(watch, lambda: first.facts.get("iteration", 0) > 20)
+    bpy.ops.svrgs.job_run_now()
+    bpy.ops.svrgs.job_stop(folder=str(first.folder.path), now=True)
+    follow(watch, lambda: ended(second))
+    assert first.state == "stopped" and not first.running and not watch.tick()
 
 
 def test_one_line_tells_what_runs_and_how_it_ended(two, watch, results):
