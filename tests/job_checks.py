@@ -12,7 +12,7 @@ from svrgs_addon.jobs.job_process import Job
 ROOT = Path(__file__).resolve().parents[1]
 SHORT = {"iterations": 40, "recovery": 20, "lambda_f": 1e-2, "target": 0.5}
 # long enough to be met at work
-MEDIUM = {"iterations": 1600, "recovery": 400, "lambda_f": 1e-2, "target": 0.4}
+MEDIUM = {"iterations": 800, "recovery": 200, "lambda_f": 1e-2, "target": 0.4}
 LONG = {"iterations": 20_000, "recovery": 0, "lambda_f": 1e-5, "min_contribution": 0.0}
 
 

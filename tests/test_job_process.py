@@ -200,11 +200,11 @@ def test_stopped_jobs_end_as_if_they_had_not_been(undisturbed, tiny, tmp_path, j
     jobs.append(job)
     for k in range(stops):
         job.start()
-        follow(job, lambda job, k=k: job.facts.get("iteration", 0) > 300 * (k + 1) or not job.running)
+        follow(job, lambda job, k=k: job.facts.get("iteration", 0) > 150 * (k + 1) or not job.running)
         job.stop()
         follow(job)
         assert job.state == job.folder.state()["state"] == "stopped"
-        assert 300 * (k + 1) < job.folder.state()["iteration"] < 2000
+        assert 150 * (k + 1) < job.folder.state()["iteration"] < 1000
     job.start()
     follow(job)
     assert job.state == "done", job.facts

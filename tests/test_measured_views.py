@@ -13,11 +13,13 @@ pytest.importorskip("pycolmap")
 pytest.importorskip("OpenImageIO")
 
 import scenes
+from svrgs_addon.finetune import run
+from svrgs_addon.finetune.quality import NOT_APART
 from svrgs_addon.prune.belonging import percent, seen_of
-from svrgs_addon.prune.likeness import Likeness, apart
+from svrgs_addon.prune.likeness import Likeness, PhotographLikeness
 from svrgs_addon.prune.recipes import fine_tuned
 from svrgs_addon.render.metrics.measures import SHOWN, almost_empty
-from svrgs_addon.scene.camera import Camera, halfway
+from svrgs_addon.scene.camera import Camera, apart, halfway
 from svrgs_addon.views.cameras_json import write_cameras_json
 
 WAYS = {
@@ -98,6 +100,41 @@ def test_no_view_that_decided_measures(svrgs, tiny, tmp_path, monkeypatch, way):
     assert names and all(name.startswith("between_") for name in names), names
     assert 15 < result["psnr"] < 60 and result["seen"] > 0.5 and result["seen_views"] > 4
     assert any(f"{result['seen_views']} views see" in note for note in result["notes"])
+
+
+@pytest.mark.parametrize("way", ["prune", "large prune"])
+def test_with_photographs_no_view_that_holds_an_allowed_drop_measures(
+    svrgs, tiny, tmp_path, monkeypatch, way
+):
+    decided, measured = set[int](), set[int]()
+    evaluate, psnr, choose = fine_tuned.evaluate, PhotographLikeness.psnr, run.quality_views
+
+    def by_a_run(dataset):
+        decided.update(choose(dataset))
+        return choose(dataset)
+
+    def by_blocks(self, scene):
+        (measured if self._indices == self.deciding.deciding._indices else decided).update(self._indices)
+        return psnr(self, scene)
+
+    def of_the_result(scene, dataset, indices, *more):
+        measured.update(indices)
+        return evaluate(scene, dataset, indices, *more)
+
+    monkeypatch.setattr(run, "quality_views", by_a_run)
+    monkeypatch.setattr(PhotographLikeness, "psnr", by_blocks)
+    monkeypatch.setattr(fine_tuned, "evaluate", of_the_result)
+    words = ["--data", tiny.folder, "--holdout", 2, "--method", "removal", "--max-drop", 1]
+    words += ["--iterations", 20, "--recovery", 20, "--out", tmp_path / "o.ply", "--json"]
+    result = svrgs(*way.split(), tiny.splat, *words).json
+    assert decided and measured and not decided & measured
+    assert result["drop"] == pytest.approx(result["before"]["psnr"] - result["psnr"], abs=1e-3)
+
+
+def test_a_drop_that_one_view_decides_and_measures_is_told(svrgs, tiny, tmp_path):
+    words = ["--data", tiny.folder, "--holdout", 12, "--method", "removal", "--max-drop", 1]
+    words += ["--iterations", 20, "--recovery", 0, "--out", tmp_path / "o.ply", "--json"]
+    assert NOT_APART in svrgs("prune", tiny.splat, *words).json["notes"]
 
 
 @pytest.mark.parametrize("shown", [1, 0])

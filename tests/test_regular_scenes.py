@@ -69,10 +69,14 @@ def test_a_scene_without_gaussians_is_refused_where_it_could_not_be_read(tmp_pat
         assert not list(tmp_path.iterdir())
 
 
-def test_a_file_that_cannot_be_read_again_is_not_called_saved(tmp_path, monkeypatch):
+def test_a_file_that_cannot_be_read_again_does_not_replace_the_old_one(tmp_path, monkeypatch):
+    path = tmp_path / "a.spz"
+    write_scene(path, scattered())
+    before = path.read_bytes()
     monkeypatch.setattr(spz, "packed", lambda *words: spz_container.packed(*words)[:-100])
-    with pytest.raises(SceneError, match="it was written just now"):
-        write_scene(tmp_path / "a.spz", scattered())
+    with pytest.raises(SceneError, match=r"a\.spz .*: it was written just now"):
+        write_scene(path, scattered())
+    assert path.read_bytes() == before and [one.name for one in tmp_path.iterdir()] == ["a.spz"]
 
 
 MANY = {

@@ -114,11 +114,11 @@ def test_the_drop_asked_for_is_used_up_and_not_exceeded(tiny, data):
     """In most runs: one Gaussian of this tiny scene can be worth tenths of a dB, and now and then a run loses
     several or next to nothing. Of 21 seeds two lost more than asked; the median was 0.66 dB."""
     drops = []
-    for seed in range(1, 8):
+    for seed in range(1, 6):
         run = to_the_end(steered_run(tiny, data, "svr", max_drop=1.0, seed=seed))
         assert run.model.count < 200
         drops.append(run.controller.start - run.psnr(None))
-    assert 0.1 < sorted(drops)[3] <= 1.0 and sum(drop <= 1.0 for drop in drops) >= 5, drops
+    assert 0.1 < sorted(drops)[2] <= 1.0 and sum(drop <= 1.0 for drop in drops) >= 4, drops
 
 
 @pytest.mark.slow
@@ -128,6 +128,7 @@ def test_the_drop_asked_for_is_used_up_and_not_exceeded(tiny, data):
 def test_what_the_recovery_wins_back_is_spent(tiny, data, tmp_path, method, allowed):
     """In most runs: one Gaussian of this tiny scene can be worth tenths of a dB. With `removal` a twentieth,
     the least that stays, loses about 0.3 dB."""
+    data = replace(data, train_indices=[1, 3, 5, 7, 9, 11], test_indices=[0, 2, 4, 6, 8, 10])
     drops, cuts = [], []
     for seed in range(3):
         settings = replace(prune_settings(method, 300, 200), max_drop=allowed, seed=seed)
@@ -263,18 +264,21 @@ def test_a_drop_counts_what_the_format_of_the_output_loses(tiny, data, tmp_path)
     settings = replace(prune_settings("svr", 60, 0), max_drop=2.0)
     result = whole_jobs.prune(tiny.splat, data, settings, JobContext(tmp_path / "o.compressed.ply"))
     assert result["drop"] == pytest.approx(result["before"]["psnr"] - result["psnr"], abs=1e-3)
-    source, held = load_scene(tiny.splat).scene, result["before"]["psnr"]
+    source = load_scene(tiny.splat).scene
     left = fine_tuned.without_format_loss(source, data, settings, tmp_path / "o.compressed.ply").max_drop
     recipe = fine_tuned.FineTuned(tiny.splat, settings, JobContext(tmp_path / "o.ply"), lambda _: data)
     recipe.open()
     recipe.views()
-    seen = recipe.measured(as_stored(source, compressed_ply.FORMAT), tiny.splat)
-    assert 2.0 - left == pytest.approx(max(0.0, held - seen["psnr"]), abs=1e-3) and left < 2.0
+    held, seen = (
+        recipe.measured(scene, tiny.splat)["psnr"]
+        for scene in (source, as_stored(source, compressed_ply.FORMAT))
+    )
+    assert 2.0 - left == pytest.approx(max(0.0, held - seen), abs=1e-3) and left < 2.0
     assert fine_tuned.without_format_loss(source, data, settings, tmp_path / "o.ply").max_drop == 2.0
     with pytest.raises(SceneError, match="o.splat: the format alone loses"):
         whole_jobs.prune(
             tiny.splat,
-            data,
+            replace(data, test_indices=[6, 8]),
             replace(settings, max_drop=0.01),
             JobContext(tmp_path / "o.splat"),
         )

@@ -16,7 +16,7 @@ from svrgs_addon.jobs.job_folder import PRUNE, TRAIN, JobFolder
 from svrgs_addon.jobs.job_process import Job
 from svrgs_addon.system.errors import FormatError, SceneError
 
-SHORT, MEDIUM = 80, 1500  # steps
+SHORT, MEDIUM = 80, 800  # steps
 
 
 def create(path: Path, tiny, iterations: int) -> JobFolder:

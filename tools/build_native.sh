@@ -5,6 +5,7 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 cmake=$1/bin/cmake
 log=build/native.log
+unset MAKEFLAGS # of `make -j2`: CMake calls a make of its own
 mkdir -p build
 if ! [ -f build/native/CMakeCache.txt ] || ! [ -f svrgs_addon/libsvrgs.so ]; then
     echo "compiling the native core"

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import bpy
 from bpy.app.translations import pgettext_iface as tr
 from bpy.app.translations import pgettext_n as n_
 
 from ...svrgs_addon.finetune.methods import METHODS
 from ...svrgs_addon.jobs.job_process import Job
+from ...svrgs_addon.prune.disk_room import bytes_of_job
 from ...svrgs_addon.system.errors import SplatError
 from ..data import edit_guard, option_properties, quick_order, splat_object
+from ..data.job_paths import job_folders
 from ..data.native_check import native_problem
 from ..data.option_properties import CHOICES
-from ..data.splat_size import size_text
+from ..data.splat_size import file_size_text, size_of, size_text
 from ..scene import camera_match, dataset_paths, place_cameras
 from . import depths, estimate, goals, job_queue, job_result, job_state, orphan_jobs
 from .job_watch import current
 
+MUCH_BYTES = 100e6  # on the disk: the panel says that a job leaves more
 SILENT_SECONDS = 60.0  # after this time without a sign of life, the panel says so
 
 
@@ -69,8 +74,21 @@ def _of_ready(context) -> list[str]:
         place_cameras.sentence(obj),
         orphan_jobs.sentence(context),
         _of_applied(obj),
+        _disk_use(context),
     ]
     return [text for text in texts if text]
+
+
+def _disk_use(context) -> str:
+    """What a job leaves on the disk, if that is much."""
+    obj, count = context.object, splat_object.count(context.object)
+    coefficients = (splat_object.sh_degree(obj) + 1) ** 2
+    quick = context.scene.svrgs_prune.depth == "QUICK"
+    size = bytes_of_job(count, size_of(obj, count), coefficients, quick)
+    if size < MUCH_BYTES:
+        return ""
+    text = tr("The job takes up to {size} in '{folder}', until its result is applied or discarded")
+    return text.format(size=file_size_text(size), folder=Path(job_folders(context)[0]).name)
 
 
 def _problem_of_depth(context) -> str:
@@ -119,23 +137,29 @@ def _figures(facts: dict) -> str:
     return text.format(count=facts["count"], psnr=facts.get("psnr"))
 
 
+def _quality(pruned: bpy.types.Object) -> str:
+    kept = pruned[job_result.KEPT]
+    if job_result.PSNR in pruned:
+        before, after = pruned[job_result.PSNR]
+        text = tr("Quality at {kept:,} Gaussians: PSNR {before:.2f} → {after:.2f} dB")
+        return text.format(kept=kept, before=before, after=after)
+    if job_result.OWN_PSNR in pruned:
+        text = tr("Quality at {kept:,} Gaussians: PSNR {psnr:.2f} dB against the original's own pictures")
+        return text.format(kept=kept, psnr=pruned[job_result.OWN_PSNR])
+    return ""
+
+
 def _of_result(original: bpy.types.Object | None, pruned: bpy.types.Object) -> list[str]:
     count, kept = job_result.shown_count(pruned), pruned[job_result.KEPT]
     total = splat_object.count(original) if original is not None else 0
     text = tr("{kept:,} of {count:,} Gaussians, {size}") if total else tr("{kept:,} Gaussians, {size}")
     texts = [text.format(kept=count, count=total, size=size_text(pruned, count))]
-    if job_result.PSNR in pruned:
-        before, after = pruned[job_result.PSNR]
-        text = tr("Quality at {kept:,} Gaussians: PSNR {before:.2f} → {after:.2f} dB")
-        if count != kept:
-            text = tr(
-                "Quality at {kept:,} Gaussians: PSNR {before:.2f} → {after:.2f} dB; not measured at this"
-                " setting"
-            )
-        texts.append(text.format(kept=kept, before=before, after=after))
-    if job_result.OWN_PSNR in pruned:
-        text = tr("Quality at {kept:,} Gaussians: PSNR {psnr:.2f} dB against the original's own pictures")
-        texts.append(text.format(kept=kept, psnr=pruned[job_result.OWN_PSNR]))
+    if quality := _quality(pruned):
+        texts.append(
+            quality
+            if count == kept
+            else tr("{quality}; not measured at this setting").format(quality=quality)
+        )
     texts += map(_with_capital, filter(str.strip, pruned.get(job_result.NOTES, "").splitlines()))
     if quick_order.is_shown(pruned):
         texts.append(

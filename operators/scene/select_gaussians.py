@@ -12,6 +12,7 @@ from bpy.app.translations import pgettext_iface as tr
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
 
 from ...svrgs_addon.native import library
+from ...svrgs_addon.prune.belonging import MIN_SEEN, Seen, seen_of
 from ...svrgs_addon.prune.selection.options import Criteria
 from ...svrgs_addon.system.errors import SceneError
 from ..data import edit_guard, quick_order, selection, splat_object
@@ -59,6 +60,7 @@ SHOWN = {  # properties that a criterion uses
     "CONTRIBUTION": ("cameras", "share"), "REMOVAL_ERROR": ("cameras", "share"), "SEEN": ("cameras",),
     "FLOATERS": ("cameras",), "EDIT_MODE": (),
 }  # fmt: skip
+JUDGED = ("CONTRIBUTION", "REMOVAL_ERROR")  # criteria that judge also the Gaussians that no camera sees
 
 
 class SplatOperator(ReportingOperator):
@@ -139,18 +141,24 @@ class SVRGS_OT_select_gaussians(SplatOperator):
     def work(self, context) -> str:
         obj = context.object
         library.set_threads(threads(context))
+        seen: list[Seen] = []
         if self.criterion == "EDIT_MODE":
             mask = selection.found_in_edit_mode(obj)
         else:
             volume = self.volume_object(context) if self.criterion in ("BOX", "SPHERE") else None
             mask = selection.find(
-                obj, self.criteria(), lambda placed, named: self.views(context, placed, named), volume
+                obj, self.criteria(), lambda placed, named: self.views(context, placed, named, seen), volume
             )
         count = selection.change(obj, mask, self.mode, self.invert)
         show_selection(context, count > 0)
-        return tr("Selected {selected:,} of {count:,} Gaussians").format(
+        text = tr("Selected {selected:,} of {count:,} Gaussians").format(
             selected=count, count=splat_object.count(obj)
         )
+        if not seen:
+            return text
+        return tr(
+            "{selected}; {views} views see {share:.0%} of the Gaussians, and the others count for nothing"
+        ).format(selected=text, views=seen[0].views, share=seen[0].share)
 
     def criteria(self) -> Criteria:
         """The criterion with its numbers."""
@@ -178,12 +186,16 @@ class SVRGS_OT_select_gaussians(SplatOperator):
         self.volume = found.name
         return found
 
-    def views(self, context, placed, named: str) -> list:
-        """The views of the chosen cameras. named: empty if none is needed. Raises SceneError."""
+    def views(self, context, placed, named: str, seen: list[Seen]) -> list:
+        """The views of the chosen cameras. named: empty if none is needed. seen: takes what they see,
+        if that is little and the criterion judges all Gaussians. Raises SceneError."""
         cameras = chosen_cameras(context, self.cameras)
-        if named or cameras:
-            return views(context, cameras[:: max(1, -(-len(cameras) // MOST_VIEWS))], placed)
-        return []
+        if not (named or cameras):
+            return []
+        found = views(context, cameras[:: max(1, -(-len(cameras) // MOST_VIEWS))], placed)
+        if self.criterion in JUDGED and (part := seen_of(placed.scene, found)).share < MIN_SEEN:
+            seen.append(part)
+        return found
 
 
 class SVRGS_OT_delete_gaussians(SplatOperator):

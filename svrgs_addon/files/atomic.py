@@ -12,7 +12,8 @@ import itertools
 import os
 import secrets
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextvars import ContextVar
 from pathlib import Path
 from typing import BinaryIO
 
@@ -25,6 +26,8 @@ HIDDEN_PREFIX = ".svrgs-"  # first characters of the names of temporary files
 # characters: a longer one is left out of the name of a temporary file, which must not be longer than a name
 # may be
 LONGEST_SUFFIX = 16
+# of checked(): the path, and what is called with the temporary file
+_check: ContextVar[tuple[Path | None, Callable[[Path], None]]] = ContextVar("check", default=(None, print))
 
 
 @contextlib.contextmanager
@@ -62,8 +65,22 @@ def atomic_path(path: str | os.PathLike, keep: bool = True) -> Iterator[Path]:
         with _hidden_file_next_to(target) as temporary:
             yield temporary
             _sync(temporary, os.O_RDWR)
+            checked_path, check = _check.get()
+            if checked_path == target:
+                check(temporary)
             _replace(temporary, target, path if keep else None)
     _sync_folder(target.parent)
+
+
+@contextlib.contextmanager
+def checked(path: str | os.PathLike, check: Callable[[Path], None]) -> Iterator[None]:
+    """Context manager: a new file of its block replaces `path` only after check() of the temporary file. What
+    that raises leaves the old file unchanged."""
+    token = _check.set((file_names.real(path), check))
+    try:
+        yield
+    finally:
+        _check.reset(token)
 
 
 @contextlib.contextmanager

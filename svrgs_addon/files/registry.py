@@ -6,10 +6,12 @@ SplatFormat, and its place in FORMATS.
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +22,7 @@ from ..system import memory
 from ..system.errors import FormatError, SceneError, TooMany
 from ..system.file_names import extended, real
 from . import compressed_ply, dot_splat, glb, glb_spz, ksplat, ply, sog, spz, streamed_sog, usd
+from .atomic import checked
 from .reading import MAX_IN_PARTS
 from .repair import bake_filter, clamp_extremes, drop_nonfinite, unusable
 from .splat_format import SplatFormat
@@ -163,7 +166,7 @@ def read_parts(path: str | Path) -> Iterator[Scene]:
 def check_readable(path: str | Path):
     """Checks a file by reading its header and at most a few thousand Gaussians. Raises FormatError,
     SceneError."""
-    next(read_parts(path))
+    next(read_parts(path), None)
 
 
 def load_scene(path: str | Path) -> Loaded:
@@ -235,21 +238,25 @@ def write_scene(path: str | Path, scene: Scene, version: int = 0, quantise: floa
         )
     choices: dict[str, float] = {"version": version} if version else {}
     choices |= {"quantise": quantise} if quantise != 1 else {}
-    splat_format.write(extended(path), scene, **choices)
-    if not splat_format.lossless:
-        _check_written(path)
+    target, several = extended(path), extended(path).name == splat_format.index
+    check = partial(_check_written, path)
+    with contextlib.nullcontext() if several else checked(target, check):
+        splat_format.write(target, scene, **choices)
+    if several:  # they can be read when all are there
+        check(target)
     for sentence in left_out(scene, splat_format):
         logging.warning("%s: %s", path, sentence)
 
 
-def _check_written(path: str | Path):
-    """Raises SceneError if a file that was just written cannot be read."""
+def _check_written(path: str | Path, written: Path):
+    """Raises SceneError if a file that was just written for `path` cannot be read."""
     try:
-        check_readable(path)
+        check_readable(written)
     except TooMany:
         return  # memory is short now; the file may be good
     except FormatError as error:
-        raise SceneError(f"{error}: it was written just now, so write another format") from None
+        found = str(error).replace(str(written), str(path))
+        raise SceneError(f"{found}: it was written just now, so write another format") from None
 
 
 def read_back(path: str | Path, scene: Scene) -> Scene:

@@ -17,10 +17,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..scene.camera import apart
 from .run_view import RunView
 from .scores import top
 
@@ -32,11 +34,24 @@ if TYPE_CHECKING:  # reads files; a Blender that only starts needs none of it
 MIN_SHARE = 0.05
 # shares of the fine-tuned scene in a result, the rest is the scene before the steps; tried after 1
 SHARES = (0.75, 0.5, 0.25, 0.0)
-VIEWS = 16  # most views on which a drop in PSNR is measured, spread evenly over the test views
+VIEWS = (
+    16  # most views on which a drop in PSNR is held, spread evenly over the test views, at most half of them
+)
+NOT_APART = (
+    "there are fewer than two test views: the quality is measured in the views that decided how many"
+    " Gaussians stay"
+)
+
+
+def hold_apart(dataset: Dataset) -> Dataset:
+    """The dataset, with some of the test views taken for decisions; the others measure the result."""
+    decide, measure = apart(dataset.test_indices, VIEWS)
+    notes = dataset.notes if decide else (*dataset.notes, NOT_APART)
+    return replace(dataset, deciding_indices=decide, test_indices=measure, notes=notes)
 
 
 def quality_views(dataset: Dataset) -> list[int]:
-    """The views on which a drop in PSNR is held: those that are chosen for it, or else test views, because
+    """The views on which a drop in PSNR is held: those that are taken for it, or else test views, because
     training fits its own views more closely than any other; training views if there are none."""
     views = dataset.deciding_indices or dataset.test_indices or dataset.train_indices
     count = min(VIEWS, len(views))

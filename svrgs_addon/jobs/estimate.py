@@ -13,6 +13,7 @@ import time
 
 from ..files.registry import invisible, load_scene
 from ..finetune.plan import at_schedule
+from ..finetune.quality import hold_apart
 from ..native import library
 from ..prune.belonging import check_dataset
 from ..prune.context import PROCESS
@@ -57,6 +58,8 @@ def estimate(options: PruneOptions) -> dict:
     loaded = time.perf_counter() - begun
     check_views(scene, dataset.cameras, dataset.train_indices, "the splat")
     plan = plan_of_pruning(options)
+    if plan.max_drop:
+        dataset = hold_apart(dataset)
     pace, seen = pace_of(scene, dataset, plan), seen_by_some(scene, dataset, plan)
     measured = time.perf_counter() - begun
     kept = expected_count(plan, scene, dataset, seen)

@@ -134,7 +134,7 @@ class JobFolder:
         option is wrong."""
         folder = cls._empty(path)
         _check_options(PRUNE, options)
-        check_room(folder.path, scene)
+        check_room(folder.path, scene, bool(options.get("quick")))
         rows = np.arange(scene.count, dtype=np.uint32)
         write_scene(folder / "scene.ply", replace(scene, attributes={**scene.attributes, ROW: rows}))
         if cameras:

@@ -10,15 +10,15 @@ from typing import Protocol
 import numpy as np
 
 from ..files.atomic import atomic_write
-from ..files.images import write_image
 from ..files.registry import load_scene, read_scene, write_scene
 from ..finetune import loop, masks
 from ..finetune.run import Run
 from ..native.rasterizer import Rasterizer, RenderOptions
 from ..prune.context import JobContext
 from ..prune.disk_room import ROW
+from ..prune.report.pictures import png_bytes, to_uint8
 from ..prune.time_plan import TimePlan
-from ..render.metrics.evaluate import render_options, rounded_to_8_bits
+from ..render.metrics.evaluate import render_options
 from ..scene.gaussians import Scene
 from ..system.errors import FormatError, SceneError
 from ..system.exit_status import plain
@@ -123,10 +123,9 @@ class JobRecorder:
             antialiased=run.antialiased, background=run.plan.background, picture_only=True
         )
         name = f"previews/{iteration:07d}.png"
-        write_image(
-            self.folder / name,
-            rounded_to_8_bits(run.engine.rasterizer.forward(run.model, camera, options, kept)["rgb"]),
-        )
+        rgb = run.engine.rasterizer.forward(run.model, camera, options, kept)["rgb"]
+        with atomic_write(self.folder / name) as file:
+            file.write(png_bytes(to_uint8(rgb)))
         self.listener.tell("PREVIEW", path=name)
 
     def _write_metrics(self):

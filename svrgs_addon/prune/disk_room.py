@@ -18,7 +18,8 @@ from ..system.errors import SceneError
 from ..system.file_names import real
 
 PURPOSE = "the result and a checkpoint"
-BACKGROUND_FILES = 3  # splat files of a background job: the splat, the recovered Gaussians, the result
+# splat files of a background job: the splat, the result, and the recovered Gaussians of one that is not quick
+BACKGROUND_FILES = 3
 ROW = "svrgs_row"  # column of a background job's scene.ply: the row of each Gaussian in the splat
 ROW_NUMBER = 4  # bytes: the source row of each Gaussian in these files
 
@@ -87,8 +88,14 @@ class DiskRoom:
             self._held.pop().release()
 
 
-def check_room(folder: Path, scene: Scene):
+def bytes_of_job(count: int, file_bytes: int, coefficients: int, quick: bool) -> int:
+    """Bytes on disk, at most, of the folder of a background job. file_bytes: of the splat as a PLY.
+    coefficients: SH coefficients per channel."""
+    files = (BACKGROUND_FILES - quick) * (file_bytes + ROW_NUMBER * count)
+    return files if quick else files + memory.checkpoint(count, coefficients)
+
+
+def check_room(folder: Path, scene: Scene, quick: bool):
     """Raises SceneError if there is no disk space for the folder of a background job of the scene."""
-    files = BACKGROUND_FILES * (file_size(scene) + ROW_NUMBER * scene.count)
-    size = int(FREE_SPACE_MARGIN * (files + memory.checkpoint(scene.count, scene.sh.shape[1])))
-    refuse_shortage(folder, {folder: size}, "the job")
+    size = bytes_of_job(scene.count, file_size(scene), scene.sh.shape[1], quick)
+    refuse_shortage(folder, {folder: int(FREE_SPACE_MARGIN * size)}, "the job")

@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 
 from ..files.images import to_float
+from ..finetune.quality import quality_views
 from ..render.metrics import flip, psnr, ssim
 from ..render.metrics.evaluate import Renderable, Renderer, picture_options, rounded_to_8_bits
 from ..render.metrics.max_drop import ASSUMED, EQUAL
 from ..render.metrics.measures import almost_empty, with_error
-from ..scene.camera import Camera, View, evenly
+from ..scene.camera import Camera, evenly
 from ..system.errors import SceneError
 from ..views.dataset import Dataset
 from ..views.rendered import PHOTOGRAPHED
@@ -125,33 +126,30 @@ class Likeness:
 
 
 class PhotographLikeness(Likeness):
-    """The same against the photographs of test views; of training views, if none is held out. They also
-    decide, as in memory."""
+    """The same against the photographs of test views; of training views, if none is held out."""
 
     def __init__(
-        self, dataset: Dataset, renderer_of: Callable[[], Renderer], progress_of: ProgressOf = SILENT
+        self,
+        dataset: Dataset,
+        renderer_of: Callable[[], Renderer],
+        progress_of: ProgressOf = SILENT,
+        indices: Sequence[int] | None = None,
     ):
-        """As for Likeness; of VIEWS of the dataset."""
+        """As for Likeness. indices: of the views; None: VIEWS of those that measure."""
         self._dataset = dataset
-        self._indices = evenly(dataset.test_indices or dataset.train_indices, VIEWS)
+        self._indices = indices or evenly(dataset.test_indices or dataset.train_indices, VIEWS)
         self._views, self._background = [dataset.cameras[i] for i in self._indices], dataset.background
         self._renderer_of, self._progress_of = renderer_of, progress_of
 
-    @property
+    @cached_property
     def deciding(self) -> Likeness:
-        return self
+        decide = evenly(quality_views(self._dataset), VIEWS)
+        return PhotographLikeness(self._dataset, self._renderer_of, self._progress_of, decide)
 
     @cached_property
     def _originals(self) -> list[tuple[Camera, np.ndarray]]:
         photographs = (to_float(self._dataset.image(index)) for index in self._indices)
         return list(zip(self._views, photographs, strict=True))
-
-
-def apart(views: Sequence[View], most: int) -> tuple[list[View], list[View]]:
-    """Up to half of the views, `most` at the most, evenly spread, to decide in; and the others, to measure
-    in."""
-    chosen = evenly(range(len(views)), min(most, len(views) // 2))
-    return [views[k] for k in chosen], [view for k, view in enumerate(views) if k not in chosen]
 
 
 def assumed_psnr(psnrs: Sequence[float], errors: Sequence[float] | None = None) -> float:

@@ -118,6 +118,13 @@ def evenly(views: Sequence[View], count: int) -> list[View]:
     ]
 
 
+def apart(views: Sequence[View], most: int) -> tuple[list[View], list[View]]:
+    """Up to half of the views, `most` at the most, evenly spread, to decide in; and the others, to measure
+    in."""
+    chosen = evenly(range(len(views)), min(most, len(views) // 2))
+    return [views[k] for k in chosen], [view for k, view in enumerate(views) if k not in chosen]
+
+
 def spaced(views: Sequence[View], count: int) -> list[View]:
     """At most `count` of the views: the first one, and others at equal distances in the list."""
     return list(views[:: max(1, len(views) // count)][:count])

@@ -62,7 +62,7 @@ class Dataset:
     point_colors: np.ndarray  # (P, 3) uint8
     train_indices: list[int]
     test_indices: list[int]
-    # test views in which an allowed drop is held, if these are apart from test_indices
+    # test views in which something was decided (finetune/quality.py); they are not in test_indices
     deciding_indices: list[int] = field(default_factory=list, kw_only=True)
     photos: list[Photo] = field(default_factory=list)  # one per camera; empty if only cameras were loaded
     background: tuple[float, float, float] = (0, 0, 0)  # display sRGB 0..1, behind transparent pixels

@@ -1,4 +1,5 @@
-"""kill -9 at random moments: of a fine-tuning run that is taken up again, and of every writer.
+"""kill -9 at random moments, of every writer here and of a job of every recipe (jobs.py), which also meets a
+full disk and too little memory.
 
 Children are forked from a process that has everything imported, so that each costs no start; it must never
 have used the native library itself, whose threads a fork does not take along.
@@ -6,9 +7,7 @@ have used the native library itself, whose threads a fork does not take along.
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
-import io
 import os
 import random
 import re
@@ -16,22 +15,16 @@ import signal
 import time
 import traceback
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-import whole_jobs
-from plans import prune_settings
-from svrgs_addon.cli.main import main as svrgs
 from svrgs_addon.files.images import write_image
 from svrgs_addon.files.npz import write_arrays
 from svrgs_addon.files.ply import write_ply
-from svrgs_addon.finetune import loop
 from svrgs_addon.jobs.job_folder import JobFolder
-from svrgs_addon.prune.context import JobContext
 from svrgs_addon.scene.gaussians import Scene
-from svrgs_addon.views.dataset import load_dataset
 
 
 @dataclass
@@ -41,7 +34,7 @@ class Survived:
     kills: int = 0
     # runs that came to their end, or writers that had replaced the file when they were killed
     finished: int = 0
-    resumed: int = 0  # starts that went on from a checkpoint
+    resumed: int = 0  # starts that went on from what was kept
 
 
 def forked(work: Callable[[], object]) -> int:
@@ -141,72 +134,4 @@ def kill_writer(name: str, folder: Path, kills: int, seed: int = 0) -> Survived:
         assert digest(path) in contents, f"{name} is neither the old nor the new file"
         survived.kills += 1
         survived.finished += digest(path) == contents[0]
-    return survived
-
-
-# --- a run
-
-
-def kill_run(splat: Path, dataset: Path, folder: Path, kills: int, seed: int = 0) -> Survived:
-    """A pruning job that saves a checkpoint each step, killed again and again, taken up each time: the same
-    bytes in the end."""
-    settings = replace(prune_settings("svr", 40, 20, prune_every=15, lambda_f=1e-3), mask_init=0.5, seed=5)
-    out, data = folder / "o.ply", load_dataset(dataset)
-
-    def prune():
-        whole_jobs.prune(splat, data, settings, JobContext(out, resume=True))
-
-    return _kill_job(prune, out, "o.ply.job/*/manifest.json", kills, 0.7, seed)
-
-
-def kill_blocks(splat: Path, dataset: Path, folder: Path, kills: int, seed: int = 0) -> Survived:
-    """The same of a job by blocks."""
-    out = folder / "o.ply"
-    words = [
-        "large",
-        "prune",
-        splat,
-        "--data",
-        dataset,
-        "--method",
-        "removal",
-        "--target",
-        0.5,
-        "--iterations",
-        20,
-        "--recovery",
-        10,
-        "--block",
-        130,
-    ]
-
-    def prune():
-        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()) as said:
-            status = svrgs([*map(str, words), "--out", str(out), "--resume"])
-        assert status == 0, said.getvalue()[-1000:]
-
-    return _kill_job(prune, out, "o.ply.blocks/**/manifest.json", kills, 1.0, seed)
-
-
-def _kill_job(
-    prune: Callable[[], object], out: Path, checkpoints: str, kills: int, longest: float, seed: int
-) -> Survived:
-    """checkpoints: pattern of their files beside the output. longest: seconds until a kill, at most."""
-    loop.CHECKPOINT_SECONDS = 0
-    chance, survived = random.Random(seed), Survived()
-    done(prune)
-    expected = digest(out)
-    out.unlink()
-    while survived.kills < kills:
-        survived.resumed += any(out.parent.glob(checkpoints))
-        code = killed(prune, chance.uniform(0, longest))
-        assert code in (None, 0), "a run that was taken up has failed"
-        if code is None:
-            survived.kills += 1
-        if out.exists():  # written, whether or not its process lived on
-            assert digest(out) == expected, "the result differs from that of an undisturbed run"
-            survived.finished += 1
-            out.unlink()
-    done(prune)
-    assert digest(out) == expected
     return survived

@@ -1,5 +1,6 @@
-"""python -m tests.faults [--kills 200] [--seed 0] [TARGET ...]: kills a run, a job by blocks, and every
-writer, that often; says what survived."""
+"""python -m tests.faults [--kills 200] [--disk N] [--memory] [--seed 0] [TARGET ...]: kills a job of every
+recipe, and every writer, that often; or fills the disk at the writes of a job; or leaves it little memory.
+It says what survived."""
 
 from __future__ import annotations
 
@@ -9,46 +10,41 @@ import tempfile
 import time
 from pathlib import Path
 
-from faults import WRITERS, Survived, done, kill_blocks, kill_run, kill_writer
-
-JOBS = {"run": kill_run, "blocks": kill_blocks}
+from faults import WRITERS, kill_writer
+from faults.jobs import JOBS, LIMITS_MB, fill_the_disk, job_named, kill, limit_the_memory
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.faults")
-    parser.add_argument(
-        "targets", nargs="*", metavar="TARGET", help=f"{', '.join((*JOBS, *WRITERS))} (default: all)"
-    )
+    names = ", ".join((*JOBS, *WRITERS))
+    parser.add_argument("targets", nargs="*", metavar="TARGET", help=f"{names} (default: all)")
     parser.add_argument("--kills", type=int, default=200)
+    parser.add_argument("--disk", type=int, metavar="N", help="a full disk at N writes of a job; 0: at each")
+    parser.add_argument("--memory", action="store_true")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
-    for target in options.targets or (*JOBS, *WRITERS):
+    jobs_alone = options.memory or options.disk is not None
+    for target in options.targets or (JOBS if jobs_alone else (*JOBS, *WRITERS)):
         started = time.monotonic()
         with tempfile.TemporaryDirectory() as folder:
-            survived = (
-                _job(target, Path(folder), options)
-                if target in JOBS
-                else kill_writer(target, Path(folder), options.kills, options.seed)
-            )
-        more = (
-            f"{survived.resumed} starts from a checkpoint, {survived.finished} runs to the end"
-            if target in JOBS
-            else f"{survived.finished} times the new file"
-        )
-        print(
-            f"{target}: {survived.kills} kills survived; {more}; {time.monotonic() - started:.0f} s",
-            flush=True,
-        )
+            text = _survived(target, Path(folder), options)
+        print(f"{target}: {text}; {time.monotonic() - started:.0f} s", flush=True)
     return 0
 
 
-def _job(name: str, folder: Path, options: argparse.Namespace) -> Survived:
-    import tiny_dataset
-
-    done(lambda: tiny_dataset.write_tiny(folder / "tiny"))  # in a child: it draws
-    (folder / "out").mkdir()
-    return JOBS[name](
-        folder / "tiny" / "scene.ply", folder / "tiny", folder / "out", options.kills, options.seed
+def _survived(target: str, folder: Path, options: argparse.Namespace) -> str:
+    if target in WRITERS:
+        survived = kill_writer(target, folder, options.kills, options.seed)
+        return f"{survived.kills} kills survived; {survived.finished} times the new file"
+    job = job_named(target, folder)
+    if options.disk is not None:
+        return f"a full disk at {fill_the_disk(job, options.disk)} writes survived"
+    if options.memory:
+        return f"{limit_the_memory(job)} of {len(LIMITS_MB)} limits of memory refused, all survived"
+    survived = kill(job, options.kills, options.seed)
+    return (
+        f"{survived.kills} kills survived; {survived.resumed} starts from a checkpoint, {survived.finished}"
+        " runs to the end"
     )
 
 

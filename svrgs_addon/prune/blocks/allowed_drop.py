@@ -17,7 +17,7 @@ from ...finetune.quality import MIN_SHARE, fewest, squared_error
 from ...render.metrics.max_drop import ASSUMED, refuse_loss
 from ...scene.camera import Camera
 from ...system.errors import FormatError
-from ..likeness import Likeness, PhotographLikeness, assumed_psnr
+from ..likeness import Likeness, assumed_psnr
 from .divided import NUMBER, Divided, ProgressOf, divide
 from .folder import HELD
 from .merging import most_needed
@@ -60,7 +60,7 @@ def fewest_within(
 
 def floor_on_photographs(
     divided: Divided,
-    likeness: PhotographLikeness,
+    likeness: Likeness,
     allowed: float,
     plan: Plan,
     out: Path,

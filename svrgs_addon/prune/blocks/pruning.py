@@ -14,10 +14,10 @@ from ...files.reading import MAX_IN_PARTS
 from ...files.registry import load_parts, size_on_disk, write_scene
 from ...finetune.quality import best_share
 from ...render.metrics.max_drop import loss_notes
-from ...scene.camera import evenly
+from ...scene.camera import apart, evenly
 from ...views.dataset import Dataset
 from ..belonging import check_explained
-from ..likeness import VIEWS, Likeness, PhotographLikeness, apart
+from ..likeness import VIEWS, Likeness, PhotographLikeness
 from .block_rasterizer import BlockRasterizer
 from .divided import Divided, ProgressOf, divide, gathered, scene_of
 from .folder import RESULT, measured_views

@@ -12,6 +12,7 @@ from ...files.reading import json_object
 from ...finetune.methods import METHODS, method_named
 from ...finetune.methods.removal import Removal
 from ...finetune.plan import Plan, prune_plan
+from ...finetune.quality import hold_apart
 from ...system.errors import FormatError, SceneError
 from ...views.dataset import Dataset, load_dataset
 from ..door import check_training
@@ -83,7 +84,7 @@ class Request:
         if not found.photos:
             raise SceneError(f"{self.data}: has no photographs, which the method '{self.method}' needs")
         check_training(found.train_indices)
-        return found
+        return hold_apart(found)
 
     def write(self, folder: Path):
         with atomic_write(folder / FILE) as file:

@@ -276,7 +276,7 @@ class LearnedByBlocks(ByBlocks):
         self.likeness, self.floor = PhotographLikeness(dataset, BlockRasterizer, self.progress_of), 0.0
         if goal.max_drop and ALLOWED not in self.tasks.done:  # may refuse
             self.floor = floor_on_photographs(
-                divided, self.likeness, goal.max_drop, plan, self.job.out, self.progress_of
+                divided, self.likeness.deciding, goal.max_drop, plan, self.job.out, self.progress_of
             )
         ordered = self.wanted or goal.max_drop or blocks > 1
         self.tasks.once(
@@ -290,7 +290,8 @@ class LearnedByBlocks(ByBlocks):
             self.tasks.once(
                 ALLOWED,
                 lambda: write_number(
-                    divided.folder, fewest_above(divided, self.likeness, self.floor, self.progress_of)
+                    divided.folder,
+                    fewest_above(divided, self.likeness.deciding, self.floor, self.progress_of),
                 ),
             )
             self.wanted = read_number(divided.folder)

@@ -28,7 +28,7 @@ from ...finetune.engine import NativeEngine
 from ...finetune.loop import CURVE_VIEWS
 from ...finetune.model import Model
 from ...finetune.plan import Plan
-from ...finetune.quality import quality_views
+from ...finetune.quality import hold_apart, quality_views
 from ...finetune.run import Run
 from ...native.rasterizer import Rasterizer, RenderOptions
 from ...render.metrics.evaluate import evaluate, mean_psnr, render_options
@@ -46,7 +46,6 @@ from ..context import JobContext
 from ..disk_room import ROW, DiskRoom
 from ..door import check_training, check_views, check_visible
 from ..first_cut import first_cut
-from ..likeness import apart
 from ..planning import pruning_within
 from ..report.prune_report import report_pictures, write_prune_report
 
@@ -66,7 +65,8 @@ class Tuned:
         """seconds: that the job may take; 0: no limit."""
         self.plan, self.job, self.seconds = plan, job, seconds
         self.clock, self.room = Clock(), DiskRoom(job.out, job.folder)
-        self.held = 0.0  # PSNR in dB from which an allowed drop counts
+        # PSNR in dB from which an allowed drop counts: in the views that decide, and in those that measure
+        self.held = self.held_apart = 0.0
         self.notes: list[str] = []  # for the user, besides those of the dataset
 
     def further_files(self) -> list[Path]:
@@ -181,9 +181,8 @@ class FineTuned(Tuned):
         for note in found:
             logging.warning("%s", note)
         self.notes += found
-        if plan.max_drop and isinstance(dataset, RenderedDataset):
-            tests = dataset.test_indices
-            dataset.deciding_indices, dataset.test_indices = apart(tests, len(tests))
+        if plan.max_drop:
+            self.dataset = dataset = hold_apart(dataset)
         refuse_excess(
             f"{self.path}: pruning it", source.count, source.sh.shape[1], dataset, plan, memory.BY_BLOCKS
         )
@@ -203,7 +202,10 @@ class FineTuned(Tuned):
                 self.before = self.measured(source, self.path)
             self.pictures = report_pictures(source, dataset, Rasterizer()) if job.report else []
         with self.clock.phase("first cut"):
-            self.held, self.allowed = psnr_to_hold(source, dataset, self.plan), self.plan.max_drop
+            self.allowed = self.plan.max_drop
+            if self.allowed:
+                self.held = psnr_of_drop(source, dataset, self.plan, quality_views(dataset))
+                self.held_apart = self.psnr_apart(source)
             self.plan = without_format_loss(source, dataset, self.plan, job.out)
 
     def select(self):
@@ -217,6 +219,11 @@ class FineTuned(Tuned):
                 start.means, source.means
             )
             self.model, self.cut = Model.of(start, copy=shown), source.count - start.count
+
+    def psnr_apart(self, scene: Scene) -> float:
+        """PSNR in dB in the views that measure the result."""
+        views = self.dataset.test_indices or self.dataset.train_indices
+        return psnr_of_drop(scene, self.dataset, self.plan, views)
 
     def write(self):
         super().write()
@@ -234,7 +241,7 @@ class FineTuned(Tuned):
         with self.clock.phase("evaluate after"):
             scene = read_back(job.out, self.scene)
             after = self.measured(scene, job.out)
-            self.run.drop = self.held - psnr_to_hold(scene, dataset, self.plan) if self.allowed else None
+            self.run.drop = self.held_apart - self.psnr_apart(scene) if self.allowed else None
             self.notes += missed_drop(self.run.drop, self.allowed)
         result = {
             **after,
@@ -320,13 +327,10 @@ def refuse_excess(what: str, count: int, coefficients: int, dataset: Dataset, pl
     )
 
 
-def psnr_to_hold(scene: Scene, dataset: Dataset, plan: Plan) -> float:
-    """PSNR in dB from which an allowed drop counts, on the views of finetune/quality.py. 0 if none is
-    allowed."""
-    if not plan.max_drop:
-        return 0.0
+def psnr_of_drop(scene: Scene, dataset: Dataset, plan: Plan, views: list[int]) -> float:
+    """PSNR in dB of some of the dataset's views, as an allowed drop counts it."""
     options = render_options(scene, plan.background)
-    return mean_psnr(scene, dataset, quality_views(dataset), Rasterizer(), options, error=dataset.unexplained)
+    return mean_psnr(scene, dataset, views, Rasterizer(), options, error=dataset.unexplained)
 
 
 def without_format_loss(scene: Scene, dataset: Dataset, plan: Plan, out: Path) -> Plan:
@@ -334,11 +338,8 @@ def without_format_loss(scene: Scene, dataset: Dataset, plan: Plan, out: Path) -
     nothing is left of it."""
     if not plan.max_drop:
         return plan
-    return replace(
-        plan,
-        max_drop=plan.max_drop
-        - format_loss(out, scene, lambda some: psnr_to_hold(some, dataset, plan), plan.max_drop),
-    )
+    psnr_of = lambda some: psnr_of_drop(some, dataset, plan, quality_views(dataset))
+    return replace(plan, max_drop=plan.max_drop - format_loss(out, scene, psnr_of, plan.max_drop))
 
 
 def first_scene(scene: Scene, dataset: Dataset, plan: Plan) -> Scene:

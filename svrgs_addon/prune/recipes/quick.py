@@ -34,6 +34,7 @@ from ...native.rasterizer import Rasterizer
 from ...render.metrics.evaluate import render_options
 from ...render.metrics.max_drop import loss_notes, missed_drop
 from ...scene.affine import scaled
+from ...scene.camera import apart
 from ...scene.gaussians import Scene
 from ...system import memory
 from ...system.errors import Cancelled, SceneError
@@ -44,7 +45,7 @@ from ..belonging import Seen, check_seen
 from ..context import JobContext
 from ..disk_room import ROW
 from ..door import check_options, check_visible
-from ..likeness import Likeness, apart, assumed_drop, assumed_psnr
+from ..likeness import Likeness, assumed_drop, assumed_psnr
 from ..options import PruneOptions
 from ..smallest_file import smallest_file
 
