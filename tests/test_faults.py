@@ -18,6 +18,7 @@ pytest.importorskip("OpenImageIO")
 
 import whole_jobs
 from faults import WRITERS, digest
+from faults.jobs import JOBS
 from plans import prune_settings
 from svrgs_addon.files.ply import read_ply
 from svrgs_addon.finetune import checkpoint, loop
@@ -36,16 +37,34 @@ SETTINGS = replace(prune_settings("svr", 30, 10, prune_every=15, lambda_f=1e-3),
 
 
 SHORT = "scene.ply"  # the one that `make test` kills
-LONG = [name for name in ("run", "blocks", *WRITERS) if name != SHORT]
+LONG = [name for name in (*JOBS, *WRITERS) if name != SHORT]
+
+
+def faults(folder: Path, *words: str) -> str:
+    environment = os.environ | {"PYTHONPATH": f"{ROOT}:{ROOT / 'tests'}", "TMPDIR": str(folder)}
+    command = [sys.executable, "-m", "tests.faults", "--seed", "3", *words]
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
 
 
 @pytest.mark.parametrize("target", [SHORT, *(pytest.param(name, marks=pytest.mark.slow) for name in LONG)])
 def test_killed_at_random_moments(target, tmp_path):
     """A few here; `python -m tests.faults` for 200 each."""
-    environment = os.environ | {"PYTHONPATH": f"{ROOT}:{ROOT / 'tests'}", "TMPDIR": str(tmp_path)}
-    command = [sys.executable, "-m", "tests.faults", "--kills", "6", "--seed", "3", target]
-    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
-    assert done.returncode == 0 and "6 kills survived" in done.stdout, done.stderr
+    assert "4 kills survived" in faults(tmp_path, "--kills", "4", target)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("target", ["quick", "farm"])
+def test_a_disk_that_is_full_from_a_write_on(target, tmp_path):
+    """A few here; `python -m tests.faults --disk 0` for every write of every recipe."""
+    assert "a full disk at 3 writes survived" in faults(tmp_path, "--disk", "3", target)
+
+
+@pytest.mark.slow
+def test_little_memory(tmp_path):
+    """For one recipe here; `python -m tests.faults --memory` for all."""
+    assert "limits of memory survived" in faults(tmp_path, "--memory", "quick")
 
 
 # --- writers that cannot

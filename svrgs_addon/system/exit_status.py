@@ -47,6 +47,10 @@ def guarded(run: Callable[[], int], report: Callable[[str], None]) -> int:
         report(f"the package {error.name or 'that is needed'} cannot be loaded ({import_reason(error)})")
     except MemoryError as error:
         report("out of memory" + (f": {printable(str(error))}" if str(error) else ""))
+    except SystemError as error:  # of NumPy, where a small piece of memory was not to be had
+        if "without setting an exception" not in str(error):
+            raise
+        report("out of memory")
     except BrokenPipeError:  # whoever read stdout has heard enough, as head
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except (NativeError, OSError) as error:

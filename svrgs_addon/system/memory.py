@@ -41,8 +41,8 @@ KEPT_PIXEL = 50  # the same, for what gradients or statistics need in addition
 TUNED_PIXEL, MEASURED_PIXEL = 200, 100  # the same: fine-tuning, metrics
 LPIPS_PIXEL = 2000  # bytes per pixel of a view: LPIPS
 COMPARED_PIXEL = 60  # bytes per pixel of each view of which two scenes are shown in a report
-# bytes of addresses needed by NumPy; by pycolmap, OpenImageIO and SciPy too
-NUMPY_ADDRESSES, PHOTOGRAPH_ADDRESSES = 200_000_000, 800_000_000
+# bytes of addresses needed by NumPy; by pycolmap, OpenImageIO and SciPy too, and by the threads that read
+NUMPY_ADDRESSES, PHOTOGRAPH_ADDRESSES = 200_000_000, 1_000_000_000
 
 
 def reading(file_bytes: int) -> int:

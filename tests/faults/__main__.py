@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 
 from faults import WRITERS, kill_writer
-from faults.jobs import JOBS, LIMITS_MB, fill_the_disk, job_named, kill, limit_the_memory
+from faults.jobs import BY_C, JOBS, fill_the_disk, job_named, kill, limit_the_memory
 
 
 def main() -> int:
@@ -40,7 +40,9 @@ def _survived(target: str, folder: Path, options: argparse.Namespace) -> str:
     if options.disk is not None:
         return f"a full disk at {fill_the_disk(job, options.disk)} writes survived"
     if options.memory:
-        return f"{limit_the_memory(job)} of {len(LIMITS_MB)} limits of memory refused, all survived"
+        said = limit_the_memory(job)
+        refused, ended = sum(map(bool, said)), said.count(BY_C)
+        return f"{len(said)} limits of memory survived; {refused} too low, of which {ended} {BY_C}"
     survived = kill(job, options.kills, options.seed)
     return (
         f"{survived.kills} kills survived; {survived.resumed} starts from a checkpoint, {survived.finished}"

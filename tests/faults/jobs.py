@@ -11,10 +11,12 @@ import os
 import random
 import resource
 import shutil
+import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import compress
 from pathlib import Path
 
 import tiny_dataset
@@ -22,14 +24,19 @@ import whole_jobs
 from faults import Survived, digest, done, forked, killed
 from plans import prune_settings
 from svrgs_addon.cli.main import main as svrgs
+from svrgs_addon.files.registry import read_scene
 from svrgs_addon.finetune import loop
 from svrgs_addon.prune.context import JobContext
+from svrgs_addon.system import memory
 from svrgs_addon.system.errors import SplatError
+from svrgs_addon.system.exit_status import guarded
 from svrgs_addon.views.dataset import load_dataset
 
 METHOD = ("--iterations", 20, "--recovery", 10)
 BY_BLOCKS = ("--target", 0.5, "--block", 130)
-LIMITS_MB = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512)
+BY_C = "ended by the C library"
+ENDED_BY_C = (127, -signal.SIGABRT)  # glibc, where it finds no memory for the data of a thread
+LIMITS_MB = (16, 64, 96, 112, 120, 128, 136, 144, 152, 160, 176, 192, 224, 256, 320, 384, 512)
 
 
 @dataclass(frozen=True)
@@ -95,7 +102,7 @@ def _quick(splat: Path, dataset: Path, folder: Path) -> Job:
 def _farm(splat: Path, dataset: Path, folder: Path) -> Job:
     words = "farm", "export", dataset, "--methods", "removal,opacity", "--targets", 0.5, *METHOD
     done(_command(*words, "--out", folder / "job"))
-    outs = [str(Path("job/results") / f"{splat.stem}-{method}-50.ply") for method in ("removal", "opacity")]
+    outs = [f"job/results/{dataset.name}-{method}-50.ply" for method in ("removal", "opacity")]
     return Job(folder, splat, _command("farm", "run", folder / "job"), outs, "job/results/*", ["job/results"])
 
 
@@ -121,7 +128,8 @@ def kill(job: Job, kills: int, seed: int = 0) -> Survived:
     chance, survived = random.Random(seed), Survived()
     began = time.monotonic()
     done(job.work)
-    longest, expected, names = 1.2 * (time.monotonic() - began), job.state(), job.names()
+    longest, expected, names = 1.1 * (time.monotonic() - began), job.state(), job.names()
+    assert job.ended()
     job.clear()
     while survived.kills < kills:
         survived.resumed += any(job.folder.glob(job.kept))
@@ -144,6 +152,7 @@ def fill_the_disk(job: Job, most: int = 0) -> int:
     reader, writer = os.pipe()
     done(lambda: os.write(writer, b"%d" % _writes(job, sys.maxsize)))
     total, expected = int(os.read(reader, 20)), job.state()
+    assert job.ended()
     numbers = range(total) if not most else sorted({round(k * (total - 1) / (most - 1)) for k in range(most)})
     for number in numbers:
         job.clear()
@@ -161,19 +170,23 @@ def fill_the_disk(job: Job, most: int = 0) -> int:
     return len(numbers)
 
 
-def limit_the_memory(job: Job) -> int:
-    """So many MB of addresses more than the process has: too few and just enough. Returns how many of
-    LIMITS_MB were refused."""
+def limit_the_memory(job: Job) -> list[str | None]:
+    """So many MB of addresses more than the process has: too few and just enough. Returns for each of
+    LIMITS_MB the sentence of the job, if it failed."""
     done(job.work)
-    expected, refused = job.state(), 0
+    counts = {name: read_scene(job.folder / name).count for name in job.outs}
+    splat, sentences = job.state()[0], []
     for megabytes in LIMITS_MB:
         job.clear()
         sentence = _sentence(job, lambda megabytes=megabytes: _limited(job, megabytes))
-        refused += sentence is not None
-        assert job.state() == expected if sentence is None else not job.ended(), f"{megabytes} MB: {sentence}"
+        sentences.append(sentence)
+        whole = [(job.folder / name).exists() for name in job.outs]
+        assert all(whole) or sentence is not None
+        for name in compress(job.outs, whole):  # by blocks, if memory is short: other Gaussians, as many
+            assert read_scene(job.folder / name).count == counts[name], f"{megabytes} MB: {sentence}"
         done(job.work)
-        assert job.state() == expected, f"{megabytes} MB: other bytes"
-    return refused
+        assert job.ended() and job.state()[0] == splat, f"{megabytes} MB: not done again"
+    return sentences
 
 
 def _writes(job: Job, number: int) -> int:
@@ -213,6 +226,7 @@ def _limited(job: Job, megabytes: int):
     with open("/proc/self/statm") as file:
         used = int(file.read().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (used + megabytes * 2**20, resource.RLIM_INFINITY))
+    memory.refuse_few_addresses(memory.PHOTOGRAPH_ADDRESSES)  # as every command does
     job.work()
 
 
@@ -221,14 +235,13 @@ def _sentence(job: Job, work: Callable[[], object]) -> str | None:
     reader, writer = os.pipe()
 
     def told():
-        try:
-            work()
-        except SplatError as error:
-            os.write(writer, str(error).encode()[-4000:])
+        guarded(lambda: work() and 0, lambda sentence: os.write(writer, sentence.encode()[-4000:]))
 
-    status = os.waitpid(forked(told), 0)[1]
+    status = os.waitstatus_to_exitcode(os.waitpid(forked(told), 0)[1])
     os.close(writer)
     with open(reader, "rb") as file:
         said = file.read().decode().strip()
+    if status in ENDED_BY_C:
+        return BY_C
     assert status == 0 and "Traceback" not in said, said or status
     return said.splitlines()[-1] if said else None
