@@ -22,6 +22,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from svrgs_addon.files.registry import describe, load_scene
+from svrgs_addon.finetune.quality import hold_apart
 from svrgs_addon.native.rasterizer import Rasterizer
 from svrgs_addon.render.metrics.evaluate import evaluate
 from svrgs_addon.views.dataset import Dataset, load_dataset
@@ -53,6 +54,8 @@ def main():
     for scene in given.scenes:
         splat, folder = map(Path, scene.split(":"))
         dataset, whole = load_dataset(folder), describe(splat)["count"]
+        if given.max_drop:
+            dataset = hold_apart(dataset)  # as each way does
         _, before = quality(splat, dataset)
         for method in given.method:
             for seed in given.seeds:

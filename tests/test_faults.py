@@ -55,16 +55,9 @@ def test_killed_at_random_moments(target, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("target", ["quick", "farm"])
-def test_a_disk_that_is_full_from_a_write_on(target, tmp_path):
+def test_a_disk_that_is_full_from_a_write_on(tmp_path):
     """A few here; `python -m tests.faults --disk 0` for every write of every recipe."""
-    assert "a full disk at 3 writes survived" in faults(tmp_path, "--disk", "3", target)
-
-
-@pytest.mark.slow
-def test_little_memory(tmp_path):
-    """For one recipe here; `python -m tests.faults --memory` for all."""
-    assert "limits of memory survived" in faults(tmp_path, "--memory", "quick")
+    assert "a full disk at 3 writes survived" in faults(tmp_path, "--disk", "3", "quick")
 
 
 # --- writers that cannot

@@ -17,7 +17,7 @@ from svrgs_addon.finetune import run
 from svrgs_addon.finetune.quality import NOT_APART
 from svrgs_addon.prune.belonging import percent, seen_of
 from svrgs_addon.prune.likeness import Likeness, PhotographLikeness
-from svrgs_addon.prune.recipes import fine_tuned
+from svrgs_addon.prune.recipes import by_blocks, fine_tuned
 from svrgs_addon.render.metrics.measures import SHOWN, almost_empty
 from svrgs_addon.scene.camera import Camera, apart, halfway
 from svrgs_addon.views.cameras_json import write_cameras_json
@@ -107,23 +107,21 @@ def test_with_photographs_no_view_that_holds_an_allowed_drop_measures(
     svrgs, tiny, tmp_path, monkeypatch, way
 ):
     decided, measured = set[int](), set[int]()
-    evaluate, psnr, choose = fine_tuned.evaluate, PhotographLikeness.psnr, run.quality_views
 
-    def by_a_run(dataset):
-        decided.update(choose(dataset))
-        return choose(dataset)
+    def record(where, name: str, indices: set[int], of_arguments):
+        original = getattr(where, name)
 
-    def by_blocks(self, scene):
-        (measured if self._indices == self.deciding.deciding._indices else decided).update(self._indices)
-        return psnr(self, scene)
+        def recording(*arguments):
+            indices.update(of_arguments(*arguments))
+            return original(*arguments)
 
-    def of_the_result(scene, dataset, indices, *more):
-        measured.update(indices)
-        return evaluate(scene, dataset, indices, *more)
+        monkeypatch.setattr(where, name, recording)
 
-    monkeypatch.setattr(run, "quality_views", by_a_run)
-    monkeypatch.setattr(PhotographLikeness, "psnr", by_blocks)
-    monkeypatch.setattr(fine_tuned, "evaluate", of_the_result)
+    record(run, "quality_views", decided, run.quality_views)
+    record(fine_tuned, "evaluate", measured, lambda scene, dataset, indices, *_: indices)
+    for name in ("floor_on_photographs", "fewest_above"):
+        record(by_blocks, name, decided, lambda _, likeness, *__: likeness._indices)
+    record(PhotographLikeness, "measured", measured, lambda likeness, *_: likeness._indices)
     words = ["--data", tiny.folder, "--holdout", 2, "--method", "removal", "--max-drop", 1]
     words += ["--iterations", 20, "--recovery", 20, "--out", tmp_path / "o.ply", "--json"]
     result = svrgs(*way.split(), tiny.splat, *words).json

@@ -180,6 +180,7 @@ def test_the_result_says_what_was_asked_foreseen_and_used_and_can_be_repeated(ti
         and f"about {time['foreseen']:.0f} s" in line
         and f"--schedule {time['schedule']}" in line
     )
+    assert not any("were allowed" in note for note in done.json["notes"])
     again = svrgs(*words, "--schedule", time["schedule"], "--out", tmp_path / "b.ply")
     assert again.json["time"] is None and "--time" not in again.err
     assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
@@ -424,3 +425,17 @@ def test_an_estimate_chooses_the_schedule_of_a_time(tiny, monkeypatch):
     assert json.dumps(some)
     with pytest.raises(SceneError, match="3 s are too short"):
         estimate(replace(options, time=3.0))
+
+
+def test_a_job_that_took_longer_than_it_may_says_so():
+    planned = time_plan.TimePlan(12.0, 10.8, 0.1)
+    assert planned.late(12.4) == []
+    (note,) = planned.late(16.9)
+    assert "took 17 s, more than the 12 s that were allowed" in note
+
+
+def test_the_result_of_a_late_job_has_the_note(tiny, svrgs, slow, tmp_path, monkeypatch):
+    monkeypatch.setattr(JobContext, "seconds", lambda self: 30.0)
+    words = ["prune", tiny.splat, "--data", tiny.folder, "--target", 0.4, "--json", "--time", 20]
+    result = svrgs(*words, "--out", tmp_path / "a.ply").json
+    assert any("took 30 s, more than the 20 s that were allowed" in note for note in result["notes"])

@@ -8,6 +8,7 @@ import bpy
 from bpy.app.translations import pgettext_iface as tr
 from bpy.app.translations import pgettext_n as n_
 
+from ...svrgs_addon.finetune.checkpoint import KEPT
 from ...svrgs_addon.finetune.methods import METHODS
 from ...svrgs_addon.jobs.job_process import Job
 from ...svrgs_addon.prune.disk_room import bytes_of_job
@@ -84,7 +85,7 @@ def _disk_use(context) -> str:
     obj, count = context.object, splat_object.count(context.object)
     coefficients = (splat_object.sh_degree(obj) + 1) ** 2
     quick = context.scene.svrgs_prune.depth == "QUICK"
-    size = bytes_of_job(count, size_of(obj, count), coefficients, quick)
+    size = bytes_of_job(count, size_of(obj, count), coefficients, quick, KEPT + 1)
     if size < MUCH_BYTES:
         return ""
     text = tr("The job takes up to {size} in '{folder}', until its result is applied or discarded")

@@ -12,7 +12,7 @@ from bpy.app.translations import pgettext_iface as tr
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
 
 from ...svrgs_addon.native import library
-from ...svrgs_addon.prune.belonging import MIN_SEEN, Seen, seen_of
+from ...svrgs_addon.prune.belonging import MIN_SEEN, Seen, percent, seen_of
 from ...svrgs_addon.prune.selection.options import Criteria
 from ...svrgs_addon.system.errors import SceneError
 from ..data import edit_guard, quick_order, selection, splat_object
@@ -157,8 +157,8 @@ class SVRGS_OT_select_gaussians(SplatOperator):
         if not seen:
             return text
         return tr(
-            "{selected}; {views} views see {share:.0%} of the Gaussians, and the others count for nothing"
-        ).format(selected=text, views=seen[0].views, share=seen[0].share)
+            "{selected}; {views} views see {share} of the Gaussians, and the others count for nothing"
+        ).format(selected=text, views=seen[0].views, share=percent(seen[0].share))
 
     def criteria(self) -> Criteria:
         """The criterion with its numbers."""

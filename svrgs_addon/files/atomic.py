@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from ..system import file_names, here, locks, replacing
-from ..system.errors import SceneError
+from ..system.errors import SceneError, SplatError
 from ..system.memory import size_text
 
 FREE_SPACE_MARGIN = 1.1  # free disk space needed per byte of a file
@@ -67,15 +67,16 @@ def atomic_path(path: str | os.PathLike, keep: bool = True) -> Iterator[Path]:
             _sync(temporary, os.O_RDWR)
             checked_path, check = _check.get()
             if checked_path == target:
-                check(temporary)
+                _check_new(check, temporary, target)
             _replace(temporary, target, path if keep else None)
     _sync_folder(target.parent)
 
 
 @contextlib.contextmanager
 def checked(path: str | os.PathLike, check: Callable[[Path], None]) -> Iterator[None]:
-    """Context manager: a new file of its block replaces `path` only after check() of the temporary file. What
-    that raises leaves the old file unchanged."""
+    """Context manager: a new file of its block replaces `path` only after check() of the temporary file. If
+    that raises a SplatError, the old file is unchanged, the new one is kept under another name, and a
+    SceneError says so."""
     token = _check.set((file_names.real(path), check))
     try:
         yield
@@ -220,6 +221,15 @@ def _sync_folder(folder: Path) -> None:
     if not here.WINDOWS:
         with contextlib.suppress(OSError):
             _sync(folder, os.O_RDONLY)
+
+
+def _check_new(check: Callable[[Path], None], temporary: Path, target: Path) -> None:
+    try:
+        check(temporary)
+    except SplatError as error:
+        kept = _free_name(target)
+        os.replace(temporary, kept)
+        raise SceneError(f"{error}; the new file is kept as '{kept.name}'") from None
 
 
 def _replace(temporary: Path, target: Path, path: str | os.PathLike | None) -> None:

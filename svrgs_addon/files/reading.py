@@ -73,7 +73,7 @@ def refuse_whole(count: int, coefficients: int, most: int = MAX_COUNT):
     except TooMany as error:
         raise FormatError(
             f"{error}; this kind of file cannot be read in parts: save it as PLY or SPZ"
-        ) from None
+        ) from error
 
 
 def rows_at(file: BinaryIO, offset: int, dtype: np.dtype, count: int) -> np.ndarray:

@@ -20,7 +20,7 @@ from ..native.library import thresholds
 from ..scene.gaussians import Scene
 from ..system import memory
 from ..system.errors import FormatError, SceneError, TooMany
-from ..system.file_names import extended, real
+from ..system.file_names import extended, real, shown
 from . import compressed_ply, dot_splat, glb, glb_spz, ksplat, ply, sog, spz, streamed_sog, usd
 from .atomic import checked
 from .reading import MAX_IN_PARTS
@@ -255,7 +255,9 @@ def _check_written(path: str | Path, written: Path):
     except TooMany:
         return  # memory is short now; the file may be good
     except FormatError as error:
-        found = str(error).replace(str(written), str(path))
+        if isinstance(error.__cause__, TooMany):
+            return
+        found = str(error).replace(str(written), str(path)).replace(shown(str(written)), str(path))
         raise SceneError(f"{found}: it was written just now, so write another format") from None
 
 

@@ -46,8 +46,7 @@ NOT_APART = (
 def hold_apart(dataset: Dataset) -> Dataset:
     """The dataset, with some of the test views taken for decisions; the others measure the result."""
     decide, measure = apart(dataset.test_indices, VIEWS)
-    notes = dataset.notes if decide else (*dataset.notes, NOT_APART)
-    return replace(dataset, deciding_indices=decide, test_indices=measure, notes=notes)
+    return replace(dataset, deciding_indices=decide, test_indices=measure)
 
 
 def quality_views(dataset: Dataset) -> list[int]:

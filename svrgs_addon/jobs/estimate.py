@@ -58,6 +58,7 @@ def estimate(options: PruneOptions) -> dict:
     loaded = time.perf_counter() - begun
     check_views(scene, dataset.cameras, dataset.train_indices, "the splat")
     plan = plan_of_pruning(options)
+    doubts = _doubts(scene, dataset, options.force)
     if plan.max_drop:
         dataset = hold_apart(dataset)
     pace, seen = pace_of(scene, dataset, plan), seen_by_some(scene, dataset, plan)
@@ -83,7 +84,7 @@ def estimate(options: PruneOptions) -> dict:
         "steps_per_second": 1 / pace.step,
         "schedule": found.schedule if found else options.schedule,
         "seconds": others + seconds_of(plan),
-        "notes": [*dataset.notes, *_doubts(scene, dataset, options.force)],
+        "notes": [*dataset.notes, *doubts],
     }
 
 

@@ -18,8 +18,8 @@ from ..system.errors import SceneError
 from ..system.file_names import real
 
 PURPOSE = "the result and a checkpoint"
-# splat files of a background job: the splat, the result, and the recovered Gaussians of one that is not quick
-BACKGROUND_FILES = 3
+BACKGROUND_FILES = 3  # splat files of a background job: the splat, the recovered Gaussians, the result
+ORDER_ROW = 12  # bytes per Gaussian of a quick job's order
 ROW = "svrgs_row"  # column of a background job's scene.ply: the row of each Gaussian in the splat
 ROW_NUMBER = 4  # bytes: the source row of each Gaussian in these files
 
@@ -88,11 +88,13 @@ class DiskRoom:
             self._held.pop().release()
 
 
-def bytes_of_job(count: int, file_bytes: int, coefficients: int, quick: bool) -> int:
-    """Bytes on disk, at most, of the folder of a background job. file_bytes: of the splat as a PLY.
-    coefficients: SH coefficients per channel."""
-    files = (BACKGROUND_FILES - quick) * (file_bytes + ROW_NUMBER * count)
-    return files if quick else files + memory.checkpoint(count, coefficients)
+def bytes_of_job(count: int, file_bytes: int, coefficients: int, quick: bool, checkpoints: int = 1) -> int:
+    """Bytes on disk of the folder of a background job, at most. file_bytes: of the splat as a PLY.
+    coefficients: SH coefficients per channel. checkpoints: that are there at once."""
+    files = BACKGROUND_FILES * (file_bytes + ROW_NUMBER * count)
+    if quick:
+        return files + file_bytes + ORDER_ROW * count  # what was merged, and the order
+    return files + checkpoints * memory.checkpoint(count, coefficients, count)
 
 
 def check_room(folder: Path, scene: Scene, quick: bool):

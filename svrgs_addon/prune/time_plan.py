@@ -19,6 +19,7 @@ from ..system.errors import FormatError, SceneError
 
 # share of the time that is left free, because steps are not foreseen exactly
 MARGIN, TRAINING_MARGIN = 0.1, 0.2
+LATE = 1.05  # times the time that was asked for: a job that takes longer is told
 # schedules that are chosen: 80 of the 8 000 steps of `svrgs prune`, and all of them
 MIN_SCHEDULE, MAX_SCHEDULE = 0.01, 1.0
 GRID = 10_000  # a schedule is a multiple of 1/GRID
@@ -43,6 +44,15 @@ class TimePlan:
             f"the same again with --schedule {self.schedule:g}",
         ]
         return f"--time {self.asked:g}: {'; '.join(parts)}"
+
+    def late(self, used: float) -> list[str]:
+        """What the user must know if the job has used clearly more seconds than were asked for."""
+        if used <= LATE * self.asked:
+            return []
+        return [
+            f"the job took {used:.0f} s, more than the {self.asked:g} s that were allowed: this machine was"
+            " slower than when the steps were chosen"
+        ]
 
 
 def fitted(

@@ -56,7 +56,7 @@ def test_the_panel_says_what_the_job_notes_until_the_result_is_applied(result):
 def test_it_shows_any_number_at_once_and_the_data_stay_those_of_the_job(result, bridge):
     assert "svrgs_share" in drawn("prune") and "prune_again" not in drawn("prune")
     own = bridge.scene_from_object(result).means
-    assert cached(result).count == 100
+    assert cached(result).count == 100 and "not measured at this setting" not in said()
     for share, count in ((20, 50), (80, 200), (100, 240), (0, 3)):
         result.svrgs_share = share
         assert (
@@ -68,6 +68,7 @@ def test_it_shows_any_number_at_once_and_the_data_stay_those_of_the_job(result, 
         assert (
             f"{count} of 250 Gaussians" in said()
             and "not fine-tuned yet" in said()
+            and "pictures; not measured at this setting" in said()
             and "prune_again" in drawn("prune")
         )
         assert (bridge.scene_from_object(result).means == own).all()

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
+
 import bpy
 import numpy as np
 import pytest
 from extension import DATA, part
 from job_helpers import drawn
+from mathutils import Matrix
 
 SELECTED = "svrgs:selected"
 
@@ -91,6 +94,21 @@ def test_what_cameras_see_needs_cameras(splat):
     assert 0 < seen.sum() < 250, "tiny holds Gaussians that no photograph shows"
     bpy.ops.svrgs.select_gaussians(criterion="FLOATERS")
     assert selected(splat).sum() < 100
+
+
+def test_cameras_that_see_few_gaussians_are_told(splat, capfd):
+    bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
+    bpy.context.view_layer.objects.active = splat
+    bpy.ops.svrgs.select_gaussians(criterion="CONTRIBUTION", share=20)
+    assert "count for nothing" not in capfd.readouterr().out
+    camera = bpy.context.scene.camera
+    camera.matrix_world = camera.matrix_world @ Matrix.Rotation(0.7, 4, "Y")  # looks aside
+    bpy.context.view_layer.update()
+    bpy.ops.svrgs.select_gaussians(criterion="CONTRIBUTION", share=20, cameras="ACTIVE")
+    said = re.search(r"Selected 50 of 250 Gaussians; 1 views see (\d+)% of", capfd.readouterr().out)
+    assert int(said[1]) < 50
+    bpy.ops.svrgs.select_gaussians(criterion="SEEN", cameras="ACTIVE")
+    assert "count for nothing" not in capfd.readouterr().out
 
 
 def test_selected_gaussians_are_deleted_or_kept_alone(splat, bridge):

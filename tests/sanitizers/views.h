@@ -11,6 +11,10 @@
 
 #include "svrgs.h"
 
+#ifndef VIEWERS  // pixels per degree for FLIP: near and far
+#define VIEWERS 1.0, 67.0, 400.0
+#endif
+
 namespace views {
 
 [[noreturn]] inline void broken(const char* promise) {
@@ -135,7 +139,7 @@ class View {
     append(results, linear);
     const std::vector<float> grey(3 * pixels, 0.5f);
     for (float& v : image) v = std::clamp(v, 0.0f, 1.0f);
-    for (const double pixels_per_degree : {1.0, 67.0, 400.0}) {
+    for (const double pixels_per_degree : {VIEWERS}) {
       require(svrgs_flip(level, image.data(), grey.data(), c.height, c.width, pixels_per_degree, errors.data()) == SVRGS_OK, "FLIP");
       for (const float e : errors) require(e >= 0 && e <= 1, "FLIP within 0..1");
       append(results, errors);

@@ -15,7 +15,7 @@ from typing import Any
 from ...files.atomic import check_space
 from ...files.digests import scene_sha256
 from ...files.level_files import holds_levels
-from ...finetune.quality import MIN_SHARE
+from ...finetune.quality import MIN_SHARE, NOT_APART
 from ...render.metrics.max_drop import missed_drop
 from ...scene.camera import Camera
 from ...scene.gaussians import Scene
@@ -321,6 +321,8 @@ class LearnedByBlocks(ByBlocks):
         result = self.result | {"views": len(self.scored)}
         if self.goal.max_drop:
             result |= _of_drop(result, result["before"]["psnr"] - result["psnr"], self.goal)
+            if not self.dataset.deciding_indices:
+                result["notes"].append(NOT_APART)
         result = self.of_prune(result, "")
         if self.job.report:
             write_report_of_files(self.job.report, self.dataset, result, opened)

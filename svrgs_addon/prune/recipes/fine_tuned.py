@@ -28,7 +28,7 @@ from ...finetune.engine import NativeEngine
 from ...finetune.loop import CURVE_VIEWS
 from ...finetune.model import Model
 from ...finetune.plan import Plan
-from ...finetune.quality import hold_apart, quality_views
+from ...finetune.quality import NOT_APART, hold_apart, quality_views
 from ...finetune.run import Run
 from ...native.rasterizer import Rasterizer, RenderOptions
 from ...render.metrics.evaluate import evaluate, mean_psnr, render_options
@@ -46,6 +46,7 @@ from ..context import JobContext
 from ..disk_room import ROW, DiskRoom
 from ..door import check_training, check_views, check_visible
 from ..first_cut import first_cut
+from ..likeness import assumed_drop
 from ..planning import pruning_within
 from ..report.prune_report import report_pictures, write_prune_report
 
@@ -65,8 +66,7 @@ class Tuned:
         """seconds: that the job may take; 0: no limit."""
         self.plan, self.job, self.seconds = plan, job, seconds
         self.clock, self.room = Clock(), DiskRoom(job.out, job.folder)
-        # PSNR in dB from which an allowed drop counts: in the views that decide, and in those that measure
-        self.held = self.held_apart = 0.0
+        self.held = 0.0  # PSNR in dB from which an allowed drop counts, in the views that decide
         self.notes: list[str] = []  # for the user, besides those of the dataset
 
     def further_files(self) -> list[Path]:
@@ -106,12 +106,15 @@ class Tuned:
     def close(self):
         self.room.release()
 
-    def measured(self, scene: Scene, path: Path) -> dict[str, Any]:
-        """The figures of `svrgs eval` for a scene. path: its file, for the size in bytes. On the splat's own
-        pictures, views that decided do not count."""
+    @property
+    def measuring(self) -> list[int]:
+        """The views that measure. Those that are trained on do not measure the splat's own pictures."""
         own = isinstance(self.dataset, RenderedDataset)
-        views = self.dataset.test_indices or ([] if own else self.dataset.train_indices)
-        figures = evaluate(scene, self.dataset, views, Rasterizer(), self.job.lpips)
+        return self.dataset.test_indices or ([] if own else self.dataset.train_indices)
+
+    def measured(self, scene: Scene, path: Path) -> dict[str, Any]:
+        """The figures of `svrgs eval` for a scene. path: its file, for the size in bytes."""
+        figures = evaluate(scene, self.dataset, self.measuring, Rasterizer(), self.job.lpips)
         return {**figures, "bytes": size_on_disk(path)}
 
     def all_notes(self) -> list[str]:
@@ -142,11 +145,15 @@ class Tuned:
             "curves": vars(run.curves),
         }
 
-    def time_facts(self) -> dict[str, Any] | None:
-        """Of a job with a time limit: seconds asked for, foreseen and used, the time between a stop and a
-        resume left out, and the schedule that was chosen."""
+    def timed(self, result: dict[str, Any]) -> dict[str, Any]:
+        """The result, of a job with a time limit with the seconds asked for, foreseen and used, the time
+        between a stop and a resume left out, and the schedule that was chosen."""
         planned = self.job.planned
-        return {**asdict(planned), "used": self.clock.earlier + self.job.seconds()} if planned else None
+        if planned is None:
+            return {**result, "time": None}
+        used = self.clock.earlier + self.job.seconds()
+        notes = [*result["notes"], *planned.late(used)]
+        return {**result, "notes": notes, "time": {**asdict(planned), "used": used}}
 
 
 class FineTuned(Tuned):
@@ -183,6 +190,8 @@ class FineTuned(Tuned):
         self.notes += found
         if plan.max_drop:
             self.dataset = dataset = hold_apart(dataset)
+            if self.measuring and not dataset.deciding_indices:
+                self.notes.append(NOT_APART)
         refuse_excess(
             f"{self.path}: pruning it", source.count, source.sh.shape[1], dataset, plan, memory.BY_BLOCKS
         )
@@ -205,7 +214,6 @@ class FineTuned(Tuned):
             self.allowed = self.plan.max_drop
             if self.allowed:
                 self.held = psnr_of_drop(source, dataset, self.plan, quality_views(dataset))
-                self.held_apart = self.psnr_apart(source)
             self.plan = without_format_loss(source, dataset, self.plan, job.out)
 
     def select(self):
@@ -220,11 +228,6 @@ class FineTuned(Tuned):
             )
             self.model, self.cut = Model.of(start, copy=shown), source.count - start.count
 
-    def psnr_apart(self, scene: Scene) -> float:
-        """PSNR in dB in the views that measure the result."""
-        views = self.dataset.test_indices or self.dataset.train_indices
-        return psnr_of_drop(scene, self.dataset, self.plan, views)
-
     def write(self):
         super().write()
         self.levels = []
@@ -236,12 +239,19 @@ class FineTuned(Tuned):
                     {"share": share, "out": str(path), **self.measured(read_back(path, level), path)}
                 )
 
+    def lost(self, psnr: float | None) -> float | None:
+        """dB that a result of this PSNR has lost, in the views that measure; None if there are none."""
+        if psnr is None:
+            return None
+        own = isinstance(self.dataset, RenderedDataset)
+        return assumed_drop(psnr) if own else self.before["psnr"] - psnr
+
     def measure(self) -> dict[str, Any]:
         job, dataset = self.job, self.dataset
         with self.clock.phase("evaluate after"):
             scene = read_back(job.out, self.scene)
             after = self.measured(scene, job.out)
-            self.run.drop = self.held_apart - self.psnr_apart(scene) if self.allowed else None
+            self.run.drop = self.lost(after["psnr"]) if self.allowed else None
             self.notes += missed_drop(self.run.drop, self.allowed)
         result = {
             **after,
@@ -258,7 +268,7 @@ class FineTuned(Tuned):
             write_prune_report(
                 job.report, self.path.stem, self.pictures, scene, dataset, self.run, result, job.lpips_missing
             )
-        return {**result, "time": self.time_facts()}
+        return self.timed(result)
 
 
 class Clock:

@@ -68,7 +68,7 @@ class Trained(Tuned):
     def measure(self) -> dict[str, Any]:
         with self.clock.phase("evaluate"):
             after = self.measured(read_back(self.job.out, self.scene), self.job.out)
-        return {**after, **self.facts(), "time": self.time_facts()}
+        return self.timed({**after, **self.facts()})
 
 
 def refuse_unseen_points(dataset: Dataset):
