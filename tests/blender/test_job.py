@@ -282,7 +282,7 @@ def test_targets_become_counts(splat, goal, target):
 
 
 def test_a_loss_in_db_is_held(splat, watch, results, bridge):
-    set_up({"goal": "DROP", "drop": 0.5, "iterations": 500, "recovery": 0})
+    set_up({"goal": "DROP", "drop": 0.5, "holdout": 2, "iterations": 500, "recovery": 0})
     assert part("operators.jobs.job").options_of(bpy.context, splat)["max_drop"] == 0.5
     bpy.ops.svrgs.estimate()
     found = part("operators.jobs.estimate").of(splat)
