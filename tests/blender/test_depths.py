@@ -284,6 +284,17 @@ def test_an_estimate_belongs_to_the_chosen_views(splat, shot):
     assert "would stay" not in said()
 
 
+def test_much_use_of_the_disk_is_said_before_the_job(splat, monkeypatch):
+    set_up({"depth": "QUICK", "goal": "SHARE", "share": 40, "folder": "/tmp/many jobs"})
+    assert "The job takes up to" not in said()
+    monkeypatch.setattr(part("operators.jobs.prune_state"), "MUCH_BYTES", 0)
+    quick = said()
+    assert "The job takes up to 0.1 MB in 'many jobs', until its result is applied or discarded" in quick
+    set_up({"depth": "TUNED"})
+    assert "The job takes up to" in said() and said() != quick
+
+
+
 def test_an_allowed_drop_has_an_estimate_and_a_result(splat, bridge, watch):
     set_up({"depth": "QUICK", "goal": "DROP", "drop": 1.0})
     bpy.ops.svrgs.estimate()
