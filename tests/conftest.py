@@ -33,6 +33,11 @@ def pytest_configure():
         os.sched_setaffinity(0, {allowed[int(worker[1]) % len(allowed)]})
 
 
+def pytest_make_parametrize_id(val: object) -> str | None:
+    """Names of tests stay short: on Windows they would not fit into an environment variable."""
+    return f"{val[:40]}…{len(val)}" if isinstance(val, str) and len(val) > 1000 else None
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]):
     """The longest files of slow tests come first, so that no worker is left with them at the end."""
     ranks = {name: rank for rank, name in enumerate(LONGEST)}

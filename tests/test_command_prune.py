@@ -103,7 +103,7 @@ def test_pruned_file_keeps_the_form_of_its_source(tiny, pruned):
 
 
 def test_report_is_one_page_with_table_plots_and_pictures(pruned):
-    page = (pruned["folder"] / "report/index.html").read_text()
+    page = (pruned["folder"] / "report/index.html").read_text("utf-8")
     assert "no LPIPS weight file was given" in page
     assert f"{pruned['before']['psnr']:.2f} dB" in page and f"{pruned['psnr']:.2f} dB" in page
     assert page.count("<svg") >= 3 and len(re.findall('src="data:image/[a-z]+;base64,', page)) == 6 * len(
@@ -262,7 +262,7 @@ def test_every_method_is_listed_with_its_source_and_its_weights(svrgs):
 
 
 def test_the_page_names_the_papers_that_the_program_names():
-    page = (ROOT / "docs/methods.md").read_text()
+    page = (ROOT / "docs/methods.md").read_text("utf-8")
     papers = {
         number for method in METHODS.values() for number in re.findall(r"arXiv (\S+?)(?:,|$)", method.source)
     }

@@ -271,7 +271,7 @@ def test_compare(tiny, svrgs, tmp_path):
     a, b, difference = (strip[:, k * tiny_dataset.WIDTH : (k + 1) * tiny_dataset.WIDTH] for k in range(3))
     assert np.abs(difference - np.clip(4 * np.abs(a - b), 0, 1)).max() <= 5 / 255
     assert np.abs(b - read_image(tiny.folder / "images/00.png")).max() <= 1 / 255 + 1e-6
-    page = (tmp_path / "out/index.html").read_text()
+    page = (tmp_path / "out/index.html").read_text("utf-8")
     assert "scene.ply" in page and "truth.ply" in page and "data:image/" in page
 
 
@@ -298,7 +298,7 @@ def test_compare_without_photographs(tiny, svrgs, tmp_path):
     )
     same = svrgs("compare", tiny.splat, tiny.splat, *words[3:], tmp_path / "same", "--json").json["b"]
     assert same["psnr"] is None and same["flip"] == 0 and 15 < result["b"]["psnr"] < 40
-    assert "no photographs" in (tmp_path / "out/index.html").read_text()
+    assert "no photographs" in (tmp_path / "out/index.html").read_text("utf-8")
     said = svrgs(*words, tmp_path / "text").out
     assert (
         said.startswith(f"a: {tiny_dataset.COUNT} Gaussians, ")

@@ -22,6 +22,7 @@ from svrgs_addon.files.splat_format import SplatFormat
 from svrgs_addon.prune import pipeline
 from svrgs_addon.system.errors import MemoryShort, SceneError
 from svrgs_addon.views.cameras_json import write_cameras_json
+from system_checks import with_pipes
 
 STEPS = "--iterations 20 --recovery 20"
 WAYS = {
@@ -220,6 +221,7 @@ def test_a_package_of_the_format_is_missing(svrgs, way, inputs, monkeypatch):
     assert "a package is missing" in refusal(svrgs, way, inputs)
 
 
+@with_pipes
 def test_the_scene_is_no_regular_file(svrgs, way, inputs):
     leave_out(way, "trained")
     inputs.scene.unlink()

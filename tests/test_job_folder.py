@@ -21,6 +21,7 @@ from svrgs_addon.jobs.job_folder import JobFolder
 from svrgs_addon.jobs.job_process import Job
 from svrgs_addon.prune.options import RECOVERY
 from svrgs_addon.system.errors import FormatError, SceneError
+from system_checks import with_links
 
 GOOD = {"schema": 1, "kind": "prune", "name": "a", "count": 3, "options": {"data": "somewhere"}}
 HOSTILE = [
@@ -101,6 +102,7 @@ LINKS = [
 ]
 
 
+@with_links
 @pytest.mark.parametrize("name", LINKS)
 @pytest.mark.parametrize("dangling", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_a_job_with_a_link_in_its_folder_is_refused(tiny, tmp_path, name, dangling):

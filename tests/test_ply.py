@@ -18,6 +18,7 @@ from svrgs_addon.files.atomic import atomic_write, check_space, check_writable
 from svrgs_addon.files.ply import read_ply, read_ply_parts, write_ply
 from svrgs_addon.files.repair import clamp_extremes, drop_nonfinite
 from svrgs_addon.system.errors import FormatError, SceneError
+from system_checks import with_links
 
 # --- what is stored
 
@@ -255,6 +256,7 @@ def test_error_while_writing_leaves_the_old_file(tmp_path):
     assert list(tmp_path.iterdir()) == [path]
 
 
+@with_links
 def test_write_makes_folders_and_follows_links(tmp_path):
     with atomic_write(tmp_path / "new" / "folder" / "a.bin") as file:
         file.write(b"content")
@@ -276,7 +278,7 @@ def test_what_a_killed_writer_left_is_removed(tmp_path):
         "import os\nfrom svrgs_addon.files.atomic import atomic_path\nwith"
         f" atomic_path({str(tmp_path / 'a.bin')!r}):\n    os.kill(os.getpid(), 9)"
     )
-    assert subprocess.run([sys.executable, "-c", code]).returncode == -9
+    assert subprocess.run([sys.executable, "-c", code]).returncode in (9, -9)
     (left,) = tmp_path.iterdir()
     with atomic_write(tmp_path / "b.bin") as file:
         file.write(b"content")
@@ -290,8 +292,9 @@ def test_check_writable_says_what_is_wrong(tmp_path, monkeypatch):
     cases = {
         tmp_path: "is a folder",
         tmp_path / "file" / "a.ply": "is not a folder",
-        tmp_path / ("x" * 300 + ".ply"): "cannot be written",
     }
+    if os.name != "nt":  # Wine finds out when it writes
+        cases[tmp_path / ("x" * 300 + ".ply")] = "cannot be written"
     for path, message in cases.items():
         with pytest.raises(SceneError, match=message):
             check_writable(path)

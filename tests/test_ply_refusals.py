@@ -35,7 +35,7 @@ def test_how_much_is_missing_is_said(tmp_path):
     ):
         (tmp_path / "trunc.ply").write_bytes(data[:size])
         with pytest.raises(
-            FormatError, match=rf"/trunc\.ply is incomplete: {sentence}; copy or export it again$"
+            FormatError, match=rf"trunc\.ply is incomplete: {sentence}; copy or export it again$"
         ):
             read_ply(tmp_path / "trunc.ply")
 

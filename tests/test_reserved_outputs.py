@@ -15,6 +15,7 @@ pytest.importorskip("OpenImageIO")
 
 from svrgs_addon.files.atomic import reserved
 from svrgs_addon.system.errors import SceneError
+from system_checks import with_links
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -49,6 +50,7 @@ def test_a_path_is_free_when_its_holder_was_killed(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@with_links
 def test_a_link_and_its_target_are_one_output(tmp_path):
     os.symlink(tmp_path / "o.ply", tmp_path / "link.ply")
     with (

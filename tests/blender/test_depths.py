@@ -294,7 +294,6 @@ def test_much_use_of_the_disk_is_said_before_the_job(splat, monkeypatch):
     assert "The job takes up to" in said() and said() != quick
 
 
-
 def test_an_allowed_drop_has_an_estimate_and_a_result(splat, bridge, watch):
     set_up({"depth": "QUICK", "goal": "DROP", "drop": 1.0})
     bpy.ops.svrgs.estimate()
