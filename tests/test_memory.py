@@ -208,6 +208,7 @@ def test_the_addresses_that_are_left_are_available():
     [
         (RuntimeError("can't start new thread"), "no further thread can be started"),
         (MemoryError(), "out of memory"),
+        (SystemError("<ufunc 'add'> returned NULL without setting an exception"), "out of memory"),
     ],
 )
 def test_lack_of_memory_in_the_middle_is_one_sentence(svrgs, tiny, monkeypatch, error, sentence):

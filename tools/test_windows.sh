@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Runs tests with Python for Windows, under Wine: tools/test_windows.sh VENV [ARGUMENTS OF PYTEST]. Debian only, as root; the pinned packages of
-# requirements-package.txt. The library and the wheel are those of tools/build_wheels.py windows-x64. Not yet run to its end: the tests.
+# requirements-package.txt. The library and the wheel are those of tools/build_wheels.py windows-x64.
 # Python comes out of panda3d's wheel, which carries python311.dll and the extension modules; its standard library is that of a CPython 3.11.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -29,4 +29,4 @@ fi
 export WINEPREFIX=$root/prefix WINEDEBUG=-all WINEARCH=win64 PYTHONDONTWRITEBYTECODE=
 SVRGS_LIBRARY=$(winepath -w "$library")
 export SVRGS_LIBRARY
-wine "$root/python.exe" -m pytest -q -p no:cacheprovider -m "not slow" "$@" </dev/null 2>&1 | cat # Wine cannot write into a file
+wine "$root/python.exe" -m pytest -p no:cacheprovider -m "not slow" "$@" </dev/null 2>&1 | cat # Wine cannot write into a file
