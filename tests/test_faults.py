@@ -15,6 +15,9 @@ import pytest
 
 pytest.importorskip("pycolmap")
 pytest.importorskip("OpenImageIO")
+pytest.importorskip("resource", reason="this system cannot limit the size of files")
+
+import resource
 
 import whole_jobs
 from faults import WRITERS, digest
@@ -26,8 +29,6 @@ from svrgs_addon.prune.context import JobContext
 from svrgs_addon.prune.recipes import fine_tuned
 from svrgs_addon.system.errors import SceneError, SplatError
 from svrgs_addon.views.dataset import load_dataset
-
-resource = pytest.importorskip("resource", reason="this system cannot limit the size of files")
 
 ROOT = Path(__file__).resolve().parents[1]
 SETTINGS = replace(prune_settings("svr", 30, 10, prune_every=15, lambda_f=1e-3), mask_init=0.5, seed=5)

@@ -29,4 +29,4 @@ fi
 export WINEPREFIX=$root/prefix WINEDEBUG=-all WINEARCH=win64 PYTHONDONTWRITEBYTECODE=
 SVRGS_LIBRARY=$(winepath -w "$library")
 export SVRGS_LIBRARY
-wine "$root/python.exe" -m pytest -p no:cacheprovider -m "not slow" "$@" </dev/null 2>&1 | cat # Wine cannot write into a file
+wine "$root/python.exe" -m pytest -p no:cacheprovider -m "not slow" "$@" </dev/null 2>&1 | cat # this Python starts only if its output is a pipe

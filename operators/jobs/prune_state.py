@@ -8,7 +8,7 @@ import bpy
 from bpy.app.translations import pgettext_iface as tr
 from bpy.app.translations import pgettext_n as n_
 
-from ...svrgs_addon.finetune.checkpoint import KEPT
+from ...svrgs_addon.finetune import checkpoint
 from ...svrgs_addon.finetune.methods import METHODS
 from ...svrgs_addon.jobs.job_process import Job
 from ...svrgs_addon.prune.disk_room import bytes_of_job
@@ -22,7 +22,7 @@ from ..scene import camera_match, dataset_paths, place_cameras
 from . import depths, estimate, goals, job_queue, job_result, job_state, orphan_jobs
 from .job_watch import current
 
-MUCH_BYTES = 100e6  # on the disk: the panel says that a job leaves more
+MUCH_BYTES = 100e6  # from here on the panel says how much of the disk a job takes
 SILENT_SECONDS = 60.0  # after this time without a sign of life, the panel says so
 
 
@@ -81,11 +81,11 @@ def _of_ready(context) -> list[str]:
 
 
 def _disk_use(context) -> str:
-    """What a job leaves on the disk, if that is much."""
+    """How much of the disk a job takes, if that is much."""
     obj, count = context.object, splat_object.count(context.object)
     coefficients = (splat_object.sh_degree(obj) + 1) ** 2
     quick = context.scene.svrgs_prune.depth == "QUICK"
-    size = bytes_of_job(count, size_of(obj, count), coefficients, quick, KEPT + 1)
+    size = bytes_of_job(count, size_of(obj, count), coefficients, quick, checkpoint.KEPT + 1)
     if size < MUCH_BYTES:
         return ""
     text = tr("The job takes up to {size} in '{folder}', until its result is applied or discarded")

@@ -60,7 +60,7 @@ SHOWN = {  # properties that a criterion uses
     "CONTRIBUTION": ("cameras", "share"), "REMOVAL_ERROR": ("cameras", "share"), "SEEN": ("cameras",),
     "FLOATERS": ("cameras",), "EDIT_MODE": (),
 }  # fmt: skip
-JUDGED = ("CONTRIBUTION", "REMOVAL_ERROR")  # criteria that judge also the Gaussians that no camera sees
+RANKED = ("CONTRIBUTION", "REMOVAL_ERROR")  # criteria that also rank the Gaussians that no camera sees
 
 
 class SplatOperator(ReportingOperator):
@@ -157,7 +157,8 @@ class SVRGS_OT_select_gaussians(SplatOperator):
         if not seen:
             return text
         return tr(
-            "{selected}; {views} views see {share} of the Gaussians, and the others count for nothing"
+            "{selected}; {views} views see only {share} of the Gaussians, and those they do not see come"
+            " first"
         ).format(selected=text, views=seen[0].views, share=percent(seen[0].share))
 
     def criteria(self) -> Criteria:
@@ -187,13 +188,14 @@ class SVRGS_OT_select_gaussians(SplatOperator):
         return found
 
     def views(self, context, placed, named: str, seen: list[Seen]) -> list:
-        """The views of the chosen cameras. named: empty if none is needed. seen: takes what they see,
-        if that is little and the criterion judges all Gaussians. Raises SceneError."""
+        """The views of the chosen cameras. named: empty if none is needed. seen: a list to which Seen is
+        added if the criterion ranks all Gaussians and the views see less than MIN_SEEN of them. Raises
+        SceneError."""
         cameras = chosen_cameras(context, self.cameras)
         if not (named or cameras):
             return []
         found = views(context, cameras[:: max(1, -(-len(cameras) // MOST_VIEWS))], placed)
-        if self.criterion in JUDGED and (part := seen_of(placed.scene, found)).share < MIN_SEEN:
+        if self.criterion in RANKED and (part := seen_of(placed.scene, found)).share < MIN_SEEN:
             seen.append(part)
         return found
 

@@ -26,8 +26,8 @@ HIDDEN_PREFIX = ".svrgs-"  # first characters of the names of temporary files
 # characters: a longer one is left out of the name of a temporary file, which must not be longer than a name
 # may be
 LONGEST_SUFFIX = 16
-# of checked(): the path, and what is called with the temporary file
-_check: ContextVar[tuple[Path | None, Callable[[Path], None]]] = ContextVar("check", default=(None, print))
+# set by checked(): a path, and the function that checks a new file before it replaces that path
+_check: ContextVar[tuple[Path, Callable[[Path], None]] | None] = ContextVar("check", default=None)
 
 
 @contextlib.contextmanager
@@ -65,9 +65,8 @@ def atomic_path(path: str | os.PathLike, keep: bool = True) -> Iterator[Path]:
         with _hidden_file_next_to(target) as temporary:
             yield temporary
             _sync(temporary, os.O_RDWR)
-            checked_path, check = _check.get()
-            if checked_path == target:
-                _check_new(check, temporary, target)
+            if (asked := _check.get()) and asked[0] == target:
+                _check_new(asked[1], temporary, target)
             _replace(temporary, target, path if keep else None)
     _sync_folder(target.parent)
 

@@ -93,7 +93,7 @@ def bytes_of_job(count: int, file_bytes: int, coefficients: int, quick: bool, ch
     coefficients: SH coefficients per channel. checkpoints: that are there at once."""
     files = BACKGROUND_FILES * (file_bytes + ROW_NUMBER * count)
     if quick:
-        return files + file_bytes + ORDER_ROW * count  # what was merged, and the order
+        return files + file_bytes + ORDER_ROW * count  # merged.ply and order.npy
     return files + checkpoints * memory.checkpoint(count, coefficients, count)
 
 

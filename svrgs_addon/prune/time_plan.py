@@ -19,7 +19,7 @@ from ..system.errors import FormatError, SceneError
 
 # share of the time that is left free, because steps are not foreseen exactly
 MARGIN, TRAINING_MARGIN = 0.1, 0.2
-LATE = 1.05  # times the time that was asked for: a job that takes longer is told
+LATE = 1.05  # times the time that was asked for: a job that takes longer gets a note
 # schedules that are chosen: 80 of the 8 000 steps of `svrgs prune`, and all of them
 MIN_SCHEDULE, MAX_SCHEDULE = 0.01, 1.0
 GRID = 10_000  # a schedule is a multiple of 1/GRID

@@ -49,7 +49,9 @@ def inside(folder: Path, name: str) -> Path:
     check_name(name)
     path = folder / name
     if not real(path).is_relative_to(real(folder)):
-        raise FormatError(f"has a link that leads out of the folder, {name}: copy here what it leads to")
+        raise FormatError(
+            f"has a link that leads out of the folder, {name}: put the file itself in place of the link"
+        )
     return path
 
 

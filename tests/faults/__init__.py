@@ -34,7 +34,7 @@ class Survived:
     kills: int = 0
     # runs that came to their end, or writers that had replaced the file when they were killed
     finished: int = 0
-    resumed: int = 0  # starts that went on from what was kept
+    resumed: int = 0  # starts from a checkpoint
 
 
 def forked(work: Callable[[], object]) -> int:
