@@ -37,7 +37,7 @@ def seeds(tmp_path_factory) -> list[bytes]:
 
 
 def in_time_and_memory(check, data: bytes) -> bool:
-    """The promises of targets.py: first a second, then 64 MiB + 4 times the input."""
+    """The promises of targets.py: first three seconds, then 64 MiB + 4 times the input."""
     accepted = check(data)
     tracemalloc.start()
     try:
