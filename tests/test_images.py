@@ -17,7 +17,9 @@ from svrgs_addon.files.images import (
     srgb_to_linear,
     write_image,
 )
+from svrgs_addon.files.registry import read_scene, write_scene
 from svrgs_addon.system.errors import FormatError, SceneError
+from svrgs_bench import scenes
 
 oiio = pytest.importorskip("OpenImageIO")
 
@@ -209,6 +211,32 @@ def test_further_formats_are_read(tmp_path, suffix):
 def test_hdr_is_scene_linear(tmp_path):
     image = read_image(store(tmp_path / "a.hdr", np.full((2, 2, 3), [0.0, 0.5, 4.0], np.float32)))
     assert np.allclose(image[0, 0], [0, 0.735357, 1], atol=1e-2)
+
+
+OLDER = "needs OpenImageIO 3.0.7 or later, and this Python has"
+
+
+def test_an_openimageio_that_changes_colours_under_alpha_in_webp_is_refused(tmp_path, monkeypatch):
+    opaque = store(tmp_path / "opaque.webp", RGB, compression="lossless")
+    clear = store(tmp_path / "clear.webp", np.dstack([RGB, RGB[:, :, 0]]), compression="lossless")
+    assert read_pixels(clear).shape == RGB.shape
+    monkeypatch.setattr(oiio, "VERSION", 3_00_06)
+    assert np.array_equal(read_pixels(opaque), RGB)
+    with pytest.raises(FormatError, match=f"clear.webp: cannot be read, because WebP with alpha {OLDER}"):
+        read_pixels(clear)
+
+
+@pytest.mark.parametrize("name", ["toy.sog", "toy/meta.json", "toy/lod-meta.json"])
+def test_with_such_an_openimageio_no_sog_is_written_or_read(tmp_path, monkeypatch, name):
+    path, scene = tmp_path / name, scenes.room(50)
+    write_scene(path, scene)
+    old = path.read_bytes()
+    monkeypatch.setattr(oiio, "VERSION", 3_00_06)
+    with pytest.raises(FormatError, match=f"toy.* cannot be read, because WebP with alpha {OLDER}"):
+        read_scene(path)
+    with pytest.raises(SceneError, match=f"{name}: cannot be written, because WebP with alpha {OLDER}"):
+        write_scene(path, scene)
+    assert path.read_bytes() == old
 
 
 @pytest.mark.parametrize("name", ["zeros.png", "zeros.jpg", "text.tif"])

@@ -26,6 +26,9 @@ LINEAR_FORMATS = ("openexr", "hdr")  # scene-linear formats; all others store di
 PICTURE_SUFFIXES = (".png", ".exr")
 # methods above 3 take six times as long for 0.3 % less
 LOSSLESS = {"compression": "lossless:50", "webp:method": 3, "oiio:UnassociatedAlpha": 1}
+# OpenImageIO 3.0.7. Older ones, as in Blender 4.2 and the first 4.5, multiply colours of WebP by alpha and write
+# it with loss
+EXACT_WEBP = 3_00_07
 PNG_BEGIN, PNG_END = b"\x89PNG", b"IEND\xaeB`\x82"
 
 # EXIF orientation: (transpose, then flip rows, flip columns) that makes the stored pixels upright
@@ -139,9 +142,15 @@ def _library() -> ModuleType:
 
 
 def lack() -> str:
-    """ "": images can be written. Raises SceneError, NativeError if OpenImageIO is not there."""
-    _library()
-    return ""
+    """Why WebP with alpha is neither read nor written as it is; "" if it is. Raises SceneError, NativeError if
+    OpenImageIO is not there."""
+    oiio = _library()
+    if oiio.VERSION >= EXACT_WEBP:
+        return ""
+    return (
+        f"because WebP with alpha needs OpenImageIO 3.0.7 or later, and this Python has {oiio.VERSION_STRING}:"
+        " use Blender 5.0 or later, or choose another format"
+    )
 
 
 def library_path(path: str | os.PathLike) -> Any:
@@ -179,6 +188,8 @@ def _open(path: str | os.PathLike) -> ImageInput:
         raise FormatError(
             f"{path}: has {spec.width} x {spec.height} pixels; the limit is {MAX_SIDE} per side"
         )
+    if source.format_name() == "webp" and spec.nchannels == 4 and (reason := lack()):
+        raise FormatError(f"{path}: cannot be read, {reason}")
     return source
 
 

@@ -227,6 +227,7 @@ def write_scene(path: str | Path, scene: Scene, version: int = 0, quantise: floa
     Gaussian."""
     splat_format = format_to_write(path)
     assert splat_format.write is not None
+    splat_format.check_packages(Path(path))
     if not scene.count and not splat_format.lossless:
         raise SceneError(f"{path}: there is no Gaussian to write")
     if version and version not in splat_format.versions:

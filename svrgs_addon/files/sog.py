@@ -205,6 +205,8 @@ def _palette(folder: Path, part: dict[str, Any], coefficients: int) -> np.ndarra
 
 def _image(file: Path, most: int) -> np.ndarray:
     """A texture of at most so many pixels, (H, W, 4) uint8."""
+    if reason := images.lack():
+        raise FormatError(f"cannot be read, {reason}")
     try:
         return read_texture(file, most)
     except FormatError as error:
