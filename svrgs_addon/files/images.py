@@ -26,8 +26,8 @@ LINEAR_FORMATS = ("openexr", "hdr")  # scene-linear formats; all others store di
 PICTURE_SUFFIXES = (".png", ".exr")
 # methods above 3 take six times as long for 0.3 % less
 LOSSLESS = {"compression": "lossless:50", "webp:method": 3, "oiio:UnassociatedAlpha": 1}
-# OpenImageIO 3.0.7. Older ones, as in Blender 4.2 and the first 4.5, multiply colours of WebP by alpha and write
-# it with loss
+# OpenImageIO 3.0.7. Older ones, as in Blender 4.2 and the first 4.5, multiply colours of WebP by alpha and
+# write it with loss
 EXACT_WEBP = 3_00_07
 PNG_BEGIN, PNG_END = b"\x89PNG", b"IEND\xaeB`\x82"
 
@@ -142,14 +142,14 @@ def _library() -> ModuleType:
 
 
 def lack() -> str:
-    """Why WebP with alpha is neither read nor written as it is; "" if it is. Raises SceneError, NativeError if
-    OpenImageIO is not there."""
+    """Why WebP with alpha is neither read nor written as it is; "" if it is. Raises SceneError, NativeError
+    if OpenImageIO is not there."""
     oiio = _library()
     if oiio.VERSION >= EXACT_WEBP:
         return ""
     return (
-        f"because WebP with alpha needs OpenImageIO 3.0.7 or later, and this Python has {oiio.VERSION_STRING}:"
-        " use Blender 5.0 or later, or choose another format"
+        "because WebP with alpha needs OpenImageIO 3.0.7 or later, and this Python has"
+        f" {oiio.VERSION_STRING}: use Blender 5.0 or later, or choose another format"
     )
 
 
