@@ -3,8 +3,10 @@ without anything in it."""
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -216,10 +218,37 @@ def splat(tmp_path):
 
 
 @pytest.fixture
-def pruned(splat, watch):
+def pruned(splat, watch, once):
     """(original, result) of a job that was run to its end."""
     set_up(SHORT)
-    bpy.ops.svrgs.job_start()
-    follow(watch, lambda: len(bpy.data.objects) == 2)
+    with once("pruned"):
+        bpy.ops.svrgs.job_start()
+        follow(watch, lambda: len(bpy.data.objects) == 2)
     (result,) = (obj for obj in bpy.data.objects if obj != splat)
     return splat, result
+
+
+@pytest.fixture(scope="session")
+def once(tmp_path_factory):
+    """Context manager once(name): the first time, a job of its block runs to its end. After that, what its
+    process wrote is there at once, and none is started."""
+    files = tmp_path_factory.mktemp("once")
+
+    @contextlib.contextmanager
+    def run(name: str):
+        process, recorded = part("svrgs_addon.jobs.job_process"), files / name
+
+        class Ended(process.ProcessGroup):
+            def __init__(self, command, **_):
+                shutil.copytree(recorded, command[-1], dirs_exist_ok=True)
+                self.stdin, self.returncode = None, 0
+
+        with pytest.MonkeyPatch.context() as patch:
+            if recorded.exists():
+                patch.setattr(process, "ProcessGroup", Ended)
+            yield
+        (job,) = part("operators.jobs.job_watch").jobs.values()
+        if not recorded.exists():
+            shutil.copytree(job.folder.path, recorded)
+
+    return run
