@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import bpy
@@ -81,6 +82,8 @@ class SVRGS_OT_import_ply(ReportingOperator, ImportHelper):
         select(context, objects)
         if self.frame:
             frame(context, objects)
+        if cube_of_new_file(context.visible_objects):
+            texts.append(tr("the cube of the new file hides a part of what is around it: hide it with H"))
         return tr("Imported {splats}").format(splats="; ".join(texts))
 
     def add(self, context, name, scene) -> bpy.types.Object:
@@ -111,6 +114,17 @@ class SVRGS_OT_import_ply(ReportingOperator, ImportHelper):
                 self.report({"ERROR"}, str(error))
                 return {"CANCELLED"}
         return self.invoke_popup(context)
+
+
+def cube_of_new_file(objects: Iterable[bpy.types.Object]) -> bool:
+    """Whether Blender's first cube is among the objects, as it was."""
+    return any(
+        obj.type == "MESH"
+        and obj.name == "Cube"
+        and len(obj.data.vertices) == 8
+        and obj.matrix_world == Matrix()
+        for obj in objects
+    )
 
 
 class SVRGS_FH_ply(bpy.types.FileHandler):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 import numpy as np
 import pytest
-from extension import part
+from extension import DATA, part
 
 
 @pytest.fixture
@@ -186,6 +186,14 @@ def test_several_files_at_once_and_one_that_is_none(make_scene, ply, tmp_path, c
     assert "a.ply: 100 Gaussians; b.ply: 100 Gaussians" in said and "so it is not a 3DGS splat" in said
     with pytest.raises(RuntimeError, match="lacks the property"):
         bpy.ops.svrgs.import_ply(filepath=str(tmp_path / "bad.ply"))
+
+
+def test_the_cube_of_a_new_file_is_said_to_hide_a_part(capfd):
+    for place, hidden in (((0, 0, 0), True), ((0, 0, 9), False)):
+        bpy.data.batch_remove(list(bpy.data.objects))
+        bpy.ops.mesh.primitive_cube_add(location=place)
+        bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
+        assert ("the cube of the new file hides" in capfd.readouterr().out) == hidden
 
 
 def test_importing_leaves_nothing_else_behind(splat):
