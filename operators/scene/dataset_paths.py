@@ -96,12 +96,13 @@ def _text(value: object) -> str:
 
 
 def stored(path: str, start: str = "") -> str:
-    """How an absolute path is stored. start: the folder of the .blend file, if not the present one."""
+    """How an absolute path is stored: relative to the .blend file with '/', so that other systems find it.
+    start: the folder of that file, if not the present one."""
     start = start or os.path.dirname(bpy.data.filepath)
     if not start or not bpy.context.preferences.filepaths.use_relative_paths:
         return path
     try:
-        return bpy.path.relpath(path, start=start)
+        return bpy.path.relpath(path, start=start).replace(os.sep, "/")
     except ValueError:  # on another drive of Windows
         return path
 

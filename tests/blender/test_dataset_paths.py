@@ -3,6 +3,8 @@ again when they were moved."""
 
 from __future__ import annotations
 
+import os
+import re
 import shutil
 from pathlib import Path
 
@@ -78,9 +80,8 @@ def test_cameras_imported_into_a_saved_file_have_relative_paths_at_once(project)
     save(project / "work.blend")
     bpy.ops.svrgs.import_colmap(directory=str(project / "data"))
     assert root()["svrgs_dataset"] == "//data" and photographs() == {project / "data/images"}
-    assert all(
-        image.filepath.startswith("//data/images/") for image in bpy.data.images if image.source == "FILE"
-    )
+    photos = [image.filepath for image in bpy.data.images if image.source == "FILE"]
+    assert all(path.replace(os.sep, "/").startswith("//data/images/") for path in photos)
 
 
 @pytest.mark.parametrize("copy", [False, True])
@@ -137,7 +138,7 @@ def lost(project, tmp_path):
 
 
 def test_a_lost_dataset_is_said_and_found_again(lost, project):
-    said = f"The photographs of 'data' are not in {project}/data any more: press Find Dataset in step 1"
+    said = f"The photographs of 'data' are not in {project / 'data'} any more: press Find Dataset in step 1"
     assert said in drawn("scene").replace("  ", " ") and said not in drawn("prune").replace("  ", " ")
     assert "svrgs.find_dataset" in drawn("scene")
     for operator in (bpy.ops.svrgs.job_start, bpy.ops.svrgs.estimate):
@@ -187,9 +188,9 @@ def test_a_chosen_dataset_that_does_not_exist_disables_the_buttons(project):
     select_splat()
     bpy.context.scene.svrgs_prune.data = "/nowhere"
     for operator in (bpy.ops.svrgs.job_start, bpy.ops.svrgs.estimate):
-        with pytest.raises(RuntimeError, match="There is no dataset /nowhere: choose it again"):
+        with pytest.raises(RuntimeError, match="There is no dataset .nowhere: choose it again"):
             operator()
-    assert "There is no dataset /nowhere: choose it again" in drawn("prune")
+    assert f"There is no dataset {os.sep}nowhere: choose it again" in drawn("prune")
 
 
 # --- jobs
@@ -241,7 +242,7 @@ def test_a_job_without_its_dataset_says_so(lost, watch, project):
     bpy.ops.svrgs.job_stop(now=True)
     follow(watch, lambda: not job.running)
     shutil.move(lost, project / "gone")
-    with pytest.raises(RuntimeError, match=f"{lost}: the dataset of this job is not there"):
+    with pytest.raises(RuntimeError, match=re.escape(f"{lost}: the dataset of this job is not there")):
         bpy.ops.svrgs.job_resume()
     bpy.context.scene.svrgs_prune.data = str(project / "gone")
     bpy.ops.svrgs.job_resume()

@@ -3,6 +3,7 @@ name."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from types import SimpleNamespace
 
 import bpy
@@ -112,6 +113,7 @@ def test_what_a_format_cannot_hold_is_said(splat, tmp_path, capfd):
     ],
 )
 def test_the_format_gives_the_name_its_suffix(path, kind, wanted):
+    path, wanted = str(Path(path)), str(Path(wanted))
     dialog = SimpleNamespace(filepath=path, kind=kind)
     changed = part("operators.io.export_ply").SVRGS_OT_export_ply.check(dialog, None)
     assert dialog.filepath == wanted and changed == (path != wanted)
