@@ -1,4 +1,4 @@
-"""Tests by Python for Windows, and in Blender's module for Windows, under Wine, where tools/test_windows.sh has
+"""Tests by Python for Windows, and in Blender's module for it, under Wine, where tools/test_windows.sh has
 made them."""
 
 from __future__ import annotations
