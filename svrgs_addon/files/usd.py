@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -103,16 +104,27 @@ def write(path: str | os.PathLike, scene: Scene):
     stage.SetDefaultPrim(prim)
     _fill(prim, turned_over(scene))
     with atomic_path(path) as temporary:
+        # OpenUSD renames its file to this name. Windows refuses that while the file is open, as `temporary` is
+        exported = temporary.with_name(f"{temporary.stem}-usd{temporary.suffix}")
         try:
-            exported = layer.Export(str(temporary))
-        except UnicodeError:
-            raise SceneError(
-                f"{path}: OpenUSD writes only where all names are UTF-8; choose another folder"
-            ) from None
-        except module("Tf").ErrorException:
-            exported = False
-        if not exported:
-            raise SceneError(f"{path}: cannot be written by OpenUSD; is the disk full?")
+            _export(layer, exported, path)
+            shutil.copyfile(exported, temporary)
+        finally:
+            exported.unlink(missing_ok=True)
+
+
+def _export(layer: Any, out: Path, path: str | os.PathLike):
+    """Writes a layer. path: the file of which errors speak. Raises SceneError."""
+    try:
+        if layer.Export(str(out)):
+            return
+    except UnicodeError:
+        raise SceneError(
+            f"{path}: OpenUSD writes only where all names are UTF-8; choose another folder"
+        ) from None
+    except module("Tf").ErrorException:
+        pass
+    raise SceneError(f"{path}: cannot be written by OpenUSD; is the disk full, or the path too long?")
 
 
 def replace_points(stage: Any, path: Any, scene: Scene):

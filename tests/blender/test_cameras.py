@@ -112,7 +112,7 @@ def test_transforms_json_gives_the_same_cameras(capfd):
     for a, b in zip(*found, strict=True):
         np.testing.assert_allclose(a.matrix_world, b.matrix_world, atol=1e-6)
         files = [Path(bpy.path.abspath(obj.data.background_images[0].image.filepath)) for obj in (a, b)]
-        assert files[0].samefile(files[1])
+        assert files[0].read_bytes() == files[1].read_bytes()
     assert f"the cameras are those of {DATA}/nerfstudio/transforms.json" in capfd.readouterr().out
 
 
@@ -288,7 +288,7 @@ def test_photographs_that_cannot_be_undistorted_are_missed_and_it_is_said(tmp_pa
 
 
 def test_cameras_come_without_photographs_and_say_so(tmp_path, capfd):
-    (tmp_path / "sparse").symlink_to(DATA / "tiny/sparse")
+    shutil.copytree(DATA / "tiny/sparse", tmp_path / "sparse")
     bpy.ops.svrgs.import_colmap(directory=str(tmp_path))
     assert len(cameras()) == 12 and not any(obj.data.background_images for obj in cameras())
     out = capfd.readouterr().out

@@ -4,6 +4,7 @@ meanwhile."""
 from __future__ import annotations
 
 import shutil
+import sys
 
 import bpy
 import pytest
@@ -104,6 +105,7 @@ def test_a_result_arrives_where_its_collection_is_excluded(splat, watch, results
     )
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows keeps files that are open")
 @pytest.mark.parametrize("what", ["follow", "stop"])
 def test_a_job_whose_folder_was_deleted_fails_in_a_sentence(splat, watch, what):
     set_up(LONG)
