@@ -104,7 +104,7 @@ def write(path: str | os.PathLike, scene: Scene):
     stage.SetDefaultPrim(prim)
     _fill(prim, turned_over(scene))
     with atomic_path(path) as temporary:
-        # OpenUSD renames its file to this name. Windows refuses that while the file is open, as `temporary` is
+        # OpenUSD renames its own file to this one; Windows refuses that for `temporary`, which is open
         exported = temporary.with_name(f"{temporary.stem}-usd{temporary.suffix}")
         try:
             _export(layer, exported, path)

@@ -113,7 +113,7 @@ def test_transforms_json_gives_the_same_cameras(capfd):
         np.testing.assert_allclose(a.matrix_world, b.matrix_world, atol=1e-6)
         files = [Path(bpy.path.abspath(obj.data.background_images[0].image.filepath)) for obj in (a, b)]
         assert files[0].read_bytes() == files[1].read_bytes()
-    assert f"the cameras are those of {DATA}/nerfstudio/transforms.json" in capfd.readouterr().out
+    assert f"the cameras are those of {DATA / 'nerfstudio/transforms.json'}" in capfd.readouterr().out
 
 
 def test_cameras_join_the_splat_wherever_it_stands():
