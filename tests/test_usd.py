@@ -15,6 +15,7 @@ import pytest
 from svrgs_addon.files import usd, usd_arrays
 from svrgs_addon.files.registry import read_scene, write_scene
 from svrgs_addon.scene.affine import transformed
+from svrgs_addon.system import locks
 from svrgs_addon.system.errors import FormatError, SceneError
 from test_formats import differences, like_trained, rotations
 
@@ -195,3 +196,14 @@ def test_a_folder_whose_name_is_not_utf_8_and_a_full_disk_are_one_sentence(tmp_p
     done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True)
     assert done.returncode and "Traceback" not in done.stderr and "a.usdc" in done.stdout + done.stderr
     assert [path.name for path in tmp_path.iterdir() if path.is_file()] == ["a.ply"]
+
+
+def test_openusd_replaces_no_file_that_is_open(tmp_path, monkeypatch):
+    """Windows would refuse it."""
+    opened, exported = [], []
+    create, export = locks.create_owned, usd._export
+    monkeypatch.setattr(locks, "create_owned", lambda path: opened.append(path) or create(path))
+    monkeypatch.setattr(usd, "_export", lambda *words: exported.append(words[1]) or export(*words))
+    write_scene(tmp_path / "a.usdc", like_trained(0, 20))
+    assert len(exported) == 1 and opened and not set(exported) & set(opened)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.usdc"]
