@@ -4,6 +4,7 @@
 # make test    quick tests, and a short run of each slow kind;  make test-slow  the rest: Blender, kills, fuzz, ...
 # make lint    style and types;  make format  formats the sources
 # make zip     the Blender extension for this platform and this Python, in dist/
+# make lpips   fetches the weights of LPIPS (64 MB), which eval, compare and reports then measure
 # make package the extension for all platforms and Blenders, wheels for pip, a static extension repository, in dist/
 # make test-blender   the extension's tests in other Blenders too, BLENDERS="4.2.23 ..."
 # make sanitize       native tests under sanitizers;  make fuzz  libFuzzer on the C interface (clang++)
@@ -13,7 +14,7 @@ PY := $(VENV)/bin/python
 DEMO := build/demo
 unexport PYTHONDONTWRITEBYTECODE # tests start hundreds of processes, each of which would compile all modules anew
 
-.PHONY: setup native wheels demo test test-slow test-blender lint format sanitize fuzz zip package clean
+.PHONY: setup native wheels demo test test-slow test-blender lint format sanitize fuzz lpips zip package clean
 
 setup: $(VENV)/.ready native
 	@$(PY) -m compileall -q svrgs_addon
@@ -39,10 +40,9 @@ lint: $(VENV)/.ready
 	@tools/lint.sh $(VENV)
 format: $(VENV)/.ready
 	@tools/lint.sh $(VENV) --fix
-sanitize: setup
-	@tools/sanitize.sh $(VENV)
-fuzz:
-	@tools/fuzz.sh
+sanitize: setup; @tools/sanitize.sh $(VENV)
+fuzz: ; @tools/fuzz.sh
+lpips: setup; @$(PY) tools/fetch_lpips.py
 zip: setup wheels; @$(PY) tools/build_extension.py
 package: setup
 	@tools/package.sh $(VENV)

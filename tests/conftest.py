@@ -25,6 +25,7 @@ def pytest_configure():
     then run one thread unless they are told another number. Ctrl-C is heard also where a shell's & let it be
     ignored. This process does not wait for the disk; its children do, as the product does."""
     os.fsync = lambda descriptor: None
+    os.environ["SVRGS_LPIPS_WEIGHTS"] = ""  # whether the user has fetched some changes nothing
     if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     worker = WORKER.fullmatch(os.environ.get("PYTEST_XDIST_WORKER", ""))

@@ -199,6 +199,11 @@ def _eval(commands):
         default="test",
         help="views to measure on (default: test)",
     )
+    command.add_argument(
+        "--lpips-authors",
+        action="store_true",
+        help="measure LPIPS also with colours in [-1, 1], as its authors say; others give it [0, 1]",
+    )
 
 
 def _compare(commands):

@@ -129,6 +129,9 @@ def evaluate(args: argparse.Namespace) -> int:
     with opened(args.scene, "measuring", needed) as (scene, rasterizer):
         refuse_unseen(scene, dataset.cameras, str(args.scene))
         result = measure(scene, dataset, views, rasterizer, lpips)
+        if args.lpips_authors and lpips is not None:
+            other, _ = load_lpips(args.lpips_weights, "authors")
+            result["lpips_authors"] = measure(scene, dataset, views, rasterizer, other)["lpips"]
     result |= {"bytes": registry.size_on_disk(args.scene), "notes": list(dataset.notes)}
     return _print(result, args, _figures(result, reason))
 

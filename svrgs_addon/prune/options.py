@@ -76,7 +76,7 @@ class DatasetOptions:
         metavar="GB",
     )
     lpips_weights: Path | None = option(
-        FILE, None, "file with the VGG weights of LPIPS; without it LPIPS is not measured", metavar="FILE"
+        FILE, None, "file with the VGG weights of LPIPS (default: what `make lpips` fetched)", metavar="FILE"
     )
     threads: int = option(
         COUNT,

@@ -1,11 +1,9 @@
-"""LPIPS v0.1 with the VGG16 backbone (Zhang et al. 2018). The user gives one weight file.
+"""LPIPS v0.1 with the VGG16 backbone (Zhang et al. 2018), in NumPy. The weights are not part of this project:
+`make lpips` fetches them. With the package lpips installed, this line writes the same file:
 
-The weights are not part of this project. With the package lpips installed, this line writes a weight file:
+    np.savez("lpips_vgg.npz", **{k: v.numpy() for k, v in lpips.LPIPS(net="vgg").state_dict().items()})
 
-    torch.save(lpips.LPIPS(net="vgg").state_dict(), "lpips_vgg.pt")
-
-The file is a state dict (.pt, .pth) or arrays (.npz). It must have these keys, all with floats; other keys
-are ignored:
+It must have these keys, all with floats; other keys are ignored:
     backbone  features.I.weight, features.I.bias   as in torchvision's vgg16; or net.sliceS.I.weight … as in
               the package lpips
     heads     linK.model.1.weight, K = 0 … 4       or lins.K.model.1.weight; shape (1, C, 1, 1)
@@ -13,19 +11,21 @@ are ignored:
 
 from __future__ import annotations
 
-import importlib.util
-import pickle
+import os
 import re
 import zipfile
 import zlib
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from ...system.errors import FormatError, SceneError
+from ...system.wheels import cache_folder
 from .measures import image_pair
 
+NAME = "lpips_vgg.npz"  # of the weight file in the user's cache folder
+VARIABLE = "SVRGS_LPIPS_WEIGHTS"  # of the environment: another weight file; empty: none
 # VGG16 up to relu5_3: (index in torchvision's `features`, output channels) of each convolution, one row per
 # stage.
 STAGES = (
@@ -36,15 +36,18 @@ STAGES = (
     ((24, 512), (26, 512), (28, 512)),
 )
 # the scaling layer (x - SHIFT) / SCALE: mean and deviation of ImageNet for inputs in [-1, 1]
-SHIFT = (-0.030, -0.088, -0.188)
-SCALE = (0.458, 0.448, 0.450)
+SHIFT = np.array([-0.030, -0.088, -0.188], np.float32)
+SCALE = np.array([0.458, 0.448, 0.450], np.float32)
+# what the network is given of colours in [0, 1]: themselves, as in the scripts of 3DGS and later work, or
+# 2 colours - 1, as its authors say
+INPUTS = {"3dgs": (1.0, 0.0), "authors": (2.0, -1.0)}
 MIN_SIDE = 2 ** (len(STAGES) - 1)  # pixels; the network halves the image four times
+NEIGHBOURS = 1 << 23  # values of the neighbours of some rows of pixels, which are multiplied at once
 UNREADABLE = (
-    # of NumPy and torch
-    *(pickle.UnpicklingError, zipfile.BadZipFile, zlib.error, OSError, EOFError, RuntimeError),
-    *(TypeError, ValueError, KeyError, AttributeError),  # which they raise for malformed content
+    *(zipfile.BadZipFile, zlib.error, OSError, EOFError),
+    *(TypeError, ValueError, KeyError, AttributeError),  # which NumPy raises for malformed content
 )
-SUFFIXES = (".npz", ".pt", ".pth")
+NO_WEIGHTS = "there are no LPIPS weights: make lpips fetches them"
 KEY_PATTERNS = (
     (re.compile(r"net\.slice\d\.(\d+)\.(weight|bias)"), r"features.\1.\2"),
     (re.compile(r"lins\.(\d)\.model\.1\.weight"), r"lin\1.model.1.weight"),
@@ -54,96 +57,115 @@ KEY_PATTERNS = (
 class Lpips:
     """The network with loaded weights. Call it with two images."""
 
-    def __init__(self, weights: dict[str, Any]):
-        """weights: all tensors, torch float32, by the first of the two key names above."""
-        self._weights = weights
+    def __init__(self, weights: dict[str, np.ndarray], given: str = "3dgs"):
+        """weights: all arrays, float32, by the first of the two key names above. given: one of INPUTS."""
+        self.given, self._weights = given, weights
+        # of each convolution: (9 * inputs, outputs), rows, columns and channels of the neighbours in this
+        # order
+        self._filters = {
+            index: weights[f"features.{index}.weight"].transpose(2, 3, 1, 0).reshape(-1, outputs)
+            for stage in STAGES
+            for index, outputs in stage
+        }
 
     def __call__(self, a: np.ndarray, b: np.ndarray) -> float:
         """LPIPS distance >= 0 of two images (H, W, 3) in [0, 1], H and W at least MIN_SIDE; lower is better,
-        0: equal images.
-
-        Values in [0, 1] are the direct input of the network, as in the scripts of 3DGS and later work, so
-        that results can be compared. The network was made for inputs in [-1, 1], so the call in its authors'
-        README gives other results. Raises SceneError.
-        """
-        import torch
-
+        0: equal images. Distances of different INPUTS cannot be compared. Raises SceneError."""
         a, b = image_pair(a, b)
         if min(a.shape[:2]) < MIN_SIDE:
             raise SceneError(
                 f"LPIPS needs images of at least {MIN_SIDE} x {MIN_SIDE} pixels, not {a.shape[1]} x"
                 f" {a.shape[0]}"
             )
-        batch = torch.from_numpy(np.stack([a, b])).permute(0, 3, 1, 2).contiguous()
-        with torch.no_grad():
-            return sum(
-                self._stage_distance(k, activations)
-                for k, activations in enumerate(self._stage_activations(batch))
-            )
+        pairs = zip(self._features(a), self._features(b), strict=True)
+        return sum(self._distance(k, *pair) for k, pair in enumerate(pairs))
 
-    def _stage_activations(self, batch):
-        """Yields the activations (2, C, h, w) after the last ReLU of each stage."""
-        import torch
-        from torch.nn.functional import conv2d, max_pool2d
-
-        x = (batch - torch.tensor(SHIFT).view(1, 3, 1, 1)) / torch.tensor(SCALE).view(1, 3, 1, 1)
+    def _features(self, image: np.ndarray) -> Iterator[np.ndarray]:
+        """The values (h, w, C) after the last ReLU of each stage."""
+        factor, offset = INPUTS[self.given]
+        x = (image.astype(np.float32) * np.float32(factor) + np.float32(offset) - SHIFT) / SCALE
         for k, stage in enumerate(STAGES):
             if k > 0:
-                x = max_pool2d(x, 2)
+                x = _halved(x)
             for index, _ in stage:
-                weight, bias = (self._weights[f"features.{index}.{part}"] for part in ("weight", "bias"))
-                x = conv2d(x, weight, bias, padding=1).relu_()
+                x = _convolved(x, self._filters[index], self._weights[f"features.{index}.bias"])
+                np.maximum(x, 0, out=x)
             yield x
 
-    def _stage_distance(self, k: int, activations) -> float:
+    def _distance(self, k: int, a: np.ndarray, b: np.ndarray) -> float:
         """Squared difference of normalised feature vectors, weighted per channel, mean over pixels (equation
         1 of the paper)."""
-        unit = activations / (activations.norm(dim=1, keepdim=True) + 1e-10)
-        squared = (unit[0] - unit[1]).square()
-        head = self._weights[f"lin{k}.model.1.weight"].view(-1, 1, 1)
-        return float((head * squared).sum(dim=0).mean())
+        difference = a / (_length(a) + 1e-10) - b / (_length(b) + 1e-10)
+        return float((np.square(difference) @ self._weights[f"lin{k}.model.1.weight"].ravel()).mean())
 
 
-def load_lpips(path: str | Path | None) -> tuple[Lpips | None, str]:
+def _length(x: np.ndarray) -> np.ndarray:
+    return np.sqrt(np.einsum("hwc,hwc->hw", x, x))[:, :, None]
+
+
+def _halved(x: np.ndarray) -> np.ndarray:
+    """The largest of each 2 x 2 values; a last odd row or column is left out."""
+    height, width, channels = x.shape
+    pairs = x[: height // 2 * 2, : width // 2 * 2].reshape(height // 2, 2, width // 2, 2, channels)
+    return pairs.max(axis=(1, 3))
+
+
+def _convolved(x: np.ndarray, filters: np.ndarray, bias: np.ndarray) -> np.ndarray:
+    """Convolution with 3 x 3 filters; zeros stand around the image. x (h, w, inputs); filters (9 * inputs,
+    outputs); returns (h, w, outputs)."""
+    height, width, channels = x.shape
+    around = np.pad(x, ((1, 1), (1, 1), (0, 0)))
+    out = np.empty((height, width, filters.shape[1]), np.float32)
+    rows = max(1, NEIGHBOURS // (9 * width * channels))
+    for top in range(0, height, rows):
+        part = out[top : top + rows]
+        neighbours = np.empty((len(part), width, 9, channels), np.float32)
+        for k in range(9):
+            row, column = top + k // 3, k % 3
+            neighbours[:, :, k] = around[row : row + len(part), column : column + width]
+        np.matmul(neighbours.reshape(-1, 9 * channels), filters, out=part.reshape(-1, filters.shape[1]))
+    out += bias
+    return out
+
+
+def load_lpips(path: str | Path | None, given: str = "3dgs") -> tuple[Lpips | None, str]:
     """Loads the network from a weight file. Returns (network, ""), or (None, reason), which a report can
-    print.
+    print. path: None: that of VARIABLE, or else what `make lpips` wrote. given: one of INPUTS.
 
-    Reasons are: no path, no such file, torch is not installed. Raises FormatError if the file exists but is
-    not a complete set of LPIPS-VGG16 weights. Pickled code in the file is never run.
+    Reasons are: no such file. Raises FormatError if the file exists but is not a complete set of LPIPS-VGG16
+    weights.
     """
-    if path is None:
-        return None, "no LPIPS weight file was given"
-    path = Path(path)
-    if not path.is_file():
-        return None, f"LPIPS weight file {path} does not exist"
-    if importlib.util.find_spec("torch") is None:
-        return None, "LPIPS needs torch, which is not installed"
+    chosen = path or os.environ.get(VARIABLE)
+    path = Path(chosen) if chosen is not None else _fetched()
+    if chosen == "" or not path.is_file():
+        return None, f"LPIPS weight file {path} does not exist" if chosen else NO_WEIGHTS
     found = {_plain_key(key): value for key, value in _read(path).items()}
-    return Lpips({key: _checked(found, key, shape, path) for key, shape in _expected().items()}), ""
+    return Lpips({key: _checked(found, key, shape, path) for key, shape in _expected().items()}, given), ""
 
 
-def _read(path: Path) -> dict[str, Any]:
-    """The content of the file by its own keys, unchecked. Raises FormatError if it cannot be read."""
-    import torch
-
-    if path.suffix not in SUFFIXES:
-        raise FormatError(f"{path} is not an LPIPS weight file; expected one of {', '.join(SUFFIXES)}")
+def _fetched() -> Path:
+    """What `make lpips` writes; a name without a folder where the user has none."""
     try:
-        if path.suffix == ".npz":
-            with np.load(path, allow_pickle=False) as archive:
-                return {key: torch.from_numpy(archive[key]) for key in archive.files}
-        content = torch.load(path, map_location="cpu", weights_only=True)
+        return cache_folder() / NAME
+    except SceneError:
+        return Path(NAME)
+
+
+def _read(path: Path) -> dict[str, np.ndarray]:
+    """The content of the file by its own keys, unchecked. Raises FormatError if it cannot be read."""
+    if path.suffix != ".npz":
+        raise FormatError(f"{path} is not an LPIPS weight file, which ends with .npz")
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            return {key: archive[key] for key in archive.files}
     except UNREADABLE as error:
         raise FormatError(f"{path} cannot be read as LPIPS weights ({type(error).__name__})") from error
-    if not isinstance(content, dict):
-        raise FormatError(f"{path} holds a {type(content).__name__}; expected a state dict")
-    return content
 
 
 def _plain_key(key: str) -> str:
     """The first of the two names of a key (see above); other keys are returned unchanged."""
     for pattern, plain in KEY_PATTERNS:
-        if pattern.fullmatch(str(key)):
+        if pattern.fullmatch(key):
             return pattern.sub(plain, key)
     return key
 
@@ -161,21 +183,16 @@ def _expected() -> dict[str, tuple[int, ...]]:
     return shapes
 
 
-def _checked(found: dict[str, Any], key: str, shape: tuple[int, ...], path: Path):
-    """The tensor of a key as float32. Raises FormatError if it is missing, has another shape or type, or is
+def _checked(found: dict[str, np.ndarray], key: str, shape: tuple[int, ...], path: Path) -> np.ndarray:
+    """The array of a key as float32. Raises FormatError if it is missing, has another shape or type, or is
     not finite."""
-    import torch
-
     if key not in found:
         raise FormatError(
             f"{path} lacks {key}, so it is not a complete set of LPIPS-VGG16 weights; write the file again"
         )
-    tensor = found[key]
-    if not isinstance(tensor, torch.Tensor) or not tensor.is_floating_point() or tuple(tensor.shape) != shape:
-        kind = type(tensor).__name__
-        if isinstance(tensor, torch.Tensor):
-            kind = f"{tensor.dtype}{tuple(tensor.shape)}"
-        raise FormatError(f"{path}: {key} is {kind}; expected floats of shape {shape}")
-    if not tensor.isfinite().all():
+    array = found[key]
+    if not np.issubdtype(array.dtype, np.floating) or array.shape != shape:
+        raise FormatError(f"{path}: {key} is {array.dtype}{array.shape}; expected floats of shape {shape}")
+    if not np.isfinite(array).all():
         raise FormatError(f"{path}: {key} holds NaN or infinite values; write the file again")
-    return tensor.float()
+    return array.astype(np.float32)
