@@ -159,9 +159,10 @@ def _nested(options: PruneOptions) -> float:
 def context_of(options: TrainOptions | PruneOptions) -> JobContext:
     """Where a job writes, what it reads, and its progress on stderr."""
     assert options.out is not None
-    lpips, missing = load_lpips(options.lpips_weights)
     reporter = Reporter(options.quiet)
     prunes = options if isinstance(options, PruneOptions) else None
+    asked = options.lpips_weights or (prunes and prunes.report)  # it takes seconds a view
+    lpips, missing = load_lpips(options.lpips_weights) if asked else (None, "")
     return JobContext(
         options.out,
         prunes.report if prunes else None,
