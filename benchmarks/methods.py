@@ -38,6 +38,8 @@ from pathlib import Path
 from method_report import write_report
 from method_scenes import GENERATED, prepared
 from svrgs_addon.finetune.methods import METHODS
+from svrgs_addon.render.metrics import lpips
+from svrgs_addon.system.wheels import cache_folder
 
 ROOT = Path(__file__).resolve().parents[1]
 KEPT = (
@@ -56,6 +58,7 @@ KEPT = (
     "time",
 )
 ITERATIONS, RECOVERY = 30_000, 5_000
+LPIPS = cache_folder() / lpips.NAME  # what `make lpips` writes
 
 TABLE = {
     "3DGS": ["--method", "3dgs", "--recovery", str(RECOVERY)],
@@ -167,7 +170,9 @@ def command(request: dict, data: list[str], work: Path) -> list[str]:
         work / f"{request['run'] if kept else request['start']}-{request['seed']}-{request['trained']}.ply"
     )
     schedule = [] if request["study"] == "time" else ["--schedule", str(request["schedule"])]
-    common = [*request["flags"], *data, "--seed", str(request["seed"]), *schedule, "--json", "--quiet"]
+    weights = ["--lpips-weights", str(LPIPS)] if LPIPS.is_file() else []
+    common = [*request["flags"], *data, "--seed", str(request["seed"]), *schedule, *weights]
+    common += ["--json", "--quiet"]
     change = {"ablation": ABLATION.get(request["run"].rpartition(" ")[0]), "printed": PRINTED}.get(
         request["study"]
     )
