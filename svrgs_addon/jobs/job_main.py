@@ -83,6 +83,7 @@ class JobMain:
                 lambda job: replace(recorder.attached(job), stop=lambda: job.stop() or bool(self.ending)),
             )
         except Cancelled:
+            recorder.flush()
             self.tell("STATUS", state=self.ending or "interrupted", text="")
             return 0
         self.tell("DONE", state="done", text="", result=recorder.finish(result))

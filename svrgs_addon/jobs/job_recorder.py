@@ -4,6 +4,7 @@ end. A job that prunes also writes a ranking of the Gaussians."""
 from __future__ import annotations
 
 import contextlib
+import time
 from dataclasses import replace
 from typing import Protocol
 
@@ -29,6 +30,7 @@ from .ranking import Ranking, importance
 
 PREVIEW_SIDE = 512  # longest side of a preview, pixels
 METRIC_ROWS = 200  # rows of metrics.csv for a whole run, roughly
+METRICS_EVERY = 1.0  # seconds between two writes of it
 # views that are rendered: for each point of the curves, and at the end of a job that prunes
 RECORDED = (1, IMPORTANCE_VIEWS)
 
@@ -43,7 +45,9 @@ class Listener(Protocol):
 
 class JobRecorder:
     """Records one run. Call begin() before its first step, observe() after each step, finish() with the job's
-    result."""
+    result, or flush() where it is stopped."""
+
+    _unwritten = False  # whether metrics.csv lacks lines
 
     def __init__(self, folder: JobFolder, listener: Listener):
         self.folder, self.listener = folder, listener
@@ -87,7 +91,9 @@ class JobRecorder:
             self._metrics.append(
                 _line((progress.iteration, count, progress.loss, psnr if new_point else None))
             )
-            self._write_metrics()
+            self._unwritten = True
+            if new_point or run.finished or time.monotonic() > self._stored + METRICS_EVERY:
+                self._write_metrics()
         if new_point:
             self._points = len(curves.iteration)
             self._preview(progress.iteration)
@@ -128,7 +134,13 @@ class JobRecorder:
             file.write(png_bytes(to_uint8(rgb)))
         self.listener.tell("PREVIEW", path=name)
 
+    def flush(self):
+        """Writes what metrics.csv lacks."""
+        if self._unwritten:
+            self._write_metrics()
+
     def _write_metrics(self):
+        self._unwritten, self._stored = False, time.monotonic()
         # the next one holds these lines too
         with contextlib.suppress(SceneError), atomic_write(self.folder / "metrics.csv", keep=False) as file:
             file.write(("\n".join(self._metrics) + "\n").encode())
