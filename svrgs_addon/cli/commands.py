@@ -209,6 +209,8 @@ def _figures(result: dict, lpips_missing: str = "") -> str:
         parts += [f"PSNR {result['psnr']:.2f} dB", f"SSIM {result['ssim']:.4f}", f"FLIP {result['flip']:.4f}"]
     if result.get("lpips") is not None:
         parts.append(f"LPIPS {result['lpips']:.4f}")
+    if "lpips_authors" in result:
+        parts.append(f"LPIPS of colours in [-1, 1] {result['lpips_authors']:.4f}")
     parts.append(memory.size_text(result["bytes"]))
     if result.get("ms_per_frame") is not None:
         parts.append(f"{result['ms_per_frame']:.1f} ms per frame")
