@@ -244,7 +244,8 @@ def test_eval_says_why_lpips_is_left_out(tiny, svrgs):
 def test_eval_measures_lpips_with_both_inputs_by_name(tiny, svrgs, tmp_path):
     rng, arrays = np.random.default_rng(0), {}
     for name, shape in lpips._expected().items():
-        arrays[name] = ((rng.random(shape) - 0.3) * (2 / max(1, np.prod(shape[1:]))) ** 0.5).astype(np.float16)
+        scale = (2 / max(1, np.prod(shape[1:]))) ** 0.5
+        arrays[name] = (scale * (rng.random(shape) - 0.3)).astype(np.float16)
     np.savez(tmp_path / "w.npz", **arrays)
     words = ("--data", tiny.folder, "--lpips-weights", tmp_path / "w.npz")
     alone = svrgs("eval", tiny.splat, *words, "--json").json
