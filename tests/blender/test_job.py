@@ -10,7 +10,7 @@ import bpy
 import numpy as np
 import pytest
 from extension import DATA, part
-from job_helpers import COUNT, LONG, SHORT, delete, drawn, evaluated_count, follow, marked, set_up
+from job_helpers import COUNT, LONG, SHORT, delete, drawn, evaluated_count, follow, marked, said, set_up
 
 
 def test_a_job_run_to_its_end_marks_the_original_and_adds_the_recovered(pruned, bridge, results, watch, ply):
@@ -214,6 +214,7 @@ def test_an_interrupted_job_is_found_when_the_file_is_opened_again(splat, watch,
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "work.blend"))
     (job,) = watch.jobs.values()
     follow(watch, lambda: job.facts.get("iteration", 0) > 5)
+    assert "If Blender is closed, it can be resumed later" in said()
     job._process.kill()
     follow(watch, lambda: not job.running)
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "work.blend"))
