@@ -105,7 +105,7 @@ def saved(tmp_path):
     .blend is unsaved again."""
     bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
     bpy.context.object.name = "tiny.001"
-    (tmp_path / "data").symlink_to(DATA / "tiny")
+    shutil.copytree(DATA / "tiny", tmp_path / "data")
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "work.blend"))
     yield tmp_path
     bpy.ops.wm.read_homefile(use_empty=True)
@@ -148,6 +148,7 @@ def test_an_existing_file_is_only_replaced_when_told(saved):
     assert (saved / "mine.ply").read_bytes()[:3] == b"ply"
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="only some users of Windows make links")
 def test_a_link_is_only_written_through_when_it_is_named(saved):
     (saved / "tiny_001_pruned.ply").symlink_to(saved / "elsewhere.ply")
     with pytest.raises(
@@ -174,12 +175,12 @@ def test_a_link_is_only_written_through_when_it_is_named(saved):
             {"out": "/nowhere/a.ply", "data": "//tiny"},
             "//tiny: begins at the folder of the .blend, which has not been saved",
         ),
-        ({"out": "/tmp"}, "/tmp: is a folder; give the name of a file"),
-        ({"out": "/nowhere/result"}, "/nowhere/result: scenes are written as .ply"),
+        ({"out": "/tmp"}, "tmp: is a folder; give the name of a file"),
+        ({"out": "/nowhere/result"}, "result: scenes are written as .ply"),
     ],
 )
 def test_an_output_without_a_place_is_refused_in_a_sentence(unsaved, more, sentence):
-    with pytest.raises(RuntimeError, match=f"^Error: {sentence}"):
+    with pytest.raises(RuntimeError, match=f"^Error: .*{sentence}"):
         bpy.ops.svrgs.prune(**{"data": str(DATA / "tiny")} | more, **SHORT)
     assert len(bpy.data.objects) == 1
 
@@ -199,7 +200,7 @@ def test_with_a_window_the_result_is_in_the_scene_alone(saved, bridge, capfd, mo
     "options, sentence",
     [
         ({"seen_from_only": True}, "name them with --seen-from"),
-        ({"data": "/nowhere"}, "/nowhere: holds no COLMAP model"),
+        ({"data": "/nowhere"}, "nowhere: holds no COLMAP model"),
         ({"scene": "/nowhere.ply"}, "there is no such file"),
     ],
 )
