@@ -20,6 +20,8 @@ that later runs need.
     pareto    `svrgs prune` of the scene of `table` that --start names (trained with the schedule --trained),
               every method at several counts
     ablation  the same with method `removal`, with one part of it changed at a time
+    equal     the same with the recipe of `removal` (lowering, rates, averaging) and the rankings of other
+              methods, and with nothing removed: what the ranking is worth, and what the recipe
     schedules the same with the default and its nearest rivals, down to 2 %; to be run with several --schedule
     time      the same to 10 %, where each method has the same seconds (`--time`); to be run on a quiet
               machine. --only 10 runs one limit
@@ -119,8 +121,31 @@ ABLATION = {  # name of the run: Python code that changes the program before it 
     "8 passes": REMOVAL + "removal.PASSES = 8",
     "opacity rate of the other methods": REMOVAL + "removal.OPACITY_RATE = 0.05",
 }
+RANKED = "from svrgs_addon.finetune.methods import METHODS; METHODS['removal'].ranking = "
+RANKINGS = {"removal": ""} | {
+    name: f"{RANKED}METHODS['{name}'].score"
+    for name in ("gaussianpop", "speedy", "lightgaussian", "contribution", "opacity")
+}
+RANKINGS["random"] = (
+    f"import numpy; {RANKED}lambda scene, *_: numpy.random.default_rng(scene.count).random(scene.count)"
+)
+EQUAL_TARGETS = ("0.5", "0.25", "0.1", "0.05", "0.025")
+
+
+def equal() -> dict[str, list[str]]:
+    """The runs of the study equal. Nothing removed: what the steps alone give, plain and by the recipe."""
+    runs = {
+        "steps of 3dgs 1": ["--method", "3dgs", *AS_MANY_STEPS],
+        "removal 1": ["--method", "removal", "--target", "1"],
+    }
+    for target in EQUAL_TARGETS:
+        runs |= {f"{name} {target}": ["--method", "removal", "--target", target] for name in RANKINGS}
+    return runs
+
+
 STUDIES = {
     "table": TABLE,
+    "equal": equal(),
     "printed": {run: TABLE[run] for run in PAPER} | SWEEP,
     "lambda": SWEEP,
     "pareto": pareto(),
@@ -140,7 +165,7 @@ STUDIES = {
         for method in IN_TIME
     },
 }
-PRUNED = ("pareto", "ablation", "schedules", "time")  # studies that prune the 3DGS scene of `table`
+PRUNED = ("equal", "pareto", "ablation", "schedules", "time")  # studies that prune the 3DGS scene of `table`
 
 
 def requests(options: argparse.Namespace) -> Iterator[dict]:
@@ -173,9 +198,9 @@ def command(request: dict, data: list[str], work: Path) -> list[str]:
     weights = ["--lpips-weights", str(LPIPS)] if LPIPS.is_file() else []
     common = [*request["flags"], *data, "--seed", str(request["seed"]), *schedule, *weights]
     common += ["--json", "--quiet"]
-    change = {"ablation": ABLATION.get(request["run"].rpartition(" ")[0]), "printed": PRINTED}.get(
-        request["study"]
-    )
+    label = request["run"].rpartition(" ")[0]
+    changes = {"ablation": ABLATION.get(label), "equal": RANKINGS.get(label), "printed": PRINTED}
+    change = changes.get(request["study"])
     program = [
         sys.executable,
         "-c",
