@@ -14,7 +14,7 @@ import bpy
 import numpy as np
 import pytest
 from extension import DATA, PACKAGE, part
-from job_helpers import SHORT, follow, set_up
+from job_helpers import SHORT, end_all, follow, set_up
 
 from svrgs_bench import scenes
 
@@ -192,14 +192,10 @@ def camera(stage):
 
 @pytest.fixture
 def watch():
-    module, queue = part("operators.jobs.job_watch"), part("operators.jobs.job_queue")
+    module = part("operators.jobs.job_watch")
     part("operators.jobs.job_list").forget()
     yield module
-    queue._queue.clear()
-    for job in module.jobs.values():
-        if job.running:
-            job.kill()
-            follow(module, lambda job=job: not job.running)
+    end_all(module)
     module.jobs.clear()
 
 

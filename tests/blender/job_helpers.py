@@ -29,6 +29,15 @@ def follow(watch, until, seconds: float = 60):
         time.sleep(0.02)
 
 
+def end_all(watch):
+    """Kills the jobs that run."""
+    part("operators.jobs.job_queue")._queue.clear()
+    for job in watch.jobs.values():
+        if job.running:
+            job.kill()
+            follow(watch, lambda job=job: not job.running)
+
+
 def ended(job) -> bool:
     """Whether its process ended well, and its result was loaded where that is possible."""
     return job.state == "done" and not job.running

@@ -11,7 +11,7 @@ import bpy
 import numpy as np
 import pytest
 from extension import DATA, part
-from job_helpers import COUNT, LONG, SHORT, Layout, delete, drawn, ended, follow, set_up
+from job_helpers import COUNT, LONG, SHORT, Layout, delete, drawn, end_all, ended, follow, set_up
 
 
 @pytest.fixture
@@ -24,6 +24,7 @@ def listed(watch):
         return {row.name: row for row in part("operators.jobs.job_list").rows(bpy.context)}
 
     yield rows
+    end_all(watch)
     for parent in part("operators.data.job_paths").job_folders(bpy.context):
         for file in Path(parent).glob("*/job.json"):
             part("svrgs_addon.jobs.job_folder").JobFolder(file.parent).discard()
