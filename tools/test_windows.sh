@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # Runs tests with Python for Windows, under Wine: tools/test_windows.sh VENV [ARGUMENTS OF PYTEST]. Debian only, as root; the pinned packages of
 # requirements-package.txt. The library and the wheel are those of tools/build_wheels.py windows-x64.
-# With --blender before the arguments, in tests/blender, with Blender's module for Windows (SVRGS_TEST_ZIP, SVRGS_TEST_DATA, BLENDER_USER_RESOURCES:
-# as in tests/test_extension.py).
+# With --blender it makes Blender's module for Windows, too; tests/test_windows_python.py then runs the extension's tests in it, with
+# SVRGS_TEST_ZIP and others as in tests/test_extension.py.
 # Python comes out of panda3d's wheel, which carries python311.dll and the extension modules; its standard library is that of a CPython 3.11.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -39,6 +39,7 @@ if [ "${1:-}" = --blender ]; then
         "$bin/python" -m zipfile -e "$root"/wheels/bpy-4.5.15-*.whl "$blender.new"
         mv "$blender.new" "$blender"
     fi
+    [ -n "${SVRGS_TEST_ZIP:-}" ] || exit 0
     # Blender's own packages first: its OpenImageIO fits the libraries that Blender has loaded
     PYTHONPATH="$(windows "$blender/bpy/4.5/python/lib/site-packages");$(windows "$blender");$(windows "$PWD");$(windows "$PWD/benchmarks")"
     SVRGS_TEST_ZIP=$(windows "$SVRGS_TEST_ZIP")
