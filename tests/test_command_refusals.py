@@ -176,7 +176,7 @@ REFUSED = [  # what is broken, the command, what the sentence says
         for command in (RENDER, f"{COMPARE} --holdout 1")
     ),
     *(
-        (nothing, f"{command} --lpips-weights {{work}}/no.pt", ("--lpips-weights", "no.npz"))
+        (nothing, f"{command} --lpips-weights {{work}}/no.npz", ("--lpips-weights", "no.npz"))
         for command in (PRUNE, TRAIN, EVAL, COMPARE)
     ),
     (nothing, f"{PRUNE} --method dropout", ("method 'dropout' is unknown", "svr, ")),
