@@ -40,8 +40,7 @@ from pathlib import Path
 from method_report import write_report
 from method_scenes import GENERATED, prepared
 from svrgs_addon.finetune.methods import METHODS
-from svrgs_addon.render.metrics import lpips
-from svrgs_addon.system.wheels import cache_folder
+from svrgs_addon.render.metrics.lpips import weights_file
 
 ROOT = Path(__file__).resolve().parents[1]
 KEPT = (
@@ -60,7 +59,6 @@ KEPT = (
     "time",
 )
 ITERATIONS, RECOVERY = 30_000, 5_000
-LPIPS = cache_folder() / lpips.NAME  # what `make lpips` writes
 
 TABLE = {
     "3DGS": ["--method", "3dgs", "--recovery", str(RECOVERY)],
@@ -195,7 +193,8 @@ def command(request: dict, data: list[str], work: Path) -> list[str]:
         work / f"{request['run'] if kept else request['start']}-{request['seed']}-{request['trained']}.ply"
     )
     schedule = [] if request["study"] == "time" else ["--schedule", str(request["schedule"])]
-    weights = ["--lpips-weights", str(LPIPS)] if LPIPS.is_file() else []
+    file = weights_file()  # of LPIPS, which takes seconds that a limit of time counts
+    weights = ["--lpips-weights", str(file)] if file.is_file() and request["study"] != "time" else []
     common = [*request["flags"], *data, "--seed", str(request["seed"]), *schedule, *weights]
     common += ["--json", "--quiet"]
     label = request["run"].rpartition(" ")[0]

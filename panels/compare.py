@@ -54,7 +54,7 @@ def table(layout, result: dict):
     rows = result["original"], result["pruned"]
     lines.append((tr("Gaussians"), *(f"{row['count']:,}" for row in rows)))
     lines.append(("MB", *(f"{row['bytes'] / 1e6:.1f}" for row in rows)))
-    for key, text in (("psnr", "{:.2f}"), ("ssim", "{:.4f}"), ("lpips", "{:.4f}"), ("flip", "{:.4f}")):
+    for key, text in (("psnr", "{:.2f}"), ("ssim", "{:.4f}"), ("flip", "{:.4f}")):
         if key in rows[0]:
             lines.append((key.upper(), *(text.format(row[key]) for row in rows)))
     box = layout.box()
@@ -62,8 +62,6 @@ def table(layout, result: dict):
         box,
         tr("{camera}: {psnr:.1f} dB between them").format(camera=result["camera"], psnr=result["between"]),
     )
-    if "problem" in result:
-        wrapped_label(box, result["problem"])
     grid = box.grid_flow(row_major=True, columns=3, even_columns=True, align=True)
     for line in lines:
         for text in line:

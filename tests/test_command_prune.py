@@ -104,7 +104,7 @@ def test_pruned_file_keeps_the_form_of_its_source(tiny, pruned):
 
 def test_report_is_one_page_with_table_plots_and_pictures(pruned):
     page = (pruned["folder"] / "report/index.html").read_text("utf-8")
-    assert "there are no LPIPS weights: make lpips fetches them" in page
+    assert "no LPIPS weights: give --lpips-weights" in page
     assert f"{pruned['before']['psnr']:.2f} dB" in page and f"{pruned['psnr']:.2f} dB" in page
     assert page.count("<svg") >= 3 and len(re.findall('src="data:image/[a-z]+;base64,', page)) == 6 * len(
         TEST_VIEWS

@@ -235,7 +235,7 @@ def test_eval_splits_add_up(tiny, svrgs):
 
 def test_eval_says_why_lpips_is_left_out(tiny, svrgs):
     assert (
-        "LPIPS left out: there are no LPIPS weights: make lpips fetches them"
+        "LPIPS left out: no LPIPS weights: give --lpips-weights"
         in svrgs("eval", tiny.splat, "--data", tiny.folder).out
     )
 

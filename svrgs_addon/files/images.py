@@ -149,7 +149,7 @@ def lack() -> str:
         return ""
     return (
         "because WebP with alpha needs OpenImageIO 3.0.7 or later, and this Python has"
-        f" {oiio.VERSION_STRING}: use Blender 5.0 or later, or choose another format"
+        f" {oiio.VERSION_STRING}: use a newer one, as in Blender 5.0, or choose another format"
     )
 
 

@@ -140,10 +140,11 @@ class JobRecorder:
             self._write_metrics()
 
     def _write_metrics(self):
-        self._unwritten, self._stored = False, time.monotonic()
+        self._stored = time.monotonic()
         # the next one holds these lines too
         with contextlib.suppress(SceneError), atomic_write(self.folder / "metrics.csv", keep=False) as file:
             file.write(("\n".join(self._metrics) + "\n").encode())
+            self._unwritten = False
 
 
 class TrainRecorder(JobRecorder):

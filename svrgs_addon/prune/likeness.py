@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
@@ -36,8 +35,6 @@ class Likeness:
     show almost nothing of the original are left out, because any two pictures are alike there.
     """
 
-    lpips: Callable[[np.ndarray, np.ndarray], float] | None = None
-
     def __init__(
         self,
         original: Renderable,
@@ -66,22 +63,19 @@ class Likeness:
         return fmean(min(value, EQUAL) for value in self.psnrs(scene))
 
     def measured(self, scene: Renderable) -> dict[str, Any]:
-        """Means over the views: psnr (dB, that of equal pictures as EQUAL), ssim, flip, lpips (None without
-        self.lpips), and ms_per_frame, the milliseconds to render one; None without views. Raises
-        SplatError."""
+        """Means over the views: psnr (dB, that of equal pictures as EQUAL), ssim, flip, and ms_per_frame, the
+        milliseconds to render one; None without views. Raises SplatError."""
         rows = [
             (
                 min(psnr(picture, original), EQUAL),
                 ssim(picture, original),
                 flip(picture, original),
-                self.lpips(picture, original) if self.lpips else math.nan,
                 1e3 * seconds,
             )
             for picture, original, seconds in self._pairs(scene, "measure")
         ]
-        names = ("psnr", "ssim", "flip", "lpips", "ms_per_frame")
-        means = map(fmean, zip(*rows, strict=True)) if rows else [None] * len(names)
-        return dict(zip(names, means, strict=True)) | ({} if self.lpips else {"lpips": None})
+        means = [fmean(column) for column in zip(*rows, strict=True)] if rows else [None] * 4
+        return dict(zip(("psnr", "ssim", "flip", "ms_per_frame"), means, strict=True))
 
     @property
     def views(self) -> list[Camera]:

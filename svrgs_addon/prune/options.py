@@ -76,7 +76,10 @@ class DatasetOptions:
         metavar="GB",
     )
     lpips_weights: Path | None = option(
-        FILE, None, "file with the VGG weights of LPIPS (default: what `make lpips` fetched)", metavar="FILE"
+        FILE,
+        None,
+        "file with the VGG weights of LPIPS; eval and compare take what `make lpips` fetched",
+        metavar="FILE",
     )
     threads: int = option(
         COUNT,

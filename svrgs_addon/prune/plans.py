@@ -161,8 +161,8 @@ def context_of(options: TrainOptions | PruneOptions) -> JobContext:
     assert options.out is not None
     reporter = Reporter(options.quiet)
     prunes = options if isinstance(options, PruneOptions) else None
-    asked = options.lpips_weights or (prunes and prunes.report)  # it takes seconds a view
-    lpips, missing = load_lpips(options.lpips_weights) if asked else (None, "")
+    # a job does not measure it unasked: it takes seconds a view
+    lpips, missing = load_lpips(options.lpips_weights or "")
     return JobContext(
         options.out,
         prunes.report if prunes else None,

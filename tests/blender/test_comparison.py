@@ -9,7 +9,7 @@ import bpy
 import numpy as np
 import pytest
 from extension import DATA, part
-from job_helpers import Layout, drawn
+from job_helpers import Layout
 from view_helpers import LEVEL, mark_removed, pixels
 
 pytestmark = pytest.mark.usefixtures("stage")
@@ -39,27 +39,6 @@ def test_compare_draws_both_and_measures_against_the_photograph(tmp_path, stage,
     for picture, row in ((original, result["original"]), (pruned, result["pruned"])):
         assert math.isclose(row["psnr"], -10 * math.log10(np.mean((picture - photo) ** 2)), rel_tol=1e-3)
         assert 0 < row["ssim"] <= 1 and 0 <= row["flip"] < 1
-
-
-@pytest.mark.parametrize("weights", ["good", "bad", "none"])
-def test_lpips_is_added_where_its_weights_are(stage, monkeypatch, weights):
-    compare, errors = part("operators.view.compare"), part("svrgs_addon.system.errors")
-
-    def load(path):
-        if weights == "bad":
-            raise errors.FormatError("w.npz cannot be read as LPIPS weights")
-        return (lambda a, b: float(np.abs(a - b).mean())) if weights == "good" else None, ""
-
-    monkeypatch.setattr(compare, "load_lpips", load)
-    bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
-    splat = bpy.context.object
-    bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
-    bpy.context.view_layer.objects.active = splat
-    mark_removed(splat, np.arange(250) % 3 == 0)
-    bpy.ops.svrgs.compare()
-    rows = [compare.figures()[side] for side in ("original", "pruned")]
-    assert [0 < row.get("lpips", -1) < 1 for row in rows] == [weights == "good"] * 2
-    assert ("LPIPS" in drawn("compare")) == (weights != "none")
 
 
 def test_the_panel_names_the_pair_that_it_guesses(stage, room, camera):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -52,19 +52,13 @@ def result_notes(likeness: Likeness, result: dict[str, Any]) -> list[str]:
 
 
 def finish_learned(
-    divided: Divided,
-    request: Request,
-    dataset: Dataset,
-    out: Path,
-    progress_of: ProgressOf,
-    lpips: Callable | None = None,
+    divided: Divided, request: Request, dataset: Dataset, out: Path, progress_of: ProgressOf
 ) -> dict[str, Any]:
     """finish() of what a method has decided on photographs, which are the measure. Raises SplatError."""
     likeness = PhotographLikeness(dataset, BlockRasterizer, progress_of)
-    likeness.lpips = lpips
     gathered(divided.folder / CUT, divided)
     result = finish(divided, likeness, out, progress_of)
-    before = {**likeness.measured(divided), "ms_per_frame": None, **result["before"]}
+    before = {**likeness.measured(divided), "lpips": None, "ms_per_frame": None, **result["before"]}
     notes = [
         *dataset.notes,
         *check_explained(divided, dataset, str(divided.source), True, BlockRasterizer()),
@@ -92,7 +86,7 @@ def _figures(written: Divided, likeness: Likeness, out: Path, size: int) -> dict
     """The part of finish()'s result that comes from the output. written: the output, divided again. size: of
     the output, bytes."""
     measured = likeness.measured(written)
-    figures = {name: measured[name] for name in ("psnr", "ssim", "flip", "lpips")}
+    figures = {name: measured[name] for name in ("psnr", "ssim", "flip")}
     return {"out": str(out), **figures, "after": {"count": written.count, "bytes": size}}
 
 

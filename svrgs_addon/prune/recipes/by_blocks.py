@@ -135,7 +135,10 @@ class ByBlocks:
         """The result with what `svrgs prune` adds to that of `svrgs large prune`. how: for the note."""
         if not self.reason:
             return result
-        after = {name: result[name] for name in ("psnr", "ssim", "flip", "lpips")} | {"ms_per_frame": None}
+        after = {name: result[name] for name in ("psnr", "ssim", "flip")} | {
+            "lpips": None,
+            "ms_per_frame": None,
+        }
         after |= result["after"]
         notes = [f"{self.reason}; so it was pruned by blocks{how}", *self.notes, *result["notes"]]
         facts = {"seconds": time.perf_counter() - self.begun, "notes": notes}
@@ -168,7 +171,6 @@ class MergedByBlocks(ByBlocks):
         self.divided = divide(self.source, work, block, self.overall("divide"))
         _check_room(work, self.divided, goal)
         self.likeness = original_likeness(self.divided, self.overall)
-        self.likeness.lpips = self.job.lpips
         self.errors = list[float]()
         if goal.max_drop:
             self.errors = errors_of_format(
@@ -312,9 +314,7 @@ class LearnedByBlocks(ByBlocks):
             )
 
     def write(self):
-        self.result = finish_learned(
-            self.divided, self.request, self.dataset, self.job.out, self.progress_of, self.job.lpips
-        )
+        self.result = finish_learned(self.divided, self.request, self.dataset, self.job.out, self.progress_of)
         self.finished = True
 
     def measure(self) -> dict[str, Any]:
@@ -383,7 +383,7 @@ def _identity(
 def _figures(result: dict[str, Any]) -> dict[str, Any]:
     """Of a level, as `svrgs prune` has them."""
     return (
-        {name: result[name] for name in ("out", "psnr", "ssim", "flip", "lpips")}
-        | {"ms_per_frame": None}
+        {name: result[name] for name in ("out", "psnr", "ssim", "flip")}
+        | {"lpips": None, "ms_per_frame": None}
         | result["after"]
     )

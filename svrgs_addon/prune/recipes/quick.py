@@ -133,7 +133,6 @@ class Quick:
         self.likeness = Likeness(
             self.enlarged, measure, lambda: self.rasterizer, options.background, others=decide
         )
-        self.likeness.lpips = self.job.lpips
         self.count, self.quantise = self.wanted, 1.0
         if options.max_drop:
             self.likeness.deciding.refuse_without_views()
@@ -168,7 +167,7 @@ class Quick:
         before = {"count": self.source.count, "bytes": size_on_disk(options.scene or "")}
         after, *levels = (
             self.likeness.measured(scaled(one.scene, self.factor))
-            | {"count": one.scene.count, "bytes": one.bytes, "out": str(one.path)}
+            | {"lpips": None, "count": one.scene.count, "bytes": one.bytes, "out": str(one.path)}
             for one in self.written
         )
         facts["levels"] = [{"share": share, **one} for share, one in zip(options.levels, levels, strict=True)]

@@ -44,10 +44,10 @@ INPUTS = {"3dgs": (1.0, 0.0), "authors": (2.0, -1.0)}
 MIN_SIDE = 2 ** (len(STAGES) - 1)  # pixels; the network halves the image four times
 NEIGHBOURS = 1 << 23  # values of the neighbours of some rows of pixels, which are multiplied at once
 UNREADABLE = (
-    *(zipfile.BadZipFile, zlib.error, OSError, EOFError),
+    *(zipfile.BadZipFile, zlib.error, OSError, EOFError, RuntimeError),
     *(TypeError, ValueError, KeyError, AttributeError),  # which NumPy raises for malformed content
 )
-NO_WEIGHTS = "there are no LPIPS weights: make lpips fetches them"
+NO_WEIGHTS = "no LPIPS weights: give --lpips-weights; in a checkout, make lpips fetches them"
 KEY_PATTERNS = (
     (re.compile(r"net\.slice\d\.(\d+)\.(weight|bias)"), r"features.\1.\2"),
     (re.compile(r"lins\.(\d)\.model\.1\.weight"), r"lin\1.model.1.weight"),
@@ -130,25 +130,24 @@ def _convolved(x: np.ndarray, filters: np.ndarray, bias: np.ndarray) -> np.ndarr
 
 def load_lpips(path: str | Path | None, given: str = "3dgs") -> tuple[Lpips | None, str]:
     """Loads the network from a weight file. Returns (network, ""), or (None, reason), which a report can
-    print. path: None: that of VARIABLE, or else what `make lpips` wrote. given: one of INPUTS.
+    print. path: None: weights_file(); "": none. given: one of INPUTS.
 
     Reasons are: no such file. Raises FormatError if the file exists but is not a complete set of LPIPS-VGG16
     weights.
     """
-    chosen = path or os.environ.get(VARIABLE)
-    path = Path(chosen) if chosen is not None else _fetched()
-    if chosen == "" or not path.is_file():
-        return None, f"LPIPS weight file {path} does not exist" if chosen else NO_WEIGHTS
-    found = {_plain_key(key): value for key, value in _read(path).items()}
-    return Lpips({key: _checked(found, key, shape, path) for key, shape in _expected().items()}, given), ""
+    file = weights_file() if path is None else Path(path or os.devnull)
+    if not file.is_file():
+        return None, f"LPIPS weight file {path} does not exist" if path else NO_WEIGHTS
+    found = {_plain_key(key): value for key, value in _read(file).items()}
+    return Lpips({key: _checked(found, key, shape, file) for key, shape in _expected().items()}, given), ""
 
 
-def _fetched() -> Path:
-    """What `make lpips` writes; a name without a folder where the user has none."""
+def weights_file() -> Path:
+    """That of VARIABLE, or else what `make lpips` writes; os.devnull where there is neither."""
     try:
-        return cache_folder() / NAME
-    except SceneError:
-        return Path(NAME)
+        return Path(os.environ.get(VARIABLE, cache_folder() / NAME) or os.devnull)
+    except SceneError:  # the user has no folder
+        return Path(os.devnull)
 
 
 def _read(path: Path) -> dict[str, np.ndarray]:
