@@ -104,11 +104,13 @@ def write(path: str | os.PathLike, scene: Scene):
     stage.SetDefaultPrim(prim)
     _fill(prim, turned_over(scene))
     with atomic_path(path) as temporary:
-        # OpenUSD renames a file of its own to this one; Windows refuses that for `temporary`, which is open
-        with tempfile.TemporaryDirectory() as folder:
-            exported = Path(folder) / temporary.name
+        # OpenUSD renames its own file to this one; Windows refuses that for `temporary`, which is open
+        exported = temporary.with_name(f"{temporary.stem}-usd{temporary.suffix}")
+        try:
             _export(layer, exported, path)
             shutil.copyfile(exported, temporary)
+        finally:
+            exported.unlink(missing_ok=True)
 
 
 def _export(layer: Any, out: Path, path: str | os.PathLike):
