@@ -103,7 +103,7 @@ def test_another_request_replaces_a_dataset_and_gives_the_same_bytes_again(datas
         "Blender's messages are kept back"
     )
     assert hashes(out) == hashes(dataset)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["scene"], "leftovers beside it"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["scene"], "files were left beside the dataset"
 
 
 def test_current_dataset_is_left_alone(dataset):

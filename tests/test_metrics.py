@@ -171,11 +171,8 @@ def literal_lpips(weights, a, b, factor=1.0, offset=0.0) -> float:
     from torch import nn
 
     def features(image):
-        scaled = (image.astype(np.float64) * factor + offset - (-0.030, -0.088, -0.188)) / (
-            0.458,
-            0.448,
-            0.450,
-        )
+        colours = image.astype(np.float64) * factor + offset
+        scaled = (colours - (-0.030, -0.088, -0.188)) / (0.458, 0.448, 0.450)
         x = torch.tensor(scaled).permute(2, 0, 1)[None]
         for layer in range(30):
             if layer in CONVOLUTIONS:

@@ -14,7 +14,7 @@ from svrgs_addon.files.registry import read_scene, write_scene
 from svrgs_addon.scene.gaussians import Scene
 from test_formats import differences, like_trained
 
-os.environ.setdefault("NUMBA_DISABLE_JIT", "1")  # compiling takes longer than what it is compiled for
+os.environ.setdefault("NUMBA_DISABLE_JIT", "1")  # for a few Gaussians, Python is faster than compiling first
 gsply = pytest.importorskip("gsply")
 NEAR = 0.004  # a step of the formats' colours: it rounds to another one where a value lies between two
 

@@ -82,8 +82,8 @@ class SVRGS_OT_import_ply(ReportingOperator, ImportHelper):
         select(context, objects)
         if self.frame:
             frame(context, objects)
-        if cube_of_new_file(context.visible_objects):
-            texts.append(tr("the cube of the new file hides a part of what is around it: hide it with H"))
+        if has_default_cube(context.visible_objects):
+            texts.append(tr("Blender's default cube hides a part of the splat: select the cube and press H"))
         return tr("Imported {splats}").format(splats="; ".join(texts))
 
     def add(self, context, name, scene) -> bpy.types.Object:
@@ -116,8 +116,8 @@ class SVRGS_OT_import_ply(ReportingOperator, ImportHelper):
         return self.invoke_popup(context)
 
 
-def cube_of_new_file(objects: Iterable[bpy.types.Object]) -> bool:
-    """Whether Blender's first cube is among the objects, as it was."""
+def has_default_cube(objects: Iterable[bpy.types.Object]) -> bool:
+    """Whether the cube of a new .blend file is among the objects, where it was."""
     return any(
         obj.type == "MESH"
         and obj.name == "Cube"

@@ -118,7 +118,7 @@ def _of_job(job: Job) -> list[str]:
             text = tr("Planned for {asked:.0f} s: {schedule:.1%} of the steps, about {foreseen:.0f} s")
             texts.append(text.format(**facts))
         if facts.get("iteration") and not facts.get("finishing") and not job.stopping:
-            texts.append(tr("The job can be resumed if Blender is closed"))
+            texts.append(tr("If Blender closes, this job can be resumed later"))
         texts.append(_with_capital(facts.get("note", "")))
         if job.stopping:
             texts.append(". ".join((tr("Stop Now does not wait for it"), job_state.resume_sentence(job))))

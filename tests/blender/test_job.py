@@ -214,7 +214,7 @@ def test_an_interrupted_job_is_found_when_the_file_is_opened_again(splat, watch,
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "work.blend"))
     (job,) = watch.jobs.values()
     follow(watch, lambda: job.facts.get("iteration", 0) > 5)
-    assert "The job can be resumed if Blender is closed" in said()
+    assert "If Blender closes, this job can be resumed later" in said()
     job._process.kill()
     follow(watch, lambda: not job.running)
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "work.blend"))

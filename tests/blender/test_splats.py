@@ -188,12 +188,12 @@ def test_several_files_at_once_and_one_that_is_none(make_scene, ply, tmp_path, c
         bpy.ops.svrgs.import_ply(filepath=str(tmp_path / "bad.ply"))
 
 
-def test_the_cube_of_a_new_file_is_said_to_hide_a_part(capfd):
+def test_an_import_says_that_the_default_cube_hides_a_part(capfd):
     for place, hidden in (((0, 0, 0), True), ((0, 0, 9), False)):
         bpy.data.batch_remove(list(bpy.data.objects))
         bpy.ops.mesh.primitive_cube_add(location=place)
         bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
-        assert ("the cube of the new file hides" in capfd.readouterr().out) == hidden
+        assert ("default cube hides a part" in capfd.readouterr().out) == hidden
 
 
 def test_importing_leaves_nothing_else_behind(splat):

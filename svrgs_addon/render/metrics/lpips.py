@@ -38,9 +38,9 @@ STAGES = (
 # the scaling layer (x - SHIFT) / SCALE: mean and deviation of ImageNet for inputs in [-1, 1]
 SHIFT = np.array([-0.030, -0.088, -0.188], np.float32)
 SCALE = np.array([0.458, 0.448, 0.450], np.float32)
-# what the network is given of colours in [0, 1]: themselves, as in the scripts of 3DGS and later work, or
-# 2 colours - 1, as its authors say
-INPUTS = {"3dgs": (1.0, 0.0), "authors": (2.0, -1.0)}
+# factor and offset of colours in [0, 1] before the network: none, as in the scripts of 3DGS and later work, or
+# those that give [-1, 1], as its authors say
+INPUT_RANGES = {"3dgs": (1.0, 0.0), "authors": (2.0, -1.0)}
 MIN_SIDE = 2 ** (len(STAGES) - 1)  # pixels; the network halves the image four times
 NEIGHBOURS = 1 << 23  # values of the neighbours of some rows of pixels, which are multiplied at once
 UNREADABLE = (
@@ -57,9 +57,10 @@ KEY_PATTERNS = (
 class Lpips:
     """The network with loaded weights. Call it with two images."""
 
-    def __init__(self, weights: dict[str, np.ndarray], given: str = "3dgs"):
-        """weights: all arrays, float32, by the first of the two key names above. given: one of INPUTS."""
-        self.given, self._weights = given, weights
+    def __init__(self, weights: dict[str, np.ndarray], input_range: str = "3dgs"):
+        """weights: all arrays, float32, by the first of the two key names above. input_range: a key of
+        INPUT_RANGES."""
+        self.input_range, self._weights = input_range, weights
         # of each convolution: (9 * inputs, outputs), rows, columns and channels of the neighbours in this
         # order
         self._filters = {
@@ -70,7 +71,7 @@ class Lpips:
 
     def __call__(self, a: np.ndarray, b: np.ndarray) -> float:
         """LPIPS distance >= 0 of two images (H, W, 3) in [0, 1], H and W at least MIN_SIDE; lower is better,
-        0: equal images. Distances of different INPUTS cannot be compared. Raises SceneError."""
+        0: equal images. Distances of different INPUT_RANGES cannot be compared. Raises SceneError."""
         a, b = image_pair(a, b)
         if min(a.shape[:2]) < MIN_SIDE:
             raise SceneError(
@@ -82,7 +83,7 @@ class Lpips:
 
     def _features(self, image: np.ndarray) -> Iterator[np.ndarray]:
         """The values (h, w, C) after the last ReLU of each stage."""
-        factor, offset = INPUTS[self.given]
+        factor, offset = INPUT_RANGES[self.input_range]
         x = (image.astype(np.float32) * np.float32(factor) + np.float32(offset) - SHIFT) / SCALE
         for k, stage in enumerate(STAGES):
             if k > 0:
@@ -128,9 +129,9 @@ def _convolved(x: np.ndarray, filters: np.ndarray, bias: np.ndarray) -> np.ndarr
     return out
 
 
-def load_lpips(path: str | Path | None, given: str = "3dgs") -> tuple[Lpips | None, str]:
+def load_lpips(path: str | Path | None, input_range: str = "3dgs") -> tuple[Lpips | None, str]:
     """Loads the network from a weight file. Returns (network, ""), or (None, reason), which a report can
-    print. path: None: weights_file(); "": none. given: one of INPUTS.
+    print. path: None: weights_file(); "": none. input_range: a key of INPUT_RANGES.
 
     Reasons are: no such file. Raises FormatError if the file exists but is not a complete set of LPIPS-VGG16
     weights.
@@ -139,7 +140,9 @@ def load_lpips(path: str | Path | None, given: str = "3dgs") -> tuple[Lpips | No
     if not file.is_file():
         return None, f"LPIPS weight file {path} does not exist" if path else NO_WEIGHTS
     found = {_plain_key(key): value for key, value in _read(file).items()}
-    return Lpips({key: _checked(found, key, shape, file) for key, shape in _expected().items()}, given), ""
+    return Lpips(
+        {key: _checked(found, key, shape, file) for key, shape in _expected().items()}, input_range
+    ), ""
 
 
 def weights_file() -> Path:
