@@ -38,8 +38,8 @@ STAGES = (
 # the scaling layer (x - SHIFT) / SCALE: mean and deviation of ImageNet for inputs in [-1, 1]
 SHIFT = np.array([-0.030, -0.088, -0.188], np.float32)
 SCALE = np.array([0.458, 0.448, 0.450], np.float32)
-# factor and offset of colours in [0, 1] before the network: none, as in the scripts of 3DGS and later work, or
-# those that give [-1, 1], as its authors say
+# factor and offset of colours in [0, 1] before the network: none, as in the scripts of 3DGS and later work,
+# or those that give [-1, 1], as its authors say
 INPUT_RANGES = {"3dgs": (1.0, 0.0), "authors": (2.0, -1.0)}
 MIN_SIDE = 2 ** (len(STAGES) - 1)  # pixels; the network halves the image four times
 NEIGHBOURS = 1 << 23  # values of the neighbours of some rows of pixels, which are multiplied at once
