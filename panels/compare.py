@@ -54,7 +54,7 @@ def table(layout, result: dict):
     rows = result["original"], result["pruned"]
     lines.append((tr("Gaussians"), *(f"{row['count']:,}" for row in rows)))
     lines.append(("MB", *(f"{row['bytes'] / 1e6:.1f}" for row in rows)))
-    for key, text in (("psnr", "{:.2f}"), ("ssim", "{:.4f}"), ("flip", "{:.4f}")):
+    for key, text in (("psnr", "{:.2f}"), ("ssim", "{:.4f}"), ("lpips", "{:.4f}"), ("flip", "{:.4f}")):
         if key in rows[0]:
             lines.append((key.upper(), *(text.format(row[key]) for row in rows)))
     box = layout.box()
@@ -66,6 +66,8 @@ def table(layout, result: dict):
     for line in lines:
         for text in line:
             grid.label(text=text, translate=False)
+    if "lpips_missing" in result:
+        wrapped_label(box, result["lpips_missing"], "ERROR")
 
 
 CLASSES = (SVRGS_PT_compare, SVRGS_PT_compare_image)

@@ -26,7 +26,6 @@ from svrgs_addon.files.ply import read_ply, write_ply
 from svrgs_addon.files.registry import FORMATS, load_scene, size_on_disk
 from svrgs_addon.native.outputs import PICTURES
 from svrgs_addon.native.rasterizer import Rasterizer, RenderOptions
-from svrgs_addon.render.metrics import lpips
 from svrgs_addon.views.cameras_json import write_cameras_json
 
 
@@ -238,21 +237,6 @@ def test_eval_says_why_lpips_is_left_out(tiny, svrgs):
         "LPIPS left out: no LPIPS weights: give --lpips-weights"
         in svrgs("eval", tiny.splat, "--data", tiny.folder).out
     )
-
-
-@pytest.mark.slow
-def test_eval_measures_lpips_with_both_inputs_by_name(tiny, svrgs, tmp_path):
-    rng, arrays = np.random.default_rng(0), {}
-    for name, shape in lpips._expected().items():
-        scale = (2 / max(1, np.prod(shape[1:]))) ** 0.5
-        arrays[name] = (scale * (rng.random(shape) - 0.3)).astype(np.float16)
-    np.savez(tmp_path / "w.npz", **arrays)
-    words = ("--data", tiny.folder, "--lpips-weights", tmp_path / "w.npz")
-    alone = svrgs("eval", tiny.splat, *words, "--json").json
-    both = svrgs("eval", tiny.splat, *words, "--lpips-authors", "--json").json
-    (tmp_path / "w.npz").unlink()
-    assert alone["lpips"] == both["lpips"] and "lpips_authors" not in alone
-    assert both["lpips_authors"] not in (0, both["lpips"])
 
 
 # --- train

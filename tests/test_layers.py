@@ -7,6 +7,7 @@ import ast
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -118,9 +119,10 @@ def module_of(file: Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-def import_graph(files: list[Path]) -> dict[str, set[str]]:
+@cache
+def import_graph() -> dict[str, set[str]]:
     """The modules of the repository that each module imports."""
-    modules, graph = {module_of(file): file for file in files}, {}
+    modules, graph = {module_of(file): file for file in FILES}, {}
     for name, file in modules.items():
         found = set()
         for node in ast.walk(ast.parse(file.read_text())):
@@ -151,14 +153,13 @@ def room_of(file: Path) -> int:
     return len(rooms) if parts[0] in TOP else rooms.index(parts[0]) if len(parts) > 1 else -1
 
 
-GRAPH = import_graph(FILES)
-
-
 @pytest.mark.parametrize("layer", ROOMS)
 def test_rooms_import_no_room_above(layer):
     files = {module_of(file): file for file in FILES if file.is_relative_to(ROOT / layer)}
     above = {
-        module: [found for found in GRAPH[module] & files.keys() if room_of(files[found]) > room_of(file)]
+        module: [
+            found for found in import_graph()[module] & files.keys() if room_of(files[found]) > room_of(file)
+        ]
         for module, file in files.items()
     }
     assert not {module: found for module, found in above.items() if found}
@@ -170,7 +171,7 @@ def test_there_is_no_circle(layer):
     packages = {module_of(file) for file in FILES if file.name == "__init__.py"}
     graph = {
         name: found - packages
-        for name, found in GRAPH.items()
+        for name, found in import_graph().items()
         if name.split(".")[0] == layer and name not in packages
     }
     assert circles(graph) == []

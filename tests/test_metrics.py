@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-from svrgs_addon.render.metrics import Lpips, flip, flip_map, load_lpips, lpips, psnr, ssim
+from svrgs_addon.render.metrics import Lpips, flip, flip_map, load_lpips, psnr, ssim
 from svrgs_addon.system.errors import FormatError, SceneError
 
 METRICS = (psnr, ssim, flip)
@@ -199,13 +199,6 @@ def test_lpips_against_its_definition(weights, network):
     assert network(a, b) == pytest.approx(literal_lpips(weights, a, b), rel=1e-4)
     arrays = {key: tensor.float().numpy() for key, tensor in weights.items()}
     assert Lpips(arrays, "authors")(a, b) == pytest.approx(literal_lpips(weights, a, b, 2, -1), rel=1e-4)
-
-
-def test_lpips_of_images_in_several_parts_of_rows(network, monkeypatch):
-    a, b = waves(0.0)[:33, :40], waves(0.3)[:33, :40]
-    whole = network(a, b)
-    monkeypatch.setattr(lpips, "NEIGHBOURS", 40 * 64 * 9 * 4)
-    assert network(a, b) == pytest.approx(whole, rel=1e-6)
 
 
 def test_lpips_properties(network):

@@ -24,7 +24,7 @@
 extern "C" {
 #endif
 
-#define SVRGS_INTERFACE_VERSION 19
+#define SVRGS_INTERFACE_VERSION 20
 
 typedef void real; /* float or double, by the context's level */
 
@@ -226,6 +226,13 @@ SVRGS_API int32_t svrgs_mask_loss(svrgs_context*, const real* mask, int64_t coun
 /* FLIP (Andersson et al. 2020) of each pixel: errors (H, W) in [0, 1]; 0: equal. image, target: (H, W, 3) display sRGB in [0, 1].
    pixels_per_degree: of the viewer's visual angle, 1 to 400. */
 SVRGS_API int32_t svrgs_flip(int32_t level, const real* image, const real* target, int32_t height, int32_t width, double pixels_per_degree, real* errors);
+
+/* A layer of VGG16 (Simonyan and Zisserman 2015), of which LPIPS is made: 3x3 filters, zeros around the image, then ReLU. image: (H, W, inputs);
+   out: (H, W, outputs). outputs: a multiple of SVRGS_CONVOLVE_PANEL. bias: (outputs,). filters: (outputs / SVRGS_CONVOLVE_PANEL, 3, 3, inputs,
+   SVRGS_CONVOLVE_PANEL), rows before columns. */
+#define SVRGS_CONVOLVE_PANEL 32
+SVRGS_API int32_t svrgs_convolve(int32_t level, const real* image, int32_t height, int32_t width, int32_t inputs, const real* filters, const real* bias,
+                                 int32_t outputs, real* out);
 
 /* Display colours to linear ones in a working space: rgba (pixels, 4), colours times alpha, and alpha. rgb: (pixels, 3) display sRGB times alpha.
    alpha: (pixels,); where it is not above 0, colours are 0. working_space: 3x3, the rows are linear red, green and blue of sRGB in it. */

@@ -27,6 +27,7 @@ thread_local std::string last_error;
 
 constexpr int64_t kMaxCount = 1LL << 31;  // Gaussians; ids are 32 bits
 constexpr int64_t kPixelGrain = 4096;
+constexpr int kMaxChannels = 4096;
 
 void require(bool ok, const char* sentence) {
   if (!ok) throw Failure{SVRGS_INVALID, sentence};
@@ -322,6 +323,19 @@ int32_t svrgs_flip(int32_t level, const real* image, const real* target, int32_t
     require(height > 0 && width > 0 && height <= svrgs::kMaxSide && width <= svrgs::kMaxSide, "image sides must be 1 to 32768 pixels");
     require(pixels_per_degree >= 1 && pixels_per_degree <= svrgs::kMaxPixelsPerDegree, "there must be 1 to 400 pixels per degree");
     svrgs::flip(kernels(level), image, target, height, width, pixels_per_degree, errors);
+  });
+}
+
+int32_t svrgs_convolve(int32_t level, const real* image, int32_t height, int32_t width, int32_t inputs, const real* filters, const real* bias, int32_t outputs,
+                       real* out) {
+  return guarded([&] {
+    require(image && filters && bias && out, "an argument is missing");
+    require(height > 0 && width > 0 && height <= svrgs::kMaxSide && width <= svrgs::kMaxSide, "image sides must be 1 to 32768 pixels");
+    require(inputs > 0 && inputs <= kMaxChannels && outputs > 0 && outputs <= kMaxChannels, "there must be 1 to 4096 channels");
+    require(outputs % svrgs::kConvolvePanel == 0, "output channels must be a multiple of 32");
+    const svrgs::Kernels& of_level = kernels(level);
+    const svrgs::ConvolveArguments a = {image, filters, bias, height, width, inputs, outputs, out};
+    svrgs::parallel_for(int64_t{height} * (outputs / svrgs::kConvolvePanel), [&](int64_t task) { of_level.convolve_row(a, task % height, task / height); });
   });
 }
 

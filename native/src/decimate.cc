@@ -24,9 +24,9 @@ constexpr double kLargestLog = 12;    // of a scale in pixels, either way
 constexpr float kFarthest = 1e6f;     // pixels from the middle, along each axis
 constexpr double kLeastTransmittance = 1e-3;
 constexpr double kCalibration = 10;  // most by which the removal error of a merge differs from its square, either way
-constexpr int64_t kGrain = 256;      // rows of a task
+constexpr int64_t kRowGrain = 256;   // rows of a task
 constexpr int64_t kLeafGrain = 16;   // leaves of a task
-constexpr uint32_t kNone = ~0u;
+constexpr uint32_t kNowhere = ~0u;
 
 struct Candidates {  // those that a Gaussian may merge with
   uint32_t ids[kKept];
@@ -44,7 +44,7 @@ struct Candidates {  // those that a Gaussian may merge with
 };
 
 struct Pairs {  // of one task: their costs are computed together. It allocates nothing, because a task must not throw.
-  static constexpr int64_t kMost = std::max(2 * kKept * kGrain, kNeighbours * kLeafGrain * PointTree::kLeaf);
+  static constexpr int64_t kMost = std::max(2 * kKept * kRowGrain, kNeighbours * kLeafGrain * PointTree::kLeaf);
   uint32_t a[kMost], b[kMost];
   float costs[kMost];
   int64_t count = 0;
@@ -56,7 +56,7 @@ struct Pairs {  // of one task: their costs are computed together. It allocates 
 
 struct Operation {
   float cost;
-  uint32_t a, b;  // places; b: kNone for a removal, else above a
+  uint32_t a, b;  // places; b: kNowhere for a removal, else above a
 };
 
 float coordinate(const svrgs_decimation& in, int64_t row, int axis) {
@@ -66,7 +66,7 @@ float coordinate(const svrgs_decimation& in, int64_t row, int axis) {
 
 std::vector<float> coordinates(const svrgs_decimation& in) {
   std::vector<float> points(3 * in.count);
-  parallel_blocks(in.count, kGrain, [&](int64_t begin, int64_t end) {
+  parallel_blocks(in.count, kRowGrain, [&](int64_t begin, int64_t end) {
     for (int64_t i = begin; i < end; ++i)
       for (int axis = 0; axis < 3; ++axis) points[3 * i + axis] = coordinate(in, i, axis);
   });
@@ -119,7 +119,7 @@ class Decimation {
         partner_(in.count),
         covariances_(std::make_unique_for_overwrite<float[]>(6 * (in.count - in.least))) {
     scene_ = {rows_.data(), in.count, in.sh_coefficients, in.sh, out.sh};
-    parallel_blocks(in.count, kGrain, [&](int64_t begin, int64_t end) {
+    parallel_blocks(in.count, kRowGrain, [&](int64_t begin, int64_t end) {
       for (int64_t place = begin; place < end; ++place) fill(place, rows_[place]);
       kernels_.merge_areas(rows_.data(), begin, end);
     });
@@ -140,7 +140,7 @@ class Decimation {
 
   void finish(int64_t& steps, int64_t& merges) const {
     const double unit = std::log(in_.unit);
-    parallel_blocks(merges_, kGrain, [&](int64_t begin, int64_t end) {
+    parallel_blocks(merges_, kRowGrain, [&](int64_t begin, int64_t end) {
       for (int64_t i = begin; i < end; ++i) {
         double cov[6];
         std::copy_n(covariances_.get() + 6 * i, 6, cov);
@@ -169,8 +169,9 @@ class Decimation {
   PointTree tree_;
   std::vector<MergeRow> rows_;     // by place; a merge takes the place of its first Gaussian
   std::vector<Candidates> lists_;  // likewise
-  std::vector<uint32_t> forward_;  // by place: where the Gaussian is now; its own place, that of the merge it is part of, or kNone if it was removed
-  std::vector<uint32_t> partner_;  // by place, in this round. 0: unchanged. kNone: removed, or merged into another place. Else: the place merged into this one
+  std::vector<uint32_t> forward_;  // by place: where the Gaussian is now; its own place, that of the merge it is part of, or kNowhere if it was removed
+  std::vector<uint32_t>
+      partner_;  // by place, in this round. 0: unchanged. kNowhere: removed, or merged into another place. Else: the place merged into this one
   std::vector<uint32_t> active_;   // places, ascending
   std::vector<Operation> chosen_;  // in this round
   std::unique_ptr<float[]> covariances_;
@@ -210,10 +211,10 @@ void Decimation::list(int64_t begin, int64_t end) {
 
 Operation Decimation::cheapest(uint32_t place) const {
   const Candidates& list = lists_[place];
-  Operation best = {rows_[place].removal, place, kNone};
+  Operation best = {rows_[place].removal, place, kNowhere};
   for (int k = 0; k < list.count; ++k) {
     const float cost = kMergeFactor * list.costs[k];
-    if (cost < best.cost || (cost == best.cost && list.ids[k] < best.b && best.b != kNone)) best = {cost, place, list.ids[k]};
+    if (cost < best.cost || (cost == best.cost && list.ids[k] < best.b && best.b != kNowhere)) best = {cost, place, list.ids[k]};
   }
   if (best.b < best.a) std::swap(best.a, best.b);
   return best;
@@ -224,7 +225,7 @@ void Decimation::choose() {
   const int64_t count = alive(), most = count - in_.least, offered = std::max<int64_t>(1, static_cast<int64_t>(kOffered * static_cast<double>(count)));
   const auto keys = std::make_unique_for_overwrite<Keyed[]>(2 * count);
   const auto offers = std::make_unique_for_overwrite<Operation[]>(count);
-  parallel_blocks(count, kGrain, [&](int64_t begin, int64_t end) {
+  parallel_blocks(count, kRowGrain, [&](int64_t begin, int64_t end) {
     for (int64_t i = begin; i < end; ++i) {
       offers[i] = cheapest(active_[i]);
       keys[i] = {std::bit_cast<uint32_t>(std::max(offers[i].cost, 0.0f)), static_cast<uint32_t>(i)};
@@ -234,9 +235,9 @@ void Decimation::choose() {
   chosen_.clear();
   for (int64_t i = 0; i < offered && static_cast<int64_t>(chosen_.size()) < most; ++i) {
     const Operation& offer = offers[sorted[i].place];
-    if (partner_[offer.a] || (offer.b != kNone && partner_[offer.b])) continue;
-    partner_[offer.a] = offer.b;  // kNone for a removal
-    if (offer.b != kNone) partner_[offer.b] = kNone;
+    if (partner_[offer.a] || (offer.b != kNowhere && partner_[offer.b])) continue;
+    partner_[offer.a] = offer.b;  // kNowhere for a removal
+    if (offer.b != kNowhere) partner_[offer.b] = kNowhere;
     chosen_.push_back(offer);
   }
 }
@@ -246,10 +247,10 @@ void Decimation::merge() {
   std::vector<uint32_t> a, b;
   std::vector<int64_t> of;
   for (const Operation& op : chosen_) {
-    out_.a[steps_] = rows_[op.a].row, out_.b[steps_] = op.b == kNone ? kNone : rows_[op.b].row;
+    out_.a[steps_] = rows_[op.a].row, out_.b[steps_] = op.b == kNowhere ? kNowhere : rows_[op.b].row;
     out_.costs[steps_++] = op.cost;
-    if (op.b == kNone) {
-      forward_[op.a] = kNone;
+    if (op.b == kNowhere) {
+      forward_[op.a] = kNowhere;
     } else {
       a.push_back(op.a), b.push_back(op.b), of.push_back(&op - chosen_.data());
     }
@@ -257,7 +258,7 @@ void Decimation::merge() {
   std::vector<MergeRow> made(a.size());
   const int64_t first = merges_;
   merges_ += static_cast<int64_t>(a.size());
-  parallel_blocks(static_cast<int64_t>(a.size()), kGrain, [&](int64_t begin, int64_t end) {
+  parallel_blocks(static_cast<int64_t>(a.size()), kRowGrain, [&](int64_t begin, int64_t end) {
     kernels_.merge_rows(scene_, a.data() + begin, b.data() + begin, end - begin, made.data() + begin);
     for (int64_t k = begin; k < end; ++k) {
       made[k].row = static_cast<uint32_t>(in_.count + first + k);
@@ -288,14 +289,14 @@ void Decimation::store(const Operation& op, MergeRow& made) const {
 }
 
 uint32_t Decimation::now(uint32_t place) const {
-  while (place != kNone && forward_[place] != place) place = forward_[place];
+  while (place != kNowhere && forward_[place] != place) place = forward_[place];
   return place;
 }
 
 // The lists of Gaussians that were merged in this round, or may merge with one that was.
 void Decimation::relist() {
   std::erase_if(active_, [&](uint32_t place) { return forward_[place] != place; });
-  parallel_blocks(alive(), kGrain, [&](int64_t begin, int64_t end) {
+  parallel_blocks(alive(), kRowGrain, [&](int64_t begin, int64_t end) {
     Pairs pairs;
     for (int64_t i = begin; i < end; ++i) add_pairs(active_[i], pairs);
     pairs.compute(kernels_, scene_);
@@ -303,7 +304,7 @@ void Decimation::relist() {
   });
   for (const Operation& op : chosen_) {
     partner_[op.a] = 0;
-    if (op.b != kNone) partner_[op.b] = 0;
+    if (op.b != kNowhere) partner_[op.b] = 0;
   }
 }
 
@@ -320,7 +321,7 @@ void Decimation::add_pairs(uint32_t place, Pairs& pairs) {
     for (int k = 0; k < list.count; ++k) {
       const uint32_t other = now(list.ids[k]);
       const bool known = std::find(unchanged.ids, unchanged.ids + unchanged.count, other) != unchanged.ids + unchanged.count;
-      if (other == kNone || other == place || known || pairs.has_since(first, other)) continue;
+      if (other == kNowhere || other == place || known || pairs.has_since(first, other)) continue;
       pairs.add(place, other);
     }
   };

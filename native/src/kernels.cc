@@ -44,6 +44,7 @@ namespace svrgs::SVRGS_LEVEL {
 #include "kernels/loss-inl.h"
 #include "kernels/srgb-inl.h"
 #include "kernels/flip-inl.h"
+#include "kernels/convolve-inl.h"
 #include "kernels/multiply_adds-inl.h"
 
 void loss_pass(const LossArguments& a, int64_t tile, void* scratch) {
@@ -102,6 +103,7 @@ const Kernels SVRGS_TABLE_NAME = {
     .loss_tile = level::loss_pass,
     .mask_loss_range = level::mask_loss_range,
     .flip_tile = level::flip_tile,
+    .convolve_row = level::convolve_row,
     .linear_range = level::linear_range,
     .adam_rows = level::adam_pass,
     .multiply_adds = level::multiply_adds,

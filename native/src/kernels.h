@@ -46,6 +46,7 @@ struct Kernels {
   void (*loss_tile)(const struct LossArguments&, int64_t tile, void* scratch);
   double (*mask_loss_range)(const void* mask, double scale, int64_t begin, int64_t end, void* grad);  // sum of F^2; grad = scale F
   void (*flip_tile)(const FlipArguments&, int64_t tile, void* scratch);
+  void (*convolve_row)(const struct ConvolveArguments&, int64_t y, int64_t panel);
   void (*linear_range)(const struct LinearArguments&, int64_t begin, int64_t end);
   int64_t (*adam_rows)(const svrgs_adam_settings&, void* param, void* moments, const void* grad, const uint32_t* ids, int64_t begin, int64_t end, int width);
   double (*multiply_adds)(int64_t rounds);  // operations done
@@ -62,6 +63,14 @@ struct LossArguments {
   double l1_scale, ssim_scale;  // dL/d of each value's |difference|; of each value's SSIM
   void* grad;                   // optional
   double *tile_l1, *tile_ssim;
+};
+
+constexpr int kConvolvePanel = SVRGS_CONVOLVE_PANEL;
+
+struct ConvolveArguments {  // of svrgs_convolve
+  const void *image, *filters, *bias;
+  int64_t height, width, inputs, outputs;
+  void* out;
 };
 
 struct LinearArguments {  // of svrgs_linear_rgba

@@ -8,7 +8,7 @@
 namespace svrgs {
 namespace {
 
-constexpr int kDepth = 64;  // most nodes that wait in a search
+constexpr int kMostWaiting = 64;  // most nodes that wait in a search
 
 }  // namespace
 
@@ -85,7 +85,7 @@ void PointTree::search(int64_t own, int64_t place, Nearest& nearest) const {
   struct Waiting {
     int64_t node;
     float square;
-  } waiting[kDepth];
+  } waiting[kMostWaiting];
   int count = 0;
   scan(nodes_[own], place, nearest);
   waiting[count++] = {0, 0};

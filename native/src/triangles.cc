@@ -23,8 +23,8 @@ constexpr double kSixteenth = 1.0 / 16;
 constexpr float kLayerGap = 1.01f;        // two samples are in two layers if the ratio of their depths is larger
 constexpr int64_t kBandPixels = 1 << 16;  // of rows that are drawn together, at most
 constexpr int kBandRows = 32;             // at most
-constexpr int64_t kGrain = 8192;          // triangles
-constexpr int32_t kNone = -1;
+constexpr int64_t kTriangleGrain = 8192;  // triangles
+constexpr int32_t kNoTriangle = -1;
 constexpr float kEmpty = std::numeric_limits<float>::infinity();
 
 using Point = std::array<double, 3>;
@@ -132,7 +132,7 @@ struct Band {
   void start(int first_row, int end_row) {
     first = first_row, end = end_row;
     std::fill(depth.begin(), depth.end(), kEmpty);
-    std::fill(triangle.begin(), triangle.end(), kNone);
+    std::fill(triangle.begin(), triangle.end(), kNoTriangle);
   }
   int64_t place(int row, int column) const { return (int64_t{row - first} * width + column) * kSamples; }
 };
@@ -207,7 +207,7 @@ void write_layer(const svrgs_triangles& t, const svrgs_camera& camera, const Sam
   for (int s = 0; s < count; ++s) {
     z += static_cast<double>(samples[s].depth) / count;
     const int32_t number = samples[s].triangle;
-    if (done[s] || number == kNone || t.holdout[number]) continue;
+    if (done[s] || number == kNoTriangle || t.holdout[number]) continue;
     double x = 0, y = 0;
     int same = 0;
     for (int other = s; other < count; ++other)
@@ -254,7 +254,7 @@ void write_pixel(const svrgs_triangles& t, const svrgs_camera& camera, const Ban
 
 void draw_triangles(const svrgs_triangles& t, const svrgs_camera& camera, const svrgs_layers& out) {
   const auto rows = std::make_unique_for_overwrite<Rows[]>(t.count);
-  parallel_blocks(t.count, kGrain, [&](int64_t begin, int64_t end) {
+  parallel_blocks(t.count, kTriangleGrain, [&](int64_t begin, int64_t end) {
     for (int64_t i = begin; i < end; ++i) rows[i] = rows_of(t, camera, i);
   });
   const int height = static_cast<int>(std::clamp<int64_t>(kBandPixels / camera.width, 1, kBandRows)), count = (camera.height + height - 1) / height;

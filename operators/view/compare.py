@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from concurrent.futures import Future
 
 import bpy
 from bpy.app.translations import pgettext_iface as tr
@@ -11,12 +12,13 @@ from ...svrgs_addon.files.registry import file_size
 from ...svrgs_addon.native import library
 from ...svrgs_addon.native.rasterizer import Rasterizer
 from ...svrgs_addon.prune.report.pictures import contact_sheet, difference_image, to_uint8, wipe
-from ...svrgs_addon.render.metrics import flip, psnr, ssim
+from ...svrgs_addon.render.metrics import flip, load_lpips, psnr, ssim
 from ...svrgs_addon.render.metrics.evaluate import picture_options, rounded_to_8_bits
+from ...svrgs_addon.render.metrics.lpips import weights_file
 from ...svrgs_addon.scene.camera import Camera
 from ...svrgs_addon.scene.gaussians import Scene
-from ...svrgs_addon.system.errors import SceneError
-from ..data import camera_object, image_pixels, splat_object, visible_splats
+from ...svrgs_addon.system.errors import SceneError, SplatError
+from ..data import background_work, camera_object, image_pixels, splat_object, visible_splats
 from ..data.preferences import threads
 from ..data.reporting import ReportingOperator
 from ..jobs import job_result
@@ -136,6 +138,8 @@ class SVRGS_OT_compare(ComparingOperator):
         image_pixels.write_image(DIFFERENCE, difference_image(original, pruned))
         image = image_pixels.write_image(WIPE, wipe(original, pruned, settings.wipe), figures=figures)
         show_in_editors(context, image)
+        if photo is not None and weights_file().is_file():
+            perceived(pictures, photo, figures)
         return summary(rows, between)
 
 
@@ -197,6 +201,28 @@ def measure(scene, picture, photo) -> dict:
         row |= {"psnr": psnr(picture, photo), "ssim": float(ssim(picture, photo))}
         row["flip"] = float(flip(picture, photo))
     return row
+
+
+def perceived(pictures: tuple, photo, figures: dict):
+    """Measures LPIPS, which takes half a minute for a large picture, and adds it to the figures of the
+    comparison unless there is another one by then."""
+
+    def work() -> list[float]:
+        network, _ = load_lpips(None)
+        return [network(picture, photo) for picture in pictures] if network else []
+
+    def done(answer: Future):
+        image = bpy.data.images.get(WIPE)
+        if image is None or image_pixels.figures_of(WIPE) != figures:
+            return
+        try:
+            for name, value in zip(("original", "pruned"), answer.result(), strict=False):
+                figures[name]["lpips"] = value
+        except SplatError as error:
+            figures["lpips_missing"] = str(error)
+        image[image_pixels.FIGURES] = figures
+
+    background_work.run(work, done, detached=True)
 
 
 def summary(rows: list[dict], between: float) -> str:

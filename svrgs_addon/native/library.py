@@ -21,7 +21,7 @@ from ..system.structs import fields
 from .library_path import library_path
 from .outputs import OUTPUTS
 
-INTERFACE_VERSION = 19
+INTERFACE_VERSION = 20
 GRADS = (*PARAMETERS, "masks", "means2d")
 # images whose gradients backward() accepts
 LOSS_IMAGES = tuple(output.name for output in OUTPUTS.values() if output.differentiable)
@@ -53,6 +53,7 @@ ARGUMENTS = {
     "svrgs_loss": "pppiiddpp",
     "svrgs_mask_loss": "ppldpp",
     "svrgs_flip": "ippiidp",
+    "svrgs_convolve": "ipiiippip",
     "svrgs_linear_rgba": "ipplpp",
     "svrgs_adam": "pppppplip",
     "svrgs_backward_update": "ppppp",

@@ -1,8 +1,8 @@
 """Functions of the native library on pictures: opaque triangles, panoramas of perspective views, the order in
-which a GPU draws Gaussians, FLIP of two pictures, and linear colours.
+which a GPU draws Gaussians, FLIP of two pictures, convolutions, and linear colours.
 
 `native/include/svrgs.h` (svrgs_draw_triangles, svrgs_add_view, svrgs_depth_order, svrgs_flip,
-svrgs_linear_rgba) is the manual; names, shapes and units here are the same.
+svrgs_convolve, svrgs_linear_rgba) is the manual; names, shapes and units here are the same.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from .library import (
     levels,
 )
 
+PANEL = 32  # SVRGS_CONVOLVE_PANEL: output channels that stand side by side in the filters of convolved()
 VALUES = {"corners": (3, 3), "colors": (3, 3), "light": (3,), "uvs": (3, 2)}  # arrays of a triangle, float32
 
 
@@ -138,6 +139,40 @@ def flip_errors(
         errors.ctypes.data,
     )
     return errors
+
+
+def filter_panels(filters: np.ndarray) -> np.ndarray:
+    """Filters (outputs, inputs, 3, 3), as torch stores them, as convolved() takes them: (outputs / PANEL, 3,
+    3, inputs, PANEL). outputs: a multiple of PANEL."""
+    outputs, inputs = filters.shape[:2]
+    panels = filters.reshape(outputs // PANEL, PANEL, inputs, 3, 3)
+    return np.ascontiguousarray(panels.transpose(0, 3, 4, 2, 1))
+
+
+def convolved(
+    image: np.ndarray, panels: np.ndarray, bias: np.ndarray, level: str | None = None
+) -> np.ndarray:
+    """max(0, image * filters + bias), with zeros around the image: (H, W, outputs), a layer of VGG16. level:
+    as in flip_errors().
+
+    image: (H, W, inputs), panels: filter_panels() of the filters, bias: (outputs,), float32; float64 at that
+    level. Raises NativeError, and TypeError for arrays of another type or shape.
+    """
+    number, dtype = _level(level)
+    height, width, inputs = image.shape
+    outputs = len(panels) * PANEL
+    out: np.ndarray = np.empty((height, width, outputs), dtype)
+    call_library(
+        "svrgs_convolve",
+        number,
+        check(image, "image", image.shape, dtype),
+        *image.shape,
+        check(panels, "panels", (len(panels), 3, 3, inputs, PANEL), dtype),
+        check(bias, "bias", (outputs,), dtype),
+        outputs,
+        out.ctypes.data,
+    )
+    return out
 
 
 def linear_colours(

@@ -25,6 +25,7 @@ TAKES = (  # options; with others, the scene must be read as a whole
     "holdout",
     "cameras",
     "seen_from_only",
+    "lpips_weights",
     "threads",
     "seed",
     "target",

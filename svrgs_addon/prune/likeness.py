@@ -12,8 +12,14 @@ import numpy as np
 
 from ..files.images import to_float
 from ..finetune.quality import quality_views
-from ..render.metrics import flip, psnr, ssim
-from ..render.metrics.evaluate import Renderable, Renderer, picture_options, rounded_to_8_bits
+from ..render.metrics import psnr
+from ..render.metrics.evaluate import (
+    Renderable,
+    Renderer,
+    mean_figures,
+    picture_options,
+    rounded_to_8_bits,
+)
 from ..render.metrics.max_drop import ASSUMED, EQUAL
 from ..render.metrics.measures import almost_empty, with_error
 from ..scene.camera import Camera, evenly
@@ -43,10 +49,13 @@ class Likeness:
         background: Colour = (0.0, 0.0, 0.0),
         progress_of: ProgressOf = SILENT,
         others: Sequence[Camera] = (),
+        lpips: Callable | None = None,
     ):
         """renderer_of: gives what renders the views once. background: display sRGB 0..1. progress_of: of
-        the name of a step. others: views of deciding."""
+        the name of a step. others: views of deciding. lpips: (picture, original) -> LPIPS; None: not
+        measured."""
         self._views, self._original, self._background, self._others = views, original, background, others
+        self._lpips = lpips
         self._renderer_of, self._progress_of = renderer_of, progress_of
 
     @cached_property
@@ -63,19 +72,18 @@ class Likeness:
         return fmean(min(value, EQUAL) for value in self.psnrs(scene))
 
     def measured(self, scene: Renderable) -> dict[str, Any]:
-        """Means over the views: psnr (dB, that of equal pictures as EQUAL), ssim, flip, and ms_per_frame, the
-        milliseconds to render one; None without views. Raises SplatError."""
-        rows = [
-            (
-                min(psnr(picture, original), EQUAL),
-                ssim(picture, original),
-                flip(picture, original),
-                1e3 * seconds,
-            )
-            for picture, original, seconds in self._pairs(scene, "measure")
-        ]
-        means = [fmean(column) for column in zip(*rows, strict=True)] if rows else [None] * 4
-        return dict(zip(("psnr", "ssim", "flip", "ms_per_frame"), means, strict=True))
+        """Means over the views: psnr (dB, that of equal pictures as EQUAL), ssim, lpips (None if it is not
+        measured), flip, and ms_per_frame, the milliseconds to render one; None without views. Raises
+        SplatError."""
+        milliseconds: list[float] = []
+
+        def pairs() -> Iterator[tuple[np.ndarray, np.ndarray]]:
+            for picture, original, seconds in self._pairs(scene, "measure"):
+                milliseconds.append(1e3 * seconds)
+                yield picture, original
+
+        figures = mean_figures(pairs(), self._lpips, EQUAL)
+        return {**figures, "ms_per_frame": fmean(milliseconds) if milliseconds else None}
 
     @property
     def views(self) -> list[Camera]:
@@ -134,9 +142,10 @@ class PhotographLikeness(Likeness):
         renderer_of: Callable[[], Renderer],
         progress_of: ProgressOf = SILENT,
         indices: Sequence[int] | None = None,
+        lpips: Callable | None = None,
     ):
         """As for Likeness. indices: of the views; None: VIEWS of those that measure."""
-        self._dataset = dataset
+        self._dataset, self._lpips = dataset, lpips
         self._indices = indices or evenly(dataset.test_indices or dataset.train_indices, VIEWS)
         self._views, self._background = [dataset.cameras[i] for i in self._indices], dataset.background
         self._renderer_of, self._progress_of = renderer_of, progress_of

@@ -78,7 +78,7 @@ class DatasetOptions:
     lpips_weights: Path | None = option(
         FILE,
         None,
-        "file with the VGG weights of LPIPS; eval and compare take what `make lpips` fetched",
+        "file with the VGG weights of LPIPS; eval, compare and reports take what `make lpips` fetched",
         metavar="FILE",
     )
     threads: int = option(

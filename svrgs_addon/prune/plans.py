@@ -161,8 +161,9 @@ def context_of(options: TrainOptions | PruneOptions) -> JobContext:
     assert options.out is not None
     reporter = Reporter(options.quiet)
     prunes = options if isinstance(options, PruneOptions) else None
-    # a job does not measure it unasked: it takes seconds a view
-    lpips, missing = load_lpips(options.lpips_weights or "")
+    # it takes seconds a view: unasked, it is measured for a report alone
+    unasked = None if prunes and prunes.report else ""
+    lpips, missing = load_lpips(options.lpips_weights or unasked)
     return JobContext(
         options.out,
         prunes.report if prunes else None,

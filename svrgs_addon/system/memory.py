@@ -39,7 +39,7 @@ DECIMATED = 500  # bytes per Gaussian while it is removed or merged, without its
 RENDERED_PIXEL = 50  # bytes per pixel of a view: a picture
 KEPT_PIXEL = 50  # the same, for what gradients or statistics need in addition
 TUNED_PIXEL, MEASURED_PIXEL = 200, 100  # the same: fine-tuning, metrics
-LPIPS_PIXEL = 2000  # bytes per pixel of a view: LPIPS
+LPIPS_PIXEL = 1000  # bytes per pixel of a view: LPIPS
 COMPARED_PIXEL = 60  # bytes per pixel of each view of which two scenes are shown in a report
 # bytes of addresses needed by NumPy; by pycolmap, OpenImageIO and SciPy too, and by the threads that read
 NUMPY_ADDRESSES, PHOTOGRAPH_ADDRESSES = 200_000_000, 1_000_000_000
@@ -117,8 +117,13 @@ def measuring(count: int, cameras: Sequence[View], kept_photographs: int, lpips:
 
     kept_photographs: as for tuning(). lpips: whether LPIPS is measured too.
     """
-    pixel = RENDERED_PIXEL + MEASURED_PIXEL + LPIPS_PIXEL * lpips
-    return PROJECTED * count + pixel * _pixels(cameras) + _kept(cameras, kept_photographs)
+    pixels = (RENDERED_PIXEL + MEASURED_PIXEL) * _pixels(cameras) + perceiving(cameras, lpips)
+    return PROJECTED * count + pixels + _kept(cameras, kept_photographs)
+
+
+def perceiving(cameras: Sequence[View], lpips: bool = True) -> int:
+    """Bytes of memory that LPIPS needs in addition, if it is measured. cameras: the largest one counts."""
+    return LPIPS_PIXEL * _pixels(cameras) if lpips else 0
 
 
 def comparing(
@@ -204,7 +209,7 @@ def _kept(cameras: Sequence[View], budget: int) -> int:
 
 def _pixels(cameras: Sequence[View]) -> int:
     """Number of pixels of the largest view."""
-    return max(camera.width * camera.height for camera in cameras)
+    return max((camera.width * camera.height for camera in cameras), default=0)
 
 
 def size_text(value: float) -> str:

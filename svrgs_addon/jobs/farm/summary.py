@@ -54,7 +54,7 @@ def summarise(job: FarmJob) -> dict[str, Any]:
 
 def _row(task: Task, result: dict[str, Any]) -> dict[str, Any]:
     before, after = result["before"], result["after"]
-    facts = {name: after.get(name) for name in ("count", "bytes", "psnr", "ssim", "flip")}
+    facts = {name: after.get(name) for name in ("count", "bytes", "psnr", "ssim", "lpips", "flip")}
     facts |= {
         "name": task.name,
         "scene": task.scene,

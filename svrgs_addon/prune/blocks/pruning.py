@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -25,10 +25,12 @@ from .request import Request
 from .tuning import CUT, mixed, tuned_blocks
 
 
-def original_likeness(divided: Divided, progress_of: ProgressOf) -> Likeness:
-    """Likeness to a divided scene in VIEWS views that are not scored and do not decide. Raises SplatError."""
+def original_likeness(divided: Divided, progress_of: ProgressOf, lpips: Callable | None = None) -> Likeness:
+    """Likeness to a divided scene in VIEWS views that are not scored and do not decide. lpips: as for
+    Likeness. Raises SplatError."""
     decide, measure = apart(measured_views(divided.folder), VIEWS)
-    return Likeness(divided, evenly(measure, VIEWS), BlockRasterizer, progress_of=progress_of, others=decide)
+    views = evenly(measure, VIEWS)
+    return Likeness(divided, views, BlockRasterizer, progress_of=progress_of, others=decide, lpips=lpips)
 
 
 def finish(divided: Divided, likeness: Likeness, out: Path, progress_of: ProgressOf) -> dict[str, Any]:
@@ -52,13 +54,19 @@ def result_notes(likeness: Likeness, result: dict[str, Any]) -> list[str]:
 
 
 def finish_learned(
-    divided: Divided, request: Request, dataset: Dataset, out: Path, progress_of: ProgressOf
+    divided: Divided,
+    request: Request,
+    dataset: Dataset,
+    out: Path,
+    progress_of: ProgressOf,
+    lpips: Callable | None = None,
 ) -> dict[str, Any]:
-    """finish() of what a method has decided on photographs, which are the measure. Raises SplatError."""
-    likeness = PhotographLikeness(dataset, BlockRasterizer, progress_of)
+    """finish() of what a method has decided on photographs, which are the measure. lpips: as for Likeness.
+    Raises SplatError."""
+    likeness = PhotographLikeness(dataset, BlockRasterizer, progress_of, lpips=lpips)
     gathered(divided.folder / CUT, divided)
     result = finish(divided, likeness, out, progress_of)
-    before = {**likeness.measured(divided), "lpips": None, "ms_per_frame": None, **result["before"]}
+    before = {**likeness.measured(divided), "ms_per_frame": None, **result["before"]}
     notes = [
         *dataset.notes,
         *check_explained(divided, dataset, str(divided.source), True, BlockRasterizer()),
@@ -86,7 +94,7 @@ def _figures(written: Divided, likeness: Likeness, out: Path, size: int) -> dict
     """The part of finish()'s result that comes from the output. written: the output, divided again. size: of
     the output, bytes."""
     measured = likeness.measured(written)
-    figures = {name: measured[name] for name in ("psnr", "ssim", "flip")}
+    figures = {name: measured[name] for name in ("psnr", "ssim", "lpips", "flip")}
     return {"out": str(out), **figures, "after": {"count": written.count, "bytes": size}}
 
 

@@ -19,6 +19,7 @@ from ...finetune.quality import MIN_SHARE, NOT_APART
 from ...render.metrics.max_drop import missed_drop
 from ...scene.camera import Camera
 from ...scene.gaussians import Scene
+from ...system import memory
 from ...system.errors import Cancelled
 from ...views.dataset import Dataset
 from ..belonging import check_explained, check_seen, seen_of
@@ -60,6 +61,7 @@ from ..report.prune_report import write_report_of_files
 PICTURES = 1 << 62
 # space that the steps need at least: for sums and orders, in sizes of all blocks; copies of what stays
 SUMS, COPIES = 1.2, 4
+FIGURES = ("psnr", "ssim", "lpips", "flip")  # that are measured
 ORDER, ALLOWED = "order", "number"  # tasks: the first one that takes long; the number of an allowed drop
 
 
@@ -116,6 +118,8 @@ class ByBlocks:
 
     def check(self):
         del self.sample  # frees memory
+        needed = memory.perceiving(self.measured, self.job.lpips is not None)
+        memory.refuse_excess(f"{self.source}: measuring LPIPS", needed)
 
     def left_by_a_stop(self) -> str:
         """A sentence on what a job that is stopped leaves; "" for one that can be resumed."""
@@ -135,11 +139,7 @@ class ByBlocks:
         """The result with what `svrgs prune` adds to that of `svrgs large prune`. how: for the note."""
         if not self.reason:
             return result
-        after = {name: result[name] for name in ("psnr", "ssim", "flip")} | {
-            "lpips": None,
-            "ms_per_frame": None,
-        }
-        after |= result["after"]
+        after = {name: result[name] for name in FIGURES} | {"ms_per_frame": None, **result["after"]}
         notes = [f"{self.reason}; so it was pruned by blocks{how}", *self.notes, *result["notes"]]
         facts = {"seconds": time.perf_counter() - self.begun, "notes": notes}
         return {**result, **after, "after": after, **facts}
@@ -170,7 +170,7 @@ class MergedByBlocks(ByBlocks):
         block = self.block or as_memory_allows(self.scored, PICTURES)
         self.divided = divide(self.source, work, block, self.overall("divide"))
         _check_room(work, self.divided, goal)
-        self.likeness = original_likeness(self.divided, self.overall)
+        self.likeness = original_likeness(self.divided, self.overall, self.job.lpips)
         self.errors = list[float]()
         if goal.max_drop:
             self.errors = errors_of_format(
@@ -314,7 +314,10 @@ class LearnedByBlocks(ByBlocks):
             )
 
     def write(self):
-        self.result = finish_learned(self.divided, self.request, self.dataset, self.job.out, self.progress_of)
+        job = self.job
+        self.result = finish_learned(
+            self.divided, self.request, self.dataset, job.out, self.progress_of, job.lpips
+        )
         self.finished = True
 
     def measure(self) -> dict[str, Any]:
@@ -382,8 +385,4 @@ def _identity(
 
 def _figures(result: dict[str, Any]) -> dict[str, Any]:
     """Of a level, as `svrgs prune` has them."""
-    return (
-        {name: result[name] for name in ("out", "psnr", "ssim", "flip")}
-        | {"lpips": None, "ms_per_frame": None}
-        | result["after"]
-    )
+    return {name: result[name] for name in ("out", *FIGURES)} | {"ms_per_frame": None, **result["after"]}

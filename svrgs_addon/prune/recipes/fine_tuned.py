@@ -192,9 +192,8 @@ class FineTuned(Tuned):
             self.dataset = dataset = hold_apart(dataset)
             if self.measuring and not dataset.deciding_indices:
                 self.notes.append(NOT_APART)
-        refuse_excess(
-            f"{self.path}: pruning it", source.count, source.sh.shape[1], dataset, plan, memory.BY_BLOCKS
-        )
+        size, lpips = (source.count, source.sh.shape[1]), self.job.lpips is not None
+        refuse_excess(f"{self.path}: pruning it", size, dataset, plan, lpips, memory.BY_BLOCKS)
         self.room.hold_for(source, source.count, plan.averaged_count(source.count))
 
     def rank(self):
@@ -324,17 +323,18 @@ def refuse_lost_order(plan: Plan, job: JobContext):
         )
 
 
-def refuse_excess(what: str, count: int, coefficients: int, dataset: Dataset, plan: Plan, advice: str = ""):
-    """Raises MemoryShort if memory is too short for the fine-tuning of so many Gaussians. coefficients: SH
-    coefficients per channel. advice: what else can be done."""
+def refuse_excess(
+    what: str, scene: tuple[int, int], dataset: Dataset, plan: Plan, lpips: bool, advice: str = ""
+):
+    """Raises MemoryShort if memory is too short for the fine-tuning of so many Gaussians. scene: their number
+    and their SH coefficients per channel. lpips: whether it is measured. advice: what else can be done."""
+    (count, coefficients), cameras = scene, dataset.cameras
     needed = memory.tuning(
-        count, coefficients, dataset.cameras, dataset.memory_budget, plan.averaged_count(count)
-    )
-    memory.refuse_excess(
-        what,
-        max(needed, memory.ordering(count, coefficients, dataset.cameras)) if plan.method.merges else needed,
-        advice,
-    )
+        count, coefficients, cameras, dataset.memory_budget, plan.averaged_count(count)
+    ) + memory.perceiving(cameras, lpips)
+    if plan.method.merges:
+        needed = max(needed, memory.ordering(count, coefficients, cameras))
+    memory.refuse_excess(what, needed, advice)
 
 
 def psnr_of_drop(scene: Scene, dataset: Dataset, plan: Plan, views: list[int]) -> float:

@@ -59,6 +59,7 @@ TAKES = (  # options; others are refused
     "holdout",
     "background",
     "threads",
+    "lpips_weights",
     "seed",
     "target",
     "target_count",
@@ -101,6 +102,7 @@ class Quick:
 
     def check(self):
         needed = memory.decimating(self.scene.count, self.scene.sh.shape[1], self.cameras)
+        needed += memory.perceiving(self.cameras, self.job.lpips is not None)
         memory.refuse_excess(f"{self.options.scene}: pruning it", needed, memory.BY_BLOCKS)
 
     def rank(self):
@@ -131,7 +133,12 @@ class Quick:
         options = self.options
         decide, measure = apart(self.test, DECIDING)
         self.likeness = Likeness(
-            self.enlarged, measure, lambda: self.rasterizer, options.background, others=decide
+            self.enlarged,
+            measure,
+            lambda: self.rasterizer,
+            options.background,
+            others=decide,
+            lpips=self.job.lpips,
         )
         self.count, self.quantise = self.wanted, 1.0
         if options.max_drop:
@@ -167,7 +174,7 @@ class Quick:
         before = {"count": self.source.count, "bytes": size_on_disk(options.scene or "")}
         after, *levels = (
             self.likeness.measured(scaled(one.scene, self.factor))
-            | {"lpips": None, "count": one.scene.count, "bytes": one.bytes, "out": str(one.path)}
+            | {"count": one.scene.count, "bytes": one.bytes, "out": str(one.path)}
             for one in self.written
         )
         facts["levels"] = [{"share": share, **one} for share, one in zip(options.levels, levels, strict=True)]

@@ -1,4 +1,4 @@
-"""Image metrics: PSNR (NumPy), SSIM and FLIP (the native library), and LPIPS (needs torch and a weight file).
+"""Image metrics: PSNR (NumPy), SSIM and FLIP (the native library), and LPIPS (needs a weight file).
 
 Each metric takes two arrays (H, W, 3), display sRGB in [0, 1], and raises SceneError if their shapes differ
 or a value is not finite. Values are used as given. So a render must be clamped first, and rounded to 8 bits

@@ -6,7 +6,7 @@ import itertools
 import math
 import statistics
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import Any, Protocol
 
@@ -115,25 +115,41 @@ def evaluate(
     scene, which is read for each view, and without views).
     """
     options = picture_options(scene, dataset.background)
-    rows, seconds = [], []
-    for i in indices:
+    seconds: list[float] = []
+
+    def pair(i: int) -> tuple[np.ndarray, np.ndarray]:
         started = time.perf_counter()
         rgb = rasterizer.forward(scene, dataset.cameras[i], options)["rgb"]
         seconds.append(time.perf_counter() - started)
-        image, photo = rounded_to_8_bits(rgb), to_float(dataset.image(i))
-        del rgb
-        perceived = lpips(image, photo) if lpips else math.nan
-        rows.append((psnr(image, photo), ssim(image, photo), perceived, flip(image, photo)))
-    means = np.mean(rows, axis=0).tolist() if rows else [None] * 4
-    timed = rows and isinstance(rasterizer, Rasterizer)
+        return rounded_to_8_bits(rgb), to_float(dataset.image(i))
+
+    figures = mean_figures(map(pair, indices), lpips)
+    timed = seconds and isinstance(rasterizer, Rasterizer)
     return {
-        "psnr": means[0],
-        "ssim": means[1],
-        "lpips": means[2] if lpips else None,
-        "flip": means[3],
+        **figures,
         "count": scene.count,
         "ms_per_frame": 1e3 * statistics.median(seconds) if timed else None,
     }
+
+
+def mean_figures(
+    pairs: Iterable[tuple[np.ndarray, np.ndarray]], lpips: Callable | None = None, most: float = math.inf
+) -> dict[str, float | None]:
+    """Means over pairs of pictures: psnr (dB, of a pair at most `most`), ssim, lpips (None without `lpips`),
+    flip; all None without pairs. Raises SceneError."""
+    rows = [
+        (
+            min(psnr(image, photo), most),
+            ssim(image, photo),
+            lpips(image, photo) if lpips else math.nan,
+            flip(image, photo),
+        )
+        for image, photo in pairs
+    ]
+    means = np.mean(rows, axis=0).tolist() if rows else [None] * 4
+    return dict(zip(("psnr", "ssim", "lpips", "flip"), means, strict=True)) | (
+        {} if lpips else {"lpips": None}
+    )
 
 
 def frame_milliseconds(scenes: Sequence[Any], cameras: Sequence[Camera]) -> list[float]:

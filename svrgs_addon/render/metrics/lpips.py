@@ -1,5 +1,5 @@
-"""LPIPS v0.1 with the VGG16 backbone (Zhang et al. 2018), in NumPy. The weights are not part of this project:
-`make lpips` fetches them. With the package lpips installed, this line writes the same file:
+"""LPIPS v0.1 with the VGG16 backbone (Zhang et al. 2018). The weights are not part of this project: `make
+lpips` fetches them. With the package lpips installed, this line writes the same file:
 
     np.savez("lpips_vgg.npz", **{k: v.numpy() for k, v in lpips.LPIPS(net="vgg").state_dict().items()})
 
@@ -20,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ...native.pictures import convolved, filter_panels
 from ...system.errors import FormatError, SceneError
 from ...system.wheels import cache_folder
 from .measures import image_pair
@@ -42,7 +43,7 @@ SCALE = np.array([0.458, 0.448, 0.450], np.float32)
 # or those that give [-1, 1], as its authors say
 INPUT_RANGES = {"3dgs": (1.0, 0.0), "authors": (2.0, -1.0)}
 MIN_SIDE = 2 ** (len(STAGES) - 1)  # pixels; the network halves the image four times
-NEIGHBOURS = 1 << 23  # values of the neighbours of some rows of pixels, which are multiplied at once
+ROWS = 32  # of pixels, that are compared at once
 UNREADABLE = (
     *(zipfile.BadZipFile, zlib.error, OSError, EOFError, RuntimeError),
     *(TypeError, ValueError, KeyError, AttributeError),  # which NumPy raises for malformed content
@@ -61,12 +62,10 @@ class Lpips:
         """weights: all arrays, float32, by the first of the two key names above. input_range: a key of
         INPUT_RANGES."""
         self.input_range, self._weights = input_range, weights
-        # of each convolution: (9 * inputs, outputs), rows, columns and channels of the neighbours in this
-        # order
-        self._filters = {
-            index: weights[f"features.{index}.weight"].transpose(2, 3, 1, 0).reshape(-1, outputs)
+        self._panels = {
+            index: filter_panels(weights[f"features.{index}.weight"])
             for stage in STAGES
-            for index, outputs in stage
+            for index, _ in stage
         }
 
     def __call__(self, a: np.ndarray, b: np.ndarray) -> float:
@@ -89,15 +88,18 @@ class Lpips:
             if k > 0:
                 x = _halved(x)
             for index, _ in stage:
-                x = _convolved(x, self._filters[index], self._weights[f"features.{index}.bias"])
-                np.maximum(x, 0, out=x)
+                x = convolved(x, self._panels[index], self._weights[f"features.{index}.bias"])
             yield x
 
     def _distance(self, k: int, a: np.ndarray, b: np.ndarray) -> float:
         """Squared difference of normalised feature vectors, weighted per channel, mean over pixels (equation
         1 of the paper)."""
-        difference = a / (_length(a) + 1e-10) - b / (_length(b) + 1e-10)
-        return float((np.square(difference) @ self._weights[f"lin{k}.model.1.weight"].ravel()).mean())
+        weights, total = self._weights[f"lin{k}.model.1.weight"].ravel(), 0.0
+        for top in range(0, len(a), ROWS):
+            rows = slice(top, top + ROWS)
+            difference = a[rows] / (_length(a[rows]) + 1e-10) - b[rows] / (_length(b[rows]) + 1e-10)
+            total += float((np.square(difference) @ weights).sum(dtype=np.float64))
+        return total / (a.shape[0] * a.shape[1])
 
 
 def _length(x: np.ndarray) -> np.ndarray:
@@ -106,27 +108,9 @@ def _length(x: np.ndarray) -> np.ndarray:
 
 def _halved(x: np.ndarray) -> np.ndarray:
     """The largest of each 2 x 2 values; a last odd row or column is left out."""
-    height, width, channels = x.shape
-    pairs = x[: height // 2 * 2, : width // 2 * 2].reshape(height // 2, 2, width // 2, 2, channels)
-    return pairs.max(axis=(1, 3))
-
-
-def _convolved(x: np.ndarray, filters: np.ndarray, bias: np.ndarray) -> np.ndarray:
-    """Convolution with 3 x 3 filters; zeros stand around the image. x (h, w, inputs); filters (9 * inputs,
-    outputs); returns (h, w, outputs)."""
-    height, width, channels = x.shape
-    around = np.pad(x, ((1, 1), (1, 1), (0, 0)))
-    out = np.empty((height, width, filters.shape[1]), np.float32)
-    rows = max(1, NEIGHBOURS // (9 * width * channels))
-    for top in range(0, height, rows):
-        part = out[top : top + rows]
-        neighbours = np.empty((len(part), width, 9, channels), np.float32)
-        for k in range(9):
-            row, column = top + k // 3, k % 3
-            neighbours[:, :, k] = around[row : row + len(part), column : column + width]
-        np.matmul(neighbours.reshape(-1, 9 * channels), filters, out=part.reshape(-1, filters.shape[1]))
-    out += bias
-    return out
+    height, width = x.shape[0] // 2 * 2, x.shape[1] // 2 * 2
+    rows = np.maximum(x[0:height:2, :width], x[1:height:2, :width])
+    return np.maximum(rows[:, 0::2], rows[:, 1::2])
 
 
 def load_lpips(path: str | Path | None, input_range: str = "3dgs") -> tuple[Lpips | None, str]:
