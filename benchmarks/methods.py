@@ -9,8 +9,10 @@
                                                        # writes docs/results.md and its charts from the rows
 
 Rows are added to --rows (default docs/results/rows.jsonl), one JSON object per line. A run whose row exists
-is not run again, so a stopped experiment can be continued. --work (default build/methods) holds the scenes
-that later runs need.
+is not run again, so a stopped experiment can be continued, and how long the rest takes is foreseen from the
+rows. --work (default build/methods) holds the scenes that later runs need; those that are missing are trained
+first. --jobs 8 has that many runs at a time. --part 1/3, 2/3, 3/3 divide the runs among three machines, in
+any order; --join FILE adds the rows of another machine.
 
     table     `svrgs train` with each method from sparse points, all with the published schedule times
               --schedule
@@ -21,7 +23,8 @@ that later runs need.
               every method at several counts
     ablation  the same with method `removal`, with one part of it changed at a time
     equal     the same with the recipe of `removal` (lowering, rates, averaging) and the rankings of other
-              methods, and with nothing removed: what the ranking is worth, and what the recipe
+              methods, and with nothing removed: what the ranking is worth, and what the recipe; and MCMC
+              trained straight to the number
     schedules the same with the default and its nearest rivals, down to 2 %; to be run with several --schedule
     time      the same to 10 %, where each method has the same seconds (`--time`); to be run on a quiet
               machine. --only 10 runs one limit
@@ -30,15 +33,22 @@ that later runs need.
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
+import math
+import os
+import shutil
+import statistics
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from method_report import write_report
 from method_scenes import GENERATED, prepared
+from svrgs_addon.files.registry import read_scene
 from svrgs_addon.finetune.methods import METHODS
 from svrgs_addon.render.metrics.lpips import weights_file
 
@@ -122,7 +132,7 @@ ABLATION = {  # name of the run: Python code that changes the program before it 
 RANKED = "from svrgs_addon.finetune.methods import METHODS; METHODS['removal'].ranking = "
 RANKINGS = {"removal": ""} | {
     name: f"{RANKED}METHODS['{name}'].score"
-    for name in ("gaussianpop", "speedy", "lightgaussian", "contribution", "opacity")
+    for name in ("speedy", "lightgaussian", "contribution", "opacity")  # that of removal is GaussianPOP's
 }
 RANKINGS["random"] = (
     f"import numpy; {RANKED}lambda scene, *_: numpy.random.default_rng(scene.count).random(scene.count)"
@@ -136,6 +146,8 @@ def equal() -> dict[str, list[str]]:
         "steps of 3dgs 1": ["--method", "3dgs", *AS_MANY_STEPS],
         "removal 1": ["--method", "removal", "--target", "1"],
     }
+    straight = ["--method", "3dgs", "--recovery", str(RECOVERY + 8000), "--densify", "mcmc"]
+    runs |= {f"mcmc {target}": straight for target in EQUAL_TARGETS}
     for target in EQUAL_TARGETS:
         runs |= {f"{name} {target}": ["--method", "removal", "--target", target] for name in RANKINGS}
     return runs
@@ -185,18 +197,31 @@ def requests(options: argparse.Namespace) -> Iterator[dict]:
                     }  # fmt: skip
 
 
-def command(request: dict, data: list[str], work: Path) -> list[str]:
+def start_of(request: dict) -> dict:
+    """The run of `table` whose scene a run of PRUNED prunes."""
+    run, trained = request["start"], request["trained"]
+    return {**request, "study": "table", "run": run, "flags": TABLE[run], "schedule": trained}
+
+
+def is_start(request: dict) -> bool:
+    """Whether other runs prune the scene of this one."""
+    return request["study"] == "table" and request["run"] in STARTS
+
+
+def start_file(request: dict, work: Path) -> Path:
+    """The scene of such a run."""
+    return work / f"{request['run']}-{request['seed']}-{request['schedule']}.ply"
+
+
+def command(request: dict, data: list[str], work: Path, threads: int) -> list[str]:
     """The svrgs command of a run. data: its flags --data and --images."""
-    out = work / f"{request['study']}.ply"
-    kept = request["study"] == "table" and request["run"] in STARTS
-    trained = (
-        work / f"{request['run'] if kept else request['start']}-{request['seed']}-{request['trained']}.ply"
-    )
+    own = work / f"{hashlib.sha256(key(request).encode()).hexdigest()[:16]}.ply"
+    out = start_file(request, work) if is_start(request) else own
     schedule = [] if request["study"] == "time" else ["--schedule", str(request["schedule"])]
     file = weights_file()  # of LPIPS, which takes seconds that a limit of time counts
     weights = ["--lpips-weights", str(file)] if file.is_file() and request["study"] != "time" else []
-    common = [*request["flags"], *data, "--seed", str(request["seed"]), *schedule, *weights]
-    common += ["--json", "--quiet"]
+    common = ["--out", str(out), *request["flags"], *data, "--seed", str(request["seed"]), *schedule]
+    common += [*weights, "--threads", str(threads), "--json", "--quiet"]
     label = request["run"].rpartition(" ")[0]
     changes = {"ablation": ABLATION.get(label), "equal": RANKINGS.get(label), "printed": PRINTED}
     change = changes.get(request["study"])
@@ -206,16 +231,24 @@ def command(request: dict, data: list[str], work: Path) -> list[str]:
         f"import sys; {change or 'pass'}\nfrom svrgs_addon.cli.main import main\nsys.exit(main())",
     ]
     if request["study"] in PRUNED:
-        return [*program, "prune", str(trained), "--out", str(out), *common]
-    return [*program, "train", "--out", str(trained if kept else out), *common]
+        start = start_file(start_of(request), work)
+        if label == "mcmc":
+            cap = round(float(request["run"].rpartition(" ")[2]) * read_scene(start).count)
+            return [*program, "train", *common, "--cap", str(cap)]
+        return [*program, "prune", str(start), *common]
+    return [*program, "train", *common]
 
 
-def measured(request: dict, data: list[str], work: Path) -> dict:
+def measured(request: dict, data: list[str], work: Path, threads: int = 0) -> dict:
     """The row of a run: its request and its figures, or an error."""
-    started = time.time()
-    done = subprocess.run(command(request, data, work), cwd=ROOT, capture_output=True, text=True)
+    started, words = time.time(), command(request, data, work, threads)
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True)
     if done.returncode:
         return {**request, "error": (done.stderr.strip().splitlines() or ["no message"])[-1]}
+    if not is_start(request):
+        out = Path(words[words.index("--out") + 1])
+        out.unlink()
+        shutil.rmtree(f"{out}.job", ignore_errors=True)
     result = json.loads(done.stdout)
     return {
         **request,
@@ -238,21 +271,75 @@ def read_rows(path: Path) -> list[dict]:
 
 
 def run(options: argparse.Namespace):
-    done = {key(row) for row in read_rows(options.rows) if "error" not in row}
+    rows = read_rows(options.rows)
+    done = {key(row) for row in rows if "error" not in row}
+    part, _, parts = options.part.partition("/")
+    wanted = [request for request in requests(options) if key(request) not in done]
+    wanted = wanted[int(part) - 1 :: int(parts)]
     options.rows.parent.mkdir(parents=True, exist_ok=True)
-    for request in requests(options):
-        if key(request) in done:
-            continue
-        work = options.work / request["scene"]
-        data = prepared(request["scene"], folder_of(options, request["scene"]), work, request["shrink"])
-        row = measured(request, data, work)
-        with options.rows.open("a") as file:
-            file.write(json.dumps(row) + "\n")
-        figures = (
-            row.get("error")
-            or f"{row['count']:,} Gaussians, {row['psnr']:.2f} dB, {row['wall_seconds']:.0f} s"
-        )
-        print(f"{row['scene']}, {row['study']}, {row['run']}, seed {row['seed']}: {figures}", flush=True)
+    works = {request["scene"]: options.work / request["scene"] for request in wanted}
+    datas = {
+        scene: prepared(scene, folder_of(options, scene), work, options.shrink)
+        for scene, work in works.items()
+    }
+    starts = [start_of(request) for request in wanted if request["study"] in PRUNED]
+    # those whose scene is missing, and those whose row is
+    missing = {key(one): one for one in starts if not start_file(one, works[one["scene"]]).exists()}
+    missing |= {key(one): one for one in wanted if is_start(one)}
+    first, rest = list(missing.values()), [one for one in wanted if key(one) not in missing]
+    threads = max(1, os.cpu_count() // options.jobs)
+
+    def row_of(request: dict) -> dict:
+        scene = request["scene"]
+        return measured(request, datas[scene], works[scene], threads)
+
+    print(f"{len(first) + len(rest)} runs; {foreseen(rows, first + rest, options.jobs)}", flush=True)
+    with ThreadPoolExecutor(options.jobs) as pool:
+        for some in (first, rest):
+            for number, row in enumerate(pool.map(row_of, some), 1):
+                rows.append(row)
+                with options.rows.open("a") as file:
+                    file.write(json.dumps(row) + "\n")
+                left = foreseen(rows, [*some[number:], *(rest if some is first else [])], options.jobs)
+                print(f"{sentence(row)}; {left}", flush=True)
+
+
+def join(rows: Path, others: list[Path]):
+    """Adds the rows of other files that are not there."""
+    done = {key(row) for row in read_rows(rows) if "error" not in row}
+    new = {key(row): row for path in others for row in read_rows(path) if "error" not in row}
+    with rows.open("a") as file:
+        file.writelines(json.dumps(row) + "\n" for name, row in new.items() if name not in done)
+
+
+def sentence(row: dict) -> str:
+    """Of a run that has ended."""
+    figures = (
+        row.get("error") or f"{row['count']:,} Gaussians, {row['psnr']:.2f} dB, {row['wall_seconds']:.0f} s"
+    )
+    return f"{row['scene']}, {row['study']}, {row['run']}, seed {row['seed']}: {figures}"
+
+
+def foreseen(rows: list[dict], wanted: list[dict], jobs: int) -> str:
+    """How long runs take, foreseen from rows of the same scene, size and length; of other lengths if there
+    are none."""
+
+    def seconds(request: dict) -> float:
+        alike = [
+            (row["wall_seconds"] * request["schedule"] / row["schedule"], row)
+            for row in rows
+            if "error" not in row and all(row[name] == request[name] for name in ("scene", "shrink"))
+        ]
+        near = [
+            took for took, row in alike if all(row[name] == request[name] for name in ("study", "schedule"))
+        ]
+        known = near or [took for took, _ in alike]
+        return statistics.median(known) if known else math.nan
+
+    total = sum(map(seconds, wanted)) / jobs
+    return (
+        f"about {total / 60:.0f} min left" if math.isfinite(total) else "how long they take is not known yet"
+    )
 
 
 def folder_of(options: argparse.Namespace, scene: str) -> Path | None:
@@ -306,6 +393,15 @@ def parsed() -> argparse.Namespace:
         "--shrink", type=int, default=1, help="reduction of the photographs per side (default: 1)"
     )
     parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--jobs", type=int, default=1, help="runs at a time (default: 1)")
+    parser.add_argument("--part", default="1/1", metavar="K/N", help="every N-th run alone, from the K-th")
+    parser.add_argument(
+        "--join",
+        type=Path,
+        action="append",
+        metavar="FILE",
+        help="add the rows of this file, and run nothing",
+    )
     parser.add_argument("--rows", type=Path, default=ROOT / "docs" / "results" / "rows.jsonl")
     parser.add_argument("--work", type=Path, default=ROOT / "build" / "methods")
     parser.add_argument(
@@ -323,6 +419,8 @@ def main():
     options = parsed()
     if options.show:
         write_report(read_rows(options.rows), options.show)
+    elif options.join:
+        join(options.rows, options.join)
     else:
         run(options)
 
