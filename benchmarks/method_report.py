@@ -124,10 +124,10 @@ def case(row: dict) -> str:
 def pruned(rows: list[dict], study: str) -> list[dict]:
     """The rows of a study that prunes, with the keys `method` and `share`: the share of the target, 1 without
     one."""
-    found = ((row, row["run"].split()) for row in rows if row["study"] == study)
+    found = ((row, *row["run"].rpartition(" ")[::2]) for row in rows if row["study"] == study)
     return [
-        {**row, "method": words[0], "share": float(words[1]) if len(words) > 1 else 1.0}
-        for row, words in found
+        {**row, "method": method or share, "share": float(share) if method else 1.0}
+        for row, method, share in found
     ]
 
 
@@ -178,6 +178,31 @@ def standings(rows: list[dict]) -> Iterable[list[str]]:
             ", ".join(best),
             str(len(others)),
         ]
+
+
+def equal(rows: list[dict], charts: Path) -> str:
+    """The recipe of the default with the ranking of other methods, and with nothing removed."""
+    rows = pruned(rows, "equal")
+    rankings = [name for (name,) in groups(rows, "method") if name not in ("steps of 3dgs", DEFAULT)]
+    columns = ["steps of 3dgs", DEFAULT, *rankings]
+    lines = []
+    for those in groups(rows, "scene", "schedule", "shrink", "trained", "start").values():
+        for (share,), group in sorted(groups(those, "share").items(), reverse=True):
+            found = {row["method"]: row for row in group}
+            lines.append(
+                [
+                    case(group[0]),
+                    f"{100 * share:g} %",
+                    f"{group[0]['pixels'] / group[0]['count']:.0f}",
+                    *(perceived(found[name]) if name in found else "" for name in columns),
+                ]
+            )
+    head = ["scene", "kept", "pixels a Gaussian", "plain steps", "`removal`: GaussianPOP's ranking"]
+    return table(head + [f"that of `{name}`" for name in rankings], lines)
+
+
+def perceived(row: dict) -> str:
+    return f"{psnr_of(row)}, {row['lpips']:.3f}"
 
 
 def few(rows: list[dict], charts: Path) -> str:
@@ -295,5 +320,6 @@ def sweep(rows: list[dict], charts: Path) -> str:
 
 
 PARTS: dict[str, Callable[[list[dict], Path], str]] = {
-    part.__name__: part for part in (commands, pruning, few, in_time, other_figures, points, paper, sweep)
+    part.__name__: part
+    for part in (commands, equal, pruning, few, in_time, other_figures, points, paper, sweep)
 }

@@ -44,6 +44,7 @@ import sys
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from pathlib import Path
 
 from method_report import write_report
@@ -51,6 +52,7 @@ from method_scenes import GENERATED, prepared
 from svrgs_addon.files.registry import read_scene
 from svrgs_addon.finetune.methods import METHODS
 from svrgs_addon.render.metrics.lpips import weights_file
+from svrgs_addon.views.dataset import load_dataset
 
 ROOT = Path(__file__).resolve().parents[1]
 KEPT = (
@@ -253,8 +255,16 @@ def measured(request: dict, data: list[str], work: Path, threads: int = 0) -> di
     return {
         **request,
         "wall_seconds": time.time() - started,
+        "pixels": training_pixels(tuple(data)),
         **{key: result[key] for key in KEPT if key in result},
     }
+
+
+@cache
+def training_pixels(data: tuple[str, ...]) -> int:
+    """Of all training views. data: the flags --data and --images."""
+    dataset = load_dataset(*data[1::2])
+    return sum(dataset.cameras[i].width * dataset.cameras[i].height for i in dataset.train_indices)
 
 
 def key(row: dict) -> str:

@@ -171,3 +171,56 @@ def test_the_table_of_the_readme_is_that_of_the_figures():
     for count, psnr, size, seconds in readme:
         published = figures[count, psnr]
         assert size == published[5] and seconds.split(" ")[0] in ("", published[6])
+
+
+@pytest.fixture(scope="module")
+def equal() -> dict[tuple[str, str], dict[int, dict]]:
+    """The rows of the study `equal` by scene and run, and by seed."""
+    found: dict[tuple[str, str], dict[int, dict]] = defaultdict(dict)
+    for row in map(json.loads, ROWS.read_text().splitlines()):
+        if row["study"] == "equal" and "error" not in row:
+            found[row["scene"], row["run"]][row["seed"]] = row
+    return found
+
+
+def ahead(equal, scene: str, run: str, other: str, measure: str = "psnr") -> list[float]:
+    """What a run has more than another one, of each seed."""
+    ours, theirs = equal[scene, run], equal[scene, other]
+    assert len(ours) == len(theirs) >= 3
+    return [ours[seed][measure] - theirs[seed][measure] for seed in ours]
+
+
+@pytest.mark.parametrize(("scene", "least", "most"), [("snowmiku", 0.1, 0.3), ("south_building", 1.2, 1.7)])
+def test_recipe_alone_gains_as_much_as_is_said(equal, scene, least, most):
+    gains = ahead(equal, scene, "removal 1", "steps of 3dgs 1")
+    assert all(round(gain, 1) >= least for gain in gains) and max(gains) <= most + 0.05, gains
+    assert fmean(ahead(equal, scene, "removal 1", "steps of 3dgs 1", "lpips")) < 0
+
+
+@pytest.mark.parametrize("scene", ["snowmiku", "south_building"])
+def test_half_of_the_gaussians_costs_nothing_that_psnr_shows(equal, scene):
+    for ranking in ("removal", "speedy", "opacity"):
+        assert fmean(ahead(equal, scene, f"{ranking} 0.5", "removal 1")) > -0.02
+        assert fmean(ahead(equal, scene, f"{ranking} 0.5", "removal 1", "lpips")) < 0.0105
+
+
+def test_a_tenth_costs_what_is_said(equal):
+    assert round(fmean(ahead(equal, "snowmiku", "removal 0.1", "removal 1")), 1) == -0.5
+    assert round(fmean(ahead(equal, "snowmiku", "removal 0.1", "steps of 3dgs 1")), 1) == -0.3
+    assert fmean(ahead(equal, "south_building", "removal 0.1", "removal 1")) > 0
+    for scene, before, after in (("snowmiku", 0.15, 0.19), ("south_building", 0.35, 0.44)):
+        found = [
+            fmean(row["lpips"] for row in equal[scene, f"removal {share}"].values()) for share in (1, 0.1)
+        ]
+        assert [round(value, 2) for value in found] == [before, after]
+
+
+@pytest.mark.parametrize("scene", ["snowmiku", "south_building"])
+@pytest.mark.parametrize("share", ["0.1", "0.05"])
+@pytest.mark.parametrize(
+    ("ranking", "least", "most"), [("speedy", 0.1, 0.2), ("lightgaussian", 0.5, 1.0), ("opacity", 0.3, 0.8)]
+)
+def test_the_ranking_of_the_default_is_ahead_with_every_seed(equal, scene, share, ranking, least, most):
+    gains = ahead(equal, scene, f"removal {share}", f"{ranking} {share}")
+    assert min(gains) > 0 and least <= round(fmean(gains), 1) <= most
+    assert max(ahead(equal, scene, f"removal {share}", f"{ranking} {share}", "lpips")) < 0
