@@ -7,6 +7,7 @@ from ..operators.data.splat_object import is_splat, root_of
 from ..operators.data.splat_size import about
 from ..operators.io import undistort
 from ..operators.scene import camera_match, dataset_paths, splat_transforms
+from ..operators.scene.frame import in_default_cube
 from .sidebar import SidebarPanel, wrapped_label
 
 ROOTS = 3  # sets of cameras that are offered
@@ -35,6 +36,9 @@ class SVRGS_PT_scene(SidebarPanel, bpy.types.Panel):
         row.operator("svrgs.frame", text="", icon="ZOOM_SELECTED")
         if not is_splat(context.object):
             return
+        if in_default_cube(context, context.object):
+            text = tr("Blender's default cube hides a part of the splat: select the cube and press H")
+            wrapped_label(layout, text, "INFO")
         draw_cameras(layout, context)
         moved = splat_transforms.moved_count(context.object)
         if moved:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from pathlib import Path
 
 import bpy
@@ -82,8 +81,6 @@ class SVRGS_OT_import_ply(ReportingOperator, ImportHelper):
         select(context, objects)
         if self.frame:
             frame(context, objects)
-        if has_default_cube(context.visible_objects):
-            texts.append(tr("Blender's default cube hides a part of the splat: select the cube and press H"))
         return tr("Imported {splats}").format(splats="; ".join(texts))
 
     def add(self, context, name, scene) -> bpy.types.Object:
@@ -114,17 +111,6 @@ class SVRGS_OT_import_ply(ReportingOperator, ImportHelper):
                 self.report({"ERROR"}, str(error))
                 return {"CANCELLED"}
         return self.invoke_popup(context)
-
-
-def has_default_cube(objects: Iterable[bpy.types.Object]) -> bool:
-    """Whether the cube of a new .blend file is among the objects, where it was."""
-    return any(
-        obj.type == "MESH"
-        and obj.name == "Cube"
-        and len(obj.data.vertices) == 8
-        and obj.matrix_world == Matrix()
-        for obj in objects
-    )
 
 
 class SVRGS_FH_ply(bpy.types.FileHandler):

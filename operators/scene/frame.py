@@ -10,6 +10,7 @@ from collections.abc import Iterator
 
 import bpy
 from bpy.app.translations import pgettext_iface as tr
+from mathutils import Matrix, Vector
 
 from ...svrgs_addon.scene.bounds import clipping
 from ..data import camera_object, splat_object
@@ -63,6 +64,15 @@ def frame(context, objects: list[bpy.types.Object], through_cameras: bool = Fals
             )
         space.clip_start, space.clip_end = clipping(view.view_distance, space.clip_start, space.clip_end)
     return True
+
+
+def in_default_cube(context, splat: bpy.types.Object) -> bool:
+    """Whether the visible cube of a new .blend file stands where it was, and a part of the splat is in it."""
+    cubes = [obj for obj in context.visible_objects if obj.type == "MESH" and obj.name == "Cube"]
+    if not any(len(obj.data.vertices) == 8 and obj.matrix_world == Matrix() for obj in cubes):
+        return False
+    corners = [splat.matrix_world @ Vector(corner) for corner in splat.bound_box]
+    return all(min(axis) < 1 and max(axis) > -1 for axis in zip(*corners, strict=True))
 
 
 def _family(objects: list[bpy.types.Object]) -> list[bpy.types.Object]:

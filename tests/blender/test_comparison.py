@@ -41,6 +41,29 @@ def test_compare_draws_both_and_measures_against_the_photograph(tmp_path, stage,
         assert 0 < row["ssim"] <= 1 and 0 <= row["flip"] < 1
 
 
+def test_compare_measures_lpips_where_its_weights_are(tmp_path, stage, monkeypatch):
+    """In a thread; without a window Blender waits for it."""
+    lpips, compare = part("svrgs_addon.render.metrics.lpips"), part("operators.view.compare")
+    rng = np.random.default_rng(0)
+    arrays = {name: rng.random(shape, np.float32) - 0.45 for name, shape in lpips._expected().items()}
+    scale = {name: (2 / max(1, np.prod(array.shape[1:]))) ** 0.5 for name, array in arrays.items()}
+    np.savez(tmp_path / "w.npz", **{name: array * scale[name] for name, array in arrays.items()})
+    monkeypatch.setenv(lpips.VARIABLE, str(tmp_path / "w.npz"))
+    bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
+    splat = bpy.context.object
+    bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
+    bpy.context.view_layer.objects.active = splat
+    mark_removed(splat, np.arange(250) % 3 == 0)
+    bpy.ops.svrgs.compare()
+    rows = [compare.figures()[name]["lpips"] for name in ("original", "pruned")]
+    layout = Layout()
+    part("panels.compare").SVRGS_PT_compare.draw(SimpleNamespace(layout=layout), bpy.context)
+    assert rows[0] != rows[1] and "LPIPS" in layout.text and f"{rows[0]:.4f}" in layout.text
+    (tmp_path / "w.npz").write_bytes(b"nothing")
+    bpy.ops.svrgs.compare()
+    assert "cannot be read as LPIPS weights" in compare.figures()["lpips_missing"]
+
+
 def test_the_panel_names_the_pair_that_it_guesses(stage, room, camera):
     compare = part("operators.view.compare")
     assert compare.guessed(bpy.context) == {}

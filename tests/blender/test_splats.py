@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import bpy
 import numpy as np
 import pytest
 from extension import DATA, part
+from job_helpers import Layout
 
 
 @pytest.fixture
@@ -188,12 +191,29 @@ def test_several_files_at_once_and_one_that_is_none(make_scene, ply, tmp_path, c
         bpy.ops.svrgs.import_ply(filepath=str(tmp_path / "bad.ply"))
 
 
-def test_an_import_says_that_the_default_cube_hides_a_part(capfd):
-    for place, hidden in (((0, 0, 0), True), ((0, 0, 9), False)):
-        bpy.data.batch_remove(list(bpy.data.objects))
-        bpy.ops.mesh.primitive_cube_add(location=place)
-        bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
-        assert ("default cube hides a part" in capfd.readouterr().out) == hidden
+def test_the_panel_says_that_the_default_cube_hides_a_part():
+    bpy.data.batch_remove(list(bpy.data.objects))
+    bpy.ops.mesh.primitive_cube_add()
+    cube = bpy.context.object
+    bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
+    splat = bpy.context.object
+
+    def said() -> bool:
+        bpy.context.view_layer.update()
+        layout = Layout()
+        part("panels.scene").SVRGS_PT_scene.draw(SimpleNamespace(layout=layout), bpy.context)
+        return "default cube hides" in layout.text
+
+    assert said()
+    splat.location.x = 9
+    assert not said(), "the splat is elsewhere"
+    splat.location.x = 0
+    cube.location.z = 9
+    assert not said(), "the cube is elsewhere"
+    cube.location.z = 0
+    assert said()
+    cube.hide_set(True)
+    assert not said()
 
 
 def test_importing_leaves_nothing_else_behind(splat):
