@@ -20,7 +20,7 @@ BEST = 3  # how many of the other methods are named beside it
 BASE, RIVAL, PAPER = "3DGS", "MaskGS alpha", "SVR-GS"
 PAPER_RUNS = (BASE, RIVAL, PAPER, "Scenario A", "Scenario B")  # the columns of the paper's tables
 FIGURES = ("psnr", "ssim", "lpips", "flip", "count", "bytes", "seconds", "ms_per_frame")
-PRUNES = ("equal", "pareto", "ablation", "schedules", "time")  # studies that prune a trained scene
+PRUNES = ("equal", "looks", "pareto", "ablation", "schedules", "time")  # studies that prune a trained scene
 LOSSES = {"table": "usual", "lambda": "usual", "printed": "printed"}  # weights of the image loss, by study
 
 

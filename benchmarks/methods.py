@@ -25,6 +25,7 @@ any order; --join FILE adds the rows of another machine.
     equal     the same with the recipe of `removal` (lowering, rates, averaging) and the rankings of other
               methods, and with nothing removed: what the ranking is worth, and what the recipe; and MCMC
               trained straight to the number
+    looks     the same with less exact looks at what stays (benchmarks/looks.py)
     schedules the same with the default and its nearest rivals, down to 2 %; to be run with several --schedule
     time      the same to 10 %, where each method has the same seconds (`--time`); to be run on a quiet
               machine. --only 10 runs one limit
@@ -47,6 +48,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from pathlib import Path
 
+from looks import LOOKS
 from method_report import write_report
 from method_scenes import GENERATED, prepared
 from svrgs_addon.files.registry import read_scene
@@ -139,6 +141,7 @@ RANKINGS = {"removal": ""} | {
 RANKINGS["random"] = (
     f"import numpy; {RANKED}lambda scene, *_: numpy.random.default_rng(scene.count).random(scene.count)"
 )
+LOOKING = {name: f"from looks import look; {RANKED}look({name!r})" for name in LOOKS if not LOOKS[name][2]}
 EQUAL_TARGETS = ("0.5", "0.25", "0.1", "0.05", "0.025")
 
 
@@ -158,6 +161,11 @@ def equal() -> dict[str, list[str]]:
 STUDIES = {
     "table": TABLE,
     "equal": equal(),
+    "looks": {
+        f"{name} {target}": ["--method", "removal", "--target", target]
+        for target in ("0.25", "0.1")
+        for name in LOOKING
+    },
     "printed": {run: TABLE[run] for run in PAPER} | SWEEP,
     "lambda": SWEEP,
     "pareto": pareto(),
@@ -177,7 +185,14 @@ STUDIES = {
         for method in IN_TIME
     },
 }
-PRUNED = ("equal", "pareto", "ablation", "schedules", "time")  # studies that prune the 3DGS scene of `table`
+PRUNED = (
+    "equal",
+    "looks",
+    "pareto",
+    "ablation",
+    "schedules",
+    "time",
+)  # studies that prune the 3DGS scene of `table`
 
 
 def requests(options: argparse.Namespace) -> Iterator[dict]:
@@ -225,7 +240,12 @@ def command(request: dict, data: list[str], work: Path, threads: int) -> list[st
     common = ["--out", str(out), *request["flags"], *data, "--seed", str(request["seed"]), *schedule]
     common += [*weights, "--threads", str(threads), "--json", "--quiet"]
     label = request["run"].rpartition(" ")[0]
-    changes = {"ablation": ABLATION.get(label), "equal": RANKINGS.get(label), "printed": PRINTED}
+    changes = {
+        "ablation": ABLATION.get(label),
+        "equal": RANKINGS.get(label),
+        "looks": LOOKING.get(label),
+        "printed": PRINTED,
+    }
     change = changes.get(request["study"])
     program = [
         sys.executable,

@@ -38,14 +38,16 @@ def removal_errors(
     rasterizer: Rasterizer,
     options: RenderOptions,
     kept: np.ndarray | None = None,
+    reduction: int = REDUCTION,
 ) -> np.ndarray:
     """Removal error of each Gaussian, (N,) float64: squared error of colours in 0..1, summed over views. 0
     for Gaussians that no view sees.
 
-    kept: (N,) bool, the Gaussians that the scene is rendered with; the others have 0. None: all.
+    kept: (N,) bool, the Gaussians that the scene is rendered with; the others have 0. None: all. reduction:
+    of the pictures, per side.
     """
     total, masks = np.zeros(scene.count), None if kept is None else kept.astype(np.uint8)
-    for view in reduced(cameras):
+    for view in reduced(cameras, reduction):
         rasterizer.forward(scene, view, options, masks, outputs=())
         total += _removal_error(rasterizer, view, scene.count)
     return total
@@ -79,9 +81,9 @@ def saliency(
     return np.divide(removal_error, mask_penalty, out=np.zeros(n), where=mask_penalty > 0)
 
 
-def reduced(cameras: Sequence[Camera]) -> list[Camera]:
+def reduced(cameras: Sequence[Camera], reduction: int = REDUCTION) -> list[Camera]:
     """The cameras as views are scored: at half their size."""
-    return [camera.reduced(fitting_reduction(REDUCTION, camera.width, camera.height)) for camera in cameras]
+    return [camera.reduced(fitting_reduction(reduction, camera.width, camera.height)) for camera in cameras]
 
 
 def _removal_error(rasterizer: Rasterizer, view: Camera, count: int) -> np.ndarray:

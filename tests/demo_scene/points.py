@@ -4,6 +4,7 @@ A point keeps the colour of the pixel it was shot through and the list of views 
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import bpy
 import numpy as np
@@ -32,10 +33,24 @@ def world_surface(scene: bpy.types.Scene) -> BVHTree:
     for thing in scene.objects:
         if thing.type != "MESH":
             continue
-        first = len(vertices)
-        vertices += [thing.matrix_world @ vertex.co for vertex in thing.data.vertices]
-        polygons += [[first + k for k in face.vertices] for face in thing.data.polygons]
+        mesh, first = thing.data, len(vertices)
+        places = np.empty((len(mesh.vertices), 3), np.float32)
+        mesh.vertices.foreach_get("co", places.ravel())
+        vertices += _moved(places, np.array(thing.matrix_world, np.float32)).tolist()
+        corners, sizes = np.empty(len(mesh.loops), np.int32), np.empty(len(mesh.polygons), np.int32)
+        mesh.loops.foreach_get("vertex_index", corners)
+        mesh.polygons.foreach_get("loop_total", sizes)
+        all_corners, ends = (corners + first).tolist(), sizes.cumsum().tolist()
+        polygons += [all_corners[begin:end] for begin, end in pairwise([0, *ends])]
     return BVHTree.FromPolygons(vertices, polygons)
+
+
+def _moved(places: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+    """Places (N, 3) in another frame, (N, 3) float32, with the bits of mathutils: products in float32, sums in
+    float64."""
+    places = np.column_stack([places, np.ones(len(places), np.float32)])
+    products = (places[:, None] * matrix[:3]).astype(np.float64)
+    return (products[..., 0] + products[..., 1] + products[..., 2] + products[..., 3]).astype(np.float32)
 
 
 def sample(surface: BVHTree, camera: Intrinsics, poses: list[Pose], images: np.ndarray, count: int) -> Cloud:
