@@ -85,8 +85,8 @@ VIEWS = {"front": CAMERAS[0], "rolled": CAMERAS[1], "inside": scenes.camera(24, 
 
 
 def small_scene(dtype):
-    """30 Gaussians of one colour each, as what turns with the view is no part of the sensitivity; one is behind
-    the cameras in front."""
+    """30 Gaussians of one colour each, as what turns with the view is no part of the sensitivity; one is
+    behind the cameras in front."""
     scene = typed(scenes.random_scene(30, 3, 0, scale=0.3), dtype)
     scene.count = 30
     scene.means[7] = (0, 0, -50)

@@ -46,8 +46,8 @@ def world_surface(scene: bpy.types.Scene) -> BVHTree:
 
 
 def _moved(places: np.ndarray, matrix: np.ndarray) -> np.ndarray:
-    """Places (N, 3) in another frame, (N, 3) float32, with the bits of mathutils: products in float32, sums in
-    float64."""
+    """Places (N, 3) in another frame, (N, 3) float32, with the bits of mathutils: products in float32, sums
+    in float64."""
     places = np.column_stack([places, np.ones(len(places), np.float32)])
     products = (places[:, None] * matrix[:3]).astype(np.float64)
     return (products[..., 0] + products[..., 1] + products[..., 2] + products[..., 3]).astype(np.float32)
