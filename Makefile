@@ -4,7 +4,7 @@
 # make test    quick tests, and a short run of each slow kind;  make test-slow  the rest: Blender, kills, fuzz, ...
 # make lint    style and types;  make format  formats the sources
 # make zip     the Blender extension for this platform and this Python, in dist/
-# make lpips   fetches the weights of LPIPS (64 MB), which eval and compare then measure
+# make lpips   fetches the weights of LPIPS (64 MB), which eval, compare and reports then measure
 # make package the extension for all platforms and Blenders, wheels for pip, a static extension repository, in dist/
 # make test-blender   the extension's tests in other Blenders too, BLENDERS="4.2.23 ..."
 # make sanitize       native tests under sanitizers;  make fuzz  libFuzzer on the C interface (clang++)

@@ -183,7 +183,8 @@ def standings(rows: list[dict]) -> Iterable[list[str]]:
 def equal(rows: list[dict], charts: Path) -> str:
     """The recipe of the default with the ranking of other methods, and with nothing removed."""
     rows = pruned(rows, "equal")
-    rankings = [name for (name,) in groups(rows, "method") if name not in ("steps of 3dgs", DEFAULT)]
+    others = ("steps of 3dgs", "mcmc", DEFAULT)
+    rankings = [name for (name,) in groups(rows, "method") if name not in others]
     columns = ["steps of 3dgs", DEFAULT, *rankings]
     lines = []
     for those in groups(rows, "scene", "schedule", "shrink", "trained", "start").values():
@@ -202,7 +203,8 @@ def equal(rows: list[dict], charts: Path) -> str:
 
 
 def perceived(row: dict) -> str:
-    return f"{psnr_of(row)}, {row['lpips']:.3f}"
+    """PSNR, and LPIPS where it was measured."""
+    return psnr_of(row) + ("" if row["lpips"] is None else f", {row['lpips']:.3f}")
 
 
 def few(rows: list[dict], charts: Path) -> str:

@@ -44,7 +44,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from functools import cache
 from pathlib import Path
 
@@ -227,7 +227,7 @@ def is_start(request: dict) -> bool:
 
 def start_file(request: dict, work: Path) -> Path:
     """The scene of such a run."""
-    return work / f"{request['run']}-{request['seed']}-{request['schedule']}.ply"
+    return work / f"{request['run']}-{request['seed']}-{request['schedule']}-{request['shrink']}.ply"
 
 
 def command(request: dict, data: list[str], work: Path, threads: int) -> list[str]:
@@ -263,7 +263,10 @@ def command(request: dict, data: list[str], work: Path, threads: int) -> list[st
 
 def measured(request: dict, data: list[str], work: Path, threads: int = 0) -> dict:
     """The row of a run: its request and its figures, or an error."""
-    started, words = time.time(), command(request, data, work, threads)
+    started = time.time()
+    if request["study"] in PRUNED and not start_file(start_of(request), work).exists():
+        return {**request, "error": "the scene to prune is missing, as its training failed"}
+    words = command(request, data, work, threads)
     done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True)
     if done.returncode:
         return {**request, "error": (done.stderr.strip().splitlines() or ["no message"])[-1]}
@@ -304,8 +307,8 @@ def run(options: argparse.Namespace):
     rows = read_rows(options.rows)
     done = {key(row) for row in rows if "error" not in row}
     part, _, parts = options.part.partition("/")
-    wanted = [request for request in requests(options) if key(request) not in done]
-    wanted = wanted[int(part) - 1 :: int(parts)]
+    mine = list(requests(options))[int(part) - 1 :: int(parts)]
+    wanted = [request for request in mine if key(request) not in done]
     options.rows.parent.mkdir(parents=True, exist_ok=True)
     works = {request["scene"]: options.work / request["scene"] for request in wanted}
     datas = {
@@ -324,14 +327,17 @@ def run(options: argparse.Namespace):
         return measured(request, datas[scene], works[scene], threads)
 
     print(f"{len(first) + len(rest)} runs; {foreseen(rows, first + rest, options.jobs)}", flush=True)
+    left = {key(one): one for one in (*first, *rest)}
     with ThreadPoolExecutor(options.jobs) as pool:
         for some in (first, rest):
-            for number, row in enumerate(pool.map(row_of, some), 1):
+            for row in (ended.result() for ended in as_completed([pool.submit(row_of, one) for one in some])):
+                del left[key(row)]
                 rows.append(row)
-                with options.rows.open("a") as file:
-                    file.write(json.dumps(row) + "\n")
-                left = foreseen(rows, [*some[number:], *(rest if some is first else [])], options.jobs)
-                print(f"{sentence(row)}; {left}", flush=True)
+                if key(row) not in done:  # a scene may be missing whose row is there
+                    with options.rows.open("a") as file:
+                        file.write(json.dumps(row) + "\n")
+                after = foreseen(rows, list(left.values()), options.jobs)
+                print(f"{sentence(row)}; {after}", flush=True)
 
 
 def join(rows: Path, others: list[Path]):

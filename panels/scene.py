@@ -37,7 +37,7 @@ class SVRGS_PT_scene(SidebarPanel, bpy.types.Panel):
         if not is_splat(context.object):
             return
         if in_default_cube(context, context.object):
-            text = tr("Blender's default cube hides a part of the splat: select the cube and press H")
+            text = tr("Blender's default cube may hide a part of the splat: select the cube and press H")
             wrapped_label(layout, text, "INFO")
         draw_cameras(layout, context)
         moved = splat_transforms.moved_count(context.object)

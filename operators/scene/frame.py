@@ -67,7 +67,8 @@ def frame(context, objects: list[bpy.types.Object], through_cameras: bool = Fals
 
 
 def in_default_cube(context, splat: bpy.types.Object) -> bool:
-    """Whether the visible cube of a new .blend file stands where it was, and a part of the splat is in it."""
+    """Whether the visible cube of a new .blend file stands where it was, and the box around the splat reaches
+    into it."""
     cubes = [obj for obj in context.visible_objects if obj.type == "MESH" and obj.name == "Cube"]
     if not any(len(obj.data.vertices) == 8 and obj.matrix_world == Matrix() for obj in cubes):
         return False

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 from concurrent.futures import Future
+from functools import partial
 
 import bpy
 from bpy.app.translations import pgettext_iface as tr
 
 from ...svrgs_addon.files.registry import file_size
+from ...svrgs_addon.jobs.lpips_child import lpips_in_child
 from ...svrgs_addon.native import library
 from ...svrgs_addon.native.rasterizer import Rasterizer
 from ...svrgs_addon.prune.report.pictures import contact_sheet, difference_image, to_uint8, wipe
-from ...svrgs_addon.render.metrics import flip, load_lpips, psnr, ssim
+from ...svrgs_addon.render.metrics import flip, psnr, ssim
 from ...svrgs_addon.render.metrics.evaluate import picture_options, rounded_to_8_bits
 from ...svrgs_addon.render.metrics.lpips import weights_file
 from ...svrgs_addon.scene.camera import Camera
@@ -204,25 +206,21 @@ def measure(scene, picture, photo) -> dict:
 
 
 def perceived(pictures: tuple, photo, figures: dict):
-    """Measures LPIPS, which takes half a minute for a large picture, and adds it to the figures of the
-    comparison unless there is another one by then."""
-
-    def work() -> list[float]:
-        network, _ = load_lpips(None)
-        return [network(picture, photo) for picture in pictures] if network else []
+    """Measures LPIPS, which takes a minute for a large picture, in a child process, and adds it to the
+    figures of the comparison unless there is another one by then."""
 
     def done(answer: Future):
         image = bpy.data.images.get(WIPE)
         if image is None or image_pixels.figures_of(WIPE) != figures:
             return
         try:
-            for name, value in zip(("original", "pruned"), answer.result(), strict=False):
+            for name, value in zip(("original", "pruned"), answer.result(), strict=True):
                 figures[name]["lpips"] = value
-        except SplatError as error:
+        except (SplatError, OSError) as error:
             figures["lpips_missing"] = str(error)
         image[image_pixels.FIGURES] = figures
 
-    background_work.run(work, done, detached=True)
+    background_work.run(partial(lpips_in_child, pictures, photo), done, detached=True)
 
 
 def summary(rows: list[dict], between: float) -> str:

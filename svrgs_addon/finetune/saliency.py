@@ -82,7 +82,7 @@ def saliency(
 
 
 def reduced(cameras: Sequence[Camera], reduction: int = REDUCTION) -> list[Camera]:
-    """The cameras as views are scored: at half their size."""
+    """The cameras as views are scored: `reduction` times smaller per side, as far as that fits."""
     return [camera.reduced(fitting_reduction(reduction, camera.width, camera.height)) for camera in cameras]
 
 

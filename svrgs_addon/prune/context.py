@@ -4,13 +4,16 @@ computes."""
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from ..files.level_files import level_files
 from ..finetune.loop import Progress
 from ..finetune.run import Run
+from ..system import memory
+from ..system.errors import SceneError
+from ..system.memory import View
 from .time_plan import TimePlan
 
 PROCESS = 0.5  # seconds of starting and ending the program
@@ -35,6 +38,7 @@ class JobContext:
     # called with the plan of a job with a time limit, and what is foreseen, in a sentence
     tell: Callable[[TimePlan, str], None] = lambda *_: None
     lpips: Callable | None = None  # (image, photograph) -> float
+    lpips_asked: bool = False  # by the name of its weights
     lpips_missing: str = ""  # why lpips is None
     observe: Callable[[Progress], None] = lambda _: None  # called after each step
     # progress of a job by blocks: called with a text and the share that is done, 0 to 1
@@ -42,6 +46,16 @@ class JobContext:
     stop: Callable[[], bool] = lambda: False  # asked after each step
     # called before the first step, after a checkpoint was restored
     begin: Callable[[Run, list[str]], None] = lambda _run, _notes: None
+
+    def fitting(self, cameras: Sequence[View], needed: int = 0) -> JobContext:
+        """Without LPIPS if memory is too short for it. needed: bytes that the job needs besides. Raises
+        SceneError instead if LPIPS was asked for."""
+        if self.lpips is None:
+            return self
+        reason = memory.shortage("measuring LPIPS", needed + memory.perceiving(cameras))
+        if reason and self.lpips_asked:
+            raise SceneError(f"{reason}; leave out --lpips-weights")
+        return replace(self, lpips=None, lpips_missing=reason) if reason else self
 
     def seconds(self) -> float:
         """Seconds since the job began, with those that the program needs to start and to end."""

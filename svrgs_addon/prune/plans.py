@@ -11,7 +11,7 @@ from ..finetune.plan import Plan, prune_plan, train_plan
 from ..finetune.settings import MCMC, Densify
 from ..render.metrics import load_lpips
 from ..scene.gaussians import Scene
-from ..system.errors import SceneError
+from ..system.errors import FormatError, SceneError
 from ..views.dataset import Dataset, load_dataset
 from ..views.rendered import RenderedDataset
 from .context import JobContext
@@ -161,9 +161,13 @@ def context_of(options: TrainOptions | PruneOptions) -> JobContext:
     assert options.out is not None
     reporter = Reporter(options.quiet)
     prunes = options if isinstance(options, PruneOptions) else None
-    # it takes seconds a view: unasked, it is measured for a report alone
-    unasked = None if prunes and prunes.report else ""
-    lpips, missing = load_lpips(options.lpips_weights or unasked)
+    asked = options.lpips_weights is not None
+    try:  # it takes seconds a view: unasked, it is measured for a report alone
+        lpips, missing = load_lpips(options.lpips_weights or (None if prunes and prunes.report else ""))
+    except FormatError as error:
+        if asked:
+            raise
+        lpips, missing = None, str(error)
     return JobContext(
         options.out,
         prunes.report if prunes else None,
@@ -173,6 +177,7 @@ def context_of(options: TrainOptions | PruneOptions) -> JobContext:
         scene=prunes.scene if prunes else None,
         levels=prunes.levels if prunes else (),
         lpips=lpips,
+        lpips_asked=asked,
         lpips_missing=missing,
         observe=reporter,
         part=reporter.part,

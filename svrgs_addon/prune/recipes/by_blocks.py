@@ -19,7 +19,6 @@ from ...finetune.quality import MIN_SHARE, NOT_APART
 from ...render.metrics.max_drop import missed_drop
 from ...scene.camera import Camera
 from ...scene.gaussians import Scene
-from ...system import memory
 from ...system.errors import Cancelled
 from ...views.dataset import Dataset
 from ..belonging import check_explained, check_seen, seen_of
@@ -118,8 +117,11 @@ class ByBlocks:
 
     def check(self):
         del self.sample  # frees memory
-        needed = memory.perceiving(self.measured, self.job.lpips is not None)
-        memory.refuse_excess(f"{self.source}: measuring LPIPS", needed)
+        self.job = self.job.fitting(self.compared())
+
+    def compared(self) -> Sequence[Camera]:
+        """The views in which the result is measured."""
+        return self.measured
 
     def left_by_a_stop(self) -> str:
         """A sentence on what a job that is stopped leaves; "" for one that can be resumed."""
@@ -250,6 +252,9 @@ class LearnedByBlocks(ByBlocks):
             self.request.refuse_drop()
         self.dataset = self.request.dataset()
         super().views()
+
+    def compared(self) -> Sequence[Camera]:
+        return self.dataset.cameras
 
     def progress_of(self, step: str) -> Progress:
         return self.tasks.progress_of(step, super().progress_of(step))

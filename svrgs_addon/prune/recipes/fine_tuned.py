@@ -192,8 +192,10 @@ class FineTuned(Tuned):
             self.dataset = dataset = hold_apart(dataset)
             if self.measuring and not dataset.deciding_indices:
                 self.notes.append(NOT_APART)
-        size, lpips = (source.count, source.sh.shape[1]), self.job.lpips is not None
-        refuse_excess(f"{self.path}: pruning it", size, dataset, plan, lpips, memory.BY_BLOCKS)
+        needed = refuse_excess(
+            f"{self.path}: pruning it", source.count, source.sh.shape[1], dataset, plan, memory.BY_BLOCKS
+        )
+        self.job = self.job.fitting(dataset.cameras, needed)
         self.room.hold_for(source, source.count, plan.averaged_count(source.count))
 
     def rank(self):
@@ -324,17 +326,16 @@ def refuse_lost_order(plan: Plan, job: JobContext):
 
 
 def refuse_excess(
-    what: str, scene: tuple[int, int], dataset: Dataset, plan: Plan, lpips: bool, advice: str = ""
-):
-    """Raises MemoryShort if memory is too short for the fine-tuning of so many Gaussians. scene: their number
-    and their SH coefficients per channel. lpips: whether it is measured. advice: what else can be done."""
-    (count, coefficients), cameras = scene, dataset.cameras
-    needed = memory.tuning(
-        count, coefficients, cameras, dataset.memory_budget, plan.averaged_count(count)
-    ) + memory.perceiving(cameras, lpips)
+    what: str, count: int, coefficients: int, dataset: Dataset, plan: Plan, advice: str = ""
+) -> int:
+    """Raises MemoryShort if memory is too short for the fine-tuning of so many Gaussians. coefficients: SH
+    coefficients per channel. advice: what else can be done. Returns the bytes that are needed."""
+    cameras = dataset.cameras
+    needed = memory.tuning(count, coefficients, cameras, dataset.memory_budget, plan.averaged_count(count))
     if plan.method.merges:
         needed = max(needed, memory.ordering(count, coefficients, cameras))
     memory.refuse_excess(what, needed, advice)
+    return needed
 
 
 def psnr_of_drop(scene: Scene, dataset: Dataset, plan: Plan, views: list[int]) -> float:

@@ -102,8 +102,8 @@ class Quick:
 
     def check(self):
         needed = memory.decimating(self.scene.count, self.scene.sh.shape[1], self.cameras)
-        needed += memory.perceiving(self.cameras, self.job.lpips is not None)
         memory.refuse_excess(f"{self.options.scene}: pruning it", needed, memory.BY_BLOCKS)
+        self.job = self.job.fitting(self.cameras, needed)
 
     def rank(self):
         options, scene, job = self.options, self.scene, self.job

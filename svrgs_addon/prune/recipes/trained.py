@@ -45,8 +45,8 @@ class Trained(Tuned):
         if (plan.target or plan.share) and not plan.prunes:
             raise SceneError(CANNOT_REACH.format(plan.method.name))
         refuse_unseen_points(dataset)
-        size, lpips = (len(dataset.points), (self.sh_degree + 1) ** 2), self.job.lpips is not None
-        refuse_excess("training", size, dataset, plan, lpips)
+        needed = refuse_excess("training", len(dataset.points), (self.sh_degree + 1) ** 2, dataset, plan)
+        self.job = self.job.fitting(dataset.cameras, needed)
 
     def rank(self):
         """Nothing is there yet."""
