@@ -44,14 +44,10 @@ echo "installing the packages of requirements-dev.txt into $venv (some minutes)"
 # -qq: errors only; --no-compile: Python compiles those modules that are used
 install=("$python" -m pip install -qq --no-compile --disable-pip-version-check)
 "${install[@]}" "$(grep -o '^cmake==[0-9.]*' requirements-dev.txt)"
-tools/build_native.sh "$venv" & # compiles while pip unpacks: Blender, which is a quarter of all, beside the others
-jobs=($!)
-mapfile -t blender < <(sed -n 's/ *#.*//; /^bpy==/p' requirements-dev.txt)
-"${install[@]}" --no-deps "${blender[@]}" &
-jobs+=($!)
-"${install[@]}" "$(grep -o '^torch==[0-9.]*' requirements-dev.txt)" -r requirements.txt
-for job in "${jobs[@]}"; do wait "$job"; done
+tools/build_native.sh "$venv" & # compiles while pip unpacks
+compiler=$!
 "${install[@]}" -r requirements-dev.txt
+wait "$compiler"
 # The checkout is on Python's path, behind the current folder; pip's own way to do this would compile the native core again.
 "$python" -m pip uninstall -qq --yes --disable-pip-version-check svrgs-addon 2>/dev/null
 printf '%s\n' "$PWD" "$PWD/benchmarks" >"$("$python" -c "import sysconfig; print(sysconfig.get_path('purelib'))")/svrgs.pth"
