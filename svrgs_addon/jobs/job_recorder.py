@@ -80,7 +80,7 @@ class JobRecorder:
         self._metrics = [",".join(METRICS), *map(_line, rows)]
         self._write_metrics()
         if notes:
-            self.listener.tell("STATUS", note=". ".join(notes))
+            self.listener.tell("STATUS", note="; ".join(notes))
 
     def observe(self, progress: loop.Progress):
         run, curves = self.run, self.run.curves

@@ -332,8 +332,9 @@ class LearnedByBlocks(ByBlocks):
             if not self.dataset.deciding_indices:
                 result["notes"].append(NOT_APART)
         result = self.of_prune(result, "")
-        if self.job.report:
-            write_report_of_files(self.job.report, self.dataset, result, opened)
+        job = self.job
+        if job.report:
+            write_report_of_files(job.report, self.dataset, result, opened, job.lpips_missing)
         return result
 
     def close(self):

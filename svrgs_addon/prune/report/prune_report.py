@@ -72,9 +72,10 @@ def write_prune_report(
     write_report(folder, page)
 
 
-def write_report_of_files(folder: Path, dataset: Dataset, result: dict, opened: Opens):
+def write_report_of_files(folder: Path, dataset: Dataset, result: dict, opened: Opens, lpips_missing: str):
     """write_prune_report() of a job by blocks, from its files; without curves. result: its JSON result.
-    opened: opens a scene to render it, as blocks.block_rasterizer.opened() does. Raises SplatError."""
+    opened: opens a scene to render it, as blocks.block_rasterizer.opened() does. lpips_missing: why LPIPS was
+    not measured. Raises SplatError."""
     shown = [dataset.cameras[i] for i in report_indices(dataset)]
     size, pictures = (max(camera.width for camera in shown), max(camera.height for camera in shown)), []
     for path in (result["scene"], result["out"]):
@@ -89,6 +90,7 @@ def write_report_of_files(folder: Path, dataset: Dataset, result: dict, opened: 
         before=result["before"],
         after=result["after"],
         method=result["method"],
+        lpips_missing=lpips_missing,
         notes=tuple(result["notes"]),
         seconds=result["seconds"],
         peak_memory_bytes=peak(),
