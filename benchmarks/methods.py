@@ -320,7 +320,7 @@ def run(options: argparse.Namespace):
     missing = {key(one): one for one in starts if not start_file(one, works[one["scene"]]).exists()}
     missing |= {key(one): one for one in wanted if is_start(one)}
     first, rest = list(missing.values()), [one for one in wanted if key(one) not in missing]
-    threads = max(1, os.cpu_count() // options.jobs)
+    threads = 0 if options.jobs == 1 else max(1, (os.cpu_count() or 1) // options.jobs)  # 0: one per core
 
     def row_of(request: dict) -> dict:
         scene = request["scene"]

@@ -98,6 +98,23 @@ def test_its_memory_counts_before_a_job_begins(
     assert done.status != 0 and "of memory" in done.err and not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize(
+    ("damage", "why"), [("memory", "of memory"), ("file", "cannot be read as LPIPS weights")]
+)
+def test_unasked_it_is_left_out_with_the_reason(tiny, svrgs, weights, monkeypatch, tmp_path, damage, why):
+    """Where memory is too short for it, or the fetched file is damaged, a report does without."""
+    monkeypatch.setenv(lpips.VARIABLE, str(weights))
+    if damage == "memory":
+        monkeypatch.setattr(memory, "LPIPS_PIXEL", 10**12)
+    else:
+        (tmp_path / "w.npz").write_bytes(b"nothing")
+        monkeypatch.setenv(lpips.VARIABLE, str(tmp_path / "w.npz"))
+    words = ("--recovery", 20, "--data", tiny.folder, "--report", tmp_path / "report", "--json")
+    result = svrgs("prune", tiny.splat, "--out", tmp_path / "o.ply", *FINE_TUNED, *words).json
+    assert result["lpips"] is None and result["psnr"] > 0
+    assert why in (tmp_path / "report/index.html").read_text("utf-8")
+
+
 def test_eval_measures_both_inputs_by_name(tiny, svrgs, weights):
     command = ("eval", tiny.splat, "--data", tiny.folder, "--lpips-weights", weights, "--json")
     alone, both = svrgs(*command).json, svrgs(*command, "--lpips-authors").json

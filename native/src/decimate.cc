@@ -26,7 +26,7 @@ constexpr double kLeastTransmittance = 1e-3;
 constexpr double kCalibration = 10;  // most by which the removal error of a merge differs from its square, either way
 constexpr int64_t kRowGrain = 256;   // rows of a task
 constexpr int64_t kLeafGrain = 16;   // leaves of a task
-constexpr uint32_t kNowhere = ~0u;
+constexpr uint32_t kGone = ~0u;
 
 struct Candidates {  // those that a Gaussian may merge with
   uint32_t ids[kKept];
@@ -56,7 +56,7 @@ struct Pairs {  // of one task: their costs are computed together. It allocates 
 
 struct Operation {
   float cost;
-  uint32_t a, b;  // places; b: kNowhere for a removal, else above a
+  uint32_t a, b;  // places; b: kGone for a removal, else above a
 };
 
 float coordinate(const svrgs_decimation& in, int64_t row, int axis) {
@@ -169,9 +169,8 @@ class Decimation {
   PointTree tree_;
   std::vector<MergeRow> rows_;     // by place; a merge takes the place of its first Gaussian
   std::vector<Candidates> lists_;  // likewise
-  std::vector<uint32_t> forward_;  // by place: where the Gaussian is now; its own place, that of the merge it is part of, or kNowhere if it was removed
-  std::vector<uint32_t>
-      partner_;  // by place, in this round. 0: unchanged. kNowhere: removed, or merged into another place. Else: the place merged into this one
+  std::vector<uint32_t> forward_;  // by place: where the Gaussian is now; its own place, that of the merge it is part of, or kGone if it was removed
+  std::vector<uint32_t> partner_;  // by place, in this round. 0: unchanged. kGone: removed, or merged into another place. Else: the place merged into this one
   std::vector<uint32_t> active_;   // places, ascending
   std::vector<Operation> chosen_;  // in this round
   std::unique_ptr<float[]> covariances_;
@@ -211,10 +210,10 @@ void Decimation::list(int64_t begin, int64_t end) {
 
 Operation Decimation::cheapest(uint32_t place) const {
   const Candidates& list = lists_[place];
-  Operation best = {rows_[place].removal, place, kNowhere};
+  Operation best = {rows_[place].removal, place, kGone};
   for (int k = 0; k < list.count; ++k) {
     const float cost = kMergeFactor * list.costs[k];
-    if (cost < best.cost || (cost == best.cost && list.ids[k] < best.b && best.b != kNowhere)) best = {cost, place, list.ids[k]};
+    if (cost < best.cost || (cost == best.cost && list.ids[k] < best.b && best.b != kGone)) best = {cost, place, list.ids[k]};
   }
   if (best.b < best.a) std::swap(best.a, best.b);
   return best;
@@ -235,9 +234,9 @@ void Decimation::choose() {
   chosen_.clear();
   for (int64_t i = 0; i < offered && static_cast<int64_t>(chosen_.size()) < most; ++i) {
     const Operation& offer = offers[sorted[i].place];
-    if (partner_[offer.a] || (offer.b != kNowhere && partner_[offer.b])) continue;
-    partner_[offer.a] = offer.b;  // kNowhere for a removal
-    if (offer.b != kNowhere) partner_[offer.b] = kNowhere;
+    if (partner_[offer.a] || (offer.b != kGone && partner_[offer.b])) continue;
+    partner_[offer.a] = offer.b;  // kGone for a removal
+    if (offer.b != kGone) partner_[offer.b] = kGone;
     chosen_.push_back(offer);
   }
 }
@@ -247,10 +246,10 @@ void Decimation::merge() {
   std::vector<uint32_t> a, b;
   std::vector<int64_t> of;
   for (const Operation& op : chosen_) {
-    out_.a[steps_] = rows_[op.a].row, out_.b[steps_] = op.b == kNowhere ? kNowhere : rows_[op.b].row;
+    out_.a[steps_] = rows_[op.a].row, out_.b[steps_] = op.b == kGone ? kGone : rows_[op.b].row;
     out_.costs[steps_++] = op.cost;
-    if (op.b == kNowhere) {
-      forward_[op.a] = kNowhere;
+    if (op.b == kGone) {
+      forward_[op.a] = kGone;
     } else {
       a.push_back(op.a), b.push_back(op.b), of.push_back(&op - chosen_.data());
     }
@@ -289,7 +288,7 @@ void Decimation::store(const Operation& op, MergeRow& made) const {
 }
 
 uint32_t Decimation::now(uint32_t place) const {
-  while (place != kNowhere && forward_[place] != place) place = forward_[place];
+  while (place != kGone && forward_[place] != place) place = forward_[place];
   return place;
 }
 
@@ -304,7 +303,7 @@ void Decimation::relist() {
   });
   for (const Operation& op : chosen_) {
     partner_[op.a] = 0;
-    if (op.b != kNowhere) partner_[op.b] = 0;
+    if (op.b != kGone) partner_[op.b] = 0;
   }
 }
 
@@ -321,7 +320,7 @@ void Decimation::add_pairs(uint32_t place, Pairs& pairs) {
     for (int k = 0; k < list.count; ++k) {
       const uint32_t other = now(list.ids[k]);
       const bool known = std::find(unchanged.ids, unchanged.ids + unchanged.count, other) != unchanged.ids + unchanged.count;
-      if (other == kNowhere || other == place || known || pairs.has_since(first, other)) continue;
+      if (other == kGone || other == place || known || pairs.has_since(first, other)) continue;
       pairs.add(place, other);
     }
   };

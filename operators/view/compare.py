@@ -220,7 +220,8 @@ def perceived(pictures: tuple, photo, figures: dict):
             figures["lpips_missing"] = str(error)
         image[image_pixels.FIGURES] = figures
 
-    background_work.run(partial(lpips_in_child, pictures, photo), done, detached=True)
+    work = partial(lpips_in_child, pictures, photo, bpy.app.tempdir)
+    background_work.run(work, done, detached=True)
 
 
 def summary(rows: list[dict], between: float) -> str:

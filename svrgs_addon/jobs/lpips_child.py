@@ -22,10 +22,10 @@ from ..system.errors import SceneError
 from ..system.exit_status import answer
 
 
-def lpips_in_child(pictures: Sequence[np.ndarray], photograph: np.ndarray) -> list[float]:
+def lpips_in_child(pictures: Sequence[np.ndarray], photograph: np.ndarray, folder: str) -> list[float]:
     """LPIPS of each picture against the photograph, all (H, W, 3) display sRGB in [0, 1], rounded to 8 bits.
-    Raises SceneError."""
-    with tempfile.TemporaryDirectory() as temp_dir:
+    folder: for a file of them. Raises SceneError."""
+    with tempfile.TemporaryDirectory(dir=folder) as temp_dir:
         path = Path(temp_dir) / "pictures.npz"
         np.savez(path, photograph=to_uint8(photograph), pictures=[to_uint8(picture) for picture in pictures])
         return subprocess_python.ask([], "svrgs_addon.jobs.lpips_child", {"pictures": str(path)})["lpips"]

@@ -61,7 +61,9 @@ class Lpips:
     def __init__(self, weights: dict[str, np.ndarray], input_range: str = "3dgs"):
         """weights: all arrays, float32, by the first of the two key names above. input_range: a key of
         INPUT_RANGES."""
-        self.input_range, self._weights = input_range, weights
+        self.input_range = input_range
+        # but for the convolutions', of which it keeps panels
+        self._weights = {key: w for key, w in weights.items() if key.endswith("bias") or w.shape[0] == 1}
         self._panels = {
             index: filter_panels(weights[f"features.{index}.weight"])
             for stage in STAGES
