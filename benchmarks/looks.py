@@ -1,7 +1,7 @@
 """Run time against error of a decision: how many of the Gaussians that stay differ from those of the exact
 look (float64, full size, all views), and how long the look takes.
 
-    .venv/bin/python benchmarks/looks.py SCENE.ply --data DATASET
+    .venv/bin/python benchmarks/looks.py SCENE.ply --data DATASET > docs/results/looks.jsonl
 
 What the PSNR is in the end, after a whole run with such looks: benchmarks/methods.py --study looks.
 """
@@ -9,6 +9,7 @@ What the PSNR is in the end, after a whole run with such looks: benchmarks/metho
 from __future__ import annotations
 
 import argparse
+import json
 import statistics
 import time
 from collections.abc import Callable
@@ -65,7 +66,6 @@ def main():
     options = parser.parse_args()
     scene, dataset = read_scene(options.scene), load_dataset(options.data, options.images, cameras_only=True)
     cameras = [dataset.cameras[i] for i in dataset.train_indices]
-    print(f"| look | seconds | {' | '.join(f'{share:.0%}' for share in SHARES)} |\n|---|" + "---|" * 5)
     exact: list[np.ndarray] = []
     for name, (_, _, level) in LOOKS.items():
         if level and level not in supported_levels():
@@ -77,9 +77,11 @@ def main():
             seconds.append(time.perf_counter() - started)
         kept = [top(errors, round(share * scene.count)) for share in SHARES]
         exact = exact or kept
-        differ = [(right & ~ours).sum() / right.sum() for ours, right in zip(kept, exact, strict=True)]
-        cells = " | ".join(f"{share:.2%}" for share in differ)
-        print(f"| {name} | {statistics.median(seconds):.2f} | {cells} |", flush=True)
+        differ = [float((right & ~ours).sum() / right.sum()) for ours, right in zip(kept, exact, strict=True)]
+        differs = dict(zip(map(str, SHARES), differ, strict=True))
+        print(
+            json.dumps({"look": name, "seconds": statistics.median(seconds), "differs": differs}), flush=True
+        )
 
 
 if __name__ == "__main__":

@@ -64,6 +64,21 @@ def curve_chart(runs: list[tuple[str, dict]], title: str, path: Path):
     _save(figure, path)
 
 
+def looks_chart(points: dict[str, dict[str, tuple[float, float]]], path: Path):
+    """PSNR in the end over the seconds of a look at what stays. points: by share that stays and by look."""
+    figure, axes = plt.subplots(figsize=(8.5, 4.5))
+    for marker, (share, looks) in zip(MARKERS, points.items(), strict=False):
+        axes.plot(*zip(*looks.values(), strict=True), marker, label=f"{share} kept")
+        for name, place in looks.items():
+            axes.annotate(name, place, fontsize=7, rotation=25, xytext=(3, 4), textcoords="offset points")
+    axes.set_xscale("log")
+    axes.margins(x=0.2, y=0.4)
+    axes.set_xlabel("seconds of one look")
+    axes.set_ylabel("PSNR of the test views in the end, dB")
+    axes.legend(fontsize=8)
+    _save(figure, path)
+
+
 def time_chart(curves: dict[str, list[tuple[float, float]]], before: float, title: str, path: Path):
     """PSNR over the seconds that jobs took. curves: points (seconds, dB) of each method, by rising time;
     before: dB of the scene that was pruned."""

@@ -6,21 +6,24 @@ from the rows.
 
 from __future__ import annotations
 
+import json
 from collections import defaultdict
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from statistics import fmean
 
-from method_charts import curve_chart, pareto_chart
+from method_charts import curve_chart, looks_chart, pareto_chart
 from method_scenes import GENERATED
+from method_studies import PRUNED
 from time_report import in_time
 
 DEFAULT = "removal"  # the default method
+LEFT_OUT = ("demo", "south_building", "brighton")  # no constant was chosen on them
 BEST = 3  # how many of the other methods are named beside it
 BASE, RIVAL, PAPER = "3DGS", "MaskGS alpha", "SVR-GS"
+TABLE_ONE = (BASE, "LightGaussian", "Compact3DGS", RIVAL, PAPER)
 PAPER_RUNS = (BASE, RIVAL, PAPER, "Scenario A", "Scenario B")  # the columns of the paper's tables
 FIGURES = ("psnr", "ssim", "lpips", "flip", "count", "bytes", "seconds", "ms_per_frame")
-PRUNES = ("equal", "looks", "pareto", "ablation", "schedules", "time")  # studies that prune a trained scene
 LOSSES = {"table": "usual", "lambda": "usual", "printed": "printed"}  # weights of the image loss, by study
 
 
@@ -35,22 +38,16 @@ def write_report(rows: list[dict], folder: Path):
     )
 
 
-def commands(rows: list[dict], charts: Path) -> str:
-    """The commands that make the rows."""
-    kinds: dict[tuple, set] = defaultdict(set)
-    for row in rows:
-        kinds[row["study"], row["schedule"], row["trained"], row["start"], row["shrink"]].add(row["scene"])
-    lines = []
-    for (study, schedule, trained, start, shrink), scenes in sorted(kinds.items()):
-        named = " ".join(
-            f"--scene {scene}" if scene in GENERATED else f"--scene {scene}=DIR" for scene in sorted(scenes)
-        )
-        pruned = f" --trained {trained:g} --start {start}" if study in PRUNES else ""
-        lines.append(
-            f"    .venv/bin/python benchmarks/methods.py --study {study} --schedule {schedule:g}{pruned}"
-            f" --shrink {shrink} {named}"
-        )
-    return "\n".join(lines)
+def command(rows: list[dict], charts: Path) -> str:
+    """The command that makes the rows anew, and how long they took."""
+    captures = sorted({row["scene"] for row in rows} - set(GENERATED))
+    folders = " ".join(f"--scene {scene}=DIR" for scene in captures)
+    hours = sum(row["wall_seconds"] * row["seeds"] for row in rows) / 3600
+    return f"""    .venv/bin/python benchmarks/methods.py --page --rows build/rows.jsonl {folders}
+
+That takes about {hours:.0f} hours on two cores. It says how long the rest takes, and goes on where it
+stopped. `--part 1/3`, `2/3` and `3/3` divide it among three machines, `--join` joins their rows; `--study`
+runs a part."""
 
 
 def groups(rows: Iterable[dict], *names: str) -> dict[tuple, list[dict]]:
@@ -117,7 +114,7 @@ def table(head: list[str], lines: Iterable[list[str]]) -> str:
 def case(row: dict) -> str:
     """What a figure rests on: scene, size of the photographs, schedule."""
     shrink = "" if row["shrink"] == 1 else f", photographs 1/{row['shrink']}"
-    trained = f", {row['start']} scene of schedule {row['trained']:g}" if row["study"] in PRUNES else ""
+    trained = f", {row['start']} scene of schedule {row['trained']:g}" if row["study"] in PRUNED else ""
     return f"{row['scene']}{shrink}, schedule {row['schedule']:g}{trained}"
 
 
@@ -132,8 +129,17 @@ def pruned(rows: list[dict], study: str) -> list[dict]:
 
 
 def pruning(rows: list[dict], charts: Path) -> str:
-    """The default and the best of the others at equal counts: one table of all scenes, and a chart with every
-    method for each."""
+    """At equal counts, on scenes that constants were chosen on."""
+    return at_equal_counts([row for row in rows if row["scene"] not in LEFT_OUT], charts)
+
+
+def left_out(rows: list[dict], charts: Path) -> str:
+    """The same on scenes that no constant was chosen on."""
+    return at_equal_counts([row for row in rows if row["scene"] in LEFT_OUT], charts)
+
+
+def at_equal_counts(rows: list[dict], charts: Path) -> str:
+    """The default and the best of the others: one table, and a chart with every method for each scene."""
     lines, pictures = [], []
     for those in groups(pruned(rows, "pareto"), "scene", "schedule", "shrink", "trained", "start").values():
         first, before = those[0], max(those, key=lambda row: row["seeds"])["before"]
@@ -150,6 +156,7 @@ def pruning(rows: list[dict], charts: Path) -> str:
         "scene: Gaussians and PSNR before",
         "as many further steps",
         "kept",
+        "pixels a Gaussian",
         DEFAULT,
         "the best of the others",
         "others measured",
@@ -174,6 +181,7 @@ def standings(rows: list[dict]) -> Iterable[list[str]]:
             place,
             *(further or [""]),
             f"{100 * share:g} %",
+            pixels(those[0]),
             *(ours or [""]),
             ", ".join(best),
             str(len(others)),
@@ -181,25 +189,89 @@ def standings(rows: list[dict]) -> Iterable[list[str]]:
 
 
 def equal(rows: list[dict], charts: Path) -> str:
-    """The recipe of the default with the ranking of other methods, and with nothing removed."""
+    """The recipe of the default with other rankings, with nothing removed, and with the rates of 3DGS."""
     rows = pruned(rows, "equal")
-    others = ("steps of 3dgs", "mcmc", DEFAULT)
-    rankings = [name for (name,) in groups(rows, "method") if name not in others]
-    columns = ["steps of 3dgs", DEFAULT, *rankings]
+    alone = {
+        "steps of 3dgs": "plain steps",
+        "mcmc": "grown to the number by MCMC",
+        "removal by 3DGS's rates": "its passes, rates of 3DGS",
+        DEFAULT: "`removal`: GaussianPOP's ranking",
+    }
+    rankings = [name for (name,) in groups(rows, "method") if name not in alone]
+    columns = alone | {name: f"that of `{name}`" for name in rankings}
+    return by_share(rows, columns)
+
+
+def by_share(rows: list[dict], columns: dict[str, str]) -> str:
+    """A table of PSNR and LPIPS with a line for each scene and share. columns: heading of each method."""
     lines = []
     for those in groups(rows, "scene", "schedule", "shrink", "trained", "start").values():
         for (share,), group in sorted(groups(those, "share").items(), reverse=True):
             found = {row["method"]: row for row in group}
-            lines.append(
-                [
-                    case(group[0]),
-                    f"{100 * share:g} %",
-                    f"{group[0]['pixels'] / group[0]['count']:.0f}",
-                    *(perceived(found[name]) if name in found else "" for name in columns),
-                ]
-            )
-    head = ["scene", "kept", "pixels a Gaussian", "plain steps", "`removal`: GaussianPOP's ranking"]
-    return table(head + [f"that of `{name}`" for name in rankings], lines)
+            cells = (perceived(found[name]) if name in found else "" for name in columns)
+            lines.append([case(group[0]), f"{100 * share:g} %", pixels(group[0]), *cells])
+    return table(["scene", "kept", "pixels a Gaussian", *columns.values()], lines)
+
+
+def published(rows: list[dict], charts: Path) -> str:
+    """Rivals with their published steps, and the default with as many."""
+    rows = pruned(rows, "published")
+    names = sorted((name for (name,) in groups(rows, "method")), key=lambda name: (name.count("5 k"), name))
+    return by_share(rows, {name: f"`{name.replace(', ', '`, ')}" for name in names})
+
+
+def looks(rows: list[dict], charts: Path) -> str:
+    """Looks at what stays: seconds, the share of others than with the exact look, PSNR in the end."""
+    lines, points = [], {}
+    ends = {(row["method"], row["share"]): row for row in pruned(rows, "looks")}
+    shares = sorted({share for _, share in ends}, reverse=True)
+    for look in map(json.loads, (charts / "looks.jsonl").read_text().splitlines()):
+        name, differs = look["look"], look["differs"]
+        found = [ends.get((name, share)) for share in shares]
+        seconds = f"{look['seconds']:.2g}"
+        cells = [f"{value:.1%}".replace("%", " %") for value in differs.values()]
+        lines.append([name, seconds, *cells, *(perceived(row) if row else "" for row in found)])
+        for share, row in zip(shares, found, strict=True):
+            if row:
+                points.setdefault(f"{100 * share:g} %", {})[name] = (look["seconds"], row["psnr"])
+    looks_chart(points, charts / "looks.svg")
+    kept = [f"{100 * float(share):g} %" for share in differs]
+    ended = [f"PSNR and LPIPS with {100 * share:g} %" for share in shares]
+    head = ["look", "seconds", *(f"others of {share}" for share in kept), *ended]
+    return table(head, lines) + "\n![PSNR over the seconds of a look](results/looks.svg)\n"
+
+
+def skips(rows: list[dict], charts: Path) -> str:
+    """What skips work of a whole training: seconds and PSNR against the plain one, a line for each scene."""
+    names = {"coarse": "half size at first", "views": "easy views left out", "coarse, views": "both"}
+    lines = []
+    for those in groups(
+        (row for row in rows if row["study"] == "skips"), "scene", "schedule", "shrink"
+    ).values():
+        found = {row["run"]: row for row in those}
+        plain = found["plain"]
+        cells = (against(found[name], plain) if name in found else "" for name in names)
+        lines.append([case(plain), f"{plain['seconds']:.0f} s, {counted(plain)}", *cells])
+    return table(["scene", "plain", *names.values()], lines)
+
+
+def against(row: dict, plain: dict) -> str:
+    """Seconds, PSNR and LPIPS of a run, as changes of another one's."""
+    change = f"{row['seconds'] / plain['seconds'] - 1:+.0%}, {row['psnr'] - plain['psnr']:+.2f} dB".replace(
+        "%", " %"
+    )
+    lpips = None if None in (row["lpips"], plain["lpips"]) else row["lpips"] - plain["lpips"]
+    return change + ("" if lpips is None else f", {lpips:+.3f}")
+
+
+def levels(rows: list[dict], charts: Path) -> str:
+    """A whole training with each SIMD level."""
+    lines = []
+    for those in groups(
+        (row for row in rows if row["study"] == "levels"), "scene", "schedule", "shrink"
+    ).values():
+        lines += [[case(row), row["run"], counted(row)] for row in those]
+    return table(["scene", "SIMD level", "Gaussians (pixels a Gaussian) at PSNR, LPIPS"], lines)
 
 
 def perceived(row: dict) -> str:
@@ -259,7 +331,12 @@ def points(rows: list[dict], charts: Path) -> str:
 
 
 def counted(row: dict) -> str:
-    return f"{row['count']:,} at {psnr_of(row)}"
+    return f"{row['count']:,} ({pixels(row)}) at {perceived(row)}"
+
+
+def pixels(row: dict) -> str:
+    """Pixels of all training views a Gaussian."""
+    return f"{row['pixels'] / row['count']:.3g}"
 
 
 def paper(rows: list[dict], charts: Path) -> str:
@@ -280,6 +357,33 @@ def paper(rows: list[dict], charts: Path) -> str:
             ]
         )
     return table(["scene", "loss", *PAPER_RUNS, f"fewer than {RIVAL}", f"fewer than {BASE}"], lines)
+
+
+def table_one(rows: list[dict], charts: Path) -> str:
+    """Table 1 of the paper, for each scene and loss that have LPIPS and all steps."""
+    lines = []
+    whole = [row for row in rows if row["schedule"] == 1 and row["lpips"] is not None]
+    for (*_, loss), those in by_loss(whole, ("table", "printed")).items():
+        found = {row["run"]: row for row in those}
+        for name in (run for run in TABLE_ONE if run in found):
+            row = found[name]
+            fewer = f"{found[BASE]['count'] / row['count']:.2f}×" if BASE in found else ""
+            figures = [psnr_of(row), f"{row['ssim']:.4f}", f"{row['lpips']:.3f}", f"{row['count']:,}"]
+            lines.append([case(row), loss, name, *figures, pixels(row), fewer])
+    head = ["scene", "loss", "method", "PSNR", "SSIM", "LPIPS", "Gaussians", "pixels a Gaussian"]
+    return table([*head, f"fewer than {BASE}"], lines)
+
+
+def scenarios(rows: list[dict], charts: Path) -> str:
+    """Scenarios A and B with several lambda_F, beside SVR-GS."""
+    lines = []
+    for those in groups(rows, "scene", "schedule", "shrink").values():
+        if not any(row["study"] == "scenarios" for row in those):
+            continue
+        for row in those:
+            if row["study"] == "scenarios" or (row["study"], row["run"]) == ("table", PAPER):
+                lines.append([case(row), row["run"].replace(" 1e", ", λ_F 1e"), counted(row)])
+    return table(["scene", "run", "Gaussians (pixels a Gaussian) at PSNR, LPIPS"], lines)
 
 
 def by_loss(rows: list[dict], studies: Iterable[str]) -> dict[tuple, list[dict]]:
@@ -323,5 +427,22 @@ def sweep(rows: list[dict], charts: Path) -> str:
 
 PARTS: dict[str, Callable[[list[dict], Path], str]] = {
     part.__name__: part
-    for part in (commands, equal, pruning, few, in_time, other_figures, points, paper, sweep)
+    for part in (
+        command,
+        equal,
+        published,
+        looks,
+        skips,
+        levels,
+        pruning,
+        left_out,
+        few,
+        in_time,
+        other_figures,
+        points,
+        table_one,
+        paper,
+        scenarios,
+        sweep,
+    )  # fmt: skip
 }

@@ -5,6 +5,8 @@
     .venv/bin/python benchmarks/methods.py --scene demo=build/demo/scene            # a folder that exists
     .venv/bin/python benchmarks/methods.py --scene demo --scene room --scene portrait --scene row
                                                        # the generated scenes, made if missing
+    .venv/bin/python benchmarks/methods.py --page --rows build/rows.jsonl --scene snowmiku=DIR
+                                                       # all runs of docs/results.md anew
     .venv/bin/python benchmarks/methods.py --show docs
                                                        # writes docs/results.md and its charts from the rows
 
@@ -23,8 +25,12 @@ any order; --join FILE adds the rows of another machine.
               every method at several counts
     ablation  the same with method `removal`, with one part of it changed at a time
     equal     the same with the recipe of `removal` (lowering, rates, averaging) and the rankings of other
-              methods, and with nothing removed: what the ranking is worth, and what the recipe; and MCMC
-              trained straight to the number
+              methods, with nothing removed, and with the rates of 3DGS: what the ranking is worth, and what
+              the recipe; and MCMC trained straight to the number
+    published rivals with their published steps, `removal` with as many; to be run with --schedule 1
+    skips     `svrgs train` with what skips work: smaller photographs at first, fewer of the easiest views
+    levels    `svrgs train` with each SIMD level
+    scenarios `svrgs train` with scenarios A and B of the paper and several lambda_F
     looks     the same with less exact looks at what stays (benchmarks/looks.py)
     schedules the same with the default and its nearest rivals, down to 2 %; to be run with several --schedule
     time      the same to 10 %, where each method has the same seconds (`--time`); to be run on a quiet
@@ -48,15 +54,15 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from functools import cache
 from pathlib import Path
 
-from looks import LOOKS
 from method_report import write_report
 from method_scenes import GENERATED, prepared
+from method_studies import PRUNED, STARTS, STUDIES, TABLE, change_of
 from svrgs_addon.files.registry import read_scene
-from svrgs_addon.finetune.methods import METHODS
 from svrgs_addon.render.metrics.lpips import weights_file
 from svrgs_addon.views.dataset import load_dataset
 
 ROOT = Path(__file__).resolve().parents[1]
+ROWS = ROOT / "docs" / "results" / "rows.jsonl"
 KEPT = (
     "psnr",
     "ssim",
@@ -72,131 +78,18 @@ KEPT = (
     "peak_memory_bytes",
     "time",
 )
-ITERATIONS, RECOVERY = 30_000, 5_000
-
-TABLE = {
-    "3DGS": ["--method", "3dgs", "--recovery", str(RECOVERY)],
-    "MCMC": ["--method", "3dgs", "--recovery", str(RECOVERY), "--densify", "mcmc", "--cap", "100000"],
-    "LightGaussian": ["--method", "lightgaussian"],
-    "Compact3DGS": ["--method", "compact3dgs"],
-    "MaskGS alpha": ["--method", "maskgs-alpha"],
-    "MaskGS beta": ["--method", "maskgs-beta"],
-    "MaskGS gamma": ["--method", "maskgs-gamma"],
-    "GNS pressure": ["--method", "gns"],
-    "SVR-GS": ["--method", "svr"],
-    "Scenario A": ["--method", "svr-a"],
-    "Scenario B": ["--method", "svr-b"],
-    "SVR-GS, self term": ["--method", "svr-self"],
-    "SVR-GS, even": ["--method", "svr-even"],
-    "removal": ["--method", "removal"],
-}
-STARTS = ("3DGS", "MCMC")  # runs of `table` whose scenes are pruned
-PAPER = ("3DGS", "MaskGS alpha", "SVR-GS", "Scenario A", "Scenario B")  # the runs of its tables
-SWEEP = {
-    f"lambda_F {value}": ["--method", "svr", "--lambda-f", value]
-    for value in ("1e-4", "1.25e-4", "1.6e-4", "2e-4")
-}
-PRINTED = (
-    "from svrgs_addon.finetune.methods import METHODS; [setattr(m, 'image_weights', (1.0, 1.0)) for m in"
-    " METHODS.values()]"
-)
-DEEP = ("0.25", "0.1", "0.05", "0.02")
-TARGETS = ("0.5", "0.25", "0.1", "0.05")
-RIVALS = (
-    "opacity", "contribution", "max-contribution", "pup", "lightgaussian", "compact3dgs", "maskgs", "gns",
-    "gaussianpop", "popspa", "speedy", "minisplatting", "reduced3dgs", "efficientgs", "rdo",
-)  # fmt: skip
-LIMITS = (10, 30, 60, 120)  # seconds
-IN_TIME = ("removal", "maskgs", "gns", "speedy")
-OURS = ("svr", "svr-self", "svr-even", "saliency", "removal")
-# for methods that only recover: 3 000 + 5 000, as many steps as the others
-AS_MANY_STEPS = ["--recovery", "8000"]
-
-
-def pareto() -> dict[str, list[str]]:
-    """The runs of the study pareto: every method at every target."""
-    runs = {"3dgs": ["--method", "3dgs", *AS_MANY_STEPS]}
-    for method in RIVALS + OURS:
-        steps = AS_MANY_STEPS if METHODS[method].ranks else []
-        runs |= {f"{method} {target}": ["--method", method, "--target", target, *steps] for target in TARGETS}
-    return runs
-
-
-REMOVAL = "from svrgs_addon.finetune.methods import removal; "
-ABLATION = {  # name of the run: Python code that changes the program before it runs
-    "removal": "",
-    "opacities not lowered": REMOVAL + "removal.lowering = lambda steps: (1.0, 1.0)",
-    "odds of opacities not lowered": REMOVAL + "removal.MIN_ODDS_FACTOR = 1.0",
-    "opacity rate the same in the whole phase": REMOVAL + "removal.FIRST_RATE = 1",
-    "values not averaged": REMOVAL + "removal.AVERAGED = 0.0",
-    "position rate of 3DGS at the end": REMOVAL + "removal.POSITION_LAST = 1.6e-6",
-    "8 passes": REMOVAL + "removal.PASSES = 8",
-    "opacity rate of the other methods": REMOVAL + "removal.OPACITY_RATE = 0.05",
-}
-RANKED = "from svrgs_addon.finetune.methods import METHODS; METHODS['removal'].ranking = "
-RANKINGS = {"removal": ""} | {
-    name: f"{RANKED}METHODS['{name}'].score"
-    for name in ("speedy", "lightgaussian", "contribution", "opacity")  # that of removal is GaussianPOP's
-}
-RANKINGS["random"] = (
-    f"import numpy; {RANKED}lambda scene, *_: numpy.random.default_rng(scene.count).random(scene.count)"
-)
-LOOKING = {name: f"from looks import look; {RANKED}look({name!r})" for name in LOOKS if not LOOKS[name][2]}
-EQUAL_TARGETS = ("0.5", "0.25", "0.1", "0.05", "0.025")
-
-
-def equal() -> dict[str, list[str]]:
-    """The runs of the study equal. Nothing removed: what the steps alone give, plain and by the recipe."""
-    runs = {
-        "steps of 3dgs 1": ["--method", "3dgs", *AS_MANY_STEPS],
-        "removal 1": ["--method", "removal", "--target", "1"],
-    }
-    straight = ["--method", "3dgs", "--recovery", str(RECOVERY + 8000), "--densify", "mcmc"]
-    runs |= {f"mcmc {target}": straight for target in EQUAL_TARGETS}
-    for target in EQUAL_TARGETS:
-        runs |= {f"{name} {target}": ["--method", "removal", "--target", target] for name in RANKINGS}
-    return runs
-
-
-STUDIES = {
-    "table": TABLE,
-    "equal": equal(),
-    "looks": {
-        f"{name} {target}": ["--method", "removal", "--target", target]
-        for target in ("0.25", "0.1")
-        for name in LOOKING
-    },
-    "printed": {run: TABLE[run] for run in PAPER} | SWEEP,
-    "lambda": SWEEP,
-    "pareto": pareto(),
-    "ablation": {
-        f"{label} {target}": ["--method", "removal", "--target", target]
-        for target in ("0.17", "0.05")
-        for label in ABLATION
-    },
-    "schedules": {
-        f"{method} {target}": ["--method", method, "--target", target]
-        for target in DEEP
-        for method in ("removal", "maskgs", "gns")
-    },
-    "time": {
-        f"{method} {limit} s": ["--method", method, "--target", "0.1", "--time", str(limit)]
-        for limit in LIMITS
-        for method in IN_TIME
-    },
-}
-PRUNED = (
-    "equal",
-    "looks",
-    "pareto",
-    "ablation",
-    "schedules",
-    "time",
-)  # studies that prune the 3DGS scene of `table`
+REQUEST = ("study", "scene", "run", "flags", "seed", "schedule", "trained", "start", "shrink")
 
 
 def requests(options: argparse.Namespace) -> Iterator[dict]:
     """The keys that identify each run, scene by scene, so that a stopped experiment has complete scenes."""
+    if options.page:
+        given = {*GENERATED, *(scene.partition("=")[0] for scene in options.scene)}
+        page = [{name: row[name] for name in REQUEST} for row in read_rows(ROWS)]
+        yield from (request for request in page if request["scene"] in given)
+        for scene in sorted({request["scene"] for request in page} - given):
+            print(f"{scene} is left out: it has no folder, give --scene {scene}=DIR")
+        return
     for scene in options.scene:
         for seed in range(options.seeds):
             for study in options.study:
@@ -239,14 +132,7 @@ def command(request: dict, data: list[str], work: Path, threads: int) -> list[st
     weights = ["--lpips-weights", str(file)] if file.is_file() and request["study"] != "time" else []
     common = ["--out", str(out), *request["flags"], *data, "--seed", str(request["seed"]), *schedule]
     common += [*weights, "--threads", str(threads), "--json", "--quiet"]
-    label = request["run"].rpartition(" ")[0]
-    changes = {
-        "ablation": ABLATION.get(label),
-        "equal": RANKINGS.get(label),
-        "looks": LOOKING.get(label),
-        "printed": PRINTED,
-    }
-    change = changes.get(request["study"])
+    change = change_of(request["study"], request["run"])
     program = [
         sys.executable,
         "-c",
@@ -254,7 +140,7 @@ def command(request: dict, data: list[str], work: Path, threads: int) -> list[st
     ]
     if request["study"] in PRUNED:
         start = start_file(start_of(request), work)
-        if label == "mcmc":
+        if request["run"].startswith("mcmc "):
             cap = round(float(request["run"].rpartition(" ")[2]) * read_scene(start).count)
             return [*program, "train", *common, "--cap", str(cap)]
         return [*program, "prune", str(start), *common]
@@ -291,12 +177,14 @@ def training_pixels(data: tuple[str, ...]) -> int:
 
 
 def key(row: dict) -> str:
-    return json.dumps(
-        [
-            row[name]
-            for name in ("study", "scene", "run", "flags", "seed", "schedule", "trained", "start", "shrink")
-        ]
-    )
+    return json.dumps([row[name] for name in REQUEST])
+
+
+def alike(row: dict) -> str:
+    """The same for runs of two studies that do the same."""
+    names = ("scene", "flags", "seed", "schedule", "shrink")
+    start = [row["start"], row["trained"]] if row["study"] in PRUNED else []
+    return json.dumps([change_of(row["study"], row["run"]), *(row[name] for name in names), *start])
 
 
 def read_rows(path: Path) -> list[dict]:
@@ -306,37 +194,42 @@ def read_rows(path: Path) -> list[dict]:
 def run(options: argparse.Namespace):
     rows = read_rows(options.rows)
     done = {key(row) for row in rows if "error" not in row}
+    known = {alike(row): row for row in rows if "error" not in row}
     part, _, parts = options.part.partition("/")
     mine = list(requests(options))[int(part) - 1 :: int(parts)]
     wanted = [request for request in mine if key(request) not in done]
     options.rows.parent.mkdir(parents=True, exist_ok=True)
-    works = {request["scene"]: options.work / request["scene"] for request in wanted}
-    datas = {
-        scene: prepared(scene, folder_of(options, scene), work, options.shrink)
-        for scene, work in works.items()
+    data = {
+        place: prepared(place[0], folder_of(options, place[0]), options.work / place[0], place[1])
+        for place in {(request["scene"], request["shrink"]) for request in wanted}
     }
     starts = [start_of(request) for request in wanted if request["study"] in PRUNED]
     # those whose scene is missing, and those whose row is
-    missing = {key(one): one for one in starts if not start_file(one, works[one["scene"]]).exists()}
+    missing = {key(one): one for one in starts if not start_file(one, options.work / one["scene"]).exists()}
     missing |= {key(one): one for one in wanted if is_start(one)}
     first, rest = list(missing.values()), [one for one in wanted if key(one) not in missing]
     threads = 0 if options.jobs == 1 else max(1, (os.cpu_count() or 1) // options.jobs)  # 0: one per core
 
     def row_of(request: dict) -> dict:
-        scene = request["scene"]
-        return measured(request, datas[scene], works[scene], threads)
+        if alike(request) in known and not is_start(request):
+            return {**known[alike(request)], **request}
+        place = request["scene"], request["shrink"]
+        return measured(request, data[place], options.work / request["scene"], threads)
 
-    print(f"{len(first) + len(rest)} runs; {foreseen(rows, first + rest, options.jobs)}", flush=True)
+    times = rows if options.rows == ROWS else rows + read_rows(ROWS)
+    print(f"{len(first) + len(rest)} runs; {foreseen(times, first + rest, options.jobs)}", flush=True)
     left = {key(one): one for one in (*first, *rest)}
     with ThreadPoolExecutor(options.jobs) as pool:
         for some in (first, rest):
             for row in (ended.result() for ended in as_completed([pool.submit(row_of, one) for one in some])):
                 del left[key(row)]
-                rows.append(row)
+                times.append(row)
+                if "error" not in row:
+                    known[alike(row)] = row
                 if key(row) not in done:  # a scene may be missing whose row is there
                     with options.rows.open("a") as file:
                         file.write(json.dumps(row) + "\n")
-                after = foreseen(rows, list(left.values()), options.jobs)
+                after = foreseen(times, list(left.values()), options.jobs)
                 print(f"{sentence(row)}; {after}", flush=True)
 
 
@@ -394,59 +287,34 @@ def parsed() -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument(
-        "--scene",
-        action="append",
-        default=[],
-        metavar="NAME=DIR",
-        help=(
-            "name and folder of a COLMAP dataset; without a folder: a generated scene"
-            f" ({', '.join(GENERATED)})"
-        ),
-    )
-    parser.add_argument("--study", action="append", choices=list(STUDIES), help="default: all")
-    parser.add_argument(
-        "--only", action="append", metavar="WORD", help="only runs of this name, or with this word in it"
-    )
-    parser.add_argument(
-        "--schedule",
-        type=float,
-        default=0.1,
-        help="share of the published 30 000 + 5 000 iterations (default: 0.1)",
-    )
-    parser.add_argument(
-        "--trained",
-        type=float,
-        help=f"with {', '.join(PRUNED)}: the schedule of the scene that is pruned (default: --schedule)",
-    )
-    parser.add_argument(
-        "--start",
-        choices=STARTS,
-        default="3DGS",
-        help="with these studies: the run of `table` whose scene is pruned (default: 3DGS)",
-    )
-    parser.add_argument(
-        "--shrink", type=int, default=1, help="reduction of the photographs per side (default: 1)"
-    )
-    parser.add_argument("--seeds", type=int, default=1)
-    parser.add_argument("--jobs", type=int, default=1, help="runs at a time (default: 1)")
-    parser.add_argument("--part", default="1/1", metavar="K/N", help="every N-th run alone, from the K-th")
-    parser.add_argument(
-        "--join",
-        type=Path,
-        action="append",
-        metavar="FILE",
-        help="add the rows of this file, and run nothing",
-    )
-    parser.add_argument("--rows", type=Path, default=ROOT / "docs" / "results" / "rows.jsonl")
-    parser.add_argument("--work", type=Path, default=ROOT / "build" / "methods")
-    parser.add_argument(
-        "--show",
-        type=Path,
-        metavar="DIR",
-        help="write results.md and results/*.svg to this folder, and run nothing",
-    )
+    add = parser.add_argument
+    generated = f"without a folder: a generated scene ({', '.join(GENERATED)})"
+    folders = f"name and folder of a COLMAP dataset; {generated}"
+    add("--scene", action="append", default=[], metavar="NAME=DIR", help=folders)
+    add("--study", action="append", choices=list(STUDIES), help="default: all")
+    only = "only runs of this name, or with this word in it"
+    add("--only", action="append", metavar="WORD", help=only)
+    schedule = "share of the published 30 000 + 5 000 iterations (default: 0.1)"
+    add("--schedule", type=float, default=0.1, help=schedule)
+    trained = f"with {', '.join(PRUNED)}: the schedule of the scene that is pruned (default: --schedule)"
+    add("--trained", type=float, help=trained)
+    start = "with these studies: the run of `table` whose scene is pruned (default: 3DGS)"
+    add("--start", choices=STARTS, default="3DGS", help=start)
+    add("--shrink", type=int, default=1, help="reduction of the photographs per side (default: 1)")
+    add("--seeds", type=int, default=1)
+    add("--jobs", type=int, default=1, help="runs at a time (default: 1)")
+    add("--part", default="1/1", metavar="K/N", help="every N-th run alone, from the K-th")
+    joined = "add the rows of this file, and run nothing"
+    add("--join", type=Path, action="append", metavar="FILE", help=joined)
+    add("--rows", type=Path, default=ROWS)
+    page = "all runs that docs/results.md shows, made anew in --rows, but for scenes without a folder"
+    add("--page", action="store_true", help=page)
+    add("--work", type=Path, default=ROOT / "build" / "methods")
+    show = "write results.md and results/*.svg to this folder, and run nothing"
+    add("--show", type=Path, metavar="DIR", help=show)
     options = parser.parse_args()
+    if options.page and options.rows == ROWS:
+        parser.error("--page needs --rows FILE, another file than that of the page")
     options.study = options.study or list(STUDIES)
     return options
 

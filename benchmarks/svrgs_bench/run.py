@@ -66,7 +66,8 @@ def bench(options: argparse.Namespace) -> dict:
 def _stress(options: argparse.Namespace) -> dict:
     """The result of --stress, which measures no time."""
     library.set_threads(options.threads)
-    result: dict = {"stress": measure_stress(progress)}
+    case = next(chosen_cases(options)) if options.scene else None
+    result: dict = {"stress": measure_stress(progress, case=case)}
     if options.plots:
         result["plots"] = _write(options.plots, stress_charts(result["stress"]))
     return result

@@ -19,20 +19,23 @@ from svrgs_addon.native.rasterizer import RenderOptions, sample_masks
 from svrgs_addon.prune.report.point_chart import Axis, Point, chart
 
 from .accuracy import error
-from .cases import room_case
-from .stress_rows import Row, rows
+from .cases import Case, room_case
+from .stress_rows import Row, extremes, rows
 
 DRIFT_STEPS = (1, 3, 10, 30, 100, 300, 1000)
 EXTENT = 5.0  # of the generated room, for the position rate
 
 
 def measure_stress(
-    progress: Callable[[str], None], level: str | None = None, drift_steps: Sequence[int] = DRIFT_STEPS
+    progress: Callable[[str], None],
+    level: str | None = None,
+    drift_steps: Sequence[int] = DRIFT_STEPS,
+    case: Case | None = None,
 ) -> list[dict]:
     """One entry per row: row (its name), title, quantity; the worst image_max, grad_rel_l2 and crossed; the
-    sum of nonfinite; `points`."""
+    sum of nonfinite; `points`. case: a scene and a view that alone are measured, with extremes in them."""
     entries = []
-    for row in rows():
+    for row in [extremes(case)] if case else rows():
         entries.append(
             _entry(
                 row.name, row.title, row.quantity, [_point(row, value, level) for value in row.values], row
@@ -42,7 +45,7 @@ def measure_stress(
             "{title}: image error {image_max:.1e}, gradient error {grad_rel_l2:.1e},"
             " not finite {nonfinite}".format(**entries[-1])
         )
-    if drift_steps:
+    if drift_steps and not case:
         progress(f"{max(drift_steps)} fine-tuning steps in float32 and in float64")
         entries.append(
             _entry("drift", "float32 against float64 while fine-tuning", "steps", measure_drift(drift_steps))

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -35,6 +37,19 @@ BAD_VALUES = (
     3.4028235e38,
     -3.4028235e38,
 )
+# what every fourth Gaussian becomes: name, parameter, what multiplies its values, what is added to them
+EXTREMES: dict[str, tuple[str, float | np.ndarray, float | np.ndarray]] = {
+    "nothing": ("means", 1, 0),
+    "scale 0": ("log_scales", 1, np.array([-np.inf, 0, 0])),
+    "scale ∞": ("log_scales", 1, np.array([0, np.inf, 0])),
+    "scales 1e-20": ("log_scales", 0, -46),
+    "needle 1e6": ("log_scales", 1, np.array([-14, 0, -14])),
+    "quaternion 0": ("quats", 0, 0),
+    "quaternion 1e15": ("quats", 1e15, 0),
+    "flyaway 1e8": ("means", 1e8, 0),
+    "opacity 0": ("opacity_logits", 0, -np.inf),
+    "opacity 1": ("opacity_logits", 0, np.inf),
+}
 SIDES = ((1, 1), (1, 17), (17, 1), (15, 15), (16, 16), (17, 17), (31, 33), (257, 257))
 
 
@@ -59,6 +74,19 @@ class Row:
     make: Callable[[Any], StressCase]
     logarithmic: bool = True
     numeric: bool = True
+
+
+def extremes(case: Case) -> Row:
+    """One and two extremes at once, in a given scene."""
+    return Row(
+        "extremes",
+        "Pairs of extremes in every fourth Gaussian",
+        "extremes",
+        tuple(combinations(EXTREMES, 2)),
+        partial(_extremes, case),
+        False,
+        False,
+    )
 
 
 def rows() -> tuple[Row, ...]:
@@ -144,6 +172,7 @@ def rows() -> tuple[Row, ...]:
             False,
         ),
         Row("field-of-view", "Field of view", "degrees", (1, 10, 60, 90, 120, 150, 170), _field, False),
+        extremes(Case("generated", _scene(), _camera())),
     )
 
 
@@ -217,6 +246,16 @@ def _bad_values(value: float) -> StressCase:
         "bad values",
         replace(scene, **{name: array.reshape(getattr(scene, name).shape) for name, array in flat.items()}),
     )
+
+
+def _extremes(case: Case, pair: tuple[str, str]) -> StressCase:
+    scene = case.scene
+    for name in pair:
+        parameter, factor, added = EXTREMES[name]
+        values = getattr(scene, parameter).astype(np.float64)
+        values[::4] = (factor * values[::4] if factor else 0) + added
+        scene = _changed(scene, **{parameter: values})
+    return _stress_case(" and ".join(pair), scene, case.camera)
 
 
 def _needles(ratio: float) -> StressCase:

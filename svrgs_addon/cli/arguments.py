@@ -284,7 +284,10 @@ def _bench(commands):
     command.add_argument(
         "--stress",
         action="store_true",
-        help="instead: measure errors of extreme scenes, and the drift over 1,000 steps, against float64",
+        help=(
+            "instead: measure errors of extreme scenes, and the drift over 1,000 steps, against float64;"
+            " with --scene: of this scene with extremes put into it"
+        ),
     )
     command.add_argument(
         "--plots",
