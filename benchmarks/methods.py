@@ -184,7 +184,8 @@ def alike(row: dict) -> str:
     """The same for runs of two studies that do the same."""
     names = ("scene", "flags", "seed", "schedule", "shrink")
     start = [row["start"], row["trained"]] if row["study"] in PRUNED else []
-    return json.dumps([change_of(row["study"], row["run"]), *(row[name] for name in names), *start])
+    change = row["run"] if row["run"].startswith("mcmc ") else change_of(row["study"], row["run"])
+    return json.dumps([change, *(row[name] for name in names), *start])
 
 
 def read_rows(path: Path) -> list[dict]:

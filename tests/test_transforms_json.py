@@ -165,7 +165,8 @@ def test_what_is_not_used_is_said(tmp_path):
     )
     assert load_dataset(tmp_path).notes[1:] == (
         f"{tmp_path / 'gone.ply'}: the sparse points that transforms.json names are missing",
-        f"{tmp_path / FILE}: its masks are not used",
+        f"the dataset names {len(facts['frames'])} masks that are missing; all pixels of their photographs"
+        " count",
     )
     with pytest.raises(SceneError, match=r"transforms.json: has no 3-D points"):
         load_dataset(tmp_path, need_points=True)

@@ -24,7 +24,7 @@
 extern "C" {
 #endif
 
-#define SVRGS_INTERFACE_VERSION 20
+#define SVRGS_INTERFACE_VERSION 21
 
 typedef void real; /* float or double, by the context's level */
 
@@ -93,6 +93,8 @@ typedef struct {
   const int32_t* cancel;   /* optional; polled once per tile, non-zero stops with SVRGS_CANCELLED */
   const real* depth_limit; /* (H, W), optional: a pixel takes a Gaussian only where its z < limit; no gradients and no statistics then */
   int32_t picture_only;    /* 0 or 1: nothing is kept for gradients and statistics, for less time and memory */
+  const uint8_t* valid;    /* (H, W), optional: pixels with 0 show nothing: rgb, F, N and K are 0, alpha is 1, and neither gradients nor statistics count them.
+                              It must stay unchanged as the scene must */
 } svrgs_options;
 
 typedef struct {       /* all optional */

@@ -41,7 +41,7 @@ void Context::set_frame(const svrgs_scene& s, const svrgs_camera& c, const svrgs
   f.orthographic = c.orthographic;
   f.width = c.width, f.height = c.height;
   f.antialiased = o.antialiased, f.mask_kind = o.mask_kind, f.eps_a = o.eps_a, f.disabled_skips = o.disabled_skips;
-  f.depth_limit = o.depth_limit;
+  f.depth_limit = o.depth_limit, f.valid = o.valid;
   f.picture_only = o.picture_only || o.depth_limit;
   f.full = o.full && o.mask_kind != SVRGS_MASK_NONE;
   f.want_depth = images.depth != nullptr;

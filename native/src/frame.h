@@ -89,6 +89,7 @@ struct Frame {
   int mask_kind, disabled_skips;
   double eps_a;
   const void* depth_limit;  // R[height][width], optional
+  const uint8_t* valid;     // [height][width], optional: 0 where a pixel shows nothing
   // projection
   void* gaussians;       // ProjectedGaussian<R>[count]; a visible Gaussian's index in this array is its place
   TileRect* rects;       // [count], likewise

@@ -71,6 +71,15 @@ def read_pixels(
         return _make_upright(colour, _orientation(spec)) if upright else colour
 
 
+def read_alpha(path: str | os.PathLike) -> np.ndarray | None:
+    """The alpha of an image, (H, W) float32 in 0..1, as stored; None if it has none. Raises FormatError."""
+    with contextlib.closing(_open(path)) as source:
+        spec = source.spec()
+        if not 0 <= spec.alpha_channel < min(spec.nchannels, 4):
+            return None
+        return to_float(_read_channels(source, spec, path)[:, :, spec.alpha_channel])
+
+
 def read_texture(path: str | os.PathLike, most: int) -> np.ndarray:
     """The four channels of an 8-bit image as stored, (H, W, 4) uint8; 255 for an alpha that it does not have.
     most: pixels. Raises FormatError."""

@@ -33,7 +33,7 @@ from .quality import quality_views
 from .recovery_pruning import RecoveryPruning
 from .settings import MCMC, Densify, Phase
 from .strength_controller import controller_for
-from .view_order import ViewOrder, as_real, fitting_reduction
+from .view_order import ViewOrder, as_real, fitting_reduction, photo_of
 
 SMOOTHING = 0.05  # weight of the newest loss in the smoothed one
 # opacities recover for 1/3 of the steps between two resets; a reset with fewer steps left in the phase is
@@ -153,7 +153,9 @@ class Run:
     def _target(self, view_and_reduction: tuple[int, int]) -> np.ndarray:
         view, reduction = view_and_reduction
         image, window = self.dataset.image(view), self.dataset.window(view)
-        return as_real(image if window is None else image[window], self.model.dtype, reduction)
+        if window is not None:
+            return as_real(image[window], self.model.dtype, reduction)
+        return photo_of(self.dataset.cameras[view].reduced(reduction), image, self.model.dtype, reduction)
 
     def _prepare(self, phase: Phase, number: int):
         """What precedes a step: PSNR at the start, target, the method's own preparation, and the start of the

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..scene.camera import Camera
+
 LEFT_OUT = 0.25  # share of the views that an epoch leaves out, if views are chosen by loss
 RECENT = 0.5  # weight of the newest loss in the smoothed loss of a view
 MIN_SIDE = 16  # pixels: no photograph is reduced to a shorter side
@@ -71,6 +73,15 @@ def as_real(image: np.ndarray, dtype, factor: int = 1) -> np.ndarray:
         columns = [rows[:, k : width * factor : factor, channel] for k in range(factor)]
         np.multiply(sum_of(rows.dtype, columns), scale, out=reduced[:, :, channel])
     return reduced
+
+
+def photo_of(camera: Camera, image: np.ndarray, dtype, factor: int) -> np.ndarray:
+    """as_real() of the photograph of a view; 0 where pixels do not count, also where a part of them does not.
+    camera: reduced by the factor."""
+    photo, valid = as_real(image, dtype, factor), camera.valid if factor > 1 else None
+    if valid is not None:
+        photo *= valid[..., None]
+    return photo
 
 
 def sum_of(dtype, parts: list[np.ndarray]) -> np.ndarray:

@@ -21,7 +21,7 @@ from ..system.structs import fields
 from .library_path import library_path
 from .outputs import OUTPUTS
 
-INTERFACE_VERSION = 20
+INTERFACE_VERSION = 21
 GRADS = (*PARAMETERS, "masks", "means2d")
 # images whose gradients backward() accepts
 LOSS_IMAGES = tuple(output.name for output in OUTPUTS.values() if output.differentiable)
@@ -94,6 +94,7 @@ OptionsStruct = _struct(
     (_pointer, "cancel"),
     (_reals, "depth_limit"),
     (_int, "picture_only"),
+    (_pointer, "valid"),
 )
 ImagesStruct = _struct("ImagesStruct", (_reals, " ".join(OUTPUTS)))
 ImageGradsStruct = _struct("ImageGradsStruct", (_reals, " ".join(LOSS_IMAGES)))

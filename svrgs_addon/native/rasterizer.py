@@ -82,6 +82,7 @@ class Rasterizer:
         self._context = c.c_void_p()
         # arrays that the library reads until the next forward; they must stay alive
         self._view: tuple | None = None
+        self._valid: np.ndarray | None = None
         self._shape = (0, 0, 0)  # H, W, K of the last view
         self._shapes: dict[str, tuple] = {}  # shapes of the arrays of the last scene
         self._buffers: dict[str, np.ndarray] = {}
@@ -106,7 +107,8 @@ class Rasterizer:
         scene: an object with the arrays of Scene in self.dtype. masks: (N,) uint8 of 0 and 1; None: all 1.
         outputs: names from IMAGES and COUNTS. depth_limit: (H, W) in self.dtype; a pixel then takes only
         Gaussians whose centre has a smaller camera z, and the view has no gradients, scores, moments or pixel
-        counts. Returns {name: (H, W) or (H, W, 3)}; rgb is not clamped.
+        counts. Returns {name: (H, W) or (H, W, 3)}; rgb is not clamped. Where camera.valid is 0, rgb, F and
+        counts are 0, and gradients and statistics count nothing.
         """
         arrays = self._scene(scene, masks)
         images, pointers = self._images(camera, outputs)
@@ -125,7 +127,9 @@ class Rasterizer:
             self.cancel.ctypes.data,
             limit,
             options.picture_only,
+            None if (valid := camera.valid) is None else valid.ctypes.data,
         )
+        self._valid = valid
         self._shape = (camera.height, camera.width, arrays.sh_coefficients)
         view = camera_struct(camera, options.background)
         _call("svrgs_forward", self._context, *map(c.byref, (arrays, view, native, pointers)))

@@ -23,6 +23,9 @@ TAKES = (  # options; with others, the scene must be read as a whole
     "data",
     "images",
     "holdout",
+    "masks",
+    "invert_masks",
+    "outside",
     "cameras",
     "seen_from_only",
     "lpips_weights",
@@ -120,6 +123,8 @@ def request_of(options: PruneOptions) -> Request:
         "schedule",
         "images",
         "holdout",
+        "invert_masks",
+        "outside",
         "lambda_f",
         "seed",
         "image_memory",
@@ -129,6 +134,7 @@ def request_of(options: PruneOptions) -> Request:
         str(options.data),
         method,
         min_contribution=first_cut,
+        masks=str(options.masks or ""),
         **{name: getattr(options, name) for name in same},
     )
     request.plan()

@@ -16,7 +16,7 @@ from ..finetune.methods.removal import Removal, floor_of_drop
 from ..finetune.plan import Plan
 from ..finetune.quality import MIN_SHARE, fewest, quality_views
 from ..finetune.saliency import saliency
-from ..finetune.view_order import as_real
+from ..finetune.view_order import photo_of
 from ..native.rasterizer import Rasterizer
 from ..render.metrics.evaluate import picture_options, render_options, rounded_to_8_bits
 from ..render.metrics.measures import psnr, with_error
@@ -122,18 +122,18 @@ def _psnr_on_some(scene: Scene, dataset: Dataset) -> tuple[float, Callable[[np.n
 
     def psnr_of_view(camera: Camera, photo: np.ndarray, mask: np.ndarray | None) -> float:
         return with_error(
-            psnr(rounded_to_8_bits(rasterizer.forward(scene, camera, options, mask)["rgb"]), photo),
+            psnr(
+                rounded_to_8_bits(rasterizer.forward(scene, camera, options, mask)["rgb"]),
+                photo,
+                camera.valid_share,
+            ),
             dataset.unexplained,
         )
 
     views, found, seconds = [], [], 0.0
     for index in spread(quality_views(dataset)):
-        views.append(
-            (
-                _reduced(dataset, index),
-                as_real(dataset.image(index), np.dtype(np.float32), _reduction(dataset, index)),
-            )
-        )
+        camera, photo = _reduced(dataset, index), dataset.image(index)
+        views.append((camera, photo_of(camera, photo, np.dtype(np.float32), _reduction(dataset, index))))
         started = time.monotonic()
         found.append(psnr_of_view(*views[-1], None))
         seconds += time.monotonic() - started

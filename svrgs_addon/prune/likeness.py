@@ -65,7 +65,8 @@ class Likeness:
 
     def psnrs(self, scene: Renderable, step: str = "compare") -> list[float]:
         """PSNR in dB of each view; infinite where the pictures are equal. Raises SplatError."""
-        return [psnr(picture, original) for picture, original, _ in self._pairs(scene, step)]
+        pairs = zip(self._pairs(scene, step), self.views, strict=True)
+        return [psnr(picture, original, camera.valid_share) for (picture, original, _), camera in pairs]
 
     def psnr(self, scene: Renderable) -> float:
         """Mean PSNR in dB, that of equal pictures as EQUAL, of at least one view. Raises SplatError."""
@@ -77,10 +78,11 @@ class Likeness:
         SplatError."""
         milliseconds: list[float] = []
 
-        def pairs() -> Iterator[tuple[np.ndarray, np.ndarray]]:
-            for picture, original, seconds in self._pairs(scene, "measure"):
+        def pairs() -> Iterator[tuple[np.ndarray, np.ndarray, float]]:
+            pairs = zip(self._pairs(scene, "measure"), self.views, strict=True)
+            for (picture, original, seconds), camera in pairs:
                 milliseconds.append(1e3 * seconds)
-                yield picture, original
+                yield picture, original, camera.valid_share
 
         figures = mean_figures(pairs(), self._lpips, EQUAL)
         return {**figures, "ms_per_frame": fmean(milliseconds) if milliseconds else None}

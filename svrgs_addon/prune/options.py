@@ -21,6 +21,7 @@ from ..system.option_kinds import (
     FILE,
     FLAG,
     GIGABYTES,
+    OUTSIDE,
     PATH,
     POSITIVE,
     SECONDS,
@@ -68,6 +69,25 @@ class DatasetOptions:
     holdout: int = option(COUNT, 8, "hold out every N-th view for testing; 0: none", metavar="N", in_job=True)
     background: tuple[float, float, float] = option(
         COLOUR, (0.0, 0.0, 0.0), "behind transparent pixels, 0..1 each", metavar="R,G,B", default_help="black"
+    )
+    masks: Path | None = option(
+        PATH,
+        None,
+        "folder of the masks of the photographs, NAME.png or NAME.jpg.png: what is black counts nowhere",
+        metavar="DIR",
+        default_help="those that the dataset names, or the folder masks beside the photographs",
+        in_job=True,
+    )
+    invert_masks: bool = option(
+        FLAG, False, "what is black in the masks counts, the rest does not", in_job=True
+    )
+    outside: str = option(
+        OUTSIDE,
+        "auto",
+        "what is done with what does not count: ignore leaves it out, also where photographs are"
+        " transparent; background paints it, for an object on a turntable; auto leaves out what masks hide,"
+        " and paints what is transparent",
+        in_job=True,
     )
     image_memory: float = option(
         GIGABYTES,

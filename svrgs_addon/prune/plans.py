@@ -14,6 +14,7 @@ from ..scene.gaussians import Scene
 from ..system.errors import FormatError, SceneError
 from ..views.dataset import Dataset, load_dataset
 from ..views.rendered import RenderedDataset
+from ..views.valid_pixels import MaskOptions
 from .context import JobContext
 from .door import given
 from .job_views import without_photographs
@@ -118,6 +119,7 @@ def dataset_of(options: DatasetOptions, need_points: bool = False) -> Dataset:
         background=options.background,
         need_points=need_points,
         memory_budget=int(options.image_memory * 1e9),
+        masks=MaskOptions(options.masks, options.invert_masks, options.outside),
     )
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from ..finetune import scores
 from ..finetune.plan import Plan
 from ..finetune.quality import psnr_after
-from ..finetune.view_order import as_real
+from ..finetune.view_order import photo_of
 from ..native.rasterizer import Rasterizer
 from ..render.metrics.evaluate import picture_options, rounded_to_8_bits
 from ..render.metrics.measures import psnr
@@ -72,9 +72,13 @@ def _mean_psnrs(scene: Scene, dataset: Dataset, kept: list[np.ndarray | None]) -
     for index in spread(dataset.test_indices or dataset.train_indices):
         camera = dataset.cameras[index]
         factor = max(1, max(camera.width, camera.height) // SIDE)
-        photo = as_real(dataset.image(index), np.dtype(np.float32), factor)
-        images = (rasterizer.forward(scene, camera.reduced(factor), options, masks)["rgb"] for masks in kept)
-        rows.append([min(HIGHEST, psnr(rounded_to_8_bits(image), photo)) for image in images])
+        camera = camera.reduced(factor)
+        photo, share = (
+            photo_of(camera, dataset.image(index), np.dtype(np.float32), factor),
+            camera.valid_share,
+        )
+        images = (rasterizer.forward(scene, camera, options, masks)["rgb"] for masks in kept)
+        rows.append([min(HIGHEST, psnr(rounded_to_8_bits(image), photo, share)) for image in images])
         if len(rows) >= MIN_FORECAST_VIEWS and time.monotonic() > end:
             break
     return [fmean(column) for column in zip(*rows, strict=True)]

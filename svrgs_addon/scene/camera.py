@@ -34,6 +34,25 @@ class Camera:
     name: str = ""  # image name, with '/' between folders
     # parallel rays: no division by z; the view direction of all colours is the camera's axis
     orthographic: bool = False
+    # (H, ceil(W / 8)) uint8, bits of np.packbits: the pixels that count, from a photograph's mask; None: all
+    valid_bits: np.ndarray | None = None
+
+    @property
+    def valid(self) -> np.ndarray | None:
+        """(H, W) uint8, 1 for the pixels that count. The others show nothing, and nothing is learned from
+        them. None: all count."""
+        if self.valid_bits is None:
+            return None
+        return np.unpackbits(self.valid_bits, axis=1, count=self.width)
+
+    @property
+    def valid_share(self) -> float:
+        """The share of the pixels that count."""
+        return 1.0 if (valid := self.valid) is None else float(valid.mean())
+
+    def masked(self, valid: np.ndarray | None) -> Camera:
+        """The same view, in which the pixels count that are not 0 in valid (H, W); None: all."""
+        return replace(self, valid_bits=None if valid is None else np.packbits(valid != 0, axis=1))
 
     @property
     def position(self) -> np.ndarray:
@@ -51,10 +70,11 @@ class Camera:
     @property
     def key(self) -> bytes:
         """Bytes that are equal for two cameras with the same pose, intrinsics, image size and kind of
-        projection; the name does not count."""
-        return np.array(
-            [*self.viewmat.flat, *self.K.flat, self.width, self.height, self.orthographic], np.float64
-        ).tobytes()
+        projection, and the same pixels that count; the name does not matter."""
+        numbers = [*self.viewmat.flat, *self.K.flat, self.width, self.height, self.orthographic]
+        return np.array(numbers, np.float64).tobytes() + (
+            b"" if self.valid_bits is None else self.valid_bits.tobytes()
+        )
 
     def pixels(self, points: np.ndarray) -> np.ndarray:
         """Projects points (..., 3) of the camera frame. Returns pixel coordinates (..., 2), float64, which
@@ -88,7 +108,8 @@ class Camera:
         """The same view with another image size in pixels. fx, cx are scaled by the ratio of the widths, fy,
         cy by that of the heights."""
         scale = np.diag([width / self.width, height / self.height, 1.0])
-        return replace(self, K=scale @ self.K, width=width, height=height)
+        whole = replace(self, K=scale @ self.K, width=width, height=height, valid_bits=None)
+        return whole.masked(resized_valid(self.valid, width, height))
 
     def fitted(self, longest: int) -> Camera:
         """The same view with an image whose longer side has at most `longest` pixels."""
@@ -102,12 +123,25 @@ class Camera:
         Columns and rows at the end that do not fill a block are left out. The intrinsics are exact: the
         centre k + 0.5 of a new pixel is the centre of its block.
         """
-        return replace(
-            self,
-            K=np.diag([1 / factor, 1 / factor, 1.0]) @ self.K,
-            width=self.width // factor,
-            height=self.height // factor,
+        K, width, height = (
+            np.diag([1 / factor, 1 / factor, 1.0]) @ self.K,
+            self.width // factor,
+            self.height // factor,
         )
+        whole, valid = replace(self, K=K, width=width, height=height, valid_bits=None), self.valid
+        if valid is not None:
+            valid = resized_valid(valid[: height * factor, : width * factor], width, height)
+        return whole.masked(valid)
+
+
+def resized_valid(valid: np.ndarray | None, width: int, height: int) -> np.ndarray | None:
+    """Camera.valid at another image size: pixels count of which every part did. None: all."""
+    if valid is None:
+        return None
+    rows, columns = (
+        np.arange(new) * old // new for new, old in zip((height, width), valid.shape, strict=True)
+    )
+    return np.minimum.reduceat(np.minimum.reduceat(valid, rows, axis=0), columns, axis=1)
 
 
 def evenly(views: Sequence[View], count: int) -> list[View]:
@@ -141,7 +175,8 @@ def halfway(cameras: Sequence[Camera]) -> list[Camera]:
             viewmat = np.eye(4)
             viewmat[:3, :3] = U @ Vt
             viewmat[:3, 3] = -viewmat[:3, :3] @ (a.position + b.position) / 2
-            between.append(replace(a, viewmat=viewmat, name=f"between_{len(between):03d}"))
+            name = f"between_{len(between):03d}"
+            between.append(replace(a, viewmat=viewmat, name=name, valid_bits=None))
     return between
 
 

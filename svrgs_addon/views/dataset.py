@@ -14,7 +14,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,7 +27,8 @@ from ..system.file_names import extended
 from .cameras_json import load_cameras_json
 from .colmap import pinhole_camera, undistort_image
 from .photo_files import photograph, present
-from .sources import read_source
+from .sources import Source, read_source
+from .valid_pixels import BACKGROUND, MaskOptions, masks_of
 
 if TYPE_CHECKING:
     import pycolmap
@@ -43,10 +44,12 @@ READER_THREADS = 2
 
 @dataclass(frozen=True)
 class Photo:
-    """The file of a view's photograph, and its camera if it has distortion (None: a pinhole camera)."""
+    """The file of a view's photograph, its camera if it has distortion (None: a pinhole camera), and where it
+    is not painted with the background, (H, W) uint8 of 0 and 1 (None: everywhere)."""
 
     path: Path
     distorted: pycolmap.Camera | None
+    unpainted: np.ndarray | None = None
 
 
 @dataclass
@@ -82,7 +85,8 @@ class Dataset:
         return float(EXTENT_MARGIN * np.linalg.norm(centres - centres.mean(axis=0), axis=1).max())
 
     def image(self, index: int) -> np.ndarray:
-        """The photograph of cameras[index], (H, W, 3) display sRGB, read-only.
+        """The photograph of cameras[index], (H, W, 3) display sRGB, read-only. Pixels that do not count
+        (Camera.valid) are 0.
 
         It is uint8, or float32 in 0..1 if the file has more than 8 bits per channel and was not undistorted.
         Raises FormatError, SceneError.
@@ -128,6 +132,8 @@ class Dataset:
         """Digests and texts of all cameras and photographs: equal ones give equal runs. Raises SceneError if
         a photograph cannot be read."""
         for one in self.cameras:
+            if one.valid_bits is not None:
+                yield one.valid_bits.tobytes()
             yield repr((one.name, one.width, one.height, one.viewmat.tolist(), one.K.tolist())).encode()
         for photo in self.photos:
             try:
@@ -157,6 +163,10 @@ class Dataset:
             image = undistort_image(to_bytes(image), photo.distorted)
         if image.shape != (camera.height, camera.width, 3):
             raise SceneError(f"{photo.path}: its size has changed since the dataset was loaded; start again")
+        for valid, colour in ((camera.valid, (0, 0, 0)), (photo.unpainted, self.background)):
+            if valid is not None:
+                white = 255 if image.dtype == np.uint8 else 1
+                image[valid == 0] = np.rint(np.multiply(colour, white)) if white == 255 else colour
         return image
 
 
@@ -169,6 +179,7 @@ def load_dataset(
     cameras_only: bool = False,
     need_points: bool = False,
     memory_budget: int = MEMORY_BUDGET,
+    masks: MaskOptions = MaskOptions(),
 ) -> Dataset:
     """Loads a dataset. folder: its root, its `sparse` or `sparse/0`, the folder of the model's files, or a
     transforms.json.
@@ -177,7 +188,7 @@ def load_dataset(
     Intrinsics are scaled to the size of each photograph. holdout: every holdout-th view in name order is a
     test view; 0: none. background: display sRGB 0..1, behind transparent pixels. cameras_only: no photograph
     is opened; cameras have the size in the model. need_points: refuse a model without points. memory_budget:
-    bytes of cached photographs.
+    bytes of cached photographs. masks: which pixels of the photographs count.
 
     Views whose photograph is missing are left out and logged as a warning. The others stay test or training
     views as in the whole dataset. Raises SceneError, FormatError; SceneError also if fewer than a third of
@@ -196,15 +207,8 @@ def load_dataset(
     if source.image_folder is None:
         cameras = [pinhole_camera(v, v.camera.width, v.camera.height)[0] for v in model.views]
     else:
-        numbers, missing = present([view.name for view in model.views], source.image_folder)
-        notes += missing
-        cameras = []
-        for view in (model.views[i] for i in numbers):
-            # reading a photograph that has gone meanwhile says so
-            path = photograph(source.image_folder, view.name) or source.image_folder / view.name
-            camera, distorted = pinhole_camera(view, *image_size(path, upright=False))
-            cameras.append(camera)
-            photos.append(Photo(path, distorted))
+        numbers, cameras, photos, more = _photographed(source, source.image_folder, masks)
+        notes += more
     for note in notes:
         logging.warning("%s", note)
     test = [k for k, i in enumerate(numbers) if holdout and i % holdout == 0]
@@ -212,3 +216,40 @@ def load_dataset(
     return Dataset(
         cameras, model.points, model.point_colors, train, test, photos, background, memory_budget, notes
     )
+
+
+def _photographed(
+    source: Source, folder: Path, options: MaskOptions
+) -> tuple[list[int], list[Camera], list[Photo], tuple[str, ...]]:
+    """The numbers of the views that have a photograph with pixels that count, their cameras and photographs,
+    and sentences for the user. Raises SceneError, FormatError."""
+    numbers, notes = present([view.name for view in source.model.views], folder)
+    cameras, photos, sizes = [], [], []
+    for view in (source.model.views[i] for i in numbers):
+        # reading a photograph that has gone meanwhile says so
+        path = photograph(folder, view.name) or folder / view.name
+        sizes.append(image_size(path, upright=False))
+        camera, distorted = pinhole_camera(view, *sizes[-1])
+        cameras.append(camera)
+        photos.append(Photo(path, distorted))
+    masks = masks_of(options, folder, source.masks)
+    if not masks.expected:
+        return numbers, cameras, photos, notes
+
+    def valid_pixels(k: int) -> np.ndarray | None:
+        valid = masks.valid(cameras[k].name, photos[k].path, *sizes[k])
+        distorted = photos[k].distorted
+        if valid is None or distorted is None:
+            return valid
+        white = np.repeat(255 * valid[..., None], 3, axis=2)
+        return (undistort_image(white, distorted)[..., 0] == 255).astype(np.uint8)
+
+    with ThreadPoolExecutor(READER_THREADS) as pool:
+        valid = list(pool.map(valid_pixels, range(len(photos))))
+    notes += masks.notes(valid)
+    if options.outside == BACKGROUND:
+        photos = [replace(photo, unpainted=one) for photo, one in zip(photos, valid, strict=True)]
+        return numbers, cameras, photos, notes
+    shown = [k for k, one in enumerate(valid) if one is None or one.any()]
+    cameras = [cameras[k].masked(valid[k]) for k in shown]
+    return [numbers[k] for k in shown], cameras, [photos[k] for k in shown], notes

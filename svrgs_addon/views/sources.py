@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..system.errors import SceneError
@@ -28,6 +28,7 @@ class Source:
     location: Path
     image_folder: Path | None  # None: the photographs were not asked for
     notes: tuple[str, ...]  # sentences that the user must see
+    masks: dict[str, Path] = field(default_factory=dict)  # those that the dataset names, by photograph
 
 
 def read_source(folder: Path, images: str | None, with_images: bool = True) -> Source:
@@ -44,7 +45,7 @@ def read_source(folder: Path, images: str | None, with_images: bool = True) -> S
         image_folder = found.image_folder if with_images else None
         if with_images and images:
             image_folder = _image_folder(location.parent, None, images)
-        return Source(found.model, location, image_folder, notes)
+        return Source(found.model, location, image_folder, notes, found.masks)
     other = folder / NAME
     notes = (f"the cameras are those of {location}, not those of {other}",) if other.is_file() else ()
     model = read_model(location)

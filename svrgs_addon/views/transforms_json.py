@@ -49,6 +49,7 @@ class Transforms:
     model: Model
     image_folder: Path
     notes: tuple[str, ...]  # sentences on what is not used
+    masks: dict[str, Path]  # the files of mask_path, by the names of the views
 
 
 def read_transforms(path: Path) -> Transforms:
@@ -69,10 +70,13 @@ def read_transforms(path: Path) -> Transforms:
     if twice is not None:
         raise FormatError(f"{path}: names the photograph {twice!r} twice; export it again")
     points, colors, notes = _points(path, facts)
-    if any("mask_path" in frame for frame in frames):
-        notes += (f"{path}: its masks are not used",)
     model, moved = _in_parser_world(path, facts, Model(views, points, colors))
-    return Transforms(model, folder, (*moved, *notes))
+    masks = {
+        str(PurePosixPath(name).relative_to(common)): _read(path, name, partial(_mask, frame, path.parent))
+        for name, frame in zip(names, frames, strict=True)
+        if frame.get("mask_path")
+    }
+    return Transforms(model, folder, (*moved, *notes), masks)
 
 
 def _read(path: Path, what: str, read: Callable[[], Any]) -> Any:
@@ -110,6 +114,15 @@ def _name(frame: object) -> str:
     name = frame["file_path"].replace("\\", "/")
     check_name(name, "image")
     return str(PurePosixPath(name))
+
+
+def _mask(frame: dict, folder: Path) -> Path:
+    """The file of a frame's mask_path."""
+    if not isinstance(frame["mask_path"], str):
+        raise FormatError("its mask_path is no text")
+    name = frame["mask_path"].replace("\\", "/")
+    check_name(name, "image")
+    return folder / name
 
 
 def _view(name: str, facts: Mapping, folder: Path) -> View:

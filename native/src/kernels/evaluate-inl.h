@@ -50,9 +50,22 @@ inline const AllLanes& all_lanes() {
 // Bit `block` of a BlockMask if `set`, else none.
 inline BlockMask block_bit(int block, bool set) { return static_cast<BlockMask>(static_cast<BlockMask>(set) << block); }
 
-// Which of W lanes of a block are in the image.
+// Those of the lanes that are valid. Not inlined: few views have pixels that are not.
+[[gnu::noinline]] M valid_lanes(const Frame& f, TileOrigin o, const Lanes& lanes, int h, M inside) {
+  V valid = broadcast(0);
+  for (uint32_t left = bits(inside); left; left &= left - 1) {
+    const int k = __builtin_ctz(left);
+    const int64_t x = o.x * kTile + static_cast<int>(lanes.x[h][k]), y = o.y * kTile + static_cast<int>(lanes.y[h][k]);
+    valid[k] = R(f.valid[y * f.width + x] != 0);
+  }
+  return less(broadcast(0), valid);
+}
+
+// Which of W lanes of a block are in the image, and valid.
 inline M in_image(const Frame& f, TileOrigin o, const Lanes& lanes, int h) {
-  return both(less(lanes.x[h], broadcast(static_cast<R>(f.width - o.x * kTile))), less(lanes.y[h], broadcast(static_cast<R>(f.height - o.y * kTile))));
+  const M inside =
+      both(less(lanes.x[h], broadcast(static_cast<R>(f.width - o.x * kTile))), less(lanes.y[h], broadcast(static_cast<R>(f.height - o.y * kTile))));
+  return f.valid ? valid_lanes(f, o, lanes, h, inside) : inside;
 }
 
 struct Hit {

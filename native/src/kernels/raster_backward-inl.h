@@ -23,6 +23,11 @@ inline void read_gradients(const Frame& f, const svrgs_image_grads& g, BlockPlac
   if (g.depth) read_block<1>(f, place, g.depth, &t.depth);
   if (g.alpha) read_block<1>(f, place, g.alpha, &t.alpha);
   if (g.mask && f.mask_kind != SVRGS_MASK_NONE) read_block<1>(f, place, g.mask, &t.mask);
+  if (f.valid)
+    for_rows(f, place, [&](int64_t at, int lane) {
+      for (int x = 0; x < place.columns; ++x)
+        if (!f.valid[at + x]) t.rgb[0][lane + x] = t.rgb[1][lane + x] = t.rgb[2][lane + x] = t.depth[lane + x] = t.alpha[lane + x] = t.mask[lane + x] = 0;
+    });
 }
 
 // Initial values of the lanes from `h` on, given their image gradients and their stored state.

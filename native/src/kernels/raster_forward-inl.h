@@ -164,6 +164,19 @@ inline void end_with_colours(R* state) {
   }
 }
 
+// F walks to the end of the list also where nothing is shown.
+template <WalkOptions walk>
+inline void clear_invalid(const Frame& f, TileOrigin o, R* state) {
+  for (int b = 0; b < kBlocks; ++b)
+    for (int h = 0; h < kVectorsPerBlock; ++h) {
+      const M in = in_image(f, o, all_lanes().block[b], h);
+      PixelState p = load_pixels<walk>(f, block_state(state, b, h));
+      p.count = keep(in, p.count), p.dropped = keep(in, p.dropped);
+      for (V& sum : p.sums) sum = keep(in, sum);
+      store_pixels<walk>(f, block_state(state, b, h), p);
+    }
+}
+
 template <WalkOptions walk>
 void forward_tile_as(const Frame& f, int64_t tile) {
   const TileOrigin o = f.tile_origin(tile);
@@ -202,6 +215,7 @@ void forward_tile_as(const Frame& f, int64_t tile) {
   }
   for (; f.hits && entry < end; ++entry) f.hits[entry->slot] = 0;
   if constexpr (!walk.full) end_with_colours(state);
+  if (walk.full && f.valid) clear_invalid<walk>(f, o, state);
 }
 
 template <bool limited>

@@ -42,7 +42,9 @@ class Window:
         """The camera of this part of its picture."""
         K = camera.K.copy()
         K[:2, 2] -= self.left, self.top
-        return replace(camera, K=K, width=self.right - self.left, height=self.bottom - self.top)
+        width, height, valid = self.right - self.left, self.bottom - self.top, camera.valid
+        part = replace(camera, K=K, width=width, height=height, valid_bits=None)
+        return part if valid is None else part.masked(valid[self.slices])
 
     @property
     def slices(self) -> tuple[slice, slice]:

@@ -15,6 +15,7 @@ from ...finetune.plan import Plan, prune_plan
 from ...finetune.quality import hold_apart
 from ...system.errors import FormatError, SceneError
 from ...views.dataset import Dataset, load_dataset
+from ...views.valid_pixels import MaskOptions
 from ..door import check_training
 
 FILE = "request.json"
@@ -46,6 +47,9 @@ class Request:
     lambda_f: float | None = None
     seed: int = 0
     schedule: float = 1.0
+    masks: str = ""
+    invert_masks: bool = False
+    outside: str = "auto"
     image_memory: float = 4.0  # GB
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
@@ -80,6 +84,7 @@ class Request:
             holdout=self.holdout,
             background=self.background,
             memory_budget=int(self.image_memory * 1e9),
+            masks=MaskOptions(Path(self.masks) if self.masks else None, self.invert_masks, self.outside),
         )
         if not found.photos:
             raise SceneError(f"{self.data}: has no photographs, which the method '{self.method}' needs")

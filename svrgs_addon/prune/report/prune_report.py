@@ -170,8 +170,8 @@ def report_views(before: list, after: list, dataset: Dataset) -> Iterator[View]:
     for i, (rgb_before, mask_before), (rgb_after, mask_after) in zip(
         report_indices(dataset), before, after, strict=True
     ):
-        photo = to_float(dataset.image(i))
-        psnr_before = None if own else psnr(rgb_before, photo)
+        photo, share = to_float(dataset.image(i)), dataset.cameras[i].valid_share
+        psnr_before = None if own else psnr(rgb_before, photo, share)
         yield View(
             dataset.cameras[i].name,
             rgb_before,
@@ -180,5 +180,5 @@ def report_views(before: list, after: list, dataset: Dataset) -> Iterator[View]:
             mask_before,
             mask_after,
             psnr_before,
-            psnr(rgb_after, photo),
+            psnr(rgb_after, photo, share),
         )

@@ -96,8 +96,9 @@ def mean_psnr(
     None: all 1. error: mean squared error that is added in each view, colours in 0..1."""
     values, options = [], replace(options, picture_only=True)
     for i in indices:
-        rgb = rasterizer.forward(model, dataset.cameras[i], options, masks)["rgb"]
-        values.append(with_error(psnr(rounded_to_8_bits(rgb), to_float(dataset.image(i))), error))
+        camera = dataset.cameras[i]
+        image = rounded_to_8_bits(rasterizer.forward(model, camera, options, masks)["rgb"])
+        values.append(with_error(psnr(image, to_float(dataset.image(i)), camera.valid_share), error))
     return statistics.fmean(values)
 
 
@@ -117,11 +118,11 @@ def evaluate(
     options = picture_options(scene, dataset.background)
     seconds: list[float] = []
 
-    def pair(i: int) -> tuple[np.ndarray, np.ndarray]:
+    def pair(i: int) -> tuple[np.ndarray, np.ndarray, float]:
         started = time.perf_counter()
         rgb = rasterizer.forward(scene, dataset.cameras[i], options)["rgb"]
         seconds.append(time.perf_counter() - started)
-        return rounded_to_8_bits(rgb), to_float(dataset.image(i))
+        return rounded_to_8_bits(rgb), to_float(dataset.image(i)), dataset.cameras[i].valid_share
 
     figures = mean_figures(map(pair, indices), lpips)
     timed = seconds and isinstance(rasterizer, Rasterizer)
@@ -133,18 +134,22 @@ def evaluate(
 
 
 def mean_figures(
-    pairs: Iterable[tuple[np.ndarray, np.ndarray]], lpips: Callable | None = None, most: float = math.inf
+    pairs: Iterable[tuple[np.ndarray, np.ndarray, float]],
+    lpips: Callable | None = None,
+    most: float = math.inf,
 ) -> dict[str, float | None]:
     """Means over pairs of pictures: psnr (dB, of a pair at most `most`), ssim, lpips (None without `lpips`),
-    flip; all None without pairs. Raises SceneError."""
+    flip; all None without pairs. pairs: two pictures, and the share of their pixels that count; in the others
+    both are equal, so what a measure finds is the error of those that count, times this share. Raises
+    SceneError."""
     rows = [
         (
-            min(psnr(image, photo), most),
-            ssim(image, photo),
-            lpips(image, photo) if lpips else math.nan,
-            flip(image, photo),
+            min(psnr(image, photo, share), most),
+            1 - (1 - ssim(image, photo)) / share,
+            lpips(image, photo) / share if lpips else math.nan,
+            flip(image, photo) / share,
         )
-        for image, photo in pairs
+        for image, photo, share in pairs
     ]
     means = np.mean(rows, axis=0).tolist() if rows else [None] * 4
     return dict(zip(("psnr", "ssim", "lpips", "flip"), means, strict=True)) | (

@@ -20,15 +20,19 @@ ENOUGH = 0.5
 SAMPLED_VIEWS, SAMPLED_SIDE = 4, 320  # views that are compared, and their longer side in pixels
 
 
-def explained(image: np.ndarray, photo: np.ndarray) -> float:
+def explained(image: np.ndarray, photo: np.ndarray, valid: np.ndarray | None = None) -> float:
     """Share of the photograph's variance that the image explains: R² = 1 - Σ (photo - image)² / Σ (photo -
     mean of photo)².
 
-    1: equal images; 0: as good as one colour; below 0: worse. image, photo: (H, W, 3) in [0, 1]. A photograph
-    of one colour counts as explained. Raises SceneError.
+    1: equal images; 0: as good as one colour; below 0: worse. image, photo: (H, W, 3) in [0, 1]. valid:
+    (H, W), 0 where pixels do not count; None: all do. A photograph of one colour counts as explained.
+    Raises SceneError.
     """
     image, photo = image_pair(image, photo)
-    spread = float(((photo - photo.mean(axis=(0, 1), dtype=np.float64)) ** 2).sum(dtype=np.float64))
+    if valid is not None:
+        image, photo = image[valid != 0], photo[valid != 0]
+    pixels = tuple(range(photo.ndim - 1))
+    spread = float(((photo - photo.mean(axis=pixels, dtype=np.float64)) ** 2).sum(dtype=np.float64))
     error = float(((photo - image) ** 2).sum(dtype=np.float64))
     return 1 - error / spread if spread else 1.0
 
@@ -43,7 +47,8 @@ def sample_views(dataset: Dataset) -> list[tuple[Camera, np.ndarray]]:
         small = camera.reduced(factor)
         height, width = small.height, small.width
         blocks = photo[: height * factor, : width * factor].reshape(height, factor, width, factor, 3)
-        views.append((small, blocks.mean(axis=(1, 3), dtype=np.float32)))
+        picture = blocks.mean(axis=(1, 3), dtype=np.float32)
+        views.append((small, picture if (valid := small.valid) is None else picture * valid[..., None]))
     return views
 
 
@@ -61,7 +66,7 @@ def fit(
     rasterizer, options, rows = rasterizer or Rasterizer(), picture_options(scene, background), []
     for camera, photo in views:
         image = np.clip(rasterizer.forward(scene, camera, options)["rgb"], 0, 1)
-        rows.append((explained(image, photo), psnr(image, photo)))
+        rows.append((explained(image, photo, camera.valid), psnr(image, photo, camera.valid_share)))
     return {
         "explained": statistics.median(row[0] for row in rows),
         "psnr": statistics.median(row[1] for row in rows),

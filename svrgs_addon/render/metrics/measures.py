@@ -27,16 +27,17 @@ def image_pair(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return a, b
 
 
-def psnr(a: np.ndarray, b: np.ndarray) -> float:
-    """PSNR in dB: 10 log10(1 / MSE), with the mean squared error over all pixels and channels.
+def psnr(a: np.ndarray, b: np.ndarray, share: float = 1.0) -> float:
+    """PSNR in dB: 10 log10(1 / MSE), with the mean squared error over all channels of the pixels that count.
 
-    a, b: (H, W, 3) in [0, 1]. Equal images give math.inf. JSON has no infinity, so store null and print ∞.
+    a, b: (H, W, 3) in [0, 1]. share: of the pixels that count (Camera.valid_share); the others
+    are equal. Equal images give math.inf. JSON has no infinity, so store null and print ∞.
     Raises SceneError.
     """
     a, b = image_pair(a, b)
     difference = (a - b).ravel()
     # float64 sum without a float64 copy of the image
-    error = float(np.einsum("i,i", difference, difference, dtype=np.float64)) / difference.size
+    error = float(np.einsum("i,i", difference, difference, dtype=np.float64)) / (difference.size * share)
     return math.inf if error == 0.0 else 10.0 * math.log10(1.0 / error)
 
 

@@ -1,0 +1,118 @@
+"""Masks of photographs: which pixels count. Passers-by, tripods, skies and turntables do not.
+
+A mask is an image of the shape of its photograph, of any size. As in COLMAP, a pixel does not count where it
+is 0; lossy files, such as JPEG, count from half of full white on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import fmean
+
+import numpy as np
+
+from ..files.images import read_alpha, read_pixels, to_float
+from ..scene.camera import resized_valid, view_stem
+from ..system.errors import FormatError, SceneError
+from .photo_files import EXTENSIONS
+
+FOLDER = "masks"  # beside the folder of the photographs
+LOSSY = (".jpg", ".jpeg")
+AUTO, IGNORE, BACKGROUND = "auto", "ignore", "background"
+ASPECT = 0.01  # by which the sides of mask and photograph may differ in scale
+
+
+@dataclass(frozen=True)
+class MaskOptions:
+    """folder: of the masks; None: those that the dataset names, or masks beside its photographs. inverted:
+    pixels count where a mask is 0. outside: what is done with pixels that do not count: IGNORE; BACKGROUND:
+    they are painted with the background, as for an object on a turntable; AUTO: masks ignore, and
+    transparent pixels are painted."""
+
+    folder: Path | None = None
+    inverted: bool = False
+    outside: str = AUTO
+
+
+@dataclass(frozen=True)
+class Masks:
+    """The masks of a dataset, found by the names of its photographs."""
+
+    options: MaskOptions
+    folder: Path | None  # that is searched
+    named: dict[str, Path]  # by photograph, as the dataset names them
+
+    def file(self, name: str) -> Path | None:
+        """The mask of a photograph: as named, or in the folder NAME.jpg.png (COLMAP), NAME.png or NAME.jpg;
+        None if there is none."""
+        if name in self.named and self.named[name].is_file():
+            return self.named[name]
+        if self.folder is None:
+            return None
+        candidates = (f"{name}.png", *(f"{view_stem(name)}{extension}" for extension in EXTENSIONS))
+        return next((path for path in map(self.folder.joinpath, candidates) if path.is_file()), None)
+
+    def valid(self, name: str, photo: Path, width: int, height: int) -> np.ndarray | None:
+        """The pixels of a photograph of this size that count, (H, W) uint8 of 0 and 1; None: all. Raises
+        FormatError."""
+        path = self.file(name)
+        if path is None:
+            if self.options.outside != IGNORE or (alpha := read_alpha(photo)) is None:
+                return None
+            return (alpha >= 0.5).astype(np.uint8)
+        brightness = to_float(read_pixels(path, upright=False)).max(axis=2)
+        valid = brightness >= 0.5 if path.suffix.lower() in LOSSY else brightness > 0
+        scales = valid.shape[0] / height, valid.shape[1] / width
+        if abs(scales[0] / scales[1] - 1) > ASPECT:
+            raise FormatError(
+                f"{path}: has {valid.shape[1]} x {valid.shape[0]} pixels, its photograph {width} x {height};"
+                " a mask must have the shape of its photograph"
+            )
+        found = valid != self.options.inverted
+        return resized_valid(found.astype(np.uint8), width, height)
+
+    @property
+    def expected(self) -> bool:
+        """Whether any may be there. Raises SceneError if none can be, and some are asked for."""
+        if self.options.inverted and self.folder is None and not self.named:
+            raise SceneError("--invert-masks: the dataset has no masks; give --masks DIR")
+        return self.folder is not None or bool(self.named) or self.options.outside == IGNORE
+
+    def notes(self, valid: Sequence[np.ndarray | None]) -> tuple[str, ...]:
+        """What the user must know. valid: what valid() gave of all views. Raises SceneError if none has a
+        mask in a given folder, or if all are black."""
+        masked = [one.mean() for one in valid if one is not None]
+        black, where = masked.count(0), self.folder or "the dataset"
+        if not masked and self.options.folder is not None:
+            raise SceneError(
+                f"{where}: holds no mask of these photographs; name them NAME.png or NAME.jpg.png"
+            )
+        missing = sum(not path.is_file() for path in self.named.values())
+        lost = (f"the dataset names {missing} masks that are missing; all pixels of their photographs count",)
+        if not masked:
+            return lost if missing else ()
+        if black == len(masked):
+            raise SceneError(
+                f"{where}: all masks are black, so no pixel counts; perhaps --invert-masks is meant"
+            )
+        done = "are painted with the background" if self.options.outside == BACKGROUND else "count nowhere"
+        sentence = (
+            f"{where}: {len(masked)} of {len(valid)} photographs have a mask; {1 - fmean(masked):.1%} of"
+            f" their pixels {done}"
+        )
+        if black and self.options.outside != BACKGROUND:
+            sentence += f"; {black} of the masks are black, and their photographs are left out"
+        return (sentence, *(lost if missing else ()))
+
+
+def masks_of(options: MaskOptions, image_folder: Path, named: dict[str, Path]) -> Masks:
+    """named: the masks that the dataset names, by photograph. Raises SceneError if a given folder is
+    missing."""
+    if options.folder is not None:
+        if not options.folder.is_dir():
+            raise SceneError(f"{options.folder}: is no folder; give the folder that holds the masks")
+        return Masks(options, options.folder, {})
+    beside = image_folder.parent / FOLDER
+    return Masks(options, beside if beside.is_dir() else None, named)

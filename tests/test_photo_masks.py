@@ -1,0 +1,332 @@
+"""Masks of photographs: what they hide counts nowhere, and what is wrong with them is said."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from native_helpers import LEVELS, rasterizer
+from svrgs_addon.files.images import read_pixels, write_image
+from svrgs_addon.native.rasterizer import RenderOptions
+from svrgs_addon.render.metrics.evaluate import mean_figures
+from svrgs_addon.scene.camera import Camera
+from svrgs_addon.system.errors import FormatError, SceneError
+from svrgs_addon.views.dataset import Dataset, load_dataset
+from svrgs_addon.views.valid_pixels import MaskOptions
+from svrgs_bench.scenes import orbit_camera, room
+from transforms_dataset import write_transforms
+
+WIDTH, HEIGHT = 96, 70
+
+
+def pattern(height: int, width: int) -> np.ndarray:
+    """(H, W) uint8: a hole across tiles and blocks, a border, and single pixels; 1 counts."""
+    valid = np.ones((height, width), np.uint8)
+    valid[height // 5 : height // 2, width // 3 : 2 * width // 3] = 0
+    valid[:, -3:] = 0
+    valid[np.random.default_rng(0).random((height, width)) < 0.05] = 0
+    return valid
+
+
+@pytest.fixture
+def masked(tiny, tmp_path) -> Path:
+    """A copy of the tiny dataset with a mask for each photograph, masks/NAME.png."""
+    folder = tmp_path / "masked"
+    shutil.copytree(tiny.folder, folder)
+    for photo in sorted((folder / "images").iterdir()):
+        height, width = read_pixels(photo).shape[:2]
+        write_mask(folder / "masks" / f"{photo.stem}.png", pattern(height, width))
+    return folder
+
+
+def write_mask(path: Path, valid: np.ndarray):
+    path.parent.mkdir(exist_ok=True)
+    write_image(path, np.where(valid, 255, 0).astype(np.uint8))
+
+
+def hide(folder: Path, colour: int):
+    """Paints all that the masks of a dataset leave out."""
+    for photo in sorted((folder / "images").iterdir()):
+        pixels = read_pixels(photo)
+        pixels[pattern(*pixels.shape[:2]) == 0] = colour
+        write_image(photo, pixels)
+
+
+# --- reading
+
+
+@pytest.mark.parametrize("name", ["{name}.png", "{stem}.png", "{stem}.PNG"])
+def test_masks_beside_the_photographs_are_found_by_their_names(masked, name):
+    for mask in sorted((masked / "masks").iterdir()):
+        photo = next((masked / "images").glob(f"{mask.stem}.*"))
+        mask.rename(mask.with_name(name.format(name=photo.name, stem=mask.stem)))
+    data = load_dataset(masked)
+    expected = pattern(data.cameras[0].height, data.cameras[0].width)
+    for index, camera in enumerate(data.cameras):
+        np.testing.assert_array_equal(camera.valid, expected)
+        assert (data.image(index)[expected == 0] == 0).all() and data.image(index)[expected == 1].any()
+    (note,) = data.notes
+    assert f"{len(data.cameras)} of {len(data.cameras)} photographs have a mask; " in note
+    assert f"{1 - expected.mean():.1%} of their pixels count nowhere" in note
+
+
+def test_masks_that_transforms_json_names_and_those_of_a_given_folder(tiny, masked, tmp_path):
+    from svrgs_addon.views.colmap import read_model
+
+    other = tmp_path / "nerfstudio"
+    other.mkdir()
+    (other / "images").symlink_to(masked / "images")
+    shutil.copytree(masked / "masks", other / "elsewhere")
+    names = {
+        f"./images/{photo.name}": f"elsewhere/{photo.stem}.png" for photo in (masked / "images").iterdir()
+    }
+    facts = write_transforms(other, read_model(tiny.folder / "sparse/0"))
+    facts["frames"] = [frame | {"mask_path": names[frame["file_path"]]} for frame in facts["frames"]]
+    rewrite(other, facts)
+    valid = load_dataset(masked).cameras[0].valid
+    np.testing.assert_array_equal(load_dataset(other).cameras[0].valid, valid)
+    given = load_dataset(tiny.folder, masks=MaskOptions(masked / "masks"))
+    np.testing.assert_array_equal(given.cameras[0].valid, valid)
+    inverted = load_dataset(tiny.folder, masks=MaskOptions(masked / "masks", inverted=True))
+    np.testing.assert_array_equal(inverted.cameras[0].valid, 1 - valid)
+
+
+def rewrite(folder: Path, facts: dict):
+    import json
+
+    (folder / "transforms.json").write_text(json.dumps(facts))
+
+
+def test_what_does_not_count_may_be_painted_with_the_background(masked):
+    options = MaskOptions(outside="background")
+    data = load_dataset(masked, background=(1.0, 0.5, 0.0), masks=options)
+    photo, plain = data.image(0), load_dataset(masked, masks=options).image(0)
+    outside = pattern(*photo.shape[:2]) == 0
+    assert data.cameras[0].valid is None and (photo[outside] == (255, 128, 0)).all()
+    assert (plain[outside] == 0).all() and (photo[~outside] == plain[~outside]).all()
+
+
+def test_transparent_pixels_are_painted_or_left_out(tiny, tmp_path):
+    folder = tmp_path / "alpha"
+    shutil.copytree(tiny.folder, folder)
+    import OpenImageIO as oiio
+
+    for photo in sorted((folder / "images").iterdir()):
+        pixels = read_pixels(photo)
+        alpha = 255 * pattern(*pixels.shape[:2])[..., None]
+        photo.unlink()
+        spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], 4, "uint8")
+        spec.attribute("oiio:UnassociatedAlpha", 1)
+        out = oiio.ImageOutput.create(str(photo.with_suffix(".png")))
+        out.open(str(photo.with_suffix(".png")), spec)
+        out.write_image(np.concatenate([pixels, alpha], axis=2))
+        out.close()
+    assert load_dataset(folder).cameras[0].valid is None
+    camera = load_dataset(folder, masks=MaskOptions(outside="ignore")).cameras[0]
+    np.testing.assert_array_equal(camera.valid, pattern(camera.height, camera.width))
+
+
+def test_a_mask_of_another_size_counts_where_all_of_it_does(masked):
+    for mask in sorted((masked / "masks").iterdir()):
+        write_mask(mask, read_pixels(mask)[..., 0].repeat(3, axis=0).repeat(3, axis=1))
+    camera = load_dataset(masked).cameras[0]
+    np.testing.assert_array_equal(camera.valid, pattern(camera.height, camera.width))
+
+
+def test_a_reduced_pixel_counts_where_all_of_its_pixels_do():
+    camera = orbit_camera(WIDTH + 1, HEIGHT + 1).masked(pattern(HEIGHT + 1, WIDTH + 1))
+    blocks = pattern(HEIGHT + 1, WIDTH + 1)[:HEIGHT, :WIDTH].reshape(HEIGHT // 2, 2, WIDTH // 2, 2)
+    np.testing.assert_array_equal(camera.reduced(2).valid, blocks.min(axis=(1, 3)))
+
+
+def test_photographs_under_a_black_mask_are_left_out(masked):
+    first = sorted((masked / "masks").iterdir())[1]
+    whole = load_dataset(masked)
+    write_mask(first, np.zeros(read_pixels(first).shape[:2]))
+    data = load_dataset(masked)
+    assert len(data.cameras) == len(whole.cameras) - 1
+    assert whole.cameras[1].name not in {camera.name for camera in data.cameras}
+    assert data.test_indices[0] == whole.test_indices[0] == 0
+    assert "1 of the masks are black, and their photographs are left out" in data.notes[0]
+
+
+def shape(folder: Path):
+    write_mask(sorted((folder / "masks").iterdir())[0], np.ones((10, 50)))
+
+
+def blacken(folder: Path):
+    for mask in (folder / "masks").iterdir():
+        write_mask(mask, np.zeros(read_pixels(mask).shape[:2]))
+
+
+def damage(folder: Path):
+    sorted((folder / "masks").iterdir())[0].write_bytes(b"\x89PNG\r\n\x1a\n and no more")
+
+
+@pytest.mark.parametrize(
+    ("change", "options", "error", "sentence"),
+    [
+        (
+            shape,
+            MaskOptions(),
+            FormatError,
+            r"has 50 x 10 pixels, its photograph .* the shape of its photograph",
+        ),
+        (blacken, MaskOptions(), SceneError, "all masks are black, so no pixel counts"),
+        (damage, MaskOptions(), FormatError, "cannot be read"),
+        (lambda _: None, MaskOptions(Path("/gone")), SceneError, "/gone: is no folder"),
+        (lambda _: None, MaskOptions(Path("/tmp")), SceneError, "/tmp: holds no mask of these photographs"),
+        (lambda f: shutil.rmtree(f / "masks"), MaskOptions(inverted=True), SceneError, "has no masks"),
+    ],
+    ids=["shape", "black", "damaged", "no folder", "empty folder", "nothing to invert"],
+)
+def test_what_is_wrong_with_masks_is_said(masked, change, options, error, sentence):
+    change(masked)
+    with pytest.raises(error, match=sentence):
+        load_dataset(masked, masks=options)
+
+
+# --- rendering
+
+
+def scene_of(level: str):
+    from types import SimpleNamespace
+
+    r, scene = rasterizer(level), room(3000, 1)
+    names = ("means", "log_scales", "quats", "opacity_logits", "sh")
+    arrays = {name: np.ascontiguousarray(getattr(scene, name), r.dtype) for name in names}
+    return r, SimpleNamespace(**arrays, count=scene.count, antialiased=False)
+
+
+def views() -> tuple[Camera, Camera, np.ndarray]:
+    """A view without and with a mask, and its pixels that count, bool."""
+    camera, valid = orbit_camera(WIDTH, HEIGHT), pattern(HEIGHT, WIDTH)
+    return camera, camera.masked(valid), valid.astype(bool)
+
+
+@pytest.mark.parametrize("full", [False, True])
+@pytest.mark.parametrize("kind", ["none", "svr", "self", "a", "b"])
+@pytest.mark.parametrize("level", LEVELS)
+def test_pixels_that_do_not_count_show_nothing_and_the_others_the_same_bits(level, kind, full):
+    r, scene = scene_of(level)
+    whole, masked, valid = views()
+    options, outputs = RenderOptions(mask_kind=kind, full=full), ("rgb", "mask", "hits", "kept", "depth")
+    masks = (np.arange(scene.count) % 5 > 0).astype(np.uint8)
+    plain = r.forward(scene, whole, options, masks, outputs)
+    rng = np.random.default_rng(1)
+    grads = {"rgb": rng.normal(size=(HEIGHT, WIDTH, 3)).astype(r.dtype)}
+    grads |= {} if kind == "none" else {"mask": rng.normal(size=(HEIGHT, WIDTH)).astype(r.dtype)}
+    zeroed = {
+        name: grad * valid.reshape(*valid.shape, *[1] * (grad.ndim - 2)) for name, grad in grads.items()
+    }
+    expected = {name: grad.copy() for name, grad in r.backward(zeroed).items()}
+    found = r.forward(scene, masked, options, masks, outputs)
+    for name in outputs:
+        np.testing.assert_array_equal(found[name][valid], plain[name][valid], err_msg=name)
+        assert not found[name][~valid].any(), name
+    for name, grad in r.backward(grads).items():
+        np.testing.assert_array_equal(grad, expected[name], err_msg=name)
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_statistics_count_only_pixels_that_count(level):
+    """Against the difference of pictures, and against the sums over the view without a mask."""
+    r, scene = scene_of(level)
+    whole, masked, valid = views()
+    r.forward(scene, whole, outputs=())
+    hits_of_all = np.zeros(scene.count, np.int64)
+    r.add_scores(hits=hits_of_all)
+    image = r.forward(scene, masked)["rgb"].copy()
+    hits, cost = np.zeros(scene.count, np.int64), np.zeros(scene.count)
+    r.add_scores(hits=hits)
+    r.add_removal(cost, np.zeros((HEIGHT, WIDTH, 3), r.dtype))
+    r.forward(scene, whole.masked(1 - valid.astype(np.uint8)), outputs=())
+    others = np.zeros(scene.count, np.int64)
+    r.add_scores(hits=others)
+    np.testing.assert_array_equal(hits + others, hits_of_all)
+    assert 0 < hits.sum() < hits_of_all.sum()
+    for row in np.argsort(-cost)[:20:5]:
+        without = np.ones(scene.count, np.uint8)
+        without[row] = 0
+        change = (r.forward(scene, masked, masks=without)["rgb"] - image) ** 2
+        assert cost[row] == pytest.approx(change.sum(), rel=2e-3)
+
+
+# --- measuring
+
+
+def test_errors_are_means_over_the_pixels_that_count():
+    rng, valid = np.random.default_rng(2), pattern(HEIGHT, WIDTH).astype(bool)
+    image, photo = (rng.random((HEIGHT, WIDTH, 3)).astype(np.float32) * valid[..., None] for _ in range(2))
+    found = mean_figures([(image, photo, float(valid.mean()))])
+    error = ((image - photo)[valid] ** 2).mean()
+    assert found["psnr"] == pytest.approx(-10 * np.log10(error), abs=1e-4)
+    whole = mean_figures([(image, photo, 1.0)])
+    assert found["flip"] == pytest.approx(whole["flip"] / valid.mean())
+    assert 1 - found["ssim"] == pytest.approx((1 - whole["ssim"]) / valid.mean())
+
+
+# --- whole jobs
+
+
+def twins(masked: Path, folder: Path) -> tuple[Path, Path]:
+    """Two datasets that differ only under their masks."""
+    for name, colour in (("dark", 0), ("bright", 255)):
+        shutil.copytree(masked, folder / name)
+        hide(folder / name, colour)
+    return folder / "dark", folder / "bright"
+
+
+@pytest.mark.parametrize("method", ["removal", "maskgs", "svr", "lightgaussian"])
+def test_what_a_mask_hides_changes_no_bit_of_a_pruned_splat(tiny, masked, tmp_path, svrgs, method):
+    results = []
+    for data in twins(masked, tmp_path):
+        out = tmp_path / f"{data.name}.ply"
+        steps = ["--iterations", 12, "--recovery", 8, "--target", 0.5]
+        result = svrgs(
+            "prune", tiny.splat, "--data", data, "--method", method, *steps, "--out", out, "--json"
+        )
+        assert any("photographs have a mask" in note for note in result.json["notes"])
+        results.append((out.read_bytes(), result.json["psnr"], result.json["ssim"], result.json["flip"]))
+    assert results[0] == results[1]
+
+
+def test_masks_change_the_result_and_training_sees_them(tiny, masked, tmp_path, svrgs):
+    dark, bright = twins(masked, tmp_path)
+    trained = {}
+    for name, data, more in (
+        ("dark", dark, ()),
+        ("bright", bright, ()),
+        ("painted", bright, ("--outside", "background")),
+    ):
+        out = tmp_path / f"{name}-trained.ply"
+        words = ["train", "--data", data, "--iterations", 20, "--out", out, *more]
+        assert svrgs(*words).status == 0
+        trained[name] = out.read_bytes()
+    assert trained["dark"] == trained["bright"] != trained["painted"]
+
+
+def test_torch_learns_from_the_same_pixels(tiny, masked, tmp_path, svrgs):
+    pytest.importorskip("torch")
+    data = load_dataset(masked)
+    assert isinstance(data, Dataset) and data.cameras[0].valid is not None
+    out = {}
+    for engine in ("native", "torch"):
+        path = tmp_path / f"{engine}.ply"
+        words = ["--data", masked, "--engine", engine, "--iterations", 4, "--recovery", 2, "--target", 0.5]
+        out[engine] = svrgs("prune", tiny.splat, *words, "--out", path, "--json").json
+    assert out["native"]["psnr"] == pytest.approx(out["torch"]["psnr"], abs=0.05)
+
+
+@pytest.mark.slow
+def test_by_blocks_what_a_mask_hides_changes_no_bit(tiny, masked, tmp_path, svrgs):
+    results = []
+    for data in twins(masked, tmp_path):
+        out = tmp_path / f"{data.name}.ply"
+        words = ["--data", data, "--method", "removal", "--iterations", 12, "--recovery", 8, "--block", 120]
+        found = svrgs("large", "prune", tiny.splat, *words, "--target", 0.4, "--out", out, "--json").json
+        results.append((out.read_bytes(), found["psnr"]))
+    assert results[0] == results[1]
