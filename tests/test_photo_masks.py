@@ -330,3 +330,15 @@ def test_by_blocks_what_a_mask_hides_changes_no_bit(tiny, masked, tmp_path, svrg
         found = svrgs("large", "prune", tiny.splat, *words, "--target", 0.4, "--out", out, "--json").json
         results.append((out.read_bytes(), found["psnr"]))
     assert results[0] == results[1]
+
+
+@pytest.mark.parametrize("words", [["--masks", "m"], ["--invert-masks"], ["--outside", "ignore"]])
+def test_masks_without_photographs_are_refused(tiny, tmp_path, svrgs, words):
+    splat = tmp_path / "alone.ply"
+    shutil.copy(tiny.splat, splat)
+    for command in (["prune", splat, "--target", 0.5, "--out"], ["compare", splat, splat, "--out"]):
+        found = svrgs(*command, tmp_path / "o.ply", *words)
+        assert (
+            found.status == 2 and f"{words[0]} is of the photographs of a dataset: give --data" in found.err
+        )
+    assert list(tmp_path.iterdir()) == [splat]

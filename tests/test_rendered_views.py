@@ -275,7 +275,7 @@ def test_large_views_are_reduced(splat):
     ("more", "words"),
     [
         ({"seen_from_only": True}, "name them with --seen-from"),
-        ({"images": "images_4"}, "--images names a folder of photographs"),
+        ({"images": "images_4"}, "--images is of the photographs of a dataset"),
         ({"cameras": "missing.json"}, "missing.json: cannot be read"),
         ({"cameras": "away.json", "seen_from_only": True}, "none of its Gaussians is near a camera"),
         ({"cameras": "away.json", "data": "data"}, "leave them out, or --data"),

@@ -11,6 +11,7 @@ from ..files.atomic import check_writable
 from ..files.registry import check_readable
 from ..prune.blocks.block_rasterizer import opened
 from ..prune.blocks.sample import sample_of
+from ..prune.door import OF_PHOTOGRAPHS, refuse_without_data
 from ..prune.job_views import MAX_SIDE_PIXELS
 from ..prune.options import DatasetOptions
 from ..prune.plans import dataset_of
@@ -18,7 +19,7 @@ from ..prune.report.compare import compare
 from ..scene.camera import evenly
 from ..system.errors import SceneError
 from ..views.camera_files import load_cameras
-from ..views.dataset import HOLDOUT, Dataset
+from ..views.dataset import Dataset
 from ..views.rig import place_rig
 from .option_parser import options_from
 
@@ -38,8 +39,7 @@ def compare_scenes(args: argparse.Namespace) -> dict:
 
 def _views_alone(args: argparse.Namespace) -> Dataset:
     """Given or placed cameras, without photographs. Raises SplatError."""
-    if args.images or args.holdout != HOLDOUT:
-        raise SceneError("--images and --holdout are of photographs: give --data, or leave them out")
+    refuse_without_data(options_from(DatasetOptions, args), (*OF_PHOTOGRAPHS, "holdout"))
     if args.cameras:
         cameras, where = (
             [camera.fitted(MAX_SIDE_PIXELS) for camera in evenly(load_cameras(args.cameras), MAX_VIEWS)],

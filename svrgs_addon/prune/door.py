@@ -17,7 +17,9 @@ from ..scene.camera import Camera
 from ..scene.gaussians import Scene
 from ..system.errors import SceneError
 from ..system.option_kinds import default_of, flag_of
-from .options import PruneOptions
+from .options import DatasetOptions, PruneOptions
+
+OF_PHOTOGRAPHS = ("images", "masks", "invert_masks", "outside")  # options
 
 
 def check_files(scene: Path | None, outs: Sequence[Path], further: Sequence[Path] = ()):
@@ -53,8 +55,15 @@ def check_view_options(options: PruneOptions):
         )
     if options.seen_from_only and options.cameras is None:
         raise SceneError("--seen-from-only keeps what given cameras see: name them with --seen-from")
-    if options.images and options.data is None:
-        raise SceneError("--images names a folder of photographs in a dataset: give --data, or leave it out")
+    if options.data is None:
+        refuse_without_data(options, OF_PHOTOGRAPHS)
+
+
+def refuse_without_data(options: DatasetOptions, names: Collection[str]):
+    """Raises SceneError for an option of photographs where there are none."""
+    if found := [name for name in given(options) if name in names]:
+        flag = flag_of(type(options), found[0])
+        raise SceneError(f"{flag} is of the photographs of a dataset: give --data, or leave it out")
 
 
 def check_options(options: Any, takes: Collection[str], way: str):

@@ -136,6 +136,8 @@ class Dataset:
                 yield one.valid_bits.tobytes()
             yield repr((one.name, one.width, one.height, one.viewmat.tolist(), one.K.tolist())).encode()
         for photo in self.photos:
+            if photo.unpainted is not None:
+                yield photo.unpainted.tobytes()
             try:
                 with open(photo.path, "rb") as file:
                     yield hashlib.file_digest(file, "sha256").digest()

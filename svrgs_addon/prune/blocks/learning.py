@@ -85,7 +85,9 @@ class BlockViews(Dataset):
         """Texts of all cameras, windows and photographs; of a photograph its name, size and time, because
         each block would read all of them for a digest. Raises SceneError if a photograph is missing."""
         for index, window in (self.windows or {}).items():
-            yield repr((self.cameras[index].key, window, _stamp(self.photos[index].path))).encode()
+            photo = self.photos[index]
+            yield repr((self.cameras[index].key, window, _stamp(photo.path))).encode()
+            yield b"" if photo.unpainted is None else photo.unpainted.tobytes()
 
 
 def _stamp(path: Path) -> tuple[str, int, int]:

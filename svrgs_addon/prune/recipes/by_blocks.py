@@ -378,7 +378,7 @@ def _identity(
 ) -> str:
     """Digest of all that must be the same in a job that is continued; where its files lie may differ. Raises
     SceneError."""
-    settings = replace(request, data="", images="", image_memory=0.0)
+    settings = replace(request, data="", images="", masks="", image_memory=0.0)
     digest = hashlib.sha256(
         repr(
             (scene_sha256(source), goal, block, settings, [[camera.key for camera in some] for some in views])
