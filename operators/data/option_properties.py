@@ -54,6 +54,24 @@ def option_property(name: str, /, **overrides):
     return PROPERTY_TYPES[kind.type](**(arguments | overrides))
 
 
+def outside_property():
+    """What is done with what does not count in a photograph."""
+    return EnumProperty(
+        name="Masked Out",
+        items=[
+            ("auto", "Automatic", "What masks hide counts nowhere; what is transparent is painted black"),
+            ("ignore", "Ignored", "What masks hide, and what is transparent, counts nowhere"),
+            (
+                "background",
+                "Painted",
+                "What masks hide is painted black, and so is what is transparent: an object on a turntable is"
+                " then alone in the scene",
+            ),
+        ],
+        description="What is done with the parts of photographs that do not count",
+    )
+
+
 def limited_time_property():
     """Whether the time of a job is limited."""
     text = (

@@ -17,6 +17,7 @@ from ..data.option_properties import (
     method_choice_property,
     method_property,
     option_property,
+    outside_property,
     time_property,
 )
 from ..translation import OWN
@@ -56,6 +57,9 @@ class SVRGS_PG_prune(bpy.types.PropertyGroup):
         ),
     )
     images: option_property("images")
+    masks: option_property("masks")
+    invert_masks: option_property("invert_masks")
+    outside: outside_property()
     depth: EnumProperty(
         name="Mode", items=depths.ITEMS, get=depths.number_of, set=depths.choose,
         description=(

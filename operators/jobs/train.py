@@ -89,6 +89,7 @@ class SVRGS_OT_train(ReportingOperator):
             "data": dataset_paths.dataset_of_root(root), "images": root.get(splat_object.IMAGES, ""),
             "holdout": context.scene.svrgs_prune.holdout,
             "threads": threads(context),
+            **dataset_paths.masks_of(context),
             **({"time": settings.time} if settings.use_time else {"iterations": settings.iterations}),
         }  # fmt: skip
         folder = JobFolder.create_training(new_folder(context, root.name), options, root.name)

@@ -44,6 +44,14 @@ def dataset_of(context) -> tuple[str, str]:
     return ("", settings.images)
 
 
+def masks_of(context) -> dict:
+    """The options of a job that say what counts in its photographs."""
+    settings = context.scene.svrgs_prune
+    return {
+        "masks": absolute(settings.masks), "invert_masks": settings.invert_masks, "outside": settings.outside
+    }  # fmt: skip
+
+
 def dataset_of_job(context, splat: bpy.types.Object | None) -> str:
     """Where the dataset of the splat's job may be now, if it was moved: that of its cameras, or the chosen
     one; '' for a job without its splat.

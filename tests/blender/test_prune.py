@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import bpy
+import numpy as np
 import pytest
 from extension import DATA, PACKAGE, part
 
@@ -94,6 +95,24 @@ def test_pruning_a_file_needs_no_object(from_a_shell, bridge, tmp_path):
         scene=str(DATA / "tiny/scene.ply"), data=str(DATA / "tiny"), out=str(tmp_path / "out.ply"), **SHORT
     )
     assert bridge.count(bpy.context.object) == from_a_shell[0]["count"]
+
+
+def test_masks_of_the_photographs_count(tmp_path, capfd):
+    images = part("svrgs_addon.files.images")
+    (tmp_path / "masks").mkdir()
+    for photo in (DATA / "tiny/images").iterdir():
+        height, width = images.read_image(photo).shape[:2]
+        white = np.full((height, width), 255, np.uint8)
+        white[:, : width // 4] = 0
+        images.write_image(tmp_path / "masks" / f"{photo.name}.png", white)
+    given = {"scene": str(DATA / "tiny/scene.ply"), "data": str(DATA / "tiny"), **SHORT}
+    for inverted, share in ((False, "25.0%"), (True, "75.0%")):
+        out = str(tmp_path / f"{inverted}.ply")
+        bpy.ops.svrgs.prune(masks=str(tmp_path / "masks"), invert_masks=inverted, out=out, **given)
+        (result,) = json_lines(capfd.readouterr().out)
+        assert (
+            f"12 of 12 photographs have a mask; {share} of their pixels count nowhere" in result["notes"][0]
+        )
 
 
 # --- the file of the result
