@@ -46,15 +46,6 @@ OURS = ("svr", "svr-self", "svr-even", "saliency", "removal")
 AS_MANY_STEPS = ["--recovery", "8000"]
 
 
-def pareto() -> dict[str, list[str]]:
-    """The runs of the study pareto: every method at every target."""
-    runs = {"3dgs": ["--method", "3dgs", *AS_MANY_STEPS]}
-    for method in RIVALS + OURS:
-        steps = AS_MANY_STEPS if METHODS[method].ranks else []
-        runs |= {f"{method} {target}": ["--method", method, "--target", target, *steps] for target in TARGETS}
-    return runs
-
-
 REMOVAL = "from svrgs_addon.finetune.methods import removal; "
 ABLATION = {  # name of the run: Python code that changes the program before it runs
     "removal": "",
@@ -66,6 +57,26 @@ ABLATION = {  # name of the run: Python code that changes the program before it 
     "8 passes": REMOVAL + "removal.PASSES = 8",
     "opacity rate of the other methods": REMOVAL + "removal.OPACITY_RATE = 0.05",
 }
+OWN_RATES = "removal by 3DGS's rates"
+PARTS = {  # the passes of removal, but nothing is lowered or averaged
+    OWN_RATES: f"{REMOVAL}own, plain = removal.Removal, removal.Method; "
+    "own.paced, own.rates = plain.paced, plain.rates; "
+    "removal.lowering = lambda steps: (1.0, 1.0); removal.AVERAGED, removal.OPACITY_RATE = 0.0, 0.05"
+}
+
+
+def pareto() -> dict[str, list[str]]:
+    """The runs of the study pareto: every method at every target."""
+    runs = {"3dgs": ["--method", "3dgs", *AS_MANY_STEPS]}
+    for method in RIVALS + OURS:
+        steps = AS_MANY_STEPS if METHODS[method].ranks else []
+        runs |= {f"{method} {target}": ["--method", method, "--target", target, *steps] for target in TARGETS}
+    runs |= {f"{OWN_RATES} {target}": ["--method", "removal", "--target", target] for target in TARGETS}
+    straight = ["--method", "3dgs", "--recovery", str(RECOVERY + 8000), "--densify", "mcmc"]
+    # MCMC never has fewer than the sparse points
+    return runs | {f"mcmc {target}": straight for target in TARGETS[:2]}
+
+
 RANKED = "from svrgs_addon.finetune.methods import METHODS; METHODS['removal'].ranking = "
 RANKINGS = {"removal": ""} | {
     name: f"{RANKED}METHODS['{name}'].score"
@@ -73,11 +84,6 @@ RANKINGS = {"removal": ""} | {
 }
 RANKINGS["random"] = (
     f"import numpy; {RANKED}lambda scene, *_: numpy.random.default_rng(scene.count).random(scene.count)"
-)
-RANKINGS["removal by 3DGS's rates"] = (  # its passes, but nothing is lowered or averaged
-    f"{REMOVAL}own, plain = removal.Removal, removal.Method; "
-    "own.paced, own.rates = plain.paced, plain.rates; "
-    "removal.lowering = lambda steps: (1.0, 1.0); removal.AVERAGED, removal.OPACITY_RATE = 0.0, 0.05"
 )
 LOOKING = {name: f"from looks import look; {RANKED}look({name!r})" for name in LOOKS if not LOOKS[name][2]}
 EQUAL_TARGETS = ("0.5", "0.25", "0.1", "0.05", "0.025")
@@ -89,9 +95,6 @@ def equal() -> dict[str, list[str]]:
         "steps of 3dgs 1": ["--method", "3dgs", *AS_MANY_STEPS],
         "removal 1": ["--method", "removal", "--target", "1"],
     }
-    straight = ["--method", "3dgs", "--recovery", str(RECOVERY + 8000), "--densify", "mcmc"]
-    # MCMC never has fewer than the sparse points
-    runs |= {f"mcmc {target}": straight for target in EQUAL_TARGETS[:2]}
     for target in EQUAL_TARGETS:
         runs |= {f"{name} {target}": ["--method", "removal", "--target", target] for name in RANKINGS}
     return runs
@@ -161,5 +164,5 @@ PRUNED = ("equal", "looks", "pareto", "published", "ablation", "schedules", "tim
 
 def change_of(study: str, run: str) -> str:
     """The Python code that changes the program before a run."""
-    changes = {"ablation": ABLATION, "equal": RANKINGS, "looks": LOOKING, "levels": LEVELS}
+    changes = {"ablation": ABLATION, "pareto": PARTS, "equal": RANKINGS, "looks": LOOKING, "levels": LEVELS}
     return PRINTED if study == "printed" else changes.get(study, {}).get(run.rpartition(" ")[0] or run, "")

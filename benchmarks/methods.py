@@ -22,11 +22,10 @@ any order; --join FILE adds the rows of another machine.
     printed   the runs of the paper's tables and its sweep, with the weights of the image loss that it prints:
               L1 + (1 - SSIM)
     pareto    `svrgs prune` of the scene of `table` that --start names (trained with the schedule --trained),
-              every method at several counts
+              every method at several counts; `removal` with the rates of 3DGS; MCMC trained straight there
     ablation  the same with method `removal`, with one part of it changed at a time
     equal     the same with the recipe of `removal` (lowering, rates, averaging) and the rankings of other
-              methods, with nothing removed, and with the rates of 3DGS: what the ranking is worth, and what
-              the recipe; and MCMC trained straight to the number
+              methods, and with nothing removed: what the ranking is worth, and what the recipe
     published rivals with their published steps, `removal` with as many; to be run with --schedule 1
     skips     `svrgs train` with what skips work: smaller photographs at first, fewer of the easiest views
     levels    `svrgs train` with each SIMD level
@@ -180,14 +179,6 @@ def key(row: dict) -> str:
     return json.dumps([row[name] for name in REQUEST])
 
 
-def alike(row: dict) -> str:
-    """The same for runs of two studies that do the same."""
-    names = ("scene", "flags", "seed", "schedule", "shrink")
-    start = [row["start"], row["trained"]] if row["study"] in PRUNED else []
-    change = row["run"] if row["run"].startswith("mcmc ") else change_of(row["study"], row["run"])
-    return json.dumps([change, *(row[name] for name in names), *start])
-
-
 def read_rows(path: Path) -> list[dict]:
     return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
 
@@ -195,7 +186,6 @@ def read_rows(path: Path) -> list[dict]:
 def run(options: argparse.Namespace):
     rows = read_rows(options.rows)
     done = {key(row) for row in rows if "error" not in row}
-    known = {alike(row): row for row in rows if "error" not in row}
     part, _, parts = options.part.partition("/")
     mine = list(requests(options))[int(part) - 1 :: int(parts)]
     wanted = [request for request in mine if key(request) not in done]
@@ -212,8 +202,6 @@ def run(options: argparse.Namespace):
     threads = 0 if options.jobs == 1 else max(1, (os.cpu_count() or 1) // options.jobs)  # 0: one per core
 
     def row_of(request: dict) -> dict:
-        if alike(request) in known and not is_start(request):
-            return {**known[alike(request)], **request}
         place = request["scene"], request["shrink"]
         return measured(request, data[place], options.work / request["scene"], threads)
 
@@ -225,8 +213,6 @@ def run(options: argparse.Namespace):
             for row in (ended.result() for ended in as_completed([pool.submit(row_of, one) for one in some])):
                 del left[key(row)]
                 times.append(row)
-                if "error" not in row:
-                    known[alike(row)] = row
                 if key(row) not in done:  # a scene may be missing whose row is there
                     with options.rows.open("a") as file:
                         file.write(json.dumps(row) + "\n")

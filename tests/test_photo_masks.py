@@ -10,6 +10,8 @@ import pytest
 
 from native_helpers import LEVELS, rasterizer
 from svrgs_addon.files.images import read_pixels, write_image
+from svrgs_addon.jobs.farm.farm_job import FarmJob
+from svrgs_addon.jobs.farm.run_tasks import dataset_sha256
 from svrgs_addon.native.rasterizer import RenderOptions
 from svrgs_addon.render.metrics.evaluate import mean_figures
 from svrgs_addon.scene.camera import Camera
@@ -342,3 +344,31 @@ def test_masks_without_photographs_are_refused(tiny, tmp_path, svrgs, words):
             found.status == 2 and f"{words[0]} is of the photographs of a dataset: give --data" in found.err
         )
     assert list(tmp_path.iterdir()) == [splat]
+
+
+def test_another_mask_is_another_dataset_to_a_farm(masked):
+    before, given = dataset_sha256(masked, ""), MaskOptions(masked / "other")
+    shutil.copytree(masked / "masks", masked / "other")
+    assert dataset_sha256(masked, "", given) == before
+    first = sorted((masked / "other").iterdir())[0]
+    write_mask(first, np.ones(read_pixels(first).shape[:2]))
+    assert dataset_sha256(masked, "", given) != before == dataset_sha256(masked, "")
+    shutil.rmtree(masked / "masks")
+    assert dataset_sha256(masked, "") != before
+
+
+def test_a_farm_finds_masks_from_another_working_directory(masked, tmp_path, svrgs, monkeypatch):
+    monkeypatch.chdir(masked)
+    words = ["--target", 0.5, "--masks", "masks", "--iterations", 5, "--recovery", 0]
+    assert svrgs("farm", "export", masked, "--out", tmp_path / "job", *words).status == 0
+    monkeypatch.chdir(tmp_path)
+    job = FarmJob.read(tmp_path / "job")
+    assert [job.options(task).masks for task in job.tasks] == [masked / "masks"]
+
+
+def test_a_batch_of_a_folder_takes_masks(masked, tmp_path, svrgs):
+    words = ["--target", 0.5, "--masks", masked / "masks", "--iterations", 5, "--recovery", 0]
+    found = svrgs(
+        "prune", masked / "scene.ply", "--batch", "--data", masked, "--out", tmp_path / "out", *words
+    )
+    assert found.status == 0 and "12 of 12 photographs have a mask" in found.err

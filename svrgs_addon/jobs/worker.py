@@ -18,10 +18,12 @@ from typing import Any
 from ..prune.options import PruneOptions
 from ..prune.stop_request import StopRequest
 from ..system.exit_status import STOPPED, answer
+from ..system.option_kinds import options_of
 from ..system.processes import ChildProcess
 from ..system.subprocess_python import environment
 
-PATHS = ("scene", "data", "cameras", "out", "report", "lpips_weights")
+OF_OPTIONS = (name for name, option in options_of(PruneOptions).items() if option.kind.type is Path)
+PATHS = ("scene", "out", "report", *OF_OPTIONS)
 
 
 def run_in_child(options: PruneOptions) -> tuple[int, dict]:

@@ -119,8 +119,12 @@ def dataset_of(options: DatasetOptions, need_points: bool = False) -> Dataset:
         background=options.background,
         need_points=need_points,
         memory_budget=int(options.image_memory * 1e9),
-        masks=MaskOptions(options.masks, options.invert_masks, options.outside),
+        masks=mask_options(options),
     )
+
+
+def mask_options(options: DatasetOptions) -> MaskOptions:
+    return MaskOptions(options.masks, options.invert_masks, options.outside)
 
 
 def _settings(options: TuningOptions) -> dict[str, Any]:

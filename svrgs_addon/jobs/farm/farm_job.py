@@ -41,7 +41,7 @@ SCHEMA, JOB, RESULTS, CAPTURES = 1, "job.json", "results", "captures"  # capture
 LARGEST = 1 << 24  # bytes of job.json, and of a result
 NAME, UNUSUAL = re.compile(r"\w[\w.+ -]{0,200}"), re.compile(r"^\W|[^\w.+ -]")
 OWN = "{job}/"  # begins a path within the folder of the job
-INSIDE = ("data", "cameras")  # options with a path that may lie in the root
+INSIDE = ("data", "cameras", "masks")  # options with a path that may lie in the root
 # options that are not of a farm: it resumes by itself, and one machine's seconds are not another's
 LEFT_OUT = ("resume", "quiet", "time")
 
@@ -159,7 +159,9 @@ def tasks_of(
     would have the same name."""
     common = {name: getattr(options, name) for name in options_of(PruneOptions) if name not in LEFT_OUT}
     common = {
-        name: _plain(value) for name, value in common.items() if value != default_of(PruneOptions, name)
+        name: relative(root, value) if name in INSIDE else _plain(value)
+        for name, value in common.items()
+        if value != default_of(PruneOptions, name)
     }
     tasks = []
     for name, scene, dataset in scenes:

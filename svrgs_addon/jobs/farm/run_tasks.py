@@ -14,9 +14,11 @@ from ...finetune.loop import Progress
 from ...prune.context import JobContext
 from ...prune.door import check_files
 from ...prune.pipeline import prune_scene
+from ...prune.plans import mask_options
 from ...system.errors import SceneError, SplatError
 from ...views.colmap_files import MODEL_FILES
 from ...views.sources import read_source
+from ...views.valid_pixels import MaskOptions, masks_of
 from .engine_messages import Messages
 from .farm_job import FarmJob, Task, write_json
 
@@ -53,7 +55,7 @@ def _run(job: FarmJob, task: Task, messages: Messages) -> dict[str, Any]:
     assert options.scene is not None
     inputs = {
         "scene_sha256": scene_sha256(options.scene),
-        "dataset_sha256": dataset_sha256(options.data, options.images),
+        "dataset_sha256": dataset_sha256(options.data, options.images, mask_options(options)),
     }
     if (
         done
@@ -93,13 +95,14 @@ def _run(job: FarmJob, task: Task, messages: Messages) -> dict[str, Any]:
     return {"name": task.name, "out": str(out), "sha256": digest, "done_before": False}
 
 
-def dataset_sha256(folder: Path | None, images: str) -> str:
-    """Of a dataset, in hexadecimal digits: of the files of its cameras, and of its photographs. Empty if
-    there is none, or if it cannot be read; the task then says so."""
+def dataset_sha256(folder: Path | None, images: str, options: MaskOptions = MaskOptions()) -> str:
+    """Of a dataset, in hexadecimal digits: of the files of its cameras, and of its photographs and their
+    masks. Empty if there is none, or if it cannot be read; the task then says so."""
     if folder is None:
         return ""
     try:
         source = read_source(folder, images or None)
+        masks = source.image_folder and masks_of(options, source.image_folder, source.masks)
     except SplatError:
         return ""
     files = (
@@ -111,4 +114,7 @@ def dataset_sha256(folder: Path | None, images: str) -> str:
     if source.image_folder is not None:
         photographs = sorted(one for one in source.image_folder.rglob("*") if one.is_file())
         facts += [f"{one.relative_to(source.image_folder).as_posix()} {sha256(one)}" for one in photographs]
+    if masks:
+        found = (masks.file(view.name) for view in source.model.views)
+        facts += [sha256(one) if one is not None else "" for one in found]
     return hashlib.sha256("\n".join(facts).encode(errors="surrogateescape")).hexdigest()

@@ -1,0 +1,93 @@
+"""Photographs with troubles, on a generated scene whose truth is known: what a remedy wins back.
+
+    .venv/bin/python benchmarks/photographs.py [--scene demo=DIR] [--shrink 2] [--schedule 0.1]
+
+A person stands in every other photograph, somewhere else in each. A scene that was trained on the clean
+photographs is pruned on these, with and without masks of the person, and on the clean ones. Each row is
+measured on the clean test views.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from method_scenes import prepared
+from svrgs_addon.files.images import read_pixels, write_image
+
+ROOT = Path(__file__).resolve().parents[1]
+TARGETS = ("1", "0.25", "0.1")
+
+
+def svrgs(*words: object) -> dict:
+    """The JSON result of a command."""
+    command = [sys.executable, "-m", "svrgs_addon", *map(str, words), "--json"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    if done.returncode:
+        sys.exit(done.stderr)
+    return json.loads(done.stdout)
+
+
+def person(height: int, width: int, rng: np.random.Generator) -> np.ndarray:
+    """Where a person stands, (H, W) bool: a head above a body, a twelfth of the picture."""
+    y, x = np.mgrid[0.5:height, 0.5:width] / height
+    middle, top = rng.uniform(0.15, 0.85) * width / height, rng.uniform(0.2, 0.4)
+    body = ((x - middle) / 0.09) ** 2 + ((y - top - 0.35) / 0.28) ** 2 < 1
+    return body | (((x - middle) / 0.05) ** 2 + ((y - top) / 0.07) ** 2 < 1)
+
+
+def crowd(images: Path, troubled: Path, masks: Path):
+    """Copies of the photographs in which a person stands in every other one, and the masks."""
+    rng = np.random.default_rng(0)
+    for number, photo in enumerate(sorted(images.rglob("*.*"))):
+        pixels = read_pixels(photo)
+        there = person(*pixels.shape[:2], rng) if number % 2 else np.zeros(pixels.shape[:2], bool)
+        cloth = rng.integers(0, 256, 3) + rng.normal(0, 12, pixels.shape)
+        pixels = np.where(there[..., None], cloth.clip(0, 255).astype(np.uint8), pixels)
+        name = photo.relative_to(images)
+        write_image((troubled / name).with_suffix(".png"), pixels)
+        write_image((masks / name).with_suffix(".png"), np.where(there, 0, 255).astype(np.uint8))
+
+
+def main():
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--scene", default="demo", metavar="NAME=DIR")
+    parser.add_argument("--shrink", type=int, default=2)
+    parser.add_argument("--schedule", default="0.1")
+    parser.add_argument("--work", type=Path, default=ROOT / "build" / "photographs")
+    options = parser.parse_args()
+    name, _, folder = options.scene.partition("=")
+    work = options.work.resolve() / name
+    clean = prepared(name, Path(folder) if folder else None, work, options.shrink)
+    trained, images = work / "trained.ply", Path(clean[-1])
+    images = images if len(clean) > 2 else images / "images"
+    if not trained.exists():
+        svrgs("train", *clean, "--schedule", options.schedule, "--out", trained, "--quiet")
+    crowd(images, work / "crowd", work / "crowd-masks")
+    people = [*clean[:2], "--images", work / "crowd"]
+    ways = {
+        "clean photographs": clean,
+        "people": people,
+        "people, masks": [*people, "--masks", work / "crowd-masks"],
+    }
+    before = svrgs("eval", trained, *clean)["psnr"]
+    print(f"{name}: {before:.2f} dB before\n\n| kept | {' | '.join(ways)} |\n|---|" + "---|" * len(ways))
+    for target in TARGETS:
+        cells = []
+        for way, data in ways.items():
+            out = work / f"{way}-{target}.ply"
+            words = ["--target", target, "--schedule", options.schedule, "--out", out, "--quiet"]
+            svrgs("prune", trained, *data, *words, "--force", "--overwrite")
+            cells.append(f"{svrgs('eval', out, *clean)['psnr']:.2f}")
+        print(f"| {float(target):.0%} | {' | '.join(cells)} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
