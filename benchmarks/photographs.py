@@ -1,10 +1,11 @@
 """Photographs with troubles, on a generated scene whose truth is known: what a remedy wins back.
 
-    .venv/bin/python benchmarks/photographs.py [--scene demo=DIR] [--shrink 2] [--schedule 0.1]
+    .venv/bin/python benchmarks/photographs.py people|exposure [--scene demo=DIR] [--shrink 2]
 
-A person stands in every other photograph, somewhere else in each. A scene that was trained on the clean
-photographs is pruned on these, with and without masks of the person, and on the clean ones. Each row is
-measured on the clean test views.
+people: a person stands in every other photograph, somewhere else in each. exposure: each photograph has
+another exposure, ±0.3 EV, and another white balance, about ±300 K. A scene that was trained on the clean
+photographs is pruned on these, with and without the remedy, and on the clean ones. Each row is measured on
+the clean test views.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from method_scenes import prepared
-from svrgs_addon.files.images import read_pixels, write_image
+from svrgs_addon.files.images import linear_to_srgb, read_image, read_pixels, srgb_to_linear, write_image
 
 ROOT = Path(__file__).resolve().parents[1]
 TARGETS = ("1", "0.25", "0.1")
@@ -54,10 +55,31 @@ def crowd(images: Path, troubled: Path, masks: Path):
         write_image((masks / name).with_suffix(".png"), np.where(there, 0, 255).astype(np.uint8))
 
 
+def drift(images: Path, troubled: Path):
+    """Copies of the photographs, each with gains of its own in linear light."""
+    rng = np.random.default_rng(0)
+    for photo in sorted(images.rglob("*.*")):
+        exposure, warmth = 2 ** rng.uniform(-0.3, 0.3), rng.uniform(-0.06, 0.06)
+        gains = exposure * np.array([1 + warmth, 1, 1 - warmth], np.float32)
+        pixels = linear_to_srgb(srgb_to_linear(read_image(photo)) * gains)
+        write_image((troubled / photo.relative_to(images)).with_suffix(".png"), pixels)
+
+
+def ways_of(trouble: str, images: Path, work: Path, data: list[str]) -> dict[str, list]:
+    """The flags of svrgs prune for each way to prune, by its name. data: the flag --data."""
+    troubled = [*data, "--images", work / trouble]
+    if trouble == "people":
+        crowd(images, work / trouble, work / "people-masks")
+        return {"people": troubled, "people, masks": [*troubled, "--masks", work / "people-masks"]}
+    drift(images, work / trouble)
+    return {"drift": troubled, "drift, exposure fitted": [*troubled, "--exposure", "auto"]}
+
+
 def main():
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
+    parser.add_argument("trouble", choices=("people", "exposure"))
     parser.add_argument("--scene", default="demo", metavar="NAME=DIR")
     parser.add_argument("--shrink", type=int, default=2)
     parser.add_argument("--schedule", default="0.1")
@@ -70,13 +92,7 @@ def main():
     images = images if len(clean) > 2 else images / "images"
     if not trained.exists():
         svrgs("train", *clean, "--schedule", options.schedule, "--out", trained, "--quiet")
-    crowd(images, work / "crowd", work / "crowd-masks")
-    people = [*clean[:2], "--images", work / "crowd"]
-    ways = {
-        "clean photographs": clean,
-        "people": people,
-        "people, masks": [*people, "--masks", work / "crowd-masks"],
-    }
+    ways = {"clean photographs": clean} | ways_of(options.trouble, images, work, clean[:2])
     before = svrgs("eval", trained, *clean)["psnr"]
     print(f"{name}: {before:.2f} dB before\n\n| kept | {' | '.join(ways)} |\n|---|" + "---|" * len(ways))
     for target in TARGETS:

@@ -24,7 +24,8 @@ PAPER_VALUES = (1e-4, 1.25e-4, 1.6e-4, 2e-4)  # values of λ_F in the paper
 GOALS = {"DEVICE": "device", "SHARE": "share", "COUNT": "count", "SIZE": "size", "DROP": "drop"}
 ADVANCED = (
     "lambda_f", "iterations", "recovery", "seed", "min_contribution", "holdout", "visible_mask",
-    "views_by_loss", "force", "images", "masks", "invert_masks", "outside", "folder",
+    "views_by_loss", "force", "images", "masks", "invert_masks", "outside", "exposure",
+    "folder",
 )  # fmt: skip
 STEPS = ("iterations", "recovery")  # chosen by the program if the time is limited
 # stage -> icon of the first sentence

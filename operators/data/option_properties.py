@@ -72,6 +72,22 @@ def outside_property():
     )
 
 
+def exposure_property():
+    """Whether exposure is fitted."""
+    return EnumProperty(
+        name="Exposure",
+        items=[
+            ("off", "As It Is", "All photographs are taken to have the same exposure"),
+            ("auto", "Where It Varies", "The photographs are compared with the splat first"),
+            ("on", "Fitted", "Each photograph has a colour matrix of its own"),
+        ],
+        description=(
+            "Whether exposure and white balance of each photograph are fitted. They are written beside the"
+            " result, which keeps its colours"
+        ),
+    )
+
+
 def limited_time_property():
     """Whether the time of a job is limited."""
     text = (

@@ -35,7 +35,8 @@ def options_of(context, obj: bpy.types.Object) -> dict:
         "seed": s.seed, "threads": threads(context), "force": s.force,
         "holdout": s.holdout, "visible_mask": s.visible_mask, "views_by_loss": s.views_by_loss,
     }  # fmt: skip
-    options |= dataset_paths.masks_of(context) if depth == depths.PHOTOGRAPHS else {}
+    if depth == depths.PHOTOGRAPHS:
+        options |= dataset_paths.masks_of(context) | {"exposure": s.exposure}
     options |= {"time": s.time} if s.use_time else {"iterations": s.iterations, "recovery": s.recovery}
     if depth == depths.TUNED and s.views == "ONLY":
         options["seen_from_only"] = True

@@ -21,7 +21,13 @@ from ...svrgs_addon.files.registry import format_to_write, read_scene, write_sce
 from ...svrgs_addon.system import subprocess_python
 from ...svrgs_addon.system.errors import SplatError
 from ..data import edit_guard, pairs, splat_object
-from ..data.option_properties import RELATIVE, method_property, option_property, outside_property
+from ..data.option_properties import (
+    RELATIVE,
+    exposure_property,
+    method_property,
+    option_property,
+    outside_property,
+)
 from ..data.preferences import threads
 from ..data.reporting import ReportingOperator
 from ..data.select import select
@@ -57,6 +63,7 @@ class SVRGS_OT_prune(ReportingOperator):
     masks: option_property("masks")
     invert_masks: option_property("invert_masks")
     outside: outside_property()
+    exposure: exposure_property()
     out: StringProperty(
         name="Output",
         subtype="FILE_PATH",
@@ -210,6 +217,7 @@ class SVRGS_OT_prune(ReportingOperator):
             "--lambda-f": self.lambda_f, "--target": self.target, "--target-count": self.target_count,
             "--max-drop": self.max_drop, "--time": self.time, "--seen-from": absolute(self.cameras),
             "--masks": absolute(self.masks), "--outside": self.outside if self.outside != "auto" else "",
+            "--exposure": self.exposure if self.exposure != "off" else "",
         }  # fmt: skip
         options = [str(word) for name, value in given.items() if value for word in (name, value)]
         options += [

@@ -13,6 +13,7 @@ from ..data import splat_object, views_of_file
 from ..data.devices import DEVICES
 from ..data.option_properties import (
     RELATIVE,
+    exposure_property,
     limited_time_property,
     method_choice_property,
     method_property,
@@ -60,6 +61,7 @@ class SVRGS_PG_prune(bpy.types.PropertyGroup):
     masks: option_property("masks")
     invert_masks: option_property("invert_masks")
     outside: outside_property()
+    exposure: exposure_property()
     depth: EnumProperty(
         name="Mode", items=depths.ITEMS, get=depths.number_of, set=depths.choose,
         description=(

@@ -204,6 +204,11 @@ def _eval(commands):
         action="store_true",
         help="measure LPIPS also with colours in [-1, 1], as its authors say; others give it [0, 1]",
     )
+    command.add_argument(
+        "--matched",
+        action="store_true",
+        help="measure PSNR also in the colours of the photographs, so that exposure does not count (cc-PSNR)",
+    )
 
 
 def _compare(commands):

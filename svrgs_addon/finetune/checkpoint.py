@@ -24,13 +24,14 @@ from ..system.errors import FormatError, SceneError
 from ..views.dataset import Dataset
 from .averaging import Average
 from .densify import Statistics
+from .exposure import Exposures
 from .model import Model
 from .plan import Plan
 from .recovery_pruning import RecoveryPruning
 from .run import Curves, Run
 from .strength_controller import StrengthController
 
-SCHEMA = 11
+SCHEMA = 12
 KEPT = 2  # number of checkpoints that are kept
 _PARTS = ("values", "moments")
 # of Run, as they are
@@ -62,6 +63,8 @@ def _write(run: Run, target: Path, identity: str, time: dict | None):
     arrays = {f"{part}.{name}": array for part in _PARTS for name, array in getattr(run.model, part).items()}
     arrays |= {f"average.{name}": array for name, array in run.average.values.items()}
     arrays["origin"] = run.model.origin
+    if run.exposures:
+        arrays |= {f"exposure.{name}": array for name, array in vars(run.exposures).items()}
     for name in ("statistics.total", "statistics.views", "views.losses", "views.left_out"):
         arrays[name] = attrgetter(name)(run)
     check_space(target / "arrays.npz", sum(array.nbytes for array in arrays.values()))
@@ -143,10 +146,11 @@ def _apply(run: Run, folder: Path, manifest: dict):
     with np.load(folder / "arrays.npz", allow_pickle=False) as arrays:
         parts = {
             part: {name.split(".", 1)[1]: arrays[name] for name in arrays if name.startswith(part + ".")}
-            for part in (*_PARTS, "average")
+            for part in (*_PARTS, "average", "exposure")
         }
         run.model.values, run.model.moments = (parts[part] for part in _PARTS)
         run.average = Average(parts["average"], manifest["averaged"])
+        run.exposures = Exposures(**parts["exposure"]) if parts["exposure"] else None
         run.model.origin = arrays["origin"]
         run.statistics = Statistics(run.model.count)
         run.statistics.total, run.statistics.views = arrays["statistics.total"], arrays["statistics.views"]

@@ -13,6 +13,7 @@ import numpy as np
 from ..native.rasterizer import Rasterizer, RenderOptions
 from ..scene.camera import Camera
 from ..scene.gaussians import PARAMETERS
+from .exposure import exposed, exposed_vjp
 from .model import MASK, Model
 from .penalties import Penalty
 
@@ -44,6 +45,8 @@ class Step:
     want_means2d: bool = False  # the gradient of the projected centres is returned, for densification
     # rows and columns of the view: outside of them, its picture counts as equal to the target. None: all
     window: tuple[slice, slice] | None = None
+    # (3, 4): the photograph's exposure (exposure.py), with which the picture is seen; not with a window
+    exposure: np.ndarray | None = None
 
     @property
     def spatial(self) -> bool:
@@ -82,6 +85,7 @@ class StepResult:
     # (V,) uint32: rows of the Gaussians that the view sees and that are not frozen, ascending
     visible: np.ndarray
     means2d: np.ndarray | None = None  # (V, 2) dL/d(projected centre), per pixel
+    exposure: np.ndarray | None = None  # (3, 4) dL/dexposure
     global_loss: float = 0.0  # (mean M)^2
     penalty: float = 0.0  # value of Step.penalty, its weight included
     nonfinite: int = 0  # rows that were not updated because their gradient was not finite
@@ -115,11 +119,12 @@ class NativeEngine:
         r = self.rasterizer
         outputs = ("rgb", "mask") if step.spatial else ("rgb",)
         images = r.forward(model, step.camera, step.options, step.masks, outputs)
-        l1, ssim, d_rgb = self._image_loss(step, images["rgb"])
+        l1, ssim, d_rgb, d_exposure = self._seen_loss(step, images["rgb"])
         image_grads, mask_loss = {"rgb": d_rgb}, 0.0
         if step.spatial:
             mask_loss, image_grads["mask"] = r.mask_loss(images["mask"], step.lambda_f)
         result = StepResult(l1, ssim, mask_loss, step.not_frozen(r.visible()), global_loss=step.global_loss)
+        result.exposure = d_exposure
         result.penalty = float(
             sum(penalty.value(rows, np) for penalty, rows in _penalised(model, step, result.visible))
         )
@@ -130,6 +135,14 @@ class NativeEngine:
         grads, result.nonfinite = self._update(model, step, image_grads, wanted, result.visible)
         result.means2d = grads.get("means2d")
         return result
+
+    def _seen_loss(self, step: Step, rgb: np.ndarray) -> tuple[float, float, np.ndarray, np.ndarray | None]:
+        """_image_loss() of the picture as the photograph's exposure shows it, and dL/dexposure."""
+        if step.exposure is None:
+            return *self._image_loss(step, rgb), None
+        valid = step.camera.valid
+        l1, ssim, d_seen = self._image_loss(step, exposed(rgb, step.exposure, valid))
+        return l1, ssim, *exposed_vjp(d_seen, rgb, step.exposure, valid)
 
     def _image_loss(self, step: Step, rgb: np.ndarray) -> tuple[float, float, np.ndarray]:
         """Mean |difference|, SSIM and the gradient (H, W, 3) of the image loss; both values and the gradient

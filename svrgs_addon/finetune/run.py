@@ -26,6 +26,7 @@ from ..views.dataset import Dataset
 from . import densify, masks, mcmc
 from .averaging import Average
 from .engine import Step, StepResult
+from .exposure import Exposures, rate_at
 from .model import MASK, Model
 from .nested import nested_order, size_of_step
 from .plan import Plan
@@ -80,6 +81,9 @@ class Run:
         self.initial_count = model.count
         self.unordered = 0  # Gaussians added since the rows were last put in Morton order
         self.average = Average()
+        shown = dataset.train_indices if plan.exposure == "on" else []
+        self.exposures = Exposures.identities(len(shown)) if shown else None
+        self.places = {view: place for place, view in enumerate(shown)}
         self.curves = Curves()
         self.loss = math.nan
         self.nonfinite = 0  # rows that were not updated because their gradient was not finite
@@ -115,9 +119,14 @@ class Run:
         self._prepare(phase, number)
         camera, window = self.dataset.cameras[view].reduced(reduction), self.dataset.window(view)
         step = self._step(phase, number, camera, target, window)
+        if self.exposures:
+            step.exposure = self.exposures.matrices[self.places[view]]
         size = size_of_step(self.plan, phase, self.iteration, self.model.count)
         result = self.engine.step(self.model.first(size) if size < self.model.count else self.model, step)
         self._record(result, step, view)
+        if self.exposures and result.exposure is not None:
+            rate = rate_at(self.iteration, self.plan.total)
+            self.exposures.update(self.places[view], result.exposure, rate)
         self.iteration += 1
         self._density_control(phase, number, step, result)
         self._prune(phase, number)

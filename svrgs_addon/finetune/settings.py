@@ -162,6 +162,9 @@ class Settings:
     nested: float = 0.0
     # instead of a target: PSNR in dB that may be lost at the end, on a few views (quality.py)
     max_drop: float = 0.0
+    # whether each photograph has an exposure that is fitted (exposure.py): "on", "off", or "auto" until the
+    # photographs were compared with the splat
+    exposure: str = "off"
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     # rows of the source, from and to, that the result is about (RunView.own). None: all
     own: tuple[int, int] | None = field(default=None, repr=False)

@@ -116,6 +116,7 @@ class TorchEngine:
 
     def __init__(self, level: str | None = None):
         self.rasterizer = Rasterizer(level)
+        self.exposure: Tensor | None = None  # of the step that is being done
 
     def step(self, model: Model, step: Step) -> StepResult:
         leaves = _tensors(model.values)
@@ -123,6 +124,9 @@ class TorchEngine:
             leaf.requires_grad_()
         means2d = torch.zeros((model.count, 2), dtype=leaves["means"].dtype, requires_grad=step.want_means2d)
         masks = _masks(step, leaves)
+        self.exposure = None
+        if step.exposure is not None:
+            self.exposure = torch.tensor(step.exposure, dtype=leaves["means"].dtype, requires_grad=True)
         images = self._render(step, leaves, masks, means2d)
         loss, l1, similarity, mask_loss = self.loss(step, images, masks)
         visible = step.not_frozen(self.rasterizer.visible())
@@ -139,6 +143,8 @@ class TorchEngine:
             l1.item(), similarity.item(), mask_loss.item(), visible, global_loss=step.global_loss
         )
         result.penalty = penalty.item()
+        if self.exposure is not None:
+            result.exposure = _grad(self.exposure).numpy().astype(np.float64)
         if step.want_means2d:
             result.means2d = _grad(means2d)[ids].numpy()
         if step.update:
@@ -152,6 +158,10 @@ class TorchEngine:
         images: 'rgb' (H, W, 3) and, with a spatial mask, 'mask' (H, W). masks (N,) or None."""
         target = torch.tensor(step.target)  # a copy: photographs are read-only
         rgb = images["rgb"] if step.window is None else images["rgb"][step.window]
+        if self.exposure is not None:
+            valid = step.camera.valid
+            rgb = rgb @ self.exposure[:, :3].T + self.exposure[:, 3]
+            rgb = rgb if valid is None else rgb * torch.from_numpy(valid)[..., None]
         share = rgb.numel() / images["rgb"].numel()
         l1, similarity = share * (rgb - target).abs().mean(), 1 - share * (1 - ssim(rgb, target))
         total = step.l1_weight * l1 + step.ssim_weight * (1 - similarity)

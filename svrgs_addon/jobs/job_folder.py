@@ -22,6 +22,7 @@
     pruned.ply, kept.npy, score.npy, result.json     the result; result.json is written last
     probability.npy                                  if masks were learned
     trained.ply, result.json                         the result of a job that trains
+    recovered_exposure.json, trained_exposure.json   if exposure was fitted (finetune/exposure.py)
 
 A job whose state is not renewed for STALE seconds counts as interrupted. The folder is read like a file of a
 stranger: options are checked by name, type and range, arrays by shape and dtype, sizes of JSON files by
@@ -107,6 +108,7 @@ _FILES = (
     "score.npy",
     "probability.npy",
     "trained.ply",
+    "*_exposure.json",
     "result.json",
     MERGED,
     ORDER,

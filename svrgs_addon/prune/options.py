@@ -30,6 +30,7 @@ from ..system.option_kinds import (
     SHARES,
     SMALL_SHARE,
     SMALLER_SHARE,
+    SWITCH,
     TEXT,
     WEIGHT,
     option,
@@ -156,6 +157,13 @@ class TuningOptions(DatasetOptions):
         FLAG,
         False,
         "show the half of the photographs with the lower loss only in every other epoch",
+        in_job=True,
+    )
+    exposure: str = option(
+        SWITCH,
+        "off",
+        "fit a colour matrix to each photograph, whose exposure and white balance may differ: auto does so"
+        " where they do; it is written beside the result, which keeps its colours",
         in_job=True,
     )
     schedule: float = option(

@@ -138,6 +138,7 @@ def _settings(options: TuningOptions) -> dict[str, Any]:
         "full": not options.visible_mask,
         "background": options.background,
         "views_by_loss": options.views_by_loss,
+        "exposure": options.exposure,
         "schedule": options.schedule,
     }
 

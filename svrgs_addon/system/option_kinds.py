@@ -82,6 +82,8 @@ COUNT = Kind(int, "a whole number of 0 or more", lambda value: value >= 0, minim
 POSITIVE = Kind(int, "a whole number of 1 or more", lambda value: value > 0, minimum=1)
 SH_DEGREE = Kind(int, "a degree of 0 to 3", choices=(0, 1, 2, 3))
 DENSIFY = Kind(str, "3dgs or mcmc", lambda value: value in ("3dgs", "mcmc"), choices=("3dgs", "mcmc"))
+SWITCHES = ("off", "auto", "on")
+SWITCH = Kind(str, "off, auto or on", lambda value: value in SWITCHES, choices=SWITCHES)
 OUTSIDES = ("auto", "ignore", "background")
 OUTSIDE = Kind(str, "auto, ignore or background", lambda value: value in OUTSIDES, choices=OUTSIDES)
 WEIGHT = Kind(float, "a weight of 0 to 1e9", lambda value: 0 <= value <= 1e9, minimum=0, maximum=1e9)

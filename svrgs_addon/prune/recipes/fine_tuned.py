@@ -22,7 +22,7 @@ from ...files.registry import (
     size_on_disk,
     write_scene,
 )
-from ...finetune import checkpoint, loop, masks
+from ...finetune import checkpoint, exposure, loop, masks
 from ...finetune.decimate.order import NORMALS, lost_columns
 from ...finetune.engine import NativeEngine
 from ...finetune.loop import CURVE_VIEWS
@@ -45,6 +45,7 @@ from ..blocks.folder import remove_blocks
 from ..context import JobContext
 from ..disk_room import ROW, DiskRoom
 from ..door import check_training, check_views, check_visible
+from ..exposure_check import spread_of
 from ..first_cut import first_cut
 from ..likeness import assumed_drop
 from ..planning import pruning_within
@@ -70,7 +71,8 @@ class Tuned:
         self.notes: list[str] = []  # for the user, besides those of the dataset
 
     def further_files(self) -> list[Path]:
-        return [self.job.folder / "manifest.json"]
+        own = [exposure.file_of(self.job.out)] if self.plan.exposure != "off" else []
+        return [self.job.folder / "manifest.json", *own]
 
     def tune(self):
         """All phases, with checkpoints."""
@@ -101,6 +103,9 @@ class Tuned:
         self.room.release()
         with self.clock.phase("write"):
             write_scene(self.job.out, self.scene)
+            if fitted := self.run.exposures:
+                names = [self.dataset.cameras[view].name for view in self.run.places]
+                exposure.write(exposure.file_of(self.job.out), names, fitted.matrices)
         checkpoint.delete_all(self.job.folder)
 
     def close(self):
@@ -114,7 +119,8 @@ class Tuned:
 
     def measured(self, scene: Scene, path: Path) -> dict[str, Any]:
         """The figures of `svrgs eval` for a scene. path: its file, for the size in bytes."""
-        figures = evaluate(scene, self.dataset, self.measuring, Rasterizer(), self.job.lpips)
+        matched = self.plan.exposure == "on"
+        figures = evaluate(scene, self.dataset, self.measuring, Rasterizer(), self.job.lpips, matched)
         return {**figures, "bytes": size_on_disk(path)}
 
     def all_notes(self) -> list[str]:
@@ -141,9 +147,18 @@ class Tuned:
             "nonfinite_gradients": run.nonfinite,
             "densifications_held_back": run.held_back,
             "seed": plan.seed,
+            "exposure": self.fitted_exposure(),
             "notes": self.all_notes(),
             "curves": vars(run.curves),
         }
+
+    def fitted_exposure(self) -> dict[str, Any] | None:
+        """What was fitted to the photographs: its file, their number, and their spread in EV."""
+        if not self.run.exposures:
+            return None
+        found = exposure.stops(self.run.exposures.matrices)
+        file = str(exposure.file_of(self.job.out))
+        return {"file": file, "photographs": len(found), "stops": float(found.std())}
 
     def timed(self, result: dict[str, Any]) -> dict[str, Any]:
         """The result, of a job with a time limit with the seconds asked for, foreseen and used, the time
@@ -188,6 +203,10 @@ class FineTuned(Tuned):
         for note in found:
             logging.warning("%s", note)
         self.notes += found
+        if plan.exposure == "auto":
+            spread = spread_of(source, dataset)
+            self.notes.append(spread.sentence())
+            self.plan = plan = replace(plan, exposure="on" if spread.varies else "off")
         if plan.max_drop:
             self.dataset = dataset = hold_apart(dataset)
             if self.measuring and not dataset.deciding_indices:

@@ -42,6 +42,8 @@ class Trained(Tuned):
     def check(self):
         dataset, plan = self.dataset, self.plan
         check_request(dataset, plan)
+        if plan.exposure == "auto":
+            raise SceneError("--exposure auto compares photographs with a trained splat: give on or off")
         if (plan.target or plan.share) and not plan.prunes:
             raise SceneError(CANNOT_REACH.format(plan.method.name))
         refuse_unseen_points(dataset)

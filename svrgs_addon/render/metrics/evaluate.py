@@ -19,6 +19,7 @@ from ...scene.camera import Camera
 from ...system.errors import SceneError
 from ...views.dataset import Dataset
 from . import flip, psnr, ssim
+from .colour_match import colour_matched
 from .measures import with_error
 
 # Limits of refuse_unseen() and any_in_view().
@@ -108,23 +109,32 @@ def evaluate(
     indices: Sequence[int],
     rasterizer: Renderer,
     lpips: Callable | None = None,
+    matched: bool = False,
 ) -> dict:
     """Renders the views and compares them with the photographs.
 
     Returns means over the views: psnr (dB), ssim, flip, lpips (None without `lpips`), all None without views;
-    and count (Gaussians), ms_per_frame (median duration of a forward pass in milliseconds; None for a divided
+    with `matched` also psnr_matched, the PSNR in the colours of the photographs (colour_match.py); and count
+    (Gaussians), ms_per_frame (median duration of a forward pass in milliseconds; None for a divided
     scene, which is read for each view, and without views).
     """
     options = picture_options(scene, dataset.background)
     seconds: list[float] = []
+    in_its_colours: list[float] = []
 
     def pair(i: int) -> tuple[np.ndarray, np.ndarray, float]:
         started = time.perf_counter()
         rgb = rasterizer.forward(scene, dataset.cameras[i], options)["rgb"]
         seconds.append(time.perf_counter() - started)
-        return rounded_to_8_bits(rgb), to_float(dataset.image(i)), dataset.cameras[i].valid_share
+        image, photo, camera = rounded_to_8_bits(rgb), to_float(dataset.image(i)), dataset.cameras[i]
+        if matched:
+            same = colour_matched(image, photo, camera.valid)
+            in_its_colours.append(psnr(same, photo, camera.valid_share))
+        return image, photo, camera.valid_share
 
     figures = mean_figures(map(pair, indices), lpips)
+    if matched:
+        figures["psnr_matched"] = statistics.fmean(in_its_colours) if in_its_colours else None
     timed = seconds and isinstance(rasterizer, Rasterizer)
     return {
         **figures,

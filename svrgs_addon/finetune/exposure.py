@@ -1,0 +1,98 @@
+"""Exposure and white balance of each photograph: a 3 x 4 colour matrix, fitted while the splat is trained,
+as in 3DGS.
+
+    seen = A c + b      c: the rendered colour of a pixel, display sRGB; (A | b): of its photograph
+
+The matrices count relative to their mean, so that the mean correction is the identity: the splat keeps its
+own colours, and the matrices hold only what differs from photograph to photograph. They stand beside the
+result and are never baked into it.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..files.atomic import atomic_write
+
+FIRST, LAST = 0.01, 0.001  # learning rates at the first and at the last step, log-linear in between (3DGS)
+BETAS, EPS = (0.9, 0.999), 1e-8  # of Adam
+IDENTITY = np.eye(3, 4)
+
+
+@dataclass
+class Exposures:
+    """The matrices of V photographs and their Adam state: values, m and v (V, 3, 4), steps (V,)."""
+
+    values: np.ndarray
+    m: np.ndarray
+    v: np.ndarray
+    steps: np.ndarray
+
+    @classmethod
+    def identities(cls, count: int) -> Exposures:
+        values = np.tile(IDENTITY, (count, 1, 1))
+        return cls(values, np.zeros_like(values), np.zeros_like(values), np.zeros(count, np.int64))
+
+    @property
+    def matrices(self) -> np.ndarray:
+        """(V, 3, 4), whose mean is the identity."""
+        return self.values - self.values.mean(axis=0) + IDENTITY
+
+    def update(self, number: int, grad: np.ndarray, rate: float):
+        """An Adam step of one photograph. grad: dL/d(its matrix), (3, 4); one that is not finite changes
+        nothing."""
+        if not np.isfinite(grad).all():
+            return
+        self.steps[number] += 1
+        t, (first, second) = int(self.steps[number]), BETAS
+        self.m[number] = first * self.m[number] + (1 - first) * grad
+        self.v[number] = second * self.v[number] + (1 - second) * grad**2
+        root = np.sqrt(self.v[number] / (1 - second**t)) + EPS
+        self.values[number] -= rate * self.m[number] / (1 - first**t) / root
+
+
+def rate_at(iteration: int, total: int) -> float:
+    """The learning rate of iteration 0, 1, ... of `total`."""
+    return float(FIRST * (LAST / FIRST) ** (iteration / max(1, total)))
+
+
+def exposed(rgb: np.ndarray, matrix: np.ndarray, valid: np.ndarray | None) -> np.ndarray:
+    """Rendered colours (H, W, 3) as the photograph would show them; 0 where pixels do not count. matrix
+    (3, 4); valid (H, W), None: all count."""
+    seen = rgb.reshape(-1, 3) @ matrix[:, :3].T.astype(rgb.dtype) + matrix[:, 3].astype(rgb.dtype)
+    seen = seen.reshape(rgb.shape)
+    return seen if valid is None else seen * valid[..., None]
+
+
+def exposed_vjp(
+    d_seen: np.ndarray, rgb: np.ndarray, matrix: np.ndarray, valid: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """dL/drgb (H, W, 3) and dL/dmatrix (3, 4) float64, of dL/dseen (H, W, 3)."""
+    d_seen = d_seen if valid is None else d_seen * valid[..., None]
+    flat, colours = d_seen.reshape(-1, 3), rgb.reshape(-1, 3)
+    d_matrix = np.column_stack([flat.T @ colours, flat.sum(axis=0)]).astype(np.float64)
+    return (flat @ matrix[:, :3].astype(rgb.dtype)).reshape(rgb.shape), d_matrix
+
+
+def stops(matrices: np.ndarray) -> np.ndarray:
+    """By how many stops (EV) each matrix makes middle grey brighter, (V,): log2 of the ratio of its linear
+    brightness."""
+    grey = 0.5
+    seen = (matrices[:, :, :3].sum(axis=2) * grey + matrices[:, :, 3]).clip(1e-3, None)
+    linear = lambda value: np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+    return np.log2(linear(seen).mean(axis=1) / linear(np.float64(grey)))
+
+
+def file_of(out: Path) -> Path:
+    """Where the matrices of a result are written."""
+    return out.with_name(f"{out.stem}_exposure.json")
+
+
+def write(path: Path, names: list[str], matrices: np.ndarray):
+    """As 3DGS writes exposure.json: the matrix of each photograph by its name. Raises SceneError."""
+    with atomic_write(path) as file:
+        file.write(json.dumps(dict(zip(names, matrices.tolist(), strict=True)), indent=1).encode() + b"\n")
