@@ -11,6 +11,7 @@ result and are never baked into it.
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -63,7 +64,10 @@ def rate_at(iteration: int, total: int) -> float:
 def exposed(rgb: np.ndarray, matrix: np.ndarray, valid: np.ndarray | None) -> np.ndarray:
     """Rendered colours (H, W, 3) as the photograph would show them; 0 where pixels do not count. matrix
     (3, 4); valid (H, W), None: all count."""
-    seen = rgb.reshape(-1, 3) @ matrix[:, :3].T.astype(rgb.dtype) + matrix[:, 3].astype(rgb.dtype)
+    rows = _wide(rgb)
+    pixels = rows.shape[1] // 3
+    seen = rows @ np.kron(np.eye(pixels), matrix[:, :3].T).astype(rgb.dtype)
+    seen += np.tile(matrix[:, 3], pixels).astype(rgb.dtype)
     seen = seen.reshape(rgb.shape)
     return seen if valid is None else seen * valid[..., None]
 
@@ -72,10 +76,17 @@ def exposed_vjp(
     d_seen: np.ndarray, rgb: np.ndarray, matrix: np.ndarray, valid: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """dL/drgb (H, W, 3) and dL/dmatrix (3, 4) float64, of dL/dseen (H, W, 3)."""
-    d_seen = d_seen if valid is None else d_seen * valid[..., None]
-    flat, colours = d_seen.reshape(-1, 3), rgb.reshape(-1, 3)
-    d_matrix = np.column_stack([flat.T @ colours, flat.sum(axis=0)]).astype(np.float64)
-    return (flat @ matrix[:, :3].astype(rgb.dtype)).reshape(rgb.shape), d_matrix
+    rows, colours = _wide(d_seen if valid is None else d_seen * valid[..., None]), _wide(rgb)
+    pixels = rows.shape[1] // 3
+    of_pixels = (rows.T @ colours).astype(np.float64).reshape(pixels, 3, pixels, 3)
+    sums = (np.ones(len(rows), rows.dtype) @ rows).astype(np.float64).reshape(pixels, 3).sum(axis=0)
+    d_rgb = rows @ np.kron(np.eye(pixels), matrix[:, :3]).astype(rgb.dtype)
+    return d_rgb.reshape(rgb.shape), np.column_stack([np.einsum("kikj->ij", of_pixels), sums])
+
+
+def _wide(image: np.ndarray) -> np.ndarray:
+    """An image (H, W, 3) with up to four pixels a row: products of matrices with three columns are slow."""
+    return np.ascontiguousarray(image).reshape(-1, 3 * math.gcd(image.shape[0] * image.shape[1], 4))
 
 
 def stops(matrices: np.ndarray) -> np.ndarray:
