@@ -14,7 +14,7 @@ from statistics import fmean
 
 from method_charts import curve_chart, looks_chart, pareto_chart
 from method_scenes import GENERATED
-from method_studies import PRUNED
+from method_studies import OWN_RATES, PRUNED
 from time_report import in_time
 
 DEFAULT = "removal"  # the default method
@@ -173,7 +173,8 @@ def standings(rows: list[dict]) -> Iterable[list[str]]:
     for (share,), those in sorted(
         groups((row for row in rows if row["share"] < 1), "share").items(), reverse=True
     ):
-        others = sorted((row for row in those if row["method"] != DEFAULT), key=lambda row: -row["psnr"])
+        others = [row for row in those if row["method"] not in (DEFAULT, OWN_RATES)]
+        others.sort(key=lambda row: -row["psnr"])
         best = [f"{psnr_of(row)} `{row['method']}`" for row in others[:BEST]]
         ours = [psnr_of(row) for row in those if row["method"] == DEFAULT]
         place = f"{case(rows[0])}: {before['count']:,}, {psnr_of(before)} dB"
@@ -189,17 +190,24 @@ def standings(rows: list[dict]) -> Iterable[list[str]]:
 
 
 def equal(rows: list[dict], charts: Path) -> str:
-    """The recipe of the default with other rankings, with nothing removed, and with the rates of 3DGS."""
+    """The recipe of the default with other rankings, and with nothing removed."""
     rows = pruned(rows, "equal")
-    alone = {
-        "steps of 3dgs": "plain steps",
-        "mcmc": "grown to the number by MCMC",
-        "removal by 3DGS's rates": "its passes, rates of 3DGS",
-        DEFAULT: "`removal`: GaussianPOP's ranking",
-    }
+    alone = {"steps of 3dgs": "plain steps", DEFAULT: "`removal`: GaussianPOP's ranking"}
     rankings = [name for (name,) in groups(rows, "method") if name not in alone]
     columns = alone | {name: f"that of `{name}`" for name in rankings}
     return by_share(rows, columns)
+
+
+def rivals(rows: list[dict], charts: Path) -> str:
+    """The same scenes with each rival as it is, with MCMC, and with the default by the rates of 3DGS."""
+    rows = pruned(rows, "pareto")
+    places = {(row["scene"], row["shrink"]) for row in rows if row["method"] == OWN_RATES}
+    rows = [row for row in rows if (row["scene"], row["shrink"]) in places]
+    names = {name for (name,) in groups(rows, "method")}
+    first = {"3dgs": "plain steps", DEFAULT: f"`{DEFAULT}`", OWN_RATES: "its passes, rates of 3DGS"}
+    last = {"mcmc": "trained to the number by MCMC"}
+    others = {name: f"`{name}`" for name in sorted(names - {*first, *last})}
+    return by_share(rows, first | others | last)
 
 
 def by_share(rows: list[dict], columns: dict[str, str]) -> str:
@@ -336,7 +344,8 @@ def counted(row: dict) -> str:
 
 def pixels(row: dict) -> str:
     """Pixels of all training views a Gaussian."""
-    return f"{row['pixels'] / row['count']:.3g}"
+    share = row["pixels"] / row["count"]
+    return f"{share:,.0f}" if share >= 100 else f"{share:.3g}"
 
 
 def paper(rows: list[dict], charts: Path) -> str:
@@ -425,24 +434,8 @@ def sweep(rows: list[dict], charts: Path) -> str:
     )
 
 
-PARTS: dict[str, Callable[[list[dict], Path], str]] = {
-    part.__name__: part
-    for part in (
-        command,
-        equal,
-        published,
-        looks,
-        skips,
-        levels,
-        pruning,
-        left_out,
-        few,
-        in_time,
-        other_figures,
-        points,
-        table_one,
-        paper,
-        scenarios,
-        sweep,
-    )  # fmt: skip
-}
+OF_PAGE = (
+    command, equal, rivals, published, looks, skips, levels, pruning, left_out, few, in_time, other_figures,
+    points, table_one, paper, scenarios, sweep,
+)  # fmt: skip
+PARTS: dict[str, Callable[[list[dict], Path], str]] = {part.__name__: part for part in OF_PAGE}

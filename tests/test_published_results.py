@@ -236,3 +236,49 @@ def test_with_a_quarter_and_a_fortieth_rankings_are_as_near_as_is_said(equal):
     assert max(gain("0.25", name, "lpips") for name in ("speedy", "opacity")) < 0
     assert (round(gain("0.025", "speedy"), 2), round(gain("0.025", "speedy", "lpips"), 3)) == (0.03, -0.024)
     assert (round(gain("0.5", "random"), 1), round(gain("0.5", "random", "lpips"), 2)) == (0.5, -0.03)
+
+
+@pytest.fixture(scope="module")
+def left_out() -> dict[tuple[str, str], dict[int, dict]]:
+    """The rows of the study `pareto` on south_building, by scene and run, and by seed."""
+    found: dict[tuple[str, str], dict[int, dict]] = defaultdict(dict)
+    for row in map(json.loads, ROWS.read_text().splitlines()):
+        if (row["study"], row["scene"]) == ("pareto", "south_building") and "error" not in row:
+            found["south_building", row["run"]][row["seed"]] = row
+    return found
+
+
+OTHERS = ("gaussianpop", "gns", "lightgaussian", "maskgs", "speedy")
+OWN_RATES = "removal by 3DGS's rates"
+
+
+def gains(left_out, share: str, other: str, measure: str) -> list[float]:
+    return ahead(left_out, "south_building", f"removal {share}", f"{other} {share}", measure)
+
+
+@pytest.mark.parametrize(("share", "best"), [("0.25", 0.006), ("0.1", 0.020), ("0.05", 0.024)])
+def test_default_is_ahead_in_lpips_on_the_capture_that_was_left_out_with_every_seed(left_out, share, best):
+    found = {other: gains(left_out, share, other, "lpips") for other in OTHERS}
+    assert max(max(one) for one in found.values()) < 0
+    assert -round(max(map(fmean, found.values())), 3) == pytest.approx(best, abs=0.0006)
+
+
+def test_with_half_of_the_gaussians_two_rivals_are_ahead_in_lpips_as_is_said(left_out):
+    behind_of = {other: fmean(gains(left_out, "0.5", other, "lpips")) for other in OTHERS}
+    assert {other for other, value in behind_of.items() if value > 0} == {"maskgs", "gaussianpop"}
+    assert all(0.003 <= behind_of[other] <= 0.004 for other in ("maskgs", "gaussianpop"))
+
+
+@pytest.mark.parametrize(("share", "best"), [("0.5", 0.1), ("0.25", 0.25), ("0.1", 0.4), ("0.05", 0.3)])
+def test_in_psnr_it_is_ahead_in_the_mean_and_not_with_every_seed(left_out, share, best):
+    others = (*OTHERS, "mcmc") if share == "0.5" else OTHERS
+    found = [gains(left_out, share, other, "psnr") for other in others]
+    assert min(map(fmean, found)) == pytest.approx(best, abs=0.05)
+    assert -0.55 < min(map(min, found)) < 0
+
+
+def test_the_recipe_adds_what_is_said_to_its_passes(left_out):
+    for share, most in (("0.5", 0.3), ("0.25", 0.35), ("0.1", 0.3), ("0.05", 0.3)):
+        assert 0.05 < fmean(gains(left_out, share, OWN_RATES, "psnr")) < most
+    lpips = [-fmean(gains(left_out, share, OWN_RATES, "lpips")) for share in ("0.5", "0.25", "0.1", "0.05")]
+    assert [round(value, 3) for value in (lpips[0], min(lpips[1:]), max(lpips[1:]))] == [-0.005, 0.003, 0.012]
