@@ -343,7 +343,7 @@ def test_views_of_a_comparison_are_placed(tiny, svrgs, tmp_path):
     )
     assert (
         refused.status == 2
-        and "give --data, or leave them out" in refused.err
+        and "give --data, or leave it out" in refused.err
         and not (tmp_path / "no").exists()
     )
 

@@ -23,11 +23,11 @@ def colour_matched(image: np.ndarray, photo: np.ndarray, valid: np.ndarray | Non
         terms = _terms(colours)
         matched = colours.copy()
         for channel in range(3):
-            rows = usable[:, channel] & _usable(colours[:, channel])
-            some = terms[rows]
-            if len(some) > some.shape[1]:
-                weights = np.linalg.lstsq(some.T @ some, some.T @ wanted[rows, channel], rcond=None)[0]
-                matched[:, channel] = np.clip(terms @ weights, 0, 1)
+            rows = (usable[:, channel] & _usable(colours[:, channel])).astype(np.float64)
+            if rows.sum() > len(terms):
+                weighted = terms * rows  # sums over pixels, without a copy of those that count
+                weights = np.linalg.lstsq(weighted @ terms.T, weighted @ wanted[:, channel], rcond=None)[0]
+                matched[:, channel] = np.clip(weights @ terms, 0, 1)
         colours = matched
     result = image.astype(np.float32).reshape(-1, 3).copy()
     result[counts] = colours
@@ -39,6 +39,7 @@ def _usable(values: np.ndarray) -> np.ndarray:
 
 
 def _terms(colours: np.ndarray) -> np.ndarray:
-    """(n, 10): the products of two channels, the channels, and 1."""
-    pairs = [colours[:, i] * colours[:, j] for i in range(3) for j in range(i, 3)]
-    return np.column_stack([*pairs, colours, np.ones(len(colours))])
+    """(10, n): the products of two channels, the channels, and 1."""
+    channels = np.ascontiguousarray(colours.T)
+    pairs = [channels[i] * channels[j] for i in range(3) for j in range(i, 3)]
+    return np.stack([*pairs, *channels, np.ones(len(colours))])
