@@ -145,6 +145,13 @@ def test_even_photographs_are_left_alone(tiny, tmp_path, svrgs):
     assert {one.suffix for one in tmp_path.iterdir()} == {".ply"}
 
 
+def test_matrices_of_an_earlier_result_go(tiny, drifting, tmp_path, svrgs):
+    pruned(svrgs, tiny, drifting, tmp_path / "o.ply", "--exposure", "on")
+    assert (tmp_path / "o_exposure.json").exists()
+    pruned(svrgs, tiny, drifting, tmp_path / "o.ply", "--overwrite")
+    assert not (tmp_path / "o_exposure.json").exists()
+
+
 def test_eval_measures_in_the_colours_of_the_photographs_if_asked(tiny, drifting, svrgs):
     words = ["eval", tiny.splat, "--data", drifting, "--split", "train"]
     plain, matched = svrgs(*words, "--json").json, svrgs(*words, "--matched", "--json").json
@@ -192,10 +199,11 @@ def test_a_run_that_is_taken_up_again_gives_the_same_matrices(drifting, tiny, tm
 
 def test_training_fits_exposure_if_it_is_told_to(drifting, tmp_path, svrgs):
     words = ["train", "--data", drifting, "--iterations", 60]
-    refused = svrgs(*words, "--exposure", "auto", "--out", tmp_path / "a.ply")
-    assert refused.status == 2 and "compares photographs with a trained splat" in refused.err
-    assert svrgs(*words, "--exposure", "on", "--out", tmp_path / "b.ply").status == 0
-    assert len(json.loads((tmp_path / "b_exposure.json").read_text())) == 10
+    for way in ("auto", "on"):
+        found = svrgs(*words, "--exposure", way, "--out", tmp_path / f"{way}.ply", "--json").json
+        assert any("so exposure is fitted" in note for note in found["notes"]) == (way == "auto")
+        assert len(json.loads((tmp_path / f"{way}_exposure.json").read_text())) == 10
+    assert (tmp_path / "auto.ply").read_bytes() == (tmp_path / "on.ply").read_bytes()
 
 
 @pytest.mark.parametrize("words", [["--quick"], []])

@@ -12,8 +12,11 @@ from native_helpers import LEVELS, rasterizer
 from svrgs_addon.files.images import read_pixels, write_image
 from svrgs_addon.jobs.farm.farm_job import FarmJob
 from svrgs_addon.jobs.farm.run_tasks import dataset_sha256
+from svrgs_addon.jobs.photo_sample import read_in_child
 from svrgs_addon.native.rasterizer import RenderOptions
+from svrgs_addon.render.metrics import flip_map
 from svrgs_addon.render.metrics.evaluate import mean_figures
+from svrgs_addon.render.metrics.explained import fit, sample_views
 from svrgs_addon.scene.camera import Camera
 from svrgs_addon.system.errors import FormatError, SceneError
 from svrgs_addon.views.dataset import Dataset, load_dataset
@@ -263,11 +266,11 @@ def test_statistics_count_only_pixels_that_count(level):
 def test_errors_are_means_over_the_pixels_that_count():
     rng, valid = np.random.default_rng(2), pattern(HEIGHT, WIDTH).astype(bool)
     image, photo = (rng.random((HEIGHT, WIDTH, 3)).astype(np.float32) * valid[..., None] for _ in range(2))
-    found = mean_figures([(image, photo, float(valid.mean()))])
+    found = mean_figures([(image, photo, valid.astype(np.uint8))])
     error = ((image - photo)[valid] ** 2).mean()
     assert found["psnr"] == pytest.approx(-10 * np.log10(error), abs=1e-4)
-    whole = mean_figures([(image, photo, 1.0)])
-    assert found["flip"] == pytest.approx(whole["flip"] / valid.mean())
+    whole = mean_figures([(image, photo, None)])
+    assert found["flip"] == pytest.approx(flip_map(image, photo)[valid].mean())
     assert 1 - found["ssim"] == pytest.approx((1 - whole["ssim"]) / valid.mean())
 
 
@@ -372,3 +375,53 @@ def test_a_batch_of_a_folder_takes_masks(masked, tmp_path, svrgs):
         "prune", masked / "scene.ply", "--batch", "--data", masked, "--out", tmp_path / "out", *words
     )
     assert found.status == 0 and "12 of 12 photographs have a mask" in found.err
+
+
+def test_transparent_pixels_are_left_out_beside_a_mask_too(masked):
+    import OpenImageIO as oiio
+
+    for photo in sorted((masked / "images").iterdir()):
+        pixels = read_pixels(photo)
+        alpha = np.full((*pixels.shape[:2], 1), 255, np.uint8)
+        alpha[: len(alpha) // 2] = 0
+        spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], 4, "uint8")
+        out = oiio.ImageOutput.create(str(photo))
+        out.open(str(photo), spec)
+        out.write_image(np.concatenate([pixels, alpha], axis=2))
+        out.close()
+    camera = load_dataset(masked, masks=MaskOptions(outside="ignore")).cameras[0]
+    expected = pattern(camera.height, camera.width)
+    expected[: camera.height // 2] = 0
+    np.testing.assert_array_equal(camera.valid, expected)
+
+
+def test_a_view_of_a_few_pixels_is_compared_at_full_size(tiny, masked):
+    for mask in sorted((masked / "masks").iterdir()):
+        few = np.zeros(read_pixels(mask).shape[:2])
+        few[10:13, 10:13] = 1
+        write_mask(mask, few)
+    camera = load_dataset(masked).cameras[0]
+    assert camera.reduced(4).valid_share == 0 and camera.reducible(4) == 1 and camera.reducible(2) == 2
+    from svrgs_addon.render.metrics import explained
+
+    kept, explained.SAMPLED_SIDE = explained.SAMPLED_SIDE, 12
+    try:
+        found = fit(tiny.truth, sample_views(load_dataset(masked)))
+    finally:
+        explained.SAMPLED_SIDE = kept
+    assert found["psnr"] > 30
+
+
+def test_a_folder_beside_the_photographs_in_which_no_name_fits_is_said(masked):
+    for mask in sorted((masked / "masks").iterdir()):
+        mask.rename(mask.with_name(f"{mask.stem}_mask.png"))
+    data = load_dataset(masked)
+    assert data.cameras[0].valid is None
+    assert "holds no mask of these photographs, so all of their pixels count" in data.notes[0]
+
+
+def test_a_look_whether_the_splat_belongs_takes_masks_along(tiny, masked):
+    hide(masked, 255)
+    views = read_in_child(str(masked), "")
+    assert all(camera.valid_bits is not None for camera, _ in views)
+    assert fit(tiny.truth, views)["psnr"] > 30

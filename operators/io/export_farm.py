@@ -16,6 +16,7 @@ from bpy.props import BoolProperty, StringProperty
 from ...svrgs_addon.files.registry import FORMATS, write_scene
 from ...svrgs_addon.jobs.farm.farm_job import (
     CAPTURES,
+    INSIDE,
     OWN,
     FarmJob,
     Task,
@@ -108,7 +109,7 @@ def _job(folder: Path, tasks: list[Task]) -> FarmJob:
 
 
 def _within(root: Path, options: dict[str, Any]) -> dict[str, Any]:
-    return options | {"data": relative(root, Path(options["data"]))} if options.get("data") else options
+    return options | {name: relative(root, Path(options[name])) for name in INSIDE if options.get(name)}
 
 
 def _finished(folder: Path, answer: Future):

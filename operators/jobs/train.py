@@ -90,8 +90,7 @@ class SVRGS_OT_train(ReportingOperator):
             "holdout": context.scene.svrgs_prune.holdout,
             "threads": threads(context),
             **dataset_paths.masks_of(context),
-            # there is no splat yet to compare the photographs with
-            "exposure": "on" if context.scene.svrgs_prune.exposure == "on" else "off",
+            "exposure": context.scene.svrgs_prune.exposure,
             **({"time": settings.time} if settings.use_time else {"iterations": settings.iterations}),
         }  # fmt: skip
         folder = JobFolder.create_training(new_folder(context, root.name), options, root.name)

@@ -281,7 +281,8 @@ class Run:
             )
         self.loss = loss if math.isnan(self.loss) else self.loss + SMOOTHING * (loss - self.loss)
         self.nonfinite += result.nonfinite
-        self.views.shown(view, result.image_loss(step))
+        # a mean over all pixels, of which those that do not count have no loss
+        self.views.shown(view, result.image_loss(step) / (step.camera.valid_share or 1.0))
 
     def _density_control(self, phase: Phase, number: int, step: Step, result: StepResult):
         rule = phase.densify

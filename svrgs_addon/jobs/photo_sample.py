@@ -32,15 +32,19 @@ def read_in_child(folder: str, images: str) -> Views:
         with np.load(out) as data:
             poses = zip(data["viewmats"], data["Ks"], strict=True)
             photos = [data[f"photo{number}"] for number in range(len(data["Ks"]))]
+            bits = [data.get(f"valid{number}") for number in range(len(data["Ks"]))]
             return [
-                (Camera(pose, K, photo.shape[1], photo.shape[0]), photo)
-                for (pose, K), photo in zip(poses, photos, strict=True)
+                (Camera(pose, K, photo.shape[1], photo.shape[0], valid_bits=valid), photo)
+                for (pose, K), photo, valid in zip(poses, photos, bits, strict=True)
             ]
 
 
 def _write_views(request: dict) -> dict:
     views = sample_views(load_dataset(request["folder"], request["images"] or None))
     photos = {f"photo{number}": photo for number, (_, photo) in enumerate(views)}
+    photos |= {
+        f"valid{k}": camera.valid_bits for k, (camera, _) in enumerate(views) if camera.valid_bits is not None
+    }
     np.savez(
         request["out"],
         viewmats=[camera.viewmat for camera, _ in views],

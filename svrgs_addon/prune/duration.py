@@ -188,13 +188,14 @@ def pace_of(scene: Scene, dataset: Dataset, plan: Plan, lpips: Callable | None =
         scene, ranked_views, rasterizer, options
     )
     drawn = _seconds(lambda: mean_psnr(scene, dataset, views, rasterizer, options)) / len(views)
+    measure = lambda: evaluate(scene, dataset, views, rasterizer, lpips, plan.exposure == "on")
     step = _step(scene, replace(dataset, train_indices=shown), plan)
     return Pace(
         count=scene.count,
         ranking=_seconds(ranking) * len(train) / len(ranked_views) if passes or plan.nested else 0.0,
         drawn=drawn,
         point=drawn * min(CURVE_VIEWS, len(dataset.test_indices)),
-        measured=_seconds(lambda: evaluate(scene, dataset, views, rasterizer, lpips), warm=True) / len(views),
+        measured=_seconds(measure, warm=True) / len(views),
         measurements=1 if isinstance(dataset, RenderedDataset) else 2,
         photograph=photograph,
         train_views=len(train),
@@ -280,7 +281,7 @@ def _step(scene: Scene, dataset: Dataset, plan: Plan) -> float:
     run = Run(
         Model.of(scene),
         dataset,
-        prune_plan(method, STEPS + 2, STEPS + 2, background=plan.background),
+        prune_plan(method, STEPS + 2, STEPS + 2, background=plan.background, exposure=plan.exposure),
         NativeEngine(),
         scene.antialiased,
     )

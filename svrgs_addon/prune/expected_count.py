@@ -103,7 +103,8 @@ def _reduced(dataset: Dataset, index: int):
 
 def _reduction(dataset: Dataset, index: int) -> int:
     """By how much the sides of a view are reduced."""
-    return max(1, max(dataset.cameras[index].width, dataset.cameras[index].height) // SIDE)
+    camera = dataset.cameras[index]
+    return camera.reducible(max(1, max(camera.width, camera.height) // SIDE))
 
 
 def _fewest_within_drop(scene: Scene, dataset: Dataset, order: np.ndarray, plan: Plan) -> int:

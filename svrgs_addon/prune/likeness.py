@@ -78,11 +78,11 @@ class Likeness:
         SplatError."""
         milliseconds: list[float] = []
 
-        def pairs() -> Iterator[tuple[np.ndarray, np.ndarray, float]]:
+        def pairs() -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray | None]]:
             pairs = zip(self._pairs(scene, "measure"), self.views, strict=True)
             for (picture, original, seconds), camera in pairs:
                 milliseconds.append(1e3 * seconds)
-                yield picture, original, camera.valid_share
+                yield picture, original, camera.valid
 
         figures = mean_figures(pairs(), self._lpips, EQUAL)
         return {**figures, "ms_per_frame": fmean(milliseconds) if milliseconds else None}

@@ -71,7 +71,7 @@ def _mean_psnrs(scene: Scene, dataset: Dataset, kept: list[np.ndarray | None]) -
     end = time.monotonic() + SECONDS
     for index in spread(dataset.test_indices or dataset.train_indices):
         camera = dataset.cameras[index]
-        factor = max(1, max(camera.width, camera.height) // SIDE)
+        factor = camera.reducible(max(1, max(camera.width, camera.height) // SIDE))
         camera = camera.reduced(factor)
         photo, share = (
             photo_of(camera, dataset.image(index), np.dtype(np.float32), factor),

@@ -109,12 +109,16 @@ class Camera:
         cy by that of the heights."""
         scale = np.diag([width / self.width, height / self.height, 1.0])
         whole = replace(self, K=scale @ self.K, width=width, height=height, valid_bits=None)
-        return whole.masked(resized_valid(self.valid, width, height))
+        return whole if (valid := self.valid) is None else whole.masked(resized_valid(valid, width, height))
 
     def fitted(self, longest: int) -> Camera:
         """The same view with an image whose longer side has at most `longest` pixels."""
         share = min(1.0, longest / max(self.width, self.height))
         return self.resized(max(1, round(share * self.width)), max(1, round(share * self.height)))
+
+    def reducible(self, factor: int) -> int:
+        """The factor of reduced(), but 1 if no pixel would count any more."""
+        return factor if self.valid_bits is None or self.reduced(factor).valid_share else 1
 
     def reduced(self, factor: int) -> Camera:
         """The same view at 1 / factor of the size: each pixel covers a block of factor x factor pixels of
@@ -123,6 +127,8 @@ class Camera:
         Columns and rows at the end that do not fill a block are left out. The intrinsics are exact: the
         centre k + 0.5 of a new pixel is the centre of its block.
         """
+        if factor == 1:
+            return self
         K, width, height = (
             np.diag([1 / factor, 1 / factor, 1.0]) @ self.K,
             self.width // factor,
@@ -134,10 +140,8 @@ class Camera:
         return whole.masked(valid)
 
 
-def resized_valid(valid: np.ndarray | None, width: int, height: int) -> np.ndarray | None:
-    """Camera.valid at another image size: pixels count of which every part did. None: all."""
-    if valid is None:
-        return None
+def resized_valid(valid: np.ndarray, width: int, height: int) -> np.ndarray:
+    """Camera.valid at another image size: pixels count of which every part did."""
     rows, columns = (
         np.arange(new) * old // new for new, old in zip((height, width), valid.shape, strict=True)
     )

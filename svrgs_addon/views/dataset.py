@@ -45,7 +45,7 @@ READER_THREADS = 2
 @dataclass(frozen=True)
 class Photo:
     """The file of a view's photograph, its camera if it has distortion (None: a pinhole camera), and where it
-    is not painted with the background, (H, W) uint8 of 0 and 1 (None: everywhere)."""
+    is not painted with the background, bits as Camera.valid_bits (None: everywhere)."""
 
     path: Path
     distorted: pycolmap.Camera | None
@@ -165,7 +165,8 @@ class Dataset:
             image = undistort_image(to_bytes(image), photo.distorted)
         if image.shape != (camera.height, camera.width, 3):
             raise SceneError(f"{photo.path}: its size has changed since the dataset was loaded; start again")
-        for valid, colour in ((camera.valid, (0, 0, 0)), (photo.unpainted, self.background)):
+        unpainted = replace(camera, valid_bits=photo.unpainted).valid
+        for valid, colour in ((camera.valid, (0, 0, 0)), (unpainted, self.background)):
             if valid is not None:
                 white = 255 if image.dtype == np.uint8 else 1
                 image[valid == 0] = np.rint(np.multiply(colour, white)) if white == 255 else colour
@@ -238,20 +239,21 @@ def _photographed(
     if not masks.expected:
         return numbers, cameras, photos, notes
 
-    def valid_pixels(k: int) -> np.ndarray | None:
+    def valid_pixels(k: int) -> tuple[np.ndarray | None, float | None]:
+        """Camera.valid_bits, and the share of the pixels that count."""
         valid = masks.valid(cameras[k].name, photos[k].path, *sizes[k])
         distorted = photos[k].distorted
-        if valid is None or distorted is None:
-            return valid
-        white = np.repeat(255 * valid[..., None], 3, axis=2)
-        return (undistort_image(white, distorted)[..., 0] == 255).astype(np.uint8)
+        if valid is not None and distorted is not None:
+            white = np.repeat(255 * valid[..., None], 3, axis=2)
+            valid = (undistort_image(white, distorted)[..., 0] == 255).astype(np.uint8)
+        return (None, None) if valid is None else (np.packbits(valid, axis=1), float(valid.mean()))
 
     with ThreadPoolExecutor(READER_THREADS) as pool:
-        valid = list(pool.map(valid_pixels, range(len(photos))))
-    notes += masks.notes(valid)
+        bits, shares = zip(*pool.map(valid_pixels, range(len(photos))), strict=True)
+    notes += masks.notes(shares)
     if options.outside == BACKGROUND:
-        photos = [replace(photo, unpainted=one) for photo, one in zip(photos, valid, strict=True)]
+        photos = [replace(photo, unpainted=one) for photo, one in zip(photos, bits, strict=True)]
         return numbers, cameras, photos, notes
-    shown = [k for k, one in enumerate(valid) if one is None or one.any()]
-    cameras = [cameras[k].masked(valid[k]) for k in shown]
+    shown = [k for k, share in enumerate(shares) if share != 0]
+    cameras = [replace(cameras[k], valid_bits=bits[k]) for k in shown]
     return [numbers[k] for k in shown], cameras, [photos[k] for k in shown], notes

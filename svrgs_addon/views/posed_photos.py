@@ -66,9 +66,10 @@ def read(
 ) -> PosedPhotos:
     """As read_in_child, but in this process. Raises SceneError, FormatError."""
     from .dataset import load_dataset
+    from .valid_pixels import MaskOptions
 
     try:
-        dataset = load_dataset(folder, images or None)
+        dataset = load_dataset(folder, images or None, masks=MaskOptions(used=False))
         warnings = [*dataset.notes]
     except SplatError as error:
         dataset = load_dataset(folder, cameras_only=True)  # this fails too if the model is the cause

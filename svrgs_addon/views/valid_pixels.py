@@ -27,13 +27,14 @@ ASPECT = 0.01  # by which the sides of mask and photograph may differ in scale
 @dataclass(frozen=True)
 class MaskOptions:
     """folder: of the masks; None: those that the dataset names, or masks beside its photographs. inverted:
-    pixels count where a mask is 0. outside: what is done with pixels that do not count: IGNORE; BACKGROUND:
-    they are painted with the background, as for an object on a turntable; AUTO: masks ignore, and
-    transparent pixels are painted."""
+    pixels count where a mask is 0. used: False: all pixels of all photographs count. outside: what is done
+    with pixels that do not count: IGNORE; BACKGROUND: they are painted with the background, as for an object
+    on a turntable; AUTO: masks ignore, and transparent pixels are painted."""
 
     folder: Path | None = None
     inverted: bool = False
     outside: str = AUTO
+    used: bool = True
 
 
 @dataclass(frozen=True)
@@ -57,11 +58,10 @@ class Masks:
     def valid(self, name: str, photo: Path, width: int, height: int) -> np.ndarray | None:
         """The pixels of a photograph of this size that count, (H, W) uint8 of 0 and 1; None: all. Raises
         FormatError."""
-        path = self.file(name)
+        path, alpha = self.file(name), read_alpha(photo) if self.options.outside == IGNORE else None
+        opaque = None if alpha is None else (alpha >= 0.5).astype(np.uint8)
         if path is None:
-            if self.options.outside != IGNORE or (alpha := read_alpha(photo)) is None:
-                return None
-            return (alpha >= 0.5).astype(np.uint8)
+            return opaque
         brightness = to_float(read_pixels(path, upright=False)).max(axis=2)
         valid = brightness >= 0.5 if path.suffix.lower() in LOSSY else brightness > 0
         scales = valid.shape[0] / height, valid.shape[1] / width
@@ -71,19 +71,22 @@ class Masks:
                 " a mask must have the shape of its photograph"
             )
         found = valid != self.options.inverted
-        return resized_valid(found.astype(np.uint8), width, height)
+        valid = resized_valid(found.astype(np.uint8), width, height)
+        return valid if opaque is None else valid & opaque
 
     @property
     def expected(self) -> bool:
         """Whether any may be there. Raises SceneError if none can be, and some are asked for."""
+        if not self.options.used:
+            return False
         if self.options.inverted and self.folder is None and not self.named:
             raise SceneError("--invert-masks: the dataset has no masks; give --masks DIR")
         return self.folder is not None or bool(self.named) or self.options.outside == IGNORE
 
-    def notes(self, valid: Sequence[np.ndarray | None]) -> tuple[str, ...]:
-        """What the user must know. valid: what valid() gave of all views. Raises SceneError if none has a
-        mask in a given folder, or if all are black."""
-        masked = [one.mean() for one in valid if one is not None]
+    def notes(self, shares: Sequence[float | None]) -> tuple[str, ...]:
+        """What the user must know. shares: of the pixels of each view that count; None: it has no mask.
+        Raises SceneError if none has a mask in a given folder, or if all are black."""
+        masked = [share for share in shares if share is not None]
         black, where = masked.count(0), self.folder or "the dataset"
         if not masked and self.options.folder is not None:
             raise SceneError(
@@ -91,6 +94,8 @@ class Masks:
             )
         missing = sum(not path.is_file() for path in self.named.values())
         lost = (f"the dataset names {missing} masks that are missing; all pixels of their photographs count",)
+        if not masked and self.folder is not None and not missing:
+            return (f"{where}: holds no mask of these photographs, so all of their pixels count",)
         if not masked:
             return lost if missing else ()
         if black == len(masked):
@@ -99,7 +104,7 @@ class Masks:
             )
         done = "are painted with the background" if self.options.outside == BACKGROUND else "count nowhere"
         sentence = (
-            f"{where}: {len(masked)} of {len(valid)} photographs have a mask; {1 - fmean(masked):.1%} of"
+            f"{where}: {len(masked)} of {len(shares)} photographs have a mask; {1 - fmean(masked):.1%} of"
             f" their pixels {done}"
         )
         if black and self.options.outside != BACKGROUND:

@@ -106,6 +106,8 @@ class Tuned:
             if fitted := self.run.exposures:
                 names = [self.dataset.cameras[view].name for view in self.run.places]
                 exposure.write(exposure.file_of(self.job.out), names, fitted.matrices)
+            else:  # of an earlier result under this name
+                exposure.file_of(self.job.out).unlink(missing_ok=True)
         checkpoint.delete_all(self.job.folder)
 
     def close(self):

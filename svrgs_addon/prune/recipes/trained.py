@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 from ...files.registry import read_back
@@ -43,7 +44,8 @@ class Trained(Tuned):
         dataset, plan = self.dataset, self.plan
         check_request(dataset, plan)
         if plan.exposure == "auto":
-            raise SceneError("--exposure auto compares photographs with a trained splat: give on or off")
+            self.plan = plan = replace(plan, exposure="on")
+            self.notes.append("there is no splat yet to compare the photographs with, so exposure is fitted")
         if (plan.target or plan.share) and not plan.prunes:
             raise SceneError(CANNOT_REACH.format(plan.method.name))
         refuse_unseen_points(dataset)

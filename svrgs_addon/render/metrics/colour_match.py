@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 ROUNDS, CLIPPED = 5, 0.5 / 255
+STRIP = 1 << 15  # pixels that are done at a time
 
 
 def colour_matched(image: np.ndarray, photo: np.ndarray, valid: np.ndarray | None = None) -> np.ndarray:
@@ -17,18 +18,25 @@ def colour_matched(image: np.ndarray, photo: np.ndarray, valid: np.ndarray | Non
     0..1. valid: (H, W), 0 where pixels do not count and stay as they are; None: all do."""
     counts = slice(None) if valid is None else valid.ravel() != 0
     colours = image.reshape(-1, 3)[counts].astype(np.float64)
-    wanted = photo.reshape(-1, 3)[counts].astype(np.float64)
+    wanted = photo.reshape(-1, 3)[counts]
     usable = _usable(colours) & _usable(wanted)
+    strips = [slice(k, k + STRIP) for k in range(0, len(colours), STRIP)]
     for _ in range(ROUNDS):
-        terms = _terms(colours)
-        matched = colours.copy()
-        for channel in range(3):
-            rows = (usable[:, channel] & _usable(colours[:, channel])).astype(np.float64)
-            if rows.sum() > len(terms):
-                weighted = terms * rows  # sums over pixels, without a copy of those that count
-                weights = np.linalg.lstsq(weighted @ terms.T, weighted @ wanted[:, channel], rcond=None)[0]
-                matched[:, channel] = np.clip(weights @ terms, 0, 1)
-        colours = matched
+        products, sums, pixels = np.zeros((3, 10, 10)), np.zeros((3, 10)), np.zeros(3)
+        for strip in strips:
+            terms = _terms(colours[strip])
+            rows = usable[strip] & _usable(colours[strip])
+            pixels += rows.sum(axis=0)
+            for channel in range(3):
+                weighted = terms * rows[:, channel]  # sums over pixels, without a copy of those that count
+                products[channel] += weighted @ terms.T
+                sums[channel] += weighted @ wanted[strip, channel]
+        fitted = [k for k in range(3) if pixels[k] > len(sums[k])]
+        weights = {k: np.linalg.lstsq(products[k], sums[k], rcond=None)[0] for k in fitted}
+        for strip in strips:
+            terms = _terms(colours[strip])
+            for channel in fitted:
+                colours[strip, channel] = np.clip(weights[channel] @ terms, 0, 1)
     result = image.astype(np.float32).reshape(-1, 3).copy()
     result[counts] = colours
     return result.reshape(image.shape)

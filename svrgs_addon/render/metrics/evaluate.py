@@ -18,7 +18,7 @@ from ...native.rasterizer import Rasterizer, RenderOptions
 from ...scene.camera import Camera
 from ...system.errors import SceneError
 from ...views.dataset import Dataset
-from . import flip, psnr, ssim
+from . import flip_map, psnr, ssim
 from .colour_match import colour_matched
 from .measures import with_error
 
@@ -122,7 +122,7 @@ def evaluate(
     seconds: list[float] = []
     in_its_colours: list[float] = []
 
-    def pair(i: int) -> tuple[np.ndarray, np.ndarray, float]:
+    def pair(i: int) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
         started = time.perf_counter()
         rgb = rasterizer.forward(scene, dataset.cameras[i], options)["rgb"]
         seconds.append(time.perf_counter() - started)
@@ -130,7 +130,7 @@ def evaluate(
         if matched:
             same = colour_matched(image, photo, camera.valid)
             in_its_colours.append(psnr(same, photo, camera.valid_share))
-        return image, photo, camera.valid_share
+        return image, photo, camera.valid
 
     figures = mean_figures(map(pair, indices), lpips)
     if matched:
@@ -144,23 +144,25 @@ def evaluate(
 
 
 def mean_figures(
-    pairs: Iterable[tuple[np.ndarray, np.ndarray, float]],
+    pairs: Iterable[tuple[np.ndarray, np.ndarray, np.ndarray | None]],
     lpips: Callable | None = None,
     most: float = math.inf,
 ) -> dict[str, float | None]:
     """Means over pairs of pictures: psnr (dB, of a pair at most `most`), ssim, lpips (None without `lpips`),
-    flip; all None without pairs. pairs: two pictures, and the share of their pixels that count; in the others
-    both are equal, so what a measure finds is the error of those that count, times this share. Raises
+    flip; all None without pairs. pairs: two pictures, and where their pixels count, (H, W), None: everywhere;
+    elsewhere both are 0. PSNR and FLIP are means over the pixels that count; SSIM and LPIPS find no error
+    elsewhere, but for windows at the border, and what they find is divided by the share that counts. Raises
     SceneError."""
-    rows = [
-        (
+    rows = []
+    for image, photo, valid in pairs:
+        share = 1.0 if valid is None else float(valid.mean())
+        flips = flip_map(image, photo)
+        rows.append((
             min(psnr(image, photo, share), most),
             1 - (1 - ssim(image, photo)) / share,
             lpips(image, photo) / share if lpips else math.nan,
-            flip(image, photo) / share,
-        )
-        for image, photo, share in pairs
-    ]
+            float((flips if valid is None else flips[valid != 0]).mean(dtype=np.float64)),
+        ))  # fmt: skip
     means = np.mean(rows, axis=0).tolist() if rows else [None] * 4
     return dict(zip(("psnr", "ssim", "lpips", "flip"), means, strict=True)) | (
         {} if lpips else {"lpips": None}

@@ -43,7 +43,7 @@ def sample_views(dataset: Dataset) -> list[tuple[Camera, np.ndarray]]:
     views = []
     for index in evenly(range(len(dataset.cameras)), SAMPLED_VIEWS):
         camera, photo = dataset.cameras[index], to_float(dataset.image(index))
-        factor = max(1, max(camera.width, camera.height) // SAMPLED_SIDE)
+        factor = camera.reducible(max(1, max(camera.width, camera.height) // SAMPLED_SIDE))
         small = camera.reduced(factor)
         height, width = small.height, small.width
         blocks = photo[: height * factor, : width * factor].reshape(height, factor, width, factor, 3)
