@@ -37,7 +37,7 @@ BAD_VALUES = (
     3.4028235e38,
     -3.4028235e38,
 )
-# what every fourth Gaussian becomes: name, parameter, what multiplies its values, what is added to them
+# an extreme: the parameter that changes in every fourth Gaussian, a factor on its values, and what is added
 EXTREMES: dict[str, tuple[str, float | np.ndarray, float | np.ndarray]] = {
     "nothing": ("means", 1, 0),
     "scale 0": ("log_scales", 1, np.array([-np.inf, 0, 0])),

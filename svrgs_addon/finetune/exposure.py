@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from ..files.atomic import atomic_write
+from ..files.images import srgb_to_linear
 
 FIRST, LAST = 0.01, 0.001  # learning rates at the first and at the last step, log-linear in between (3DGS)
 BETAS, EPS = (0.9, 0.999), 1e-8  # of Adam
@@ -94,8 +95,7 @@ def stops(matrices: np.ndarray) -> np.ndarray:
     brightness."""
     grey = 0.5
     seen = (matrices[:, :, :3].sum(axis=2) * grey + matrices[:, :, 3]).clip(1e-3, None)
-    linear = lambda value: np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
-    return np.log2(linear(seen).mean(axis=1) / linear(np.float64(grey)))
+    return np.log2(srgb_to_linear(seen).mean(axis=1) / srgb_to_linear(np.array(grey)))
 
 
 def file_of(out: Path) -> Path:

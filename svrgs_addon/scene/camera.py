@@ -129,12 +129,9 @@ class Camera:
         """
         if factor == 1:
             return self
-        K, width, height = (
-            np.diag([1 / factor, 1 / factor, 1.0]) @ self.K,
-            self.width // factor,
-            self.height // factor,
-        )
-        whole, valid = replace(self, K=K, width=width, height=height, valid_bits=None), self.valid
+        width, height, valid = self.width // factor, self.height // factor, self.valid
+        K = np.diag([1 / factor, 1 / factor, 1.0]) @ self.K
+        whole = replace(self, K=K, width=width, height=height, valid_bits=None)
         if valid is not None:
             valid = resized_valid(valid[: height * factor, : width * factor], width, height)
         return whole.masked(valid)
