@@ -11,10 +11,11 @@
                                                        # writes docs/results.md and its charts from the rows
 
 Rows are added to --rows (default docs/results/rows.jsonl), one JSON object per line. A run whose row exists
-is not run again, so a stopped experiment can be continued, and how long the rest takes is foreseen from the
-rows. --work (default build/methods) holds the scenes that later runs need; those that are missing are trained
-first. --jobs 8 has that many runs at a time. --part 1/3, 2/3, 3/3 divide the runs among three machines, in
-any order; --join FILE adds the rows of another machine.
+is not run again, and a run that was stopped goes on from its last checkpoint, so an experiment can be stopped
+and continued; how long the rest takes is foreseen from the rows. --work (default build/methods) holds the
+scenes that later runs need; those that are missing are trained first. --jobs 8 has that many runs at a time.
+--part 1/3, 2/3, 3/3 divide the runs among three machines, in any order; --join FILE adds the rows of another
+machine.
 
     table     `svrgs train` with each method from sparse points, all with the published schedule times
               --schedule
@@ -152,17 +153,19 @@ def measured(request: dict, data: list[str], work: Path, threads: int = 0) -> di
     if request["study"] in PRUNED and not start_file(start_of(request), work).exists():
         return {**request, "error": "the scene to prune is missing, as its training failed"}
     words = command(request, data, work, threads)
+    out = Path(words[words.index("--out") + 1])
+    if Path(f"{out}.job").exists():  # of a run that was stopped
+        words.append("--resume")
     done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True)
     if done.returncode:
         return {**request, "error": (done.stderr.strip().splitlines() or ["no message"])[-1]}
     if not is_start(request):
-        out = Path(words[words.index("--out") + 1])
         out.unlink()
         shutil.rmtree(f"{out}.job", ignore_errors=True)
     result = json.loads(done.stdout)
     return {
         **request,
-        "wall_seconds": time.time() - started,
+        "wall_seconds": max(time.time() - started, result["seconds"]),  # it may have been resumed
         "pixels": training_pixels(tuple(data)),
         **{key: result[key] for key in KEPT if key in result},
     }
