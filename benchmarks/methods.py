@@ -131,6 +131,7 @@ def command(request: dict, data: list[str], work: Path, threads: int) -> list[st
     file = weights_file()  # of LPIPS, which takes seconds that a limit of time counts
     weights = ["--lpips-weights", str(file)] if file.is_file() and request["study"] != "time" else []
     common = ["--out", str(out), *request["flags"], *data, "--seed", str(request["seed"]), *schedule]
+    common += ["--exposure", "off", "--refine-poses", "off"]  # so that all have the same photographs
     common += [*weights, "--threads", str(threads), "--json", "--quiet"]
     change = change_of(request["study"], request["run"])
     program = [

@@ -1,11 +1,12 @@
 """Photographs with troubles, on a generated scene whose truth is known: what a remedy wins back.
 
-    .venv/bin/python benchmarks/photographs.py people|exposure [--scene demo=DIR] [--shrink 2]
+    .venv/bin/python benchmarks/photographs.py people|exposure|poses [--scene demo=DIR] [--shrink 2]
 
 people: a person stands in every other photograph, somewhere else in each. exposure: each photograph has
-another exposure, ±0.3 EV, and another white balance, about ±300 K. A scene that was trained on the clean
-photographs is pruned on these, with and without the remedy, and on the clean ones. Each row is measured on
-the clean test views.
+another exposure, ±0.3 EV, and another white balance, about ±300 K. poses: each training camera is turned by
+0.2 degrees and moved by 0.3 % of the scene's extent, in random directions. A scene that was trained on the
+clean photographs is pruned on these, with and without the remedy, and on the clean ones. Each row is measured
+on the clean test views.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import numpy as np
 
 from method_scenes import prepared
 from svrgs_addon.files.images import linear_to_srgb, read_image, read_pixels, srgb_to_linear, write_image
+from svrgs_addon.views.dataset import load_dataset
 
 ROOT = Path(__file__).resolve().parents[1]
 TARGETS = ("1", "0.25", "0.1")
@@ -65,21 +67,43 @@ def drift(images: Path, troubled: Path):
         write_image((troubled / photo.relative_to(images)).with_suffix(".png"), pixels)
 
 
+def shake(data: Path, shaken: Path):
+    """A copy of a COLMAP model whose training cameras are off."""
+    import pycolmap
+
+    model = pycolmap.Reconstruction(next(path.parent for path in sorted(data.rglob("images.*"))))
+    dataset, rng = load_dataset(data), np.random.default_rng(0)
+    places = {camera.name: place for place, camera in enumerate(dataset.cameras)}
+    for image in model.images.values():
+        if places[image.name] not in dataset.train_indices:
+            continue
+        turn, move = (motion / np.linalg.norm(motion) for motion in rng.normal(size=(2, 3)))
+        motion = np.concatenate([np.radians(0.2) * turn, 0.003 * dataset.extent * move])
+        viewmat = dataset.cameras[places[image.name]].displaced(motion).viewmat
+        image.frame.rig_from_world = pycolmap.Rigid3d(viewmat[:3])
+    (shaken / "sparse" / "0").mkdir(parents=True, exist_ok=True)
+    model.write(shaken / "sparse" / "0")
+
+
 def ways_of(trouble: str, images: Path, work: Path, data: list[str]) -> dict[str, list]:
     """The flags of svrgs prune for each way to prune, by its name. data: the flag --data."""
     troubled = [*data, "--images", work / trouble]
+    if trouble == "poses":
+        shake(Path(data[1]), work / "shaken")
+        shaken = ["--data", work / "shaken", "--images", images]
+        return {"shaken": [*shaken, "--refine-poses", "off"], "shaken, poses refined": shaken}
     if trouble == "people":
         crowd(images, work / trouble, work / "people-masks")
         return {"people": troubled, "people, masks": [*troubled, "--masks", work / "people-masks"]}
     drift(images, work / trouble)
-    return {"drift": troubled, "drift, exposure fitted": [*troubled, "--exposure", "auto"]}
+    return {"drift": [*troubled, "--exposure", "off"], "drift, exposure fitted": troubled}
 
 
 def main():
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("trouble", choices=("people", "exposure"))
+    parser.add_argument("trouble", choices=("people", "exposure", "poses"))
     parser.add_argument("--scene", default="demo", metavar="NAME=DIR")
     parser.add_argument("--shrink", type=int, default=2)
     parser.add_argument("--schedule", default="0.1")

@@ -13,9 +13,10 @@ from svrgs_addon.finetune.engine import NativeEngine, Step
 from svrgs_addon.finetune.model import Model
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.settings import Phase, Rates
-from svrgs_addon.finetune.view_order import LEFT_OUT, ViewOrder, as_real, fitting_reduction
+from svrgs_addon.finetune.view_order import LEFT_OUT, ViewOrder
 from svrgs_addon.native.rasterizer import Rasterizer, RenderOptions
 from svrgs_addon.render.metrics import psnr
+from svrgs_addon.views.reduced_photos import as_real, fitting_reduction
 
 F32 = np.dtype(np.float32)
 
@@ -201,7 +202,7 @@ def advance(run: Run, until: int) -> Run:
 
 @pytest.mark.parametrize(("factor", "sides"), [(2, [2] * 8 + [1] * 4), (4, [4] * 4 + [2] * 4 + [1] * 4)])
 def test_steps_look_at_reduced_photographs_until_told_otherwise(factor, sides, monkeypatch):
-    monkeypatch.setattr("svrgs_addon.finetune.view_order.MIN_SIDE", 1)
+    monkeypatch.setattr("svrgs_addon.views.reduced_photos.MIN_SIDE", 1)
     phases = Phase("train", 12, Rates(), coarse_until=8, coarse_factor=factor), Phase("recover", 3, Rates())
     run = advance(run_of(*phases, engine=Watcher()), 15)
     assert run.engine.seen == [(WIDTH // side, HEIGHT // side) for side in sides + [1] * 3]

@@ -66,19 +66,35 @@ def prepared(name: str):
     return scenes.away_from_thresholds(scene, CAMERAS[name], masks, rounds=60)
 
 
+def displaced(camera: scenes.Camera, motion: torch.Tensor) -> torch.Tensor:
+    """The viewmat (4, 4) of Camera.displaced(motion), differentiable."""
+    viewmat, (x, y, z) = torch.tensor(camera.viewmat), motion[:3]
+    zero = torch.zeros_like(x)
+    turn = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero]).reshape(3, 3)
+    R = torch.matrix_exp(-turn)
+    moved = torch.cat([torch.cat([R, -R @ motion[3:, None]], dim=1), viewmat[3:]])
+    return moved @ viewmat
+
+
+def of_camera(motion: np.ndarray, camera: scenes.Camera) -> np.ndarray:
+    """What svrgs_grads.camera promises: of an orthographic camera, a rotation counts without the colours."""
+    return motion[3:] if camera.orthographic else motion
+
+
 @functools.cache
 def reference(name: str) -> tuple[dict, dict]:
     """The reference's images, and the gradients of their sum weighted by image_weights; the gradient of F
     reaches M only."""
     (scene, masks), camera = prepared(name), CAMERAS[name]
     params, M = scenes.leaves(scene), torch.tensor(masks, dtype=torch.float64, requires_grad=True)
-    options = options_of(*CASES[name])
-    images = reference_images(params, M, camera, **options)
+    motion, options = torch.zeros(6, dtype=torch.float64, requires_grad=True), options_of(*CASES[name])
+    images = reference_images(params, M, replace(camera, viewmat=displaced(camera, motion)), **options)
     terms = {k: (images[k] * torch.tensor(w)).sum() for k, w in image_weights(camera).items()}
     (of_F,) = torch.autograd.grad(terms.pop("mask"), [M], retain_graph=True)
-    leaves = params | {"masks": M}
+    leaves = params | {"masks": M, "camera": motion}
     grads = dict(zip(leaves, torch.autograd.grad(sum(terms.values()), list(leaves.values())), strict=True))
     grads = {k: (gradient + of_F if k == "masks" else gradient).numpy() for k, gradient in grads.items()}
+    grads["camera"] = of_camera(grads["camera"], camera)
     return {k: image.detach().numpy() for k, image in images.items()}, grads
 
 
@@ -86,7 +102,9 @@ def reference(name: str) -> tuple[dict, dict]:
 def native_result(level: str, name: str) -> tuple[dict, dict]:
     (scene, masks), camera = prepared(name), CAMERAS[name]
     images = render(level, scene, camera, masks, **options_of(*CASES[name]))
-    return images, backward(level, image_weights(camera), scene.count, (*ARRAYS, "masks"))
+    grads = backward(level, image_weights(camera), scene.count)
+    grads["camera"] = of_camera(grads["camera"].sum(axis=0, dtype=np.float64), camera)
+    return images, grads
 
 
 def image_errors(images: dict, expected: dict) -> dict[str, float]:
@@ -136,6 +154,7 @@ GRADIENT_BOUND = {
     "opacity_logits": 2.2e-6,  # 2.11e-6
     "sh": 1.6e-6,  # 1.50e-6
     "masks": 1.6e-6,  # 1.51e-6
+    "camera": 1.8e-6,  # 1.70e-6
 }
 
 
@@ -163,6 +182,13 @@ def test_simd_levels_agree_with_scalar(name, level):
     (images, grads), (expected, expected_grads) = native_result(level, name), native_result("scalar", name)
     assert max(image_errors(images, expected).values()) <= SIMD_IMAGE_BOUND
     assert max(relative_l2(grads[array], g) for array, g in expected_grads.items()) <= SIMD_GRADIENT_BOUND
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_camera_moves_as_its_gradient_says(name):
+    camera, motion = CAMERAS[name], np.random.default_rng(0).normal(0, 0.3, 6)
+    expected = displaced(camera, torch.tensor(motion)).numpy()
+    np.testing.assert_allclose(camera.displaced(motion).viewmat, expected, rtol=1e-12, atol=1e-12)
 
 
 def test_active_sh_degree_is_that_of_the_reference():

@@ -24,7 +24,7 @@
 extern "C" {
 #endif
 
-#define SVRGS_INTERFACE_VERSION 21
+#define SVRGS_INTERFACE_VERSION 22
 
 typedef void real; /* float or double, by the context's level */
 
@@ -122,6 +122,10 @@ typedef struct { /* all optional: one row per visible Gaussian, in the order of 
   real* sh;      /* (V, sh_coefficients, 3); bands above sh_degree are zero */
   real* masks;   /* dL/dM, for M = 0 and M = 1 alike */
   real* means2d; /* (V, 2) with respect to the projected centre, pixels */
+  /* (V, 6) a Gaussian's part of the gradient of the camera's pose, whose rows are summed: with respect to a rotation about the camera centre,
+     radians about the camera's axes, and to a translation of the centre along them, world units. Of an orthographic camera without the view
+     direction of the colours, which turns with it. */
+  real* camera;
 } svrgs_grads;
 
 SVRGS_API int32_t svrgs_interface_version(void);

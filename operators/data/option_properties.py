@@ -78,12 +78,38 @@ def exposure_property():
         name="Exposure",
         items=[
             ("off", "As It Is", "All photographs are taken to have the same exposure"),
-            ("auto", "Where It Varies", "The photographs are compared with the splat first"),
+            (
+                "auto",
+                "Where It Varies",
+                "The photographs are compared with the splat first. A training has none, and fits nothing",
+            ),
             ("on", "Fitted", "Each photograph has a colour matrix of its own"),
         ],
+        default="auto",
         description=(
             "Whether exposure and white balance of each photograph are fitted. They are written beside the"
             " result, which keeps its colours"
+        ),
+    )
+
+
+def poses_property():
+    """Whether the poses of the photographs are refined."""
+    return EnumProperty(
+        name="Poses",
+        items=[
+            ("off", "As They Are", "The cameras stay where they are"),
+            (
+                "auto",
+                "Where They Are Off",
+                "The photographs are compared with the splat first. A training has none, and moves nothing",
+            ),
+            ("on", "Refined", "The cameras move to where the splat shows their photographs"),
+        ],
+        default="auto",
+        description=(
+            "Whether the cameras of the photographs move while the splat is trained. They are written beside"
+            " the result"
         ),
     )
 

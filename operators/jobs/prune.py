@@ -27,6 +27,7 @@ from ..data.option_properties import (
     method_property,
     option_property,
     outside_property,
+    poses_property,
 )
 from ..data.preferences import threads
 from ..data.reporting import ReportingOperator
@@ -64,6 +65,7 @@ class SVRGS_OT_prune(ReportingOperator):
     invert_masks: option_property("invert_masks")
     outside: outside_property()
     exposure: exposure_property()
+    refine_poses: poses_property()
     out: StringProperty(
         name="Output",
         subtype="FILE_PATH",
@@ -217,7 +219,8 @@ class SVRGS_OT_prune(ReportingOperator):
             "--lambda-f": self.lambda_f, "--target": self.target, "--target-count": self.target_count,
             "--max-drop": self.max_drop, "--time": self.time, "--seen-from": absolute(self.cameras),
             "--masks": absolute(self.masks), "--outside": self.outside if self.outside != "auto" else "",
-            "--exposure": self.exposure if self.exposure != "off" else "",
+            "--exposure": self.exposure if self.exposure != "auto" else "",
+            "--refine-poses": self.refine_poses if self.refine_poses != "auto" else "",
         }  # fmt: skip
         options = [str(word) for name, value in given.items() if value for word in (name, value)]
         options += [

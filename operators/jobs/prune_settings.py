@@ -19,6 +19,7 @@ from ..data.option_properties import (
     method_property,
     option_property,
     outside_property,
+    poses_property,
     time_property,
 )
 from ..translation import OWN
@@ -62,6 +63,7 @@ class SVRGS_PG_prune(bpy.types.PropertyGroup):
     invert_masks: option_property("invert_masks")
     outside: outside_property()
     exposure: exposure_property()
+    refine_poses: poses_property()
     depth: EnumProperty(
         name="Mode", items=depths.ITEMS, get=depths.number_of, set=depths.choose,
         description=(

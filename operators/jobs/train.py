@@ -91,6 +91,7 @@ class SVRGS_OT_train(ReportingOperator):
             "threads": threads(context),
             **dataset_paths.masks_of(context),
             "exposure": context.scene.svrgs_prune.exposure,
+            "refine_poses": context.scene.svrgs_prune.refine_poses,
             **({"time": settings.time} if settings.use_time else {"iterations": settings.iterations}),
         }  # fmt: skip
         folder = JobFolder.create_training(new_folder(context, root.name), options, root.name)

@@ -209,6 +209,11 @@ def _eval(commands):
         action="store_true",
         help="measure PSNR also in the colours of the photographs, so that exposure does not count (cc-PSNR)",
     )
+    command.add_argument(
+        "--aligned",
+        action="store_true",
+        help="measure PSNR also after each view was moved to where the scene shows its photograph",
+    )
 
 
 def _compare(commands):

@@ -128,7 +128,7 @@ def evaluate(args: argparse.Namespace) -> int:
     )
     with opened(args.scene, "measuring", needed) as (scene, rasterizer):
         refuse_unseen(scene, dataset.cameras, str(args.scene))
-        result = measure(scene, dataset, views, rasterizer, lpips, args.matched)
+        result = measure(scene, dataset, views, rasterizer, lpips, args.matched, args.aligned)
         if args.lpips_authors and lpips is not None:
             other, _ = load_lpips(args.lpips_weights, "authors")
             result["lpips_authors"] = measure(scene, dataset, views, rasterizer, other)["lpips"]
@@ -209,6 +209,8 @@ def _figures(result: dict, lpips_missing: str = "") -> str:
         parts += [f"PSNR {result['psnr']:.2f} dB", f"SSIM {result['ssim']:.4f}", f"FLIP {result['flip']:.4f}"]
     if result.get("psnr_matched") is not None:
         parts.append(f"PSNR in the photographs' colours {result['psnr_matched']:.2f} dB")
+    if result.get("psnr_aligned") is not None:
+        parts.append(f"PSNR after alignment {result['psnr_aligned']:.2f} dB")
     if result.get("lpips") is not None:
         parts.append(f"LPIPS {result['lpips']:.4f}")
     if "lpips_authors" in result:

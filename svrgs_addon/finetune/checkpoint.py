@@ -27,6 +27,7 @@ from .densify import Statistics
 from .exposure import Exposures
 from .model import Model
 from .plan import Plan
+from .poses import Poses
 from .recovery_pruning import RecoveryPruning
 from .run import Curves, Run
 from .strength_controller import StrengthController
@@ -63,8 +64,9 @@ def _write(run: Run, target: Path, identity: str, time: dict | None):
     arrays = {f"{part}.{name}": array for part in _PARTS for name, array in getattr(run.model, part).items()}
     arrays |= {f"average.{name}": array for name, array in run.average.values.items()}
     arrays["origin"] = run.model.origin
-    if run.exposures:
-        arrays |= {f"exposure.{name}": array for name, array in vars(run.exposures).items()}
+    for name, fitted in (("exposure", run.exposures), ("poses", run.poses)):
+        if fitted:
+            arrays |= {f"{name}.{part}": array for part, array in vars(fitted).items()}
     for name in ("statistics.total", "statistics.views", "views.losses", "views.left_out"):
         arrays[name] = attrgetter(name)(run)
     check_space(target / "arrays.npz", sum(array.nbytes for array in arrays.values()))
@@ -146,11 +148,13 @@ def _apply(run: Run, folder: Path, manifest: dict):
     with np.load(folder / "arrays.npz", allow_pickle=False) as arrays:
         parts = {
             part: {name.split(".", 1)[1]: arrays[name] for name in arrays if name.startswith(part + ".")}
-            for part in (*_PARTS, "average", "exposure")
+            for part in (*_PARTS, "average", "exposure", "poses")
         }
         run.model.values, run.model.moments = (parts[part] for part in _PARTS)
         run.average = Average(parts["average"], manifest["averaged"])
         run.exposures = Exposures(**parts["exposure"]) if parts["exposure"] else None
+        if parts["poses"]:
+            run.put_back_poses(Poses(**parts["poses"]))
         run.model.origin = arrays["origin"]
         run.statistics = Statistics(run.model.count)
         run.statistics.total, run.statistics.views = arrays["statistics.total"], arrays["statistics.views"]

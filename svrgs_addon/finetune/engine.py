@@ -43,6 +43,7 @@ class Step:
     frozen: np.ndarray | None = None
     update: bool = True  # False: gradients only (3DGS takes no optimiser step in a step that densifies)
     want_means2d: bool = False  # the gradient of the projected centres is returned, for densification
+    want_camera: bool = False  # the gradient of the camera's motion is returned
     # rows and columns of the view: outside of them, its picture counts as equal to the target. None: all
     window: tuple[slice, slice] | None = None
     # (3, 4): the photograph's exposure (exposure.py), with which the picture is seen; not with a window
@@ -86,6 +87,7 @@ class StepResult:
     visible: np.ndarray
     means2d: np.ndarray | None = None  # (V, 2) dL/d(projected centre), per pixel
     exposure: np.ndarray | None = None  # (3, 4) dL/dexposure
+    camera: np.ndarray | None = None  # (6,) dL/d(the camera's motion), see Camera.displaced
     global_loss: float = 0.0  # (mean M)^2
     penalty: float = 0.0  # value of Step.penalty, its weight included
     nonfinite: int = 0  # rows that were not updated because their gradient was not finite
@@ -128,12 +130,15 @@ class NativeEngine:
         result.penalty = float(
             sum(penalty.value(rows, np) for penalty, rows in _penalised(model, step, result.visible))
         )
-        wanted: tuple[str, ...] = ("means2d",) if step.want_means2d else ()
-        if not step.update:
-            result.means2d = r.backward(image_grads, wanted).get("means2d")
-            return result
-        grads, result.nonfinite = self._update(model, step, image_grads, wanted, result.visible)
+        asked = {"means2d": step.want_means2d, "camera": step.want_camera}
+        wanted = tuple(name for name in asked if asked[name])
+        if step.update:
+            grads, result.nonfinite = self._update(model, step, image_grads, wanted, result.visible)
+        else:
+            grads = r.backward(image_grads, wanted)
         result.means2d = grads.get("means2d")
+        if step.want_camera:
+            result.camera = grads["camera"].sum(axis=0, dtype=np.float64)
         return result
 
     def _seen_loss(self, step: Step, rgb: np.ndarray) -> tuple[float, float, np.ndarray, np.ndarray | None]:

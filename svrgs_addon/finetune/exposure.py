@@ -19,25 +19,22 @@ import numpy as np
 
 from ..files.atomic import atomic_write
 from ..files.images import srgb_to_linear
+from .photo_adam import PhotoAdam
 
 FIRST, LAST = 0.01, 0.001  # learning rates at the first and at the last step, log-linear in between (3DGS)
-BETAS, EPS = (0.9, 0.999), 1e-8  # of Adam
 IDENTITY = np.eye(3, 4)
 
 
 @dataclass
-class Exposures:
-    """The matrices of V photographs and their Adam state: values, m and v (V, 3, 4), steps (V,)."""
+class Exposures(PhotoAdam):
+    """The matrices of V photographs with their Adam state: values (V, 3, 4)."""
 
     values: np.ndarray
-    m: np.ndarray
-    v: np.ndarray
-    steps: np.ndarray
 
     @classmethod
     def identities(cls, count: int) -> Exposures:
         values = np.tile(IDENTITY, (count, 1, 1))
-        return cls(values, np.zeros_like(values), np.zeros_like(values), np.zeros(count, np.int64))
+        return cls(np.zeros_like(values), np.zeros_like(values), np.zeros(count, np.int64), values)
 
     @property
     def matrices(self) -> np.ndarray:
@@ -45,16 +42,8 @@ class Exposures:
         return self.values - self.values.mean(axis=0) + IDENTITY
 
     def update(self, number: int, grad: np.ndarray, rate: float):
-        """An Adam step of one photograph. grad: dL/d(its matrix), (3, 4); one that is not finite changes
-        nothing."""
-        if not np.isfinite(grad).all():
-            return
-        self.steps[number] += 1
-        t, (first, second) = int(self.steps[number]), BETAS
-        self.m[number] = first * self.m[number] + (1 - first) * grad
-        self.v[number] = second * self.v[number] + (1 - second) * grad**2
-        root = np.sqrt(self.v[number] / (1 - second**t)) + EPS
-        self.values[number] -= rate * self.m[number] / (1 - first**t) / root
+        """An Adam step of one photograph. grad: dL/d(its matrix), (3, 4)."""
+        self.values[number] += self.change(number, grad, rate)
 
 
 def rate_at(iteration: int, total: int) -> float:

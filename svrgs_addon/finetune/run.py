@@ -23,18 +23,20 @@ from ..scene.morton_order import morton_order
 from ..system import memory
 from ..system.errors import SceneError
 from ..views.dataset import Dataset
-from . import densify, masks, mcmc
+from ..views.reduced_photos import as_real, fitting_reduction, photo_of
+from . import densify, exposure, masks, mcmc, poses
 from .averaging import Average
 from .engine import Step, StepResult
-from .exposure import Exposures, rate_at
+from .exposure import Exposures
 from .model import MASK, Model
 from .nested import nested_order, size_of_step
 from .plan import Plan
+from .poses import Poses
 from .quality import quality_views
 from .recovery_pruning import RecoveryPruning
 from .settings import MCMC, Densify, Phase
 from .strength_controller import controller_for
-from .view_order import ViewOrder, as_real, fitting_reduction, photo_of
+from .view_order import ViewOrder
 
 SMOOTHING = 0.05  # weight of the newest loss in the smoothed one
 # opacities recover for 1/3 of the steps between two resets; a reset with fewer steps left in the phase is
@@ -81,9 +83,13 @@ class Run:
         self.initial_count = model.count
         self.unordered = 0  # Gaussians added since the rows were last put in Morton order
         self.average = Average()
-        shown = dataset.train_indices if plan.exposure == "on" else []
-        self.exposures = Exposures.identities(len(shown)) if shown else None
-        self.places = {view: place for place, view in enumerate(shown)}
+        self.places = {view: place for place, view in enumerate(dataset.train_indices)}
+        self.exposures = Exposures.identities(len(self.places)) if plan.exposure == "on" else None
+        self.poses: Poses | None = None
+        if plan.refine_poses == "on":
+            self.dataset = replace(dataset, cameras=list(dataset.cameras))  # its cameras will move
+            self.extent = dataset.extent  # a resumed run must have that of the start
+            self.poses = Poses.of(self.training_cameras, model.means)
         self.curves = Curves()
         self.loss = math.nan
         self.nonfinite = 0  # rows that were not updated because their gradient was not finite
@@ -124,15 +130,31 @@ class Run:
         size = size_of_step(self.plan, phase, self.iteration, self.model.count)
         result = self.engine.step(self.model.first(size) if size < self.model.count else self.model, step)
         self._record(result, step, view)
-        if self.exposures and result.exposure is not None:
-            rate = rate_at(self.iteration, self.plan.total)
-            self.exposures.update(self.places[view], result.exposure, rate)
+        self._refine(view, result)
         self.iteration += 1
         self._density_control(phase, number, step, result)
         self._prune(phase, number)
         self._average(phase, number)
         self.between_steps = True
         self.seconds[phase.name] = self.seconds.get(phase.name, 0.0) + time.perf_counter() - started
+
+    def _refine(self, view: int, result: StepResult):
+        """A step of the exposure and the pose of the photograph that was shown."""
+        place, moment = self.places[view], (self.iteration, self.plan.total)
+        if self.exposures and result.exposure is not None:
+            self.exposures.update(place, result.exposure, exposure.rate_at(*moment))
+        if self.poses and result.camera is not None:
+            camera = self.dataset.cameras[view]
+            self.dataset.cameras[view] = self.poses.update(
+                place, camera, result.camera, poses.rate_at(*moment)
+            )
+
+    def put_back_poses(self, found: Poses):
+        """Poses of a checkpoint."""
+        self.poses = found
+        for view, place in self.places.items():
+            camera = self.dataset.cameras[view]
+            self.dataset.cameras[view] = replace(camera, viewmat=found.viewmats[place])
 
     def close(self):
         """Ends the threads that read photographs."""
@@ -203,6 +225,7 @@ class Run:
             ssim_weight=s.ssim_weight,
             update=not self._densifies(phase, number),
             frozen=self.protected if phase.active else None,
+            want_camera=self.poses is not None,
             want_means2d=phase.densify is not None
             and number < phase.densify.until
             and not isinstance(phase.densify, MCMC),

@@ -25,8 +25,8 @@ import numpy as np
 from ..native.rasterizer import Rasterizer, RenderOptions
 from ..scene.camera import Camera
 from ..scene.gaussians import Scene
+from ..views.reduced_photos import fitting_reduction
 from .model import Model
-from .view_order import fitting_reduction
 
 SHARE = 4e-7  # share of an image that each Gaussian is charged for
 REDUCTION = 2  # views are rendered at half their size: nearly the same ranking in a fraction of the time

@@ -23,7 +23,7 @@ from ..native.rasterizer import MOMENTS, Rasterizer, RenderOptions
 from ..scene.camera import Camera
 from ..scene.gaussians import Scene
 from ..scene.rotations import rotation_matrices
-from .view_order import fitting_reduction
+from ..views.reduced_photos import fitting_reduction
 
 REDUCTION = 4  # views are rendered at a quarter of their size, as published
 K2 = 2 * np.log(2)

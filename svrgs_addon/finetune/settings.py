@@ -165,6 +165,7 @@ class Settings:
     # whether each photograph has an exposure that is fitted (exposure.py): "on", "off", or "auto" until the
     # photographs were compared with the splat
     exposure: str = "off"
+    refine_poses: str = "off"  # the same for the poses of the photographs (poses.py)
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     # rows of the source, from and to, that the result is about (RunView.own). None: all
     own: tuple[int, int] | None = field(default=None, repr=False)

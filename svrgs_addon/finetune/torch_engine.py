@@ -40,8 +40,8 @@ class Rasterize(torch.autograd.Function):
     `outputs`.
 
     gaussians: tensors in the order of native.GRADS. Among them masks: (N,), 0 or 1, or None for all 1;
-    means2d: (N, 2), which is not read and whose gradient is dL/d(projected centre), per pixel. Call backward
-    before the next forward of the rasteriser.
+    means2d: (N, 2), which is not read and whose gradient is dL/d(projected centre), per pixel; camera:
+    (N, 6), the same for the camera's motion. Call backward before the next forward of the rasteriser.
     """
 
     @staticmethod
@@ -122,12 +122,15 @@ class TorchEngine:
         leaves = _tensors(model.values)
         for leaf in leaves.values():
             leaf.requires_grad_()
-        means2d = torch.zeros((model.count, 2), dtype=leaves["means"].dtype, requires_grad=step.want_means2d)
+        zeros = lambda width, wanted: torch.zeros(
+            (model.count, width), dtype=leaves["means"].dtype, requires_grad=wanted
+        )
+        means2d, camera = zeros(2, step.want_means2d), zeros(6, step.want_camera)
         masks = _masks(step, leaves)
         self.exposure = None
         if step.exposure is not None:
             self.exposure = torch.tensor(step.exposure, dtype=leaves["means"].dtype, requires_grad=True)
-        images = self._render(step, leaves, masks, means2d)
+        images = self._render(step, leaves, masks, means2d, camera)
         loss, l1, similarity, mask_loss = self.loss(step, images, masks)
         visible = step.not_frozen(self.rasterizer.visible())
         ids = _indices(visible)
@@ -147,6 +150,8 @@ class TorchEngine:
             result.exposure = _grad(self.exposure).numpy().astype(np.float64)
         if step.want_means2d:
             result.means2d = _grad(means2d)[ids].numpy()
+        if step.want_camera:
+            result.camera = _grad(camera)[ids].numpy().sum(axis=0, dtype=np.float64)
         if step.update:
             result.nonfinite = _update(model, step, leaves, ids)
         return result
@@ -173,7 +178,7 @@ class TorchEngine:
         return total, l1, similarity, mask_loss
 
     def _render(
-        self, step: Step, leaves: dict[str, Tensor], masks: Tensor | None, means2d: Tensor
+        self, step: Step, leaves: dict[str, Tensor], masks: Tensor | None, means2d: Tensor, camera: Tensor
     ) -> dict[str, Tensor]:
         outputs = ("rgb", "mask") if step.spatial else ("rgb",)
         sh = torch.cat([leaves["sh"], leaves["sh_rest"]], dim=1)
@@ -183,7 +188,7 @@ class TorchEngine:
             parameters["log_scales"] = (
                 parameters["log_scales"] + torch.log(torch.where(masks.detach() > 0, masks, 1.0))[:, None]
             )
-        images = Rasterize.apply(self.rasterizer, step, outputs, *parameters.values(), masks, means2d)
+        images = Rasterize.apply(self.rasterizer, step, outputs, *parameters.values(), masks, means2d, camera)
         return dict(zip(outputs, images, strict=True))
 
 

@@ -1,14 +1,11 @@
-"""The order of the training views, and photographs at the size and type that the loss needs."""
+"""The order of the training views."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from ..scene.camera import Camera
-
 LEFT_OUT = 0.25  # share of the views that an epoch leaves out, if views are chosen by loss
 RECENT = 0.5  # weight of the newest loss in the smoothed loss of a view
-MIN_SIDE = 16  # pixels: no photograph is reduced to a shorter side
 
 
 class ViewOrder:
@@ -47,46 +44,3 @@ class ViewOrder:
         easiest = np.zeros(len(losses), bool)
         easiest[np.argsort(losses, kind="stable")[: int(len(losses) * LEFT_OUT)]] = True
         return easiest
-
-
-def fitting_reduction(factor: int, width: int, height: int) -> int:
-    """`factor`, halved until the reduced shorter side has at least MIN_SIDE pixels; at least 1."""
-    while factor > 1 and min(width, height) < factor * MIN_SIDE:
-        factor //= 2
-    return factor
-
-
-def as_real(image: np.ndarray, dtype, factor: int = 1) -> np.ndarray:
-    """A photograph for the loss: (H // factor, W // factor, 3) of the given dtype, display sRGB in 0..1.
-
-    Each pixel is the mean of factor x factor pixels of the photograph (see Camera.reduced).
-    """
-    scale = dtype.type((1 / 255 if image.dtype == np.uint8 else 1.0) / factor**2)
-    if factor == 1:
-        return np.ascontiguousarray(image, dtype) if scale == 1 else np.multiply(image, scale, dtype=dtype)
-    height, width = image.shape[0] // factor, image.shape[1] // factor
-    sums = np.uint16 if image.dtype == np.uint8 else dtype
-    rows = sum_of(sums, [image[k : height * factor : factor] for k in range(factor)])
-    reduced = np.empty((height, width, 3), dtype)
-    # one channel at a time, so that NumPy's inner loop runs along rows: 2 to 9 times as fast
-    for channel in range(3):
-        columns = [rows[:, k : width * factor : factor, channel] for k in range(factor)]
-        np.multiply(sum_of(rows.dtype, columns), scale, out=reduced[:, :, channel])
-    return reduced
-
-
-def photo_of(camera: Camera, image: np.ndarray, dtype, factor: int) -> np.ndarray:
-    """as_real() of the photograph of a view; 0 where pixels do not count, also where a part of them does not.
-    camera: reduced by the factor."""
-    photo, valid = as_real(image, dtype, factor), camera.valid if factor > 1 else None
-    if valid is not None:
-        photo *= valid[..., None]
-    return photo
-
-
-def sum_of(dtype, parts: list[np.ndarray]) -> np.ndarray:
-    """The sum of arrays of one shape, of the given dtype."""
-    total = parts[0].astype(dtype)
-    for part in parts[1:]:
-        total += part
-    return total

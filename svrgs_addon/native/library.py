@@ -21,8 +21,8 @@ from ..system.structs import fields
 from .library_path import library_path
 from .outputs import OUTPUTS
 
-INTERFACE_VERSION = 21
-GRADS = (*PARAMETERS, "masks", "means2d")
+INTERFACE_VERSION = 22
+GRADS = (*PARAMETERS, "masks", "means2d", "camera")
 # images whose gradients backward() accepts
 LOSS_IMAGES = tuple(output.name for output in OUTPUTS.values() if output.differentiable)
 _CANCELLED = 3  # of enum svrgs_status

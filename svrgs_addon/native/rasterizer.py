@@ -350,6 +350,7 @@ class Rasterizer:
         }
         count = self.work()["visible"]
         widths = {"means": (3,), "log_scales": (3,), "quats": (4,), "sh": (coefficients, 3), "means2d": (2,)}
+        widths["camera"] = (6,)
         grads = {name: self._buffer(name, (count, *widths.get(name, ()))) for name in wanted}
         addresses = {name: rows.ctypes.data for name, rows in grads.items()}
         return ImageGradsStruct(**given), grads, GradsStruct(**addresses)

@@ -19,7 +19,7 @@ from ..system.errors import SceneError
 from ..system.option_kinds import default_of, flag_of
 from .options import DatasetOptions, PruneOptions
 
-OF_PHOTOGRAPHS = ("images", "masks", "invert_masks", "outside", "exposure")  # options
+OF_PHOTOGRAPHS = ("images", "masks", "invert_masks", "outside", "exposure", "refine_poses")  # options
 
 
 def check_files(scene: Path | None, outs: Sequence[Path], further: Sequence[Path] = ()):

@@ -188,7 +188,9 @@ def pace_of(scene: Scene, dataset: Dataset, plan: Plan, lpips: Callable | None =
         scene, ranked_views, rasterizer, options
     )
     drawn = _seconds(lambda: mean_psnr(scene, dataset, views, rasterizer, options)) / len(views)
-    measure = lambda: evaluate(scene, dataset, views, rasterizer, lpips, plan.exposure == "on")
+    measure = lambda: evaluate(
+        scene, dataset, views, rasterizer, lpips, plan.exposure == "on", plan.refine_poses == "on"
+    )
     step = _step(scene, replace(dataset, train_indices=shown), plan)
     return Pace(
         count=scene.count,
@@ -281,7 +283,14 @@ def _step(scene: Scene, dataset: Dataset, plan: Plan) -> float:
     run = Run(
         Model.of(scene),
         dataset,
-        prune_plan(method, STEPS + 2, STEPS + 2, background=plan.background, exposure=plan.exposure),
+        prune_plan(
+            method,
+            STEPS + 2,
+            STEPS + 2,
+            background=plan.background,
+            exposure=plan.exposure,
+            refine_poses=plan.refine_poses,
+        ),
         NativeEngine(),
         scene.antialiased,
     )

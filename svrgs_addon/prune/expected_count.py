@@ -16,13 +16,13 @@ from ..finetune.methods.removal import Removal, floor_of_drop
 from ..finetune.plan import Plan
 from ..finetune.quality import MIN_SHARE, fewest, quality_views
 from ..finetune.saliency import saliency
-from ..finetune.view_order import photo_of
 from ..native.rasterizer import Rasterizer
 from ..render.metrics.evaluate import picture_options, render_options, rounded_to_8_bits
 from ..render.metrics.measures import psnr, with_error
 from ..scene.camera import Camera, spaced
 from ..scene.gaussians import Scene
 from ..views.dataset import Dataset
+from ..views.reduced_photos import photo_of
 from .quality_forecast import spread
 
 VIEW_SECONDS = 0.8  # time limit of rendering views, without reading files

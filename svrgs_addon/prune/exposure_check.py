@@ -2,40 +2,41 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..files.images import srgb_to_linear
-from ..finetune.view_order import photo_of
 from ..native.rasterizer import Rasterizer
 from ..render.metrics.evaluate import picture_options
 from ..scene.camera import evenly
 from ..scene.gaussians import Scene
 from ..views.dataset import Dataset
+from ..views.reduced_photos import photo_of
 
 VIEWS, SIDE = 100, 200  # views that are compared, at most, and their longer side in pixels, about
-DARK, BRIGHT, LEAST = (
-    0.05,
-    0.95,
-    0.02,
-)  # display values that are compared; share of a picture that must have them
+DARK, BRIGHT = 0.05, 0.95  # display values that are compared
+LEAST = 0.02  # share of a picture, or of a patch of it, that must have them
+PATCHES = 3  # per side of a picture: how far they differ says how exact the picture's own value is
 VARIES = 0.05  # EV: with a larger spread, exposure is fitted; photographs that are as far off are counted
 NORMAL = 1.4826  # standard deviation over the median absolute deviation
 
 
 @dataclass(frozen=True)
 class Spread:
-    """stops: of each photograph that was compared, by how many EV it is brighter than the median of all. of:
-    how many photographs there are to train on."""
+    """stops: of each photograph that was compared, by how many EV it is brighter than the median of all.
+    error: how exact they are, EV. of: how many photographs there are to train on."""
 
     stops: np.ndarray
+    error: float
     of: int
 
     @property
     def spread(self) -> float:
-        """Standard deviation in EV, as outliers do not move it."""
-        return float(NORMAL * np.median(np.abs(self.stops))) if len(self.stops) else 0.0
+        """Standard deviation in EV, as outliers do not move it, without that of the errors."""
+        found = NORMAL * np.median(np.abs(self.stops)) if len(self.stops) else 0.0
+        return math.sqrt(max(0.0, found**2 - self.error**2))
 
     @property
     def varies(self) -> bool:
@@ -53,17 +54,34 @@ class Spread:
 
 def spread_of(scene: Scene, dataset: Dataset) -> Spread:
     """Raises FormatError, SceneError."""
-    rasterizer, options, found = Rasterizer(), picture_options(scene, dataset.background), []
+    rasterizer, options = Rasterizer(), picture_options(scene, dataset.background)
+    stops, errors = list[float](), list[float]()
     for index in evenly(dataset.train_indices, VIEWS):
         camera = dataset.cameras[index]
         factor = max(1, max(camera.width, camera.height) // SIDE)
         camera = camera.reduced(factor)
         photo = photo_of(camera, dataset.image(index), np.dtype(np.float32), factor)
         shown = rasterizer.forward(scene, camera, options)["rgb"]
-        both = np.stack([photo.mean(axis=2), shown.mean(axis=2)])
-        usable = ((both > DARK) & (both < BRIGHT)).all(axis=0)
-        if usable.mean() > LEAST:
-            photo_light, scene_light = srgb_to_linear(both[:, usable])
-            found.append(float(np.median(np.log2(photo_light / scene_light))))
-    stops = np.array(found)
-    return Spread(stops - np.median(stops) if len(stops) else stops, len(dataset.train_indices))
+        brighter = _brighter(photo, shown)
+        if np.isfinite(brighter).mean() > LEAST:
+            stops.append(float(np.nanmedian(brighter)))
+            errors += _errors(brighter)
+    found = np.array(stops)
+    error = float(np.median(errors)) if errors else 0.0
+    return Spread(found - np.median(found) if stops else found, error, len(dataset.train_indices))
+
+
+def _brighter(photo: np.ndarray, shown: np.ndarray) -> np.ndarray:
+    """By how many EV each pixel of the photograph is brighter, (H, W); NaN where one of them is too dark or
+    too bright to tell."""
+    both = np.stack([photo.mean(axis=2), shown.mean(axis=2)])
+    light = srgb_to_linear(both.clip(DARK, BRIGHT))
+    return np.where(((both > DARK) & (both < BRIGHT)).all(axis=0), np.log2(light[0] / light[1]), np.nan)
+
+
+def _errors(brighter: np.ndarray) -> list[float]:
+    """The standard error of a picture's value, from its patches; empty if there are too few."""
+    strips = np.array_split(brighter, PATCHES)
+    patches = [patch for strip in strips for patch in np.array_split(strip, PATCHES, axis=1)]
+    values = [np.nanmedian(patch) for patch in patches if np.isfinite(patch).mean() > LEAST]
+    return [float(np.std(values, ddof=1) / math.sqrt(len(values)))] if len(values) > 1 else []

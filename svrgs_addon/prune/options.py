@@ -161,9 +161,16 @@ class TuningOptions(DatasetOptions):
     )
     exposure: str = option(
         SWITCH,
-        "off",
+        "auto",
         "fit a colour matrix to each photograph, whose exposure and white balance may differ: auto does so"
-        " where they do; it is written beside the result, which keeps its colours",
+        " where the splat shows that they do; it is written beside the result, which keeps its colours",
+        in_job=True,
+    )
+    refine_poses: str = option(
+        SWITCH,
+        "auto",
+        "move the cameras of photographs whose poses are slightly off: auto does so where the splat shows"
+        " them elsewhere; the cameras are written beside the result",
         in_job=True,
     )
     schedule: float = option(

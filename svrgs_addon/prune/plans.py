@@ -139,6 +139,7 @@ def _settings(options: TuningOptions) -> dict[str, Any]:
         "background": options.background,
         "views_by_loss": options.views_by_loss,
         "exposure": options.exposure,
+        "refine_poses": options.refine_poses,
         "schedule": options.schedule,
     }
 

@@ -17,12 +17,12 @@ import numpy as np
 from ..finetune import scores
 from ..finetune.plan import Plan
 from ..finetune.quality import psnr_after
-from ..finetune.view_order import photo_of
 from ..native.rasterizer import Rasterizer
 from ..render.metrics.evaluate import picture_options, rounded_to_8_bits
 from ..render.metrics.measures import psnr
 from ..scene.gaussians import Scene
 from ..views.dataset import Dataset
+from ..views.reduced_photos import photo_of
 
 # time limit of rendering views, without the last one; views that are rendered in any case
 SECONDS, MIN_FORECAST_VIEWS = 0.8, 2

@@ -104,6 +104,17 @@ class Camera:
             self, viewmat=viewmat, K=self.K @ np.diag([scale, scale, 1.0]) if self.orthographic else self.K
         )
 
+    def displaced(self, motion: np.ndarray) -> Camera:
+        """The same view from another pose. motion: (6,), a rotation vector about the camera centre, radians
+        about the camera's axes, and a translation of the centre along them, world units."""
+        angle = float(np.linalg.norm(motion[:3]))
+        cross = np.cross(motion[:3], np.eye(3))  # cross @ v = v x rotation: of the inverse rotation
+        first, second = (math.sin(angle) / angle, (1 - math.cos(angle)) / angle**2) if angle else (1.0, 0.5)
+        moved = np.eye(4)
+        moved[:3, :3] += first * cross + second * cross @ cross
+        moved[:3, 3] = -moved[:3, :3] @ motion[3:]
+        return replace(self, viewmat=moved @ self.viewmat)
+
     def resized(self, width: int, height: int) -> Camera:
         """The same view with another image size in pixels. fx, cx are scaled by the ratio of the widths, fy,
         cy by that of the heights."""

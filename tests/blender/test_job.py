@@ -283,15 +283,17 @@ def test_targets_become_counts(splat, goal, target):
     assert options["target_count"] == target and "lambda_f" not in options
 
 
-def test_masks_and_exposure_are_options_of_a_job_on_photographs_alone(splat, tmp_path):
-    masks = {"masks": str(tmp_path), "invert_masks": True, "outside": "ignore", "exposure": "auto"}
+def test_masks_exposure_and_poses_are_options_of_a_job_on_photographs_alone(splat, tmp_path):
+    masks = {"masks": str(tmp_path), "invert_masks": True, "outside": "ignore", "exposure": "on"}
+    masks |= {"refine_poses": "off"}
     options_of = part("operators.jobs.job").options_of
     assert options_of(bpy.context, splat)["outside"] == "auto"
     set_up(masks | {"depth": "PHOTOGRAPHS"})
     assert masks.items() <= options_of(bpy.context, splat).items()
     set_up({"depth": "QUICK"})
     assert not masks.keys() & options_of(bpy.context, splat).keys()
-    set_up({"masks": "", "invert_masks": False, "outside": "auto", "exposure": "off", "depth": "PHOTOGRAPHS"})
+    set_up({"masks": "", "invert_masks": False, "outside": "auto", "depth": "PHOTOGRAPHS"})
+    set_up({"exposure": "auto", "refine_poses": "auto"})
 
 
 def test_a_loss_in_db_is_held(splat, watch, results, bridge):

@@ -138,6 +138,19 @@ inline int64_t apply(const Frame& f, const UpdateRates& u, StagedGradients& g, i
   columns_of_rows(rows, columns);
 }
 
+// Columns of svrgs_grads.camera. A rotation of the camera about its centre moves what it sees as the opposite rotation of all Gaussians about
+// that point would, but for the view directions of the colours, which stay as they are. mean: without what the colours give.
+inline void camera_vjp(const CameraParams& camera, const Batch& b, const ParameterGrads& g, const V mean[3], V out[6]) {
+  const V *o = b.mean, *q = b.quat, *d = g.quat, half = broadcast(R(0.5));
+  V turn[3], move[3];  // along the world's axes
+  for (int i = 0; i < 3; ++i) {
+    const int j = (i + 1) % 3, k = (i + 2) % 3;
+    const V of_quat = q[0] * d[1 + i] - q[1 + i] * d[0] + q[1 + j] * d[1 + k] - q[1 + k] * d[1 + j];  // of the quaternion (0, axis) q / 2
+    turn[i] = -fma(half, of_quat, o[j] * mean[k] - o[k] * mean[j]), move[i] = -g.mean[i];
+  }
+  for (int i = 0; i < 3; ++i) out[i] = camera.along(i, turn), out[3 + i] = camera.along(i, move);
+}
+
 // Visible Gaussians [first, first + n): writes gradients to the rows of `out`, or updates the parameters.
 // Returns how many rows an update left alone.
 template <bool updates>
@@ -157,10 +170,16 @@ inline int gradient_batch(const Frame& f, const CameraParams& camera, const Want
   const int width = 3 * f.sh_coefficients;
   alignas(64) R own[W * 48];
   R* const sh_rows = updates ? own : out.sh ? static_cast<R*>(out.sh) + first * width : nullptr;
+  const V shape_mean[3] = {g.mean[0], g.mean[1], g.mean[2]};
   if (want.colour)
     sh_vjp(f, camera, b, ids, n, colour, sh_rows, g.mean);
   else if (sh_rows)
     __builtin_memset(sh_rows, 0, sizeof(R) * n * width);
+  if (out.camera) {
+    V camera_grads[6];
+    camera_vjp(camera, b, g, shape_mean, camera_grads);
+    scatter<6>(out.camera, first, n, camera_grads);
+  }
   scatter<2>(out.means2d, first, n, g.mean2d);
   scatter<3>(out.means, first, n, g.mean);
   scatter<3>(out.log_scales, first, n, g.log_scale);

@@ -167,8 +167,8 @@ inline void write_slot(const Sums& a, R* slot) {
 
 inline WantedGradients wanted(const Frame& f, const svrgs_image_grads& in, const svrgs_grads& out, const svrgs_update* update) {
   WantedGradients w;
-  w.shape = update || out.means || out.log_scales || out.quats || out.opacity_logits || out.means2d;
-  w.colour = (update || out.sh || out.means) && in.rgb;
+  w.shape = update || out.means || out.log_scales || out.quats || out.opacity_logits || out.means2d || out.camera;
+  w.colour = (update || out.sh || out.means || out.camera) && in.rgb;
   w.mask = out.masks || (update && update->masks.param);
   w.depth = in.depth, w.alpha = in.alpha;
   w.spatial = in.mask && w.mask && f.mask_kind != SVRGS_MASK_NONE;

@@ -22,7 +22,7 @@ from ...files.registry import (
     size_on_disk,
     write_scene,
 )
-from ...finetune import checkpoint, exposure, loop, masks
+from ...finetune import checkpoint, exposure, loop, masks, poses
 from ...finetune.decimate.order import NORMALS, lost_columns
 from ...finetune.engine import NativeEngine
 from ...finetune.loop import CURVE_VIEWS
@@ -38,6 +38,7 @@ from ...scene.gaussians import Scene
 from ...system import memory
 from ...system.errors import SceneError
 from ...system.memory_limits import peak
+from ...views.cameras_json import write_cameras_json
 from ...views.dataset import Dataset
 from ...views.rendered import RenderedDataset
 from ..belonging import check_dataset
@@ -49,6 +50,7 @@ from ..exposure_check import spread_of
 from ..first_cut import first_cut
 from ..likeness import assumed_drop
 from ..planning import pruning_within
+from ..pose_check import offset_of, with_aligned_poses
 from ..report.prune_report import report_pictures, write_prune_report
 
 CANNOT_REACH = "method '{}' cannot reach a target without iterations in which it prunes"
@@ -71,7 +73,8 @@ class Tuned:
         self.notes: list[str] = []  # for the user, besides those of the dataset
 
     def further_files(self) -> list[Path]:
-        own = [exposure.file_of(self.job.out)] if self.plan.exposure != "off" else []
+        fitted = ((exposure, self.plan.exposure), (poses, self.plan.refine_poses))
+        own = [kind.file_of(self.job.out) for kind, way in fitted if way != "off"]
         return [self.job.folder / "manifest.json", *own]
 
     def tune(self):
@@ -96,6 +99,7 @@ class Tuned:
         loop.run_to_end(run, job.observe, job.stop, save, lambda: curve_psnr(run))
         self.clock.phases |= run.seconds
         run.engine = make_engine(job.engine)  # a new engine frees the buffers of the old one
+        self.dataset = run.dataset
         self.run, self.scene = run, self.model.into_scene(source_order=not plan.nested)
         del self.model
 
@@ -103,12 +107,22 @@ class Tuned:
         self.room.release()
         with self.clock.phase("write"):
             write_scene(self.job.out, self.scene)
-            if fitted := self.run.exposures:
-                names = [self.dataset.cameras[view].name for view in self.run.places]
-                exposure.write(exposure.file_of(self.job.out), names, fitted.matrices)
-            else:  # of an earlier result under this name
-                exposure.file_of(self.job.out).unlink(missing_ok=True)
+            self.write_fitted()
         checkpoint.delete_all(self.job.folder)
+
+    def write_fitted(self):
+        """What was fitted to the photographs, beside the result; of an earlier result under this name it
+        goes."""
+        run, out, cameras = self.run, self.job.out, self.run.training_cameras
+        if run.exposures:
+            names = [camera.name for camera in cameras]
+            exposure.write(exposure.file_of(out), names, run.exposures.matrices)
+        else:
+            exposure.file_of(out).unlink(missing_ok=True)
+        if run.poses:
+            write_cameras_json(poses.file_of(out), cameras)
+        else:
+            poses.file_of(out).unlink(missing_ok=True)
 
     def close(self):
         self.room.release()
@@ -121,8 +135,8 @@ class Tuned:
 
     def measured(self, scene: Scene, path: Path) -> dict[str, Any]:
         """The figures of `svrgs eval` for a scene. path: its file, for the size in bytes."""
-        matched = self.plan.exposure == "on"
-        figures = evaluate(scene, self.dataset, self.measuring, Rasterizer(), self.job.lpips, matched)
+        fitted = self.plan.exposure == "on", self.plan.refine_poses == "on"
+        figures = evaluate(scene, self.dataset, self.measuring, Rasterizer(), self.job.lpips, *fitted)
         return {**figures, "bytes": size_on_disk(path)}
 
     def all_notes(self) -> list[str]:
@@ -150,6 +164,7 @@ class Tuned:
             "densifications_held_back": run.held_back,
             "seed": plan.seed,
             "exposure": self.fitted_exposure(),
+            "poses": {"file": str(poses.file_of(self.job.out))} if run.poses else None,
             "notes": self.all_notes(),
             "curves": vars(run.curves),
         }
@@ -205,10 +220,9 @@ class FineTuned(Tuned):
         for note in found:
             logging.warning("%s", note)
         self.notes += found
-        if plan.exposure == "auto":
-            spread = spread_of(source, dataset)
-            self.notes.append(spread.sentence())
-            self.plan = plan = replace(plan, exposure="on" if spread.varies else "off")
+        with self.clock.phase("compare photographs"):
+            dataset = self.compare_photographs()
+        plan = self.plan
         if plan.max_drop:
             self.dataset = dataset = hold_apart(dataset)
             if self.measuring and not dataset.deciding_indices:
@@ -218,6 +232,25 @@ class FineTuned(Tuned):
         )
         self.job = self.job.fitting(dataset.cameras, needed)
         self.room.hold_for(source, source.count, plan.averaged_count(source.count))
+
+    def compare_photographs(self) -> Dataset:
+        """Compares the photographs with what the splat shows. Returns the dataset, its cameras moved if their
+        poses are refined."""
+        if isinstance(self.dataset, RenderedDataset):
+            return self.dataset
+        if self.plan.exposure == "auto":
+            spread = spread_of(self.source, self.dataset)
+            self.notes.append(spread.sentence())
+            self.plan = replace(self.plan, exposure="on" if spread.varies else "off")
+        offset = offset_of(self.source, self.dataset)
+        if self.plan.refine_poses == "auto":
+            self.plan = replace(self.plan, refine_poses="on" if offset.off else "off")
+            self.notes.append(offset.sentence(offset.off))
+        elif offset.off and self.plan.refine_poses == "off":
+            self.notes.append(offset.sentence(False))
+        if self.plan.refine_poses == "on":
+            self.dataset = with_aligned_poses(self.source, self.dataset)
+        return self.dataset
 
     def rank(self):
         """Methods rank between their steps."""

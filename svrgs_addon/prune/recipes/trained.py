@@ -43,9 +43,10 @@ class Trained(Tuned):
     def check(self):
         dataset, plan = self.dataset, self.plan
         check_request(dataset, plan)
-        if plan.exposure == "auto":
-            self.plan = plan = replace(plan, exposure="on")
-            self.notes.append("there is no splat yet to compare the photographs with, so exposure is fitted")
+        # there is no splat yet that would show whether photographs need it
+        sure = lambda asked: "off" if asked == "auto" else asked
+        plan = replace(plan, exposure=sure(plan.exposure), refine_poses=sure(plan.refine_poses))
+        self.plan = plan
         if (plan.target or plan.share) and not plan.prunes:
             raise SceneError(CANNOT_REACH.format(plan.method.name))
         refuse_unseen_points(dataset)

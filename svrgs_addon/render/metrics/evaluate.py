@@ -18,6 +18,7 @@ from ...native.rasterizer import Rasterizer, RenderOptions
 from ...scene.camera import Camera
 from ...system.errors import SceneError
 from ...views.dataset import Dataset
+from ..pose_alignment import aligned
 from . import flip_map, psnr, ssim
 from .colour_match import colour_matched
 from .measures import with_error
@@ -110,31 +111,43 @@ def evaluate(
     rasterizer: Renderer,
     lpips: Callable | None = None,
     matched: bool = False,
+    moved: bool = False,
 ) -> dict:
     """Renders the views and compares them with the photographs.
 
     Returns means over the views: psnr (dB), ssim, flip, lpips (None without `lpips`), all None without views;
-    with `matched` also psnr_matched, the PSNR in the colours of the photographs (colour_match.py); and count
-    (Gaussians), ms_per_frame (median duration of a forward pass in milliseconds; None for a divided
-    scene, which is read for each view, and without views).
+    with `matched` also psnr_matched, the PSNR in the colours of the photographs (colour_match.py); with
+    `moved` psnr_aligned, after each view was moved to where the scene shows its photograph
+    (pose_alignment.py); and count (Gaussians), ms_per_frame (median duration of a forward pass in
+    milliseconds; None for a divided scene, which is read for each view, and without views).
     """
     options = picture_options(scene, dataset.background)
     seconds: list[float] = []
     in_its_colours: list[float] = []
+    from_its_pose: list[float] = []
 
     def pair(i: int) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
         started = time.perf_counter()
         rgb = rasterizer.forward(scene, dataset.cameras[i], options)["rgb"]
         seconds.append(time.perf_counter() - started)
-        image, photo, camera = rounded_to_8_bits(rgb), to_float(dataset.image(i)), dataset.cameras[i]
+        image, stored, camera = rounded_to_8_bits(rgb), dataset.image(i), dataset.cameras[i]
+        photo = to_float(stored)
         if matched:
             same = colour_matched(image, photo, camera.valid)
             in_its_colours.append(psnr(same, photo, camera.valid_share))
+        if moved:
+            view = aligned(scene, camera, stored, rasterizer, options).camera()
+            shown = rounded_to_8_bits(rasterizer.forward(scene, view, options)["rgb"])
+            from_its_pose.append(psnr(shown, photo, camera.valid_share))
         return image, photo, camera.valid
 
     figures = mean_figures(map(pair, indices), lpips)
-    if matched:
-        figures["psnr_matched"] = statistics.fmean(in_its_colours) if in_its_colours else None
+    for name, asked, values in (
+        ("psnr_matched", matched, in_its_colours),
+        ("psnr_aligned", moved, from_its_pose),
+    ):
+        if asked:
+            figures[name] = statistics.fmean(values) if values else None
     timed = seconds and isinstance(rasterizer, Rasterizer)
     return {
         **figures,

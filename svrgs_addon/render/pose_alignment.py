@@ -1,0 +1,144 @@
+"""Poses that are slightly off: a view is moved until the splat shows what its photograph shows.
+
+Levenberg-Marquardt on the squared differences of a reduced picture. Motions are counted in pixels: a rotation
+about an axis by 1 / fx, and a translation along it that moves what is at the view's depth by about a pixel.
+Each channel of the picture is first brought to the brightness and contrast of the photograph, so that
+exposure is not taken for a motion.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..native.rasterizer import RenderOptions
+from ..scene.camera import Camera
+from ..views.reduced_photos import photo_of
+
+SIDES, ROUNDS = (100, 300), 4  # longer sides in pixels, about, and steps with each
+STEP = 0.25  # pixels, of the differences
+DAMPING, LESS, MORE = (
+    1e-3,
+    0.1,
+    10.0,
+)  # at first; its factor after a step that helped, and after one that did not
+ENOUGH = 0.02  # pixels: a smaller step is the last
+FARTHEST = 30.0  # pixels: no motion is larger
+AHEAD = np.eye(6)[5]  # the part of a motion that goes forwards
+POINTS = 10_000  # of which a depth and a distance are taken
+
+
+@dataclass(frozen=True)
+class Aligned:
+    """A view where the splat shows what its photograph shows. motion: (6,) pixels, from the pose of `start`;
+    unit: (6,) radians and world units of a pixel (Camera.displaced)."""
+
+    start: Camera
+    motion: np.ndarray
+    unit: np.ndarray
+
+    def camera(self, common: np.ndarray | float = 0.0) -> Camera:
+        """The view, without a motion in pixels that others have, too."""
+        return self.start.displaced((self.motion - common) * self.unit)
+
+
+def aligned(
+    scene, camera: Camera, image: np.ndarray, rasterizer, options: RenderOptions, sides=SIDES
+) -> Aligned:
+    """The view where the scene shows its photograph. scene: what the rasterizer renders. image: (H, W, 3) as
+    Dataset.image() gives it. sides: see SIDES."""
+    seen, still = in_view(scene.means, camera), np.zeros(6)
+    if not len(seen):
+        return Aligned(camera, still, still)
+    unit, motion = pixel_motion(camera, seen), still
+
+    def render(motion: np.ndarray, factor: int) -> np.ndarray:
+        view = camera.displaced(motion * unit).reduced(factor)
+        return rasterizer.forward(scene, view, options)["rgb"]
+
+    for side in sides:
+        factor, photo = _reduced(camera, image, side)
+        motion = _minimised(lambda motion, factor=factor: render(motion, factor), photo, motion, factor)
+    if np.abs(motion).max() > FARTHEST or _error(render(motion, factor), photo) >= _error(
+        render(still, factor), photo
+    ):
+        motion = still
+    return Aligned(camera, motion, unit)
+
+
+def beside(camera: Camera, other: Camera, means: np.ndarray) -> float:
+    """By how many pixels the other view shows the centres (N, 3) elsewhere, the median."""
+    points = in_view(means, camera)
+    if not len(points):
+        return 0.0
+    return float(np.median(np.linalg.norm(_pixels(other, points) - _pixels(camera, points), axis=1)))
+
+
+def error_of(
+    scene, camera: Camera, image: np.ndarray, rasterizer, options: RenderOptions, side: int
+) -> float:
+    """The mean squared difference that aligned() makes small, of pictures of this size, in the pose of the
+    camera."""
+    factor, photo = _reduced(camera, image, side)
+    return _error(rasterizer.forward(scene, camera.reduced(factor), options)["rgb"], photo)
+
+
+def _reduced(camera: Camera, image: np.ndarray, side: int) -> tuple[int, np.ndarray]:
+    """By what the view is reduced so that its longer side has about so many pixels, and the photograph
+    then."""
+    factor = camera.reducible(max(1, max(camera.width, camera.height) // side))
+    return factor, photo_of(camera.reduced(factor), image, np.dtype(np.float32), factor)
+
+
+def _minimised(render, photo: np.ndarray, motion: np.ndarray, factor: int) -> np.ndarray:
+    """The motion in pixels from which the picture is nearest to the photograph, from a motion near it."""
+    picture, ahead, damping = render(motion), STEP * factor, DAMPING
+    gains, residual = _matched(picture, photo)
+    columns = [(render(motion + ahead * axis) - picture) * (gains / ahead) for axis in np.eye(6)]
+    jacobian = np.stack([column.ravel() for column in columns])  # near enough for all steps
+    normal, error = (jacobian @ jacobian.T).astype(np.float64), _error(picture, photo)
+    for _ in range(ROUNDS):
+        slope = (jacobian @ residual.ravel()).astype(np.float64)
+        step = np.linalg.solve(normal + np.diag(damping * normal.diagonal() + 1e-12), slope)
+        if np.abs(step).max() < ENOUGH * factor:
+            break
+        picture = render(motion + step)
+        if (new := _error(picture, photo)) < error:
+            motion, error, damping = motion + step, new, damping * LESS
+            residual = _matched(picture, photo)[1]
+        else:
+            damping *= MORE
+    return motion
+
+
+def _error(picture: np.ndarray, photo: np.ndarray) -> float:
+    return float(np.square(_matched(picture, photo)[1]).mean(dtype=np.float64))
+
+
+def _matched(picture: np.ndarray, photo: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The gain of each channel with which the picture is nearest to the photograph, and what is left: photo
+    less picture, (H, W, 3)."""
+    means = picture.mean(axis=(0, 1)), photo.mean(axis=(0, 1))
+    centred, wanted = picture - means[0], photo - means[1]
+    gains = (centred * wanted).sum(axis=(0, 1)) / np.maximum((centred**2).sum(axis=(0, 1)), 1e-12)
+    return gains, wanted - gains * centred
+
+
+def in_view(means: np.ndarray, camera: Camera) -> np.ndarray:
+    """(n, 3) float64: some of the centres (N, 3) that the camera sees, in its frame at first."""
+    points = means[:: max(1, len(means) // POINTS)].astype(np.float64)
+    local = points @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
+    inside = (local[:, 2] > 0) & ((pixels := camera.pixels(local)) >= 0).all(axis=1)
+    return points[inside & (pixels < (camera.width, camera.height)).all(axis=1)]
+
+
+def pixel_motion(camera: Camera, points: np.ndarray) -> np.ndarray:
+    """(6,) radians and world units: motions (Camera.displaced) by about a pixel of this view, in which points
+    (n, 3), world, are seen."""
+    depth = float(np.median(points @ camera.viewmat[2, :3] + camera.viewmat[2, 3]))
+    return np.repeat([1.0, depth], 3) / camera.K[0, 0]
+
+
+def _pixels(camera: Camera, points: np.ndarray) -> np.ndarray:
+    return camera.pixels(points @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3])
