@@ -142,7 +142,8 @@ def test_even_photographs_are_left_alone(tiny, tmp_path, svrgs):
         words = ["--data", tiny.folder, *STEPS, "--exposure", way, "--out", tmp_path / f"{way}.ply"]
         found.append(svrgs("prune", splat, *words, "--json").json)
     assert (tmp_path / "off.ply").read_bytes() == (tmp_path / "auto.ply").read_bytes()
-    assert any("is even (±0.0" in note for note in found[1]["notes"]) and "psnr_matched" not in found[1]
+    assert found[1]["compared"]["exposure_ev"] < 0.02 and "psnr_matched" not in found[1]
+    assert found[1]["notes"] == [] and "exposure_ev" not in found[0]["compared"]
     assert {one.suffix for one in tmp_path.iterdir()} == {".ply"}
 
 

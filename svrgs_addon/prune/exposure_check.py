@@ -43,9 +43,7 @@ class Spread:
         return self.spread > VARIES
 
     def sentence(self) -> str:
-        """For the user."""
-        if not self.varies:
-            return f"the exposure of the photographs is even (±{self.spread:.2f} EV), so it is not fitted"
+        """For the user, if it varies."""
         off = round(float((np.abs(self.stops) > VARIES).mean()) * self.of)
         return (
             f"exposure varies by ±{self.spread:.2f} EV over {off} of {self.of} photographs, so it is fitted"

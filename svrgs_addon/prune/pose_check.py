@@ -39,9 +39,7 @@ class Offset:
         return self.gain > OFF
 
     def sentence(self, refined: bool) -> str:
-        """For the user. refined: whether poses are refined, then."""
-        if not self.off:
-            return "the photographs lie where the splat shows them, so their poses are kept"
+        """For the user, if poses are off. refined: whether they are refined, then."""
         found = (
             f"the photographs lie about {self.pixels:.1f} pixels beside what the splat shows ({self.compared}"
             f" of {self.of} compared; aligned, they are {self.gain:.1f} dB nearer)"

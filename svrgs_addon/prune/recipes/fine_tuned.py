@@ -202,6 +202,7 @@ class FineTuned(Tuned):
         """dataset_of: the dataset for the scene of the file `path`. seconds: as for Tuned."""
         super().__init__(plan, replace(job, scene=path), seconds)
         self.path, self.dataset_of = path, dataset_of
+        self.compared: dict[str, float] = {}  # what was found when photographs were compared with the splat
 
     def open(self):
         with self.clock.phase("read"):
@@ -240,15 +241,16 @@ class FineTuned(Tuned):
             return self.dataset
         if self.plan.exposure == "auto":
             spread = spread_of(self.source, self.dataset)
-            self.notes.append(spread.sentence())
             self.plan = replace(self.plan, exposure="on" if spread.varies else "off")
+            self.notes += [spread.sentence()] if spread.varies else []
+            self.compared |= {"exposure_ev": spread.spread}
         offset = offset_of(self.source, self.dataset)
+        self.compared |= {"beside_pixels": offset.pixels, "aligned_db": offset.gain}
         if self.plan.refine_poses == "auto":
             self.plan = replace(self.plan, refine_poses="on" if offset.off else "off")
-            self.notes.append(offset.sentence(offset.off))
-        elif offset.off and self.plan.refine_poses == "off":
-            self.notes.append(offset.sentence(False))
-        if self.plan.refine_poses == "on":
+        refined = self.plan.refine_poses == "on"
+        self.notes += [offset.sentence(refined)] if offset.off else []
+        if refined:
             self.dataset = with_aligned_poses(self.source, self.dataset)
         return self.dataset
 
@@ -315,6 +317,7 @@ class FineTuned(Tuned):
             "after": after,
             "levels": self.levels,
             "first_cut": self.cut,
+            "compared": self.compared,
             **self.facts(),
             **({"rig": dataset.facts} if isinstance(dataset, RenderedDataset) else {}),
             **self.seen,
