@@ -26,6 +26,7 @@ from svrgs_addon.native.rasterizer import Rasterizer, RenderOptions
 from svrgs_addon.render.metrics import psnr
 from svrgs_addon.render.metrics.colour_match import colour_matched
 from svrgs_addon.views.dataset import load_dataset
+from svrgs_addon.views.reduced_photos import toned
 
 LARGEST = 0.3  # EV
 STEPS = ("--iterations", 100, "--recovery", 200, "--target", 0.5)
@@ -255,3 +256,56 @@ def test_a_job_of_blender_keeps_its_matrices_until_it_is_discarded(tiny, driftin
     assert (folder / "recovered_exposure.json").is_file()
     folder.discard()
     assert not folder.path.exists()
+
+
+# --- a splat whose colours differ as a whole
+
+
+def recoloured(tiny, folder: Path, change) -> Path:
+    """The tiny dataset, all its photographs changed alike."""
+    shutil.copytree(tiny.folder, folder)
+    for photo in (folder / "images").iterdir():
+        write_image(photo, change(read_image(photo)).astype(np.float32))
+    return folder
+
+
+CHANGES = {
+    "linear": srgb_to_linear,
+    "gamma": lambda colours: colours ** (1 / 2.2),
+    "gain": lambda colours: 0.6 * colours,
+    "white balance": lambda colours: colours * np.float32([1, 0.75, 0.5]),
+}
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_photographs_of_another_tone_are_brought_to_the_colours_of_the_splat(tiny, tmp_path, svrgs, name):
+    splat = tmp_path / "truth.ply"
+    write_scene(splat, tiny.truth)
+    data, steps = recoloured(tiny, tmp_path / "data", CHANGES[name]), ["--target", 0.8, *STEPS[:4]]
+    words = ["prune", splat, *steps, "--out", tmp_path / "o.ply", "--overwrite", "--json"]
+    same = svrgs(*words, "--data", tiny.folder).json
+    found = svrgs(*words, "--data", data).json
+    (note,) = found["notes"]
+    assert note.startswith("the colours of the splat differ from those of the photographs as a whole")
+    assert note.endswith("so the photographs are brought to its colours, for the figures too")
+    assert same["notes"] == [] and same["compared"]["tone_db"] < 1
+    assert found["psnr"] > same["psnr"] - 8  # 8 bits of linear colours are few
+
+
+def test_another_tone_is_noted_if_exposure_is_left_as_it_is(tiny, tmp_path, svrgs):
+    splat, data = tmp_path / "truth.ply", recoloured(tiny, tmp_path / "data", CHANGES["gain"])
+    write_scene(splat, tiny.truth)
+    found = pruned(svrgs, replace(tiny, splat=splat), data, tmp_path / "o.ply", "--force")
+    assert any(note.endswith("brings the photographs to its colours") for note in found["notes"])
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.float32])
+def test_a_curve_keeps_the_type_and_changes_channels_apart(dtype):
+    values = np.linspace(0, 1, 256, dtype=np.float32)
+    curve = np.stack([values, 0.5 * values, 1 - values])
+    image = np.random.default_rng(0).integers(0, 256, (5, 4, 3)).astype(dtype)
+    image = image if dtype == np.uint8 else image / np.float32(255)
+    found, white = toned(image, curve), 255 if dtype == np.uint8 else 1
+    assert found.dtype == dtype
+    expected = np.stack([image[..., 0], 0.5 * image[..., 1], white - image[..., 2].astype(float)], axis=-1)
+    np.testing.assert_allclose(found, expected, atol=0.5 * white / 255)

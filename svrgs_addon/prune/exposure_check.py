@@ -8,14 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..files.images import srgb_to_linear
-from ..native.rasterizer import Rasterizer
-from ..render.metrics.evaluate import picture_options
-from ..scene.camera import evenly
 from ..scene.gaussians import Scene
 from ..views.dataset import Dataset
-from ..views.reduced_photos import photo_of
+from .compared_views import compared_views
 
-VIEWS, SIDE = 100, 200  # views that are compared, at most, and their longer side in pixels, about
+VIEWS = 100  # that are compared, at most
 DARK, BRIGHT = 0.05, 0.95  # display values that are compared
 LEAST = 0.02  # share of a picture, or of a patch of it, that must have them
 PATCHES = 3  # per side of a picture: how far they differ says how exact the picture's own value is
@@ -52,14 +49,8 @@ class Spread:
 
 def spread_of(scene: Scene, dataset: Dataset) -> Spread:
     """Raises FormatError, SceneError."""
-    rasterizer, options = Rasterizer(), picture_options(scene, dataset.background)
     stops, errors = list[float](), list[float]()
-    for index in evenly(dataset.train_indices, VIEWS):
-        camera = dataset.cameras[index]
-        factor = max(1, max(camera.width, camera.height) // SIDE)
-        camera = camera.reduced(factor)
-        photo = photo_of(camera, dataset.image(index), np.dtype(np.float32), factor)
-        shown = rasterizer.forward(scene, camera, options)["rgb"]
+    for photo, shown, _ in compared_views(scene, dataset, VIEWS):
         brighter = _brighter(photo, shown)
         if np.isfinite(brighter).mean() > LEAST:
             stops.append(float(np.nanmedian(brighter)))

@@ -27,6 +27,7 @@ from ..system.file_names import extended
 from .cameras_json import load_cameras_json
 from .colmap import pinhole_camera, undistort_image
 from .photo_files import photograph, present
+from .reduced_photos import toned
 from .sources import Source, read_source
 from .valid_pixels import BACKGROUND, MaskOptions, masks_of
 
@@ -71,6 +72,8 @@ class Dataset:
     background: tuple[float, float, float] = (0, 0, 0)  # display sRGB 0..1, behind transparent pixels
     memory_budget: int = MEMORY_BUDGET  # bytes of cached photographs
     notes: tuple[str, ...] = ()  # sentences that the user must see: what is missing, which cameras were read
+    # (3, 256), the curve that the channels of photographs follow (reduced_photos.toned); None: as they are
+    tone: np.ndarray | None = None
     _cache: dict[int, np.ndarray] = field(default_factory=dict, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
@@ -131,6 +134,8 @@ class Dataset:
     def inputs(self) -> Iterator[bytes]:
         """Digests and texts of all cameras and photographs: equal ones give equal runs. Raises SceneError if
         a photograph cannot be read."""
+        if self.tone is not None:
+            yield self.tone.tobytes()
         for one in self.cameras:
             if one.valid_bits is not None:
                 yield one.valid_bits.tobytes()
@@ -165,6 +170,8 @@ class Dataset:
             image = undistort_image(to_bytes(image), photo.distorted)
         if image.shape != (camera.height, camera.width, 3):
             raise SceneError(f"{photo.path}: its size has changed since the dataset was loaded; start again")
+        if self.tone is not None:
+            image = toned(image, self.tone)
         unpainted = replace(camera, valid_bits=photo.unpainted).valid
         for valid, colour in ((camera.valid, (0, 0, 0)), (unpainted, self.background)):
             if valid is not None:

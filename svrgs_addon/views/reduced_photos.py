@@ -42,6 +42,17 @@ def photo_of(camera: Camera, image: np.ndarray, dtype, factor: int) -> np.ndarra
     return photo if valid is None else photo * valid[..., None]
 
 
+def toned(image: np.ndarray, curve: np.ndarray) -> np.ndarray:
+    """An image (..., 3), uint8 or float in 0..1, whose channels follow a curve (3, 256): the value in 0..1
+    for each 8-bit value. It keeps its type."""
+    if image.dtype == np.uint8:
+        table = np.rint(255 * curve).astype(np.uint8)
+        return np.stack([table[k][image[..., k]] for k in range(3)], axis=-1)
+    values = np.linspace(0, 1, curve.shape[1])
+    channels = [np.interp(image[..., k], values, curve[k]) for k in range(3)]
+    return np.stack(channels, axis=-1).astype(image.dtype)
+
+
 def sum_of(dtype, parts: list[np.ndarray]) -> np.ndarray:
     """The sum of arrays of one shape, of the given dtype."""
     total = parts[0].astype(dtype)

@@ -46,11 +46,10 @@ from ..blocks.folder import remove_blocks
 from ..context import JobContext
 from ..disk_room import ROW, DiskRoom
 from ..door import check_training, check_views, check_visible
-from ..exposure_check import spread_of
 from ..first_cut import first_cut
 from ..likeness import assumed_drop
+from ..photographs import prepared
 from ..planning import pruning_within
-from ..pose_check import offset_of, with_aligned_poses
 from ..report.prune_report import report_pictures, write_prune_report
 
 CANNOT_REACH = "method '{}' cannot reach a target without iterations in which it prunes"
@@ -202,7 +201,6 @@ class FineTuned(Tuned):
         """dataset_of: the dataset for the scene of the file `path`. seconds: as for Tuned."""
         super().__init__(plan, replace(job, scene=path), seconds)
         self.path, self.dataset_of = path, dataset_of
-        self.compared: dict[str, float] = {}  # what was found when photographs were compared with the splat
 
     def open(self):
         with self.clock.phase("read"):
@@ -217,13 +215,14 @@ class FineTuned(Tuned):
         check_request(dataset, plan)
         refuse_lost_order(plan, self.job)
         check_views(source, dataset.cameras, dataset.train_indices, str(self.path))
+        with self.clock.phase("compare photographs"):
+            self.prepared = photographs = prepared(source, dataset, plan)
+        self.dataset, self.plan = dataset, plan = photographs.dataset, photographs.plan
+        self.notes += photographs.notes
         found, self.seen = check_dataset(source, dataset, str(self.path), self.job.force)
         for note in found:
             logging.warning("%s", note)
         self.notes += found
-        with self.clock.phase("compare photographs"):
-            dataset = self.compare_photographs()
-        plan = self.plan
         if plan.max_drop:
             self.dataset = dataset = hold_apart(dataset)
             if self.measuring and not dataset.deciding_indices:
@@ -233,26 +232,6 @@ class FineTuned(Tuned):
         )
         self.job = self.job.fitting(dataset.cameras, needed)
         self.room.hold_for(source, source.count, plan.averaged_count(source.count))
-
-    def compare_photographs(self) -> Dataset:
-        """Compares the photographs with what the splat shows. Returns the dataset, its cameras moved if their
-        poses are refined."""
-        if isinstance(self.dataset, RenderedDataset):
-            return self.dataset
-        if self.plan.exposure == "auto":
-            spread = spread_of(self.source, self.dataset)
-            self.plan = replace(self.plan, exposure="on" if spread.varies else "off")
-            self.notes += [spread.sentence()] if spread.varies else []
-            self.compared |= {"exposure_ev": spread.spread}
-        offset = offset_of(self.source, self.dataset)
-        self.compared |= {"beside_pixels": offset.pixels, "aligned_db": offset.gain}
-        if self.plan.refine_poses == "auto":
-            self.plan = replace(self.plan, refine_poses="on" if offset.off else "off")
-        refined = self.plan.refine_poses == "on"
-        self.notes += [offset.sentence(refined)] if offset.off else []
-        if refined:
-            self.dataset = with_aligned_poses(self.source, self.dataset)
-        return self.dataset
 
     def rank(self):
         """Methods rank between their steps."""
@@ -317,7 +296,7 @@ class FineTuned(Tuned):
             "after": after,
             "levels": self.levels,
             "first_cut": self.cut,
-            "compared": self.compared,
+            "compared": self.prepared.facts,
             **self.facts(),
             **({"rig": dataset.facts} if isinstance(dataset, RenderedDataset) else {}),
             **self.seen,

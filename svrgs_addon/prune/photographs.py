@@ -1,0 +1,49 @@
+"""What photographs need before a splat is fine-tuned on them, found by comparing them with what it shows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from ..finetune.plan import Plan
+from ..scene.gaussians import Scene
+from ..views.dataset import Dataset
+from ..views.rendered import RenderedDataset
+from .exposure_check import spread_of
+from .pose_check import offset_of, with_aligned_poses
+from .tone_check import tone_of, with_tone
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """The dataset, its photographs in the colours of the splat and its cameras moved where that is needed;
+    the plan, in which nothing is "auto" any more; sentences for the user, and figures for the JSON
+    result."""
+
+    dataset: Dataset
+    plan: Plan
+    notes: list[str]
+    facts: dict[str, float]
+
+
+def prepared(scene: Scene, dataset: Dataset, plan: Plan) -> Prepared:
+    """Compares tone, exposure and poses, in this order. The splat's own pictures need nothing. Raises
+    FormatError, SceneError."""
+    if isinstance(dataset, RenderedDataset):
+        return Prepared(dataset, replace(plan, exposure="off", refine_poses="off"), [], {})
+    tone = tone_of(scene, dataset)
+    matched = tone.differs and plan.exposure != "off"
+    notes = [tone.sentence(matched)] if tone.differs else []
+    dataset = with_tone(dataset, tone) if matched else dataset
+    facts = {"tone_db": tone.after - tone.before}
+    if plan.exposure == "auto":
+        spread = spread_of(scene, dataset)
+        plan = replace(plan, exposure="on" if spread.varies else "off")
+        notes += [spread.sentence()] if spread.varies else []
+        facts["exposure_ev"] = spread.spread
+    offset = offset_of(scene, dataset)
+    if plan.refine_poses == "auto":
+        plan = replace(plan, refine_poses="on" if offset.off else "off")
+    refined = plan.refine_poses == "on"
+    notes += [offset.sentence(refined)] if offset.off else []
+    facts |= {"beside_pixels": offset.pixels, "aligned_db": offset.gain}
+    return Prepared(with_aligned_poses(scene, dataset) if refined else dataset, plan, notes, facts)
