@@ -94,7 +94,11 @@ def ways_of(trouble: str, images: Path, work: Path, data: list[str]) -> dict[str
         return {"shaken": [*shaken, "--refine-poses", "off"], "shaken, poses refined": shaken}
     if trouble == "people":
         crowd(images, work / trouble, work / "people-masks")
-        return {"people": troubled, "people, masks": [*troubled, "--masks", work / "people-masks"]}
+        return {
+            "people": troubled,
+            "people, distractors masked": [*troubled, "--mask-distractors"],
+            "people, masks": [*troubled, "--masks", work / "people-masks"],
+        }
     drift(images, work / trouble)
     return {"drift": [*troubled, "--exposure", "off"], "drift, exposure fitted": troubled}
 

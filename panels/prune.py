@@ -25,7 +25,7 @@ GOALS = {"DEVICE": "device", "SHARE": "share", "COUNT": "count", "SIZE": "size",
 ADVANCED = (
     "lambda_f", "iterations", "recovery", "seed", "min_contribution", "holdout", "visible_mask",
     "views_by_loss", "force", "images", "masks", "invert_masks", "outside", "exposure",
-    "refine_poses", "folder",
+    "refine_poses", "mask_distractors", "folder",
 )  # fmt: skip
 STEPS = ("iterations", "recovery")  # chosen by the program if the time is limited
 # stage -> icon of the first sentence

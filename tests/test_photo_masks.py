@@ -60,6 +60,14 @@ def hide(folder: Path, colour: int):
         write_image(photo, pixels)
 
 
+def test_the_order_of_a_mask_in_memory_does_not_matter():
+    camera, valid = orbit_camera(WIDTH, HEIGHT), pattern(HEIGHT, WIDTH)
+    for order in (valid, np.asfortranarray(valid), np.repeat(valid, 2, axis=1)[:, ::2]):
+        found = camera.masked(order).valid
+        np.testing.assert_array_equal(found, valid)
+        assert found.flags.c_contiguous
+
+
 # --- reading
 
 

@@ -36,7 +36,11 @@ def options_of(context, obj: bpy.types.Object) -> dict:
         "holdout": s.holdout, "visible_mask": s.visible_mask, "views_by_loss": s.views_by_loss,
     }  # fmt: skip
     if depth == depths.PHOTOGRAPHS:
-        options |= dataset_paths.masks_of(context) | {"exposure": s.exposure, "refine_poses": s.refine_poses}
+        options |= dataset_paths.masks_of(context) | {
+            "exposure": s.exposure,
+            "refine_poses": s.refine_poses,
+            "mask_distractors": s.mask_distractors,
+        }
     options |= {"time": s.time} if s.use_time else {"iterations": s.iterations, "recovery": s.recovery}
     if depth == depths.TUNED and s.views == "ONLY":
         options["seen_from_only"] = True

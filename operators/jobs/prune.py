@@ -66,6 +66,7 @@ class SVRGS_OT_prune(ReportingOperator):
     outside: outside_property()
     exposure: exposure_property()
     refine_poses: poses_property()
+    mask_distractors: option_property("mask_distractors")
     out: StringProperty(
         name="Output",
         subtype="FILE_PATH",
@@ -227,6 +228,7 @@ class SVRGS_OT_prune(ReportingOperator):
             flag
             for flag, chosen in (
                 ("--quick", self.quick),
+                ("--mask-distractors", self.mask_distractors),
                 ("--invert-masks", self.invert_masks),
                 ("--seen-from-only", self.seen_from_only),
                 ("--force", self.force),

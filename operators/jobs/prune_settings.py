@@ -64,6 +64,7 @@ class SVRGS_PG_prune(bpy.types.PropertyGroup):
     outside: outside_property()
     exposure: exposure_property()
     refine_poses: poses_property()
+    mask_distractors: option_property("mask_distractors")
     depth: EnumProperty(
         name="Mode", items=depths.ITEMS, get=depths.number_of, set=depths.choose,
         description=(

@@ -166,6 +166,7 @@ class Settings:
     # photographs were compared with the splat
     exposure: str = "off"
     refine_poses: str = "off"  # the same for the poses of the photographs (poses.py)
+    mask_distractors: bool = False  # what stands in one photograph alone does not count there
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     # rows of the source, from and to, that the result is about (RunView.own). None: all
     own: tuple[int, int] | None = field(default=None, repr=False)

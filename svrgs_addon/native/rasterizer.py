@@ -110,11 +110,11 @@ class Rasterizer:
         counts. Returns {name: (H, W) or (H, W, 3)}; rgb is not clamped. Where camera.valid is 0, rgb, F and
         counts are 0, and gradients and statistics count nothing.
         """
-        arrays = self._scene(scene, masks)
+        arrays, size = self._scene(scene, masks), (camera.height, camera.width)
         images, pointers = self._images(camera, outputs)
         limit = None
         if depth_limit is not None:
-            limit = check(depth_limit, "depth_limit", (camera.height, camera.width), self.dtype)
+            limit = check(depth_limit, "depth_limit", size, self.dtype)
         degree = min(options.sh_degree, int(arrays.sh_coefficients**0.5) - 1)
         native = OptionsStruct(
             degree,
@@ -127,10 +127,10 @@ class Rasterizer:
             self.cancel.ctypes.data,
             limit,
             options.picture_only,
-            None if (valid := camera.valid) is None else valid.ctypes.data,
+            None if (valid := camera.valid) is None else check(valid, "valid", size, np.uint8),
         )
         self._valid = valid
-        self._shape = (camera.height, camera.width, arrays.sh_coefficients)
+        self._shape = (*size, arrays.sh_coefficients)
         view = camera_struct(camera, options.background)
         _call("svrgs_forward", self._context, *map(c.byref, (arrays, view, native, pointers)))
         return images

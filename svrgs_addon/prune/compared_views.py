@@ -8,7 +8,7 @@ import numpy as np
 
 from ..native.rasterizer import Rasterizer
 from ..render.metrics.evaluate import picture_options
-from ..scene.camera import evenly
+from ..scene.camera import Camera, evenly
 from ..scene.gaussians import Scene
 from ..views.dataset import Dataset
 from ..views.reduced_photos import photo_of
@@ -23,8 +23,12 @@ def compared_views(
     display sRGB, and the pixels that count (Camera.valid). Raises FormatError, SceneError."""
     rasterizer, options = Rasterizer(), picture_options(scene, dataset.background)
     for index in evenly(dataset.train_indices, most):
-        camera = dataset.cameras[index]
-        factor = camera.reducible(max(1, max(camera.width, camera.height) // SIDE))
-        camera = camera.reduced(factor)
+        factor = reduction(dataset.cameras[index])
+        camera = dataset.cameras[index].reduced(factor)
         photo = photo_of(camera, dataset.image(index), np.dtype(np.float32), factor)
         yield photo, rasterizer.forward(scene, camera, options)["rgb"], camera.valid
+
+
+def reduction(camera: Camera) -> int:
+    """By what a view is reduced so that its longer side has about SIDE pixels."""
+    return camera.reducible(max(1, max(camera.width, camera.height) // SIDE))

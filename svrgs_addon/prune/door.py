@@ -19,7 +19,15 @@ from ..system.errors import SceneError
 from ..system.option_kinds import default_of, flag_of
 from .options import DatasetOptions, PruneOptions
 
-OF_PHOTOGRAPHS = ("images", "masks", "invert_masks", "outside", "exposure", "refine_poses")  # options
+OF_PHOTOGRAPHS = (  # options
+    "images",
+    "masks",
+    "invert_masks",
+    "outside",
+    "exposure",
+    "refine_poses",
+    "mask_distractors",
+)
 
 
 def check_files(scene: Path | None, outs: Sequence[Path], further: Sequence[Path] = ()):

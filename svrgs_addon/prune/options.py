@@ -307,6 +307,13 @@ class PruneOptions(TuningOptions):
         steps=True,
         in_job=True,
     )
+    mask_distractors: bool = option(
+        FLAG,
+        False,
+        "find what stands in one photograph and not in the others, such as people who walked by; it does not"
+        " count there",
+        in_job=True,
+    )
     min_contribution: float | None = option(
         SMALL_SHARE,
         None,

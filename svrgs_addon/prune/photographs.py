@@ -8,6 +8,7 @@ from ..finetune.plan import Plan
 from ..scene.gaussians import Scene
 from ..views.dataset import Dataset
 from ..views.rendered import RenderedDataset
+from .distractors import without_distractors
 from .exposure_check import spread_of
 from .pose_check import offset_of, with_aligned_poses
 from .tone_check import tone_of, with_tone
@@ -26,8 +27,8 @@ class Prepared:
 
 
 def prepared(scene: Scene, dataset: Dataset, plan: Plan) -> Prepared:
-    """Compares tone, exposure and poses, in this order. The splat's own pictures need nothing. Raises
-    FormatError, SceneError."""
+    """Compares tone, exposure and poses, in this order, and then masks distractors if that is asked for. The
+    splat's own pictures need nothing. Raises FormatError, SceneError."""
     if isinstance(dataset, RenderedDataset):
         return Prepared(dataset, replace(plan, exposure="off", refine_poses="off"), [], {})
     tone = tone_of(scene, dataset)
@@ -46,4 +47,8 @@ def prepared(scene: Scene, dataset: Dataset, plan: Plan) -> Prepared:
     refined = plan.refine_poses == "on"
     notes += [offset.sentence(refined)] if offset.off else []
     facts |= {"beside_pixels": offset.pixels, "aligned_db": offset.gain}
-    return Prepared(with_aligned_poses(scene, dataset) if refined else dataset, plan, notes, facts)
+    dataset = with_aligned_poses(scene, dataset) if refined else dataset
+    if plan.mask_distractors:
+        dataset, sentence = without_distractors(scene, dataset)
+        notes.append(sentence)
+    return Prepared(dataset, plan, notes, facts)

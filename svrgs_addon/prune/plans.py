@@ -140,6 +140,7 @@ def _settings(options: TuningOptions) -> dict[str, Any]:
         "views_by_loss": options.views_by_loss,
         "exposure": options.exposure,
         "refine_poses": options.refine_poses,
+        "mask_distractors": isinstance(options, PruneOptions) and options.mask_distractors,
         "schedule": options.schedule,
     }
 

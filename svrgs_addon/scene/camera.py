@@ -52,7 +52,8 @@ class Camera:
 
     def masked(self, valid: np.ndarray | None) -> Camera:
         """The same view, in which the pixels count that are not 0 in valid (H, W); None: all."""
-        return replace(self, valid_bits=None if valid is None else np.packbits(valid != 0, axis=1))
+        bits = None if valid is None else np.packbits(np.ascontiguousarray(valid) != 0, axis=1)
+        return replace(self, valid_bits=bits)
 
     @property
     def position(self) -> np.ndarray:
