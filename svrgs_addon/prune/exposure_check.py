@@ -12,7 +12,7 @@ from ..scene.gaussians import Scene
 from ..views.dataset import Dataset
 from .compared_views import compared_views
 
-VIEWS = 100  # that are compared, at most
+VIEWS = 64  # that are compared, at most
 DARK, BRIGHT = 0.05, 0.95  # display values that are compared
 LEAST = 0.02  # share of a picture, or of a patch of it, that must have them
 PATCHES = 3  # per side of a picture: how far they differ says how exact the picture's own value is
@@ -63,7 +63,7 @@ def spread_of(scene: Scene, dataset: Dataset) -> Spread:
 def _brighter(photo: np.ndarray, shown: np.ndarray) -> np.ndarray:
     """By how many EV each pixel of the photograph is brighter, (H, W); NaN where one of them is too dark or
     too bright to tell."""
-    both = np.stack([photo.mean(axis=2), shown.mean(axis=2)])
+    both = np.stack([photo, shown]) @ np.full(3, 1 / 3, np.float32)
     light = srgb_to_linear(both.clip(DARK, BRIGHT))
     return np.where(((both > DARK) & (both < BRIGHT)).all(axis=0), np.log2(light[0] / light[1]), np.nan)
 
