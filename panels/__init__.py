@@ -9,6 +9,7 @@ MODULES = [
     for name in (
         "preferences",
         "scene",
+        "photographs",
         "select",
         "overlay",
         "train",

@@ -27,6 +27,7 @@ from ..data.job_paths import unlink
 from ..data.pairs import ORIGINAL, PRUNED, join, original_of, pruned_of, set_hidden
 from ..data.select import in_view_layer, select
 from ..data.visible_splats import HIDE_MODIFIER, REMOVED
+from ..scene import photographs
 
 SCORE, ROW, PROBABILITY = "svrgs:score", "svrgs:row", "svrgs:probability"  # attributes, as is REMOVED
 MERGED = "svrgs_merged"  # property of a pruned splat until Apply: it has merged Gaussians, and no ranking
@@ -57,6 +58,7 @@ def load(context, obj: bpy.types.Object, folder: JobFolder) -> bpy.types.Object:
         pruned[OWN_PSNR] = psnr[1]
     if notes := result.get("notes"):
         pruned[NOTES] = "\n".join(map(str, notes))
+    photographs.store(splat_object.root_of(obj), result.get("photographs") or {})
     pruned.svrgs_share = 100 * pruned[KEPT] / request["count"]
     if context.view_layer.objects.active == obj and in_view_layer(context, pruned):
         obj.select_set(False)
@@ -74,6 +76,7 @@ def _load_trained(context, root: bpy.types.Object, folder: JobFolder) -> bpy.typ
         f"{root.name} splat", read_scene(folder.output), collection, root.matrix_world
     )
     splat_object.parent_to_root(splat, root)
+    photographs.store(root, folder.result().get("photographs") or {})
     family = {root, *root.children_recursive}
     if context.view_layer.objects.active in family and in_view_layer(context, splat):
         select(context, [splat])

@@ -14,6 +14,7 @@ from bpy.props import (
 
 from ...svrgs_addon.render import color_maps
 from ..data import splat_object
+from ..scene import photographs
 from . import overlay, spatial_mask, viewport_wipe
 
 VALUES = "values"
@@ -53,6 +54,9 @@ def _is_splat(
 
 
 class SVRGS_PG_view(bpy.types.PropertyGroup):
+    photograph: IntProperty(
+        name="Photograph", description="The scene is seen through its camera", update=photographs.look_through
+    )  # of the file's objects
     background: FloatVectorProperty(
         name="Background",
         subtype="COLOR_GAMMA",

@@ -47,6 +47,27 @@ def test_a_splat_is_trained_and_placed_with_its_cameras(root, watch, bridge):
     assert bpy.ops.svrgs.job_start.poll()
 
 
+def test_the_list_of_photographs_shows_what_was_found_and_looks_through_their_cameras(root, watch, bridge):
+    photographs, view = part("operators.scene.photographs"), bpy.context.scene.svrgs_view
+    cameras = photographs.of(root)
+    assert [obj.data["svrgs_image"] for obj in cameras] == [f"{number:02}.png" for number in range(12)]
+    assert not any(map(photographs.about, cameras))
+    bpy.context.scene.svrgs_prune.exposure = "on"
+    bpy.ops.svrgs.train()
+    follow(watch, lambda: splats(bridge))
+    bpy.context.scene.svrgs_prune.exposure = "auto"
+    fitted = [obj for obj in cameras if photographs.about(obj)]
+    assert len(fitted) == 10 and all(photographs.about(obj).endswith(" EV") for obj in fitted)
+    assert part("panels.photographs").SVRGS_PT_photographs.poll(bpy.context)
+    for obj in (cameras[3], cameras[5]):
+        view.photograph = bpy.data.objects.find(obj.name)
+        assert bpy.context.scene.camera == obj
+    view.photograph = bpy.data.objects.find(root.name)
+    assert bpy.context.scene.camera == cameras[5]
+    photographs.store(root, {"03.png": {"moved_pixels": 1.25, "hidden": 0.5}})
+    assert photographs.about(cameras[3]) == "moved 1.2 px, 50% hidden" and not photographs.about(cameras[5])
+
+
 def test_it_is_stopped_and_resumed_like_any_job(root, watch, bridge):
     bpy.context.scene.svrgs_train.iterations = 500
     bpy.ops.svrgs.train()

@@ -33,7 +33,8 @@ from ...finetune.run import Run
 from ...native.rasterizer import Rasterizer, RenderOptions
 from ...render.metrics.evaluate import evaluate, mean_psnr, render_options
 from ...render.metrics.max_drop import format_loss, missed_drop
-from ...scene.camera import spaced
+from ...render.pose_alignment import beside
+from ...scene.camera import Camera, spaced
 from ...scene.gaussians import Scene
 from ...system import memory
 from ...system.errors import SceneError
@@ -63,6 +64,7 @@ class Tuned:
     source: Scene  # between open() and select()
     scene: Scene  # from tune() on
     run: Run
+    given: list[Camera]  # the cameras of the dataset as it was read; from check() on
 
     def __init__(self, plan: Plan, job: JobContext, seconds: float = 0.0):
         """seconds: that the job may take; 0: no limit."""
@@ -163,6 +165,7 @@ class Tuned:
             "densifications_held_back": run.held_back,
             "seed": plan.seed,
             "exposure": self.fitted_exposure(),
+            "photographs": self.of_photographs(),
             "poses": {"file": str(poses.file_of(self.job.out))} if run.poses else None,
             "notes": self.all_notes(),
             "curves": vars(run.curves),
@@ -175,6 +178,23 @@ class Tuned:
         found = exposure.stops(self.run.exposures.matrices)
         file = str(exposure.file_of(self.job.out))
         return {"file": file, "photographs": len(found), "stops": float(found.std())}
+
+    def of_photographs(self) -> dict[str, dict[str, float]]:
+        """By name of a training photograph, as far as something was found: its exposure in EV, by how many
+        pixels its camera was moved (what it shows, the median), and the share of its pixels that is
+        hidden."""
+        run = self.run
+        found = {camera.name: dict[str, float]() for camera in run.training_cameras}
+        if run.exposures:
+            for camera, ev in zip(run.training_cameras, exposure.stops(run.exposures.matrices), strict=True):
+                found[camera.name]["exposure_ev"] = float(ev)
+        for view, camera in zip(run.places, run.training_cameras, strict=True):
+            if run.poses:
+                moved = beside(self.given[view], camera, self.scene.means)
+                found[camera.name]["moved_pixels"] = moved
+            if camera.valid_bits is not None:
+                found[camera.name]["hidden"] = 1 - camera.valid_share
+        return {name: figures for name, figures in found.items() if figures}
 
     def timed(self, result: dict[str, Any]) -> dict[str, Any]:
         """The result, of a job with a time limit with the seconds asked for, foreseen and used, the time
@@ -216,6 +236,7 @@ class FineTuned(Tuned):
         refuse_lost_order(plan, self.job)
         check_views(source, dataset.cameras, dataset.train_indices, str(self.path))
         with self.clock.phase("compare photographs"):
+            self.given = dataset.cameras
             self.prepared = photographs = prepared(source, dataset, plan)
         self.dataset, self.plan = dataset, plan = photographs.dataset, photographs.plan
         self.notes += photographs.notes

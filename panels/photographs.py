@@ -1,0 +1,50 @@
+"""The photographs of the active splat, with what the last job found about each: below the panel Scene."""
+
+import bpy
+
+from ..operators.data import camera_object, splat_object
+from ..operators.scene import photographs
+from .sidebar import SidebarPanel
+
+
+class SVRGS_UL_photographs(bpy.types.UIList):
+    def draw_item(self, context, layout, data, item, *_):
+        row = layout.row()
+        row.label(text=item.data[camera_object.IMAGE], icon="OUTLINER_OB_CAMERA", translate=False)
+        if text := photographs.about(item):
+            row.label(text=text, translate=False)
+
+    def filter_items(self, context, data, prop):
+        """Of all objects of the file: the photographs, by the names of their images."""
+        objects, shown = getattr(data, prop), photographs.of(splat_object.root_of(context.object))
+        wanted = self.filter_name.lower()
+        names = {obj: obj.data[camera_object.IMAGE] for obj in shown}
+        flags = [
+            self.bitflag_filter_item if obj in names and wanted in names[obj].lower() else 0
+            for obj in objects
+        ]
+        places = {obj: place for place, obj in enumerate(shown)}
+        order = sorted(range(len(objects)), key=lambda k: places.get(objects[k], len(objects) + k))
+        ranks = [0] * len(order)
+        for rank, k in enumerate(order):
+            ranks[k] = rank
+        return flags, ranks
+
+
+class SVRGS_PT_photographs(SidebarPanel, bpy.types.Panel):
+    bl_label = "Photographs"
+    bl_parent_id = "SVRGS_PT_scene"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context):
+        return bool(photographs.of(splat_object.root_of(context.object)))
+
+    def draw(self, context):
+        settings = context.scene.svrgs_view
+        self.layout.template_list(
+            "SVRGS_UL_photographs", "", bpy.data, "objects", settings, "photograph", rows=6
+        )
+
+
+CLASSES = (SVRGS_UL_photographs, SVRGS_PT_photographs)
