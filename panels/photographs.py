@@ -8,8 +8,8 @@ from .sidebar import SidebarPanel
 
 
 class SVRGS_UL_photographs(bpy.types.UIList):
-    def draw_item(self, context, layout, data, item, *_):
-        row = layout.row()
+    def draw_item(self, context, layout, data, item, icon, active_data, active_property):
+        row = layout.split(factor=0.4)
         row.label(text=item.data[camera_object.IMAGE], icon="OUTLINER_OB_CAMERA", translate=False)
         if text := photographs.about(item):
             row.label(text=text, translate=False)

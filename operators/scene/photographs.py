@@ -27,18 +27,19 @@ def store(root: bpy.types.Object | None, found: dict[str, dict[str, float]]):
 
 
 def about(obj: bpy.types.Object) -> str:
-    """What the last job found about a photograph; '' for nothing."""
+    """What the last job found about a photograph: its exposure, by how many pixels its camera was moved, and
+    what share of it is hidden; '' for nothing."""
     found = obj.data.get(FOUND, {})
-    texts = {
-        "exposure_ev": "{:+.2f} EV",
-        "moved_pixels": tr("moved {:.1f} px"),
-        "hidden": tr("{:.0%} hidden"),
-    }
+    texts = {"exposure_ev": "{:+.2f} EV", "moved_pixels": "{:.1f} px", "hidden": tr("{:.0%} hidden")}
     return ", ".join(text.format(found[name]) for name, text in texts.items() if name in found)
 
 
 def look_through(settings, context):
-    """Makes the chosen photograph's camera the scene's camera."""
-    row = settings.photograph
-    if 0 <= row < len(bpy.data.objects) and bpy.data.objects[row] in of(splat_object.root_of(context.object)):
-        context.scene.camera = bpy.data.objects[row]
+    """Makes the chosen photograph's camera the scene's camera, and looks through it in the 3D view in which
+    it was chosen."""
+    row, shown = settings.photograph, of(splat_object.root_of(context.object))
+    if not 0 <= row < len(bpy.data.objects) or bpy.data.objects[row] not in shown:
+        return
+    context.scene.camera = bpy.data.objects[row]
+    if getattr(context.space_data, "region_3d", None) is not None:
+        context.space_data.region_3d.view_perspective = "CAMERA"

@@ -65,7 +65,7 @@ def test_the_list_of_photographs_shows_what_was_found_and_looks_through_their_ca
     view.photograph = bpy.data.objects.find(root.name)
     assert bpy.context.scene.camera == cameras[5]
     photographs.store(root, {"03.png": {"moved_pixels": 1.25, "hidden": 0.5}})
-    assert photographs.about(cameras[3]) == "moved 1.2 px, 50% hidden" and not photographs.about(cameras[5])
+    assert photographs.about(cameras[3]) == "1.2 px, 50% hidden" and not photographs.about(cameras[5])
 
 
 def test_it_is_stopped_and_resumed_like_any_job(root, watch, bridge):
