@@ -12,7 +12,7 @@ import pytest
 
 from colmap_model import write_colmap
 from plans import prune_settings
-from svrgs_addon.files.registry import read_scene
+from svrgs_addon.files.registry import read_scene, write_scene
 from svrgs_addon.finetune import checkpoint
 from svrgs_addon.finetune.engine import NativeEngine, Step
 from svrgs_addon.finetune.model import Model
@@ -20,6 +20,8 @@ from svrgs_addon.finetune.poses import Poses
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.settings import Rates
 from svrgs_addon.native.rasterizer import Rasterizer, RenderOptions
+from svrgs_addon.prune.context import JobContext
+from svrgs_addon.prune.photographs import in_its_colours, prepared
 from svrgs_addon.render.pose_alignment import aligned
 from svrgs_addon.scene.camera import Camera
 from svrgs_addon.views.cameras_json import load_cameras_json
@@ -52,7 +54,7 @@ def shaken(tiny, tmp_path) -> Path:
 @pytest.fixture
 def splat(tiny, tmp_path) -> Path:
     """A splat that shows the photographs well."""
-    shutil.copy(tiny.splat, tmp_path / "splat.ply")
+    write_scene(tmp_path / "splat.ply", tiny.truth)
     return tmp_path / "splat.ply"
 
 
@@ -126,6 +128,28 @@ def test_what_a_mask_hides_moves_no_view(tiny):
     assert beside(camera, replace(camera, viewmat=found[0]), tiny.truth.means) < 0.1
 
 
+def test_masked_pixels_do_not_count_as_brightness(tiny):
+    r, options, camera = Rasterizer(), RenderOptions(picture_only=True), tiny.cameras[0]
+    valid = np.ones((camera.height, camera.width), np.uint8)
+    valid[:, :26] = 0
+    photo = np.float32(0.6) * r.forward(tiny.truth, camera)["rgb"] + np.float32(0.3)
+    found = aligned(tiny.truth, camera.masked(valid), photo, r, options)
+    assert beside(camera, found.camera(), tiny.truth.means) < 0.05
+
+
+@pytest.mark.parametrize("size", [(2400, 8), (8, 2400), (3, 2)])
+def test_pictures_of_any_shape_are_compared(tiny, size):
+    camera = tiny.cameras[0].resized(*size)
+    data = replace(load_dataset(tiny.folder), cameras=[camera], train_indices=[0], test_indices=[], photos=[])
+    photo = Rasterizer().forward(tiny.truth, camera)["rgb"].clip(0, 1)
+    data._cache[0] = photo
+    plan = replace(prune_settings("removal", 2, 2, target=100), exposure="auto", refine_poses="auto")
+    found = prepared(
+        tiny.truth, in_its_colours(tiny.truth, data, plan).dataset, plan, JobContext(Path("o.ply"))
+    )
+    assert (found.plan.exposure, found.plan.refine_poses, found.notes) == ("off", "off", [])
+
+
 def test_a_view_that_shows_nothing_stays(tiny):
     camera = tiny.cameras[0]
     away = replace(camera, viewmat=np.diag([-1.0, 1, -1, 1]) @ camera.viewmat)
@@ -153,8 +177,8 @@ def test_poses_that_are_off_are_found_and_refined(tiny, splat, shaken, tmp_path,
     assert note_of(plain).endswith("--refine-poses on moves the cameras")
     assert note_of(found).endswith("so poses are refined")
     assert found["psnr"] > plain["psnr"] + 1 and found["psnr_aligned"] > plain["psnr"] + 1
-    assert plain["poses"] is None and found["poses"]["file"] == str(tmp_path / "o_cameras.json")
-    written = load_cameras_json(tmp_path / "o_cameras.json")
+    assert plain["poses"] is None and found["poses"]["file"] == str(tmp_path / "o_refined_cameras.json")
+    written = load_cameras_json(tmp_path / "o_refined_cameras.json")
     assert [camera.name for camera in written] == [f"{number:02}.png" for number in TRAINED]
     assert mean_beside(load_dataset(shaken).cameras, tiny) > 3 * mean_beside(written, tiny)
 
@@ -167,14 +191,14 @@ def test_right_poses_are_kept_and_change_no_bit(tiny, splat, tmp_path, svrgs):
     assert (tmp_path / "off.ply").read_bytes() == (tmp_path / "auto.ply").read_bytes()
     for one in found:
         assert one["notes"] == [] and one["compared"]["aligned_db"] < 0.2 and "psnr_aligned" not in one
-    assert not [*tmp_path.glob("*_cameras.json")]
+    assert not [*tmp_path.glob("*_refined_cameras.json")]
 
 
 def test_poses_of_an_earlier_result_go(splat, shaken, tmp_path, svrgs):
     pruned(svrgs, splat, shaken, tmp_path / "o.ply", "--refine-poses", "on")
-    assert (tmp_path / "o_cameras.json").exists()
+    assert (tmp_path / "o_refined_cameras.json").exists()
     pruned(svrgs, splat, shaken, tmp_path / "o.ply", "--refine-poses", "off", "--overwrite")
-    assert not (tmp_path / "o_cameras.json").exists()
+    assert not (tmp_path / "o_refined_cameras.json").exists()
 
 
 def test_eval_measures_after_alignment_if_asked(splat, shaken, svrgs):
@@ -188,9 +212,9 @@ def test_training_refines_poses_if_it_is_told_to(tiny, shaken, tmp_path, svrgs):
     words = ["train", "--data", shaken, "--iterations", 200]
     for way in ("auto", "on"):
         svrgs(*words, "--refine-poses", way, "--out", tmp_path / f"{way}.ply", "--json")
-    assert [path.name for path in tmp_path.glob("*_cameras.json")] == ["on_cameras.json"]
+    assert [path.name for path in tmp_path.glob("*_refined_cameras.json")] == ["on_refined_cameras.json"]
     before = mean_beside(load_dataset(shaken).cameras, tiny)
-    assert mean_beside(load_cameras_json(tmp_path / "on_cameras.json"), tiny) < before
+    assert mean_beside(load_cameras_json(tmp_path / "on_refined_cameras.json"), tiny) < before
 
 
 def test_a_run_that_is_taken_up_again_gives_the_same_poses(splat, shaken, tmp_path):

@@ -60,4 +60,4 @@ def rate_at(iteration: int, total: int) -> float:
 
 def file_of(out: Path) -> Path:
     """Where the poses of a result are written, as cameras.json of 3DGS."""
-    return out.with_name(f"{out.stem}_cameras.json")
+    return out.with_name(f"{out.stem}_refined_cameras.json")

@@ -21,6 +21,7 @@ from ..prune.door import check_view_options, check_views, check_visible
 from ..prune.duration import pace_of
 from ..prune.expected_count import expected_count, expected_order, seen_by_some
 from ..prune.options import PruneOptions
+from ..prune.photographs import in_its_colours
 from ..prune.plans import dataset_of_pruning, plan_of_pruning
 from ..prune.quality_forecast import forecast
 from ..prune.recipes.quick import like_quick
@@ -58,7 +59,9 @@ def estimate(options: PruneOptions) -> dict:
     loaded = time.perf_counter() - begun
     check_views(scene, dataset.cameras, dataset.train_indices, "the splat")
     plan = plan_of_pruning(options)
-    doubts = _doubts(scene, dataset, options.force)
+    toned = in_its_colours(scene, dataset, plan)
+    dataset = toned.dataset
+    doubts = [*toned.notes, *_doubts(scene, dataset, options.force)]
     if plan.max_drop:
         dataset = hold_apart(dataset)
     pace, seen = pace_of(scene, dataset, plan), seen_by_some(scene, dataset, plan)

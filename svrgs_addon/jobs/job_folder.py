@@ -23,7 +23,7 @@
     probability.npy                                  if masks were learned
     trained.ply, result.json                         the result of a job that trains
     recovered_exposure.json, trained_exposure.json   if exposure was fitted (finetune/exposure.py)
-    recovered_cameras.json, trained_cameras.json   if poses were refined (finetune/poses.py)
+    recovered_refined_cameras.json, trained_refined_cameras.json   if poses were refined (finetune/poses.py)
 
 A job whose state is not renewed for STALE seconds counts as interrupted. The folder is read like a file of a
 stranger: options are checked by name, type and range, arrays by shape and dtype, sizes of JSON files by
@@ -110,7 +110,7 @@ _FILES = (
     "probability.npy",
     "trained.ply",
     "*_exposure.json",
-    "*_cameras.json",
+    "*_refined_cameras.json",
     "result.json",
     MERGED,
     ORDER,

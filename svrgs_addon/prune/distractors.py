@@ -16,12 +16,14 @@ from ..native.rasterizer import Rasterizer
 from ..render.metrics.evaluate import render_options
 from ..scene.camera import Camera
 from ..scene.gaussians import SH_C0, Scene
+from ..system.errors import SceneError
 from ..views.dataset import Dataset
-from ..views.reduced_photos import photo_of
-from .compared_views import reduction
+from ..views.reduced_photos import photo_of, reduction_to
+from .compared_views import SIDE
 
 TIMES, MORE = 3.0, 0.03  # an outlier errs by so many times the expected residual, and so much more, of 0..1
 SEEN = 1.0  # sum of alpha T, from which on other views say what a Gaussian errs
+FILLED = 0.5  # alpha: where the splat shows less, it is not known what is there
 DARK = 0.05  # of 0..1: darker colours say nothing about exposure
 NEIGHBOURS, PATCH = 3, 9  # sides in pixels of a reduced picture
 SHARES = 0.5, 0.3  # of outliers, from which on a neighbourhood and a patch count
@@ -30,19 +32,24 @@ SHARES = 0.5, 0.3  # of outliers, from which on a neighbourhood and a patch coun
 def without_distractors(scene: Scene, dataset: Dataset) -> tuple[Dataset, str]:
     """The dataset in whose training views distractors do not count, and a sentence for the user. Raises
     FormatError, SceneError."""
-    cameras, shares = list(dataset.cameras), dict[int, float]()
+    cameras, shares, hidden = list(dataset.cameras), dict[int, float](), list[str]()
     for index, found in distractors_of(scene, dataset).items():
         before = cameras[index]
         if found.any():
             valid = ~_resized(found, before)
             cameras[index] = before.masked(valid if before.valid is None else valid & (before.valid != 0))
         shares[index] = before.valid_share - cameras[index].valid_share
+        hidden += [before.name] if not cameras[index].valid_share else []
+    left = [index for index in dataset.train_indices if cameras[index].name not in hidden]
+    if not left:
+        raise SceneError("every photograph is full of distractors: leave out --mask-distractors")
     most = max(shares, key=lambda index: shares[index])
     sentence = (
         f"distractors cover {np.mean(list(shares.values())):.1%} of the photographs, at most"
         f" {shares[most]:.1%} of one ({cameras[most].name}), and do not count there"
     )
-    return replace(dataset, cameras=cameras, _cache={}), sentence
+    sentence += f"; nothing is left of {', '.join(hidden)}" if hidden else ""
+    return replace(dataset, cameras=cameras, train_indices=left, _cache={}), sentence
 
 
 def _resized(marked: np.ndarray, camera: Camera) -> np.ndarray:
@@ -71,7 +78,7 @@ def distractors_of(scene: Scene, dataset: Dataset) -> dict[int, np.ndarray]:
 
     views, sums = dict[int, tuple[Camera, np.ndarray]](), np.zeros((2, scene.count))
     for index in dataset.train_indices:
-        factor = reduction(dataset.cameras[index])
+        factor = reduction_to(SIDE, dataset.cameras[index])
         camera = dataset.cameras[index].reduced(factor)
         photo = photo_of(camera, dataset.image(index), np.dtype(np.float32), factor)
         views[index] = camera, _error(rasterizer.forward(scene, camera, options)["rgb"], photo)
@@ -82,17 +89,22 @@ def distractors_of(scene: Scene, dataset: Dataset) -> dict[int, np.ndarray]:
         means = np.where(weights > SEEN, errors / np.maximum(weights, SEEN), 1.0)
         colours = ((means - 0.5) / SH_C0).astype(np.float32)
         expected = replace(scene, sh=np.repeat(colours[:, None, None], 3, axis=2))
-        picture = rasterizer.forward(expected, camera, black)["rgb"][..., 0]
-        found[index] = _patches(error > TIMES * picture + MORE)
+        shown = rasterizer.forward(expected, camera, black, outputs=("rgb", "alpha"))
+        alpha = np.maximum(shown["alpha"], FILLED)
+        outliers = error > TIMES * shown["rgb"][..., 0] / alpha + MORE
+        found[index] = _patches(outliers & (shown["alpha"] >= FILLED))
     return found
 
 
 def _error(picture: np.ndarray, photo: np.ndarray) -> np.ndarray:
     """The mean absolute difference of the channels, (H, W), after each was multiplied by the median ratio,
     which distractors do not change: exposure does not count."""
-    bright = np.where(picture > DARK, picture, np.nan)
-    gains = np.nan_to_num(np.nanmedian(photo / bright, axis=(0, 1)), nan=1.0)
-    return np.abs(photo - gains * picture).mean(axis=2, dtype=np.float32)
+    bright = [picture[..., k] > DARK for k in range(3)]
+    gains = [
+        np.median(photo[one, k] / picture[one, k]) if one.any() else np.float32(1)
+        for k, one in enumerate(bright)
+    ]
+    return np.abs(photo - np.stack(gains) * picture).mean(axis=2, dtype=np.float32)
 
 
 def _patches(outliers: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ from ..render.metrics.evaluate import Renderable, refuse_unseen
 from ..scene.camera import Camera
 from ..scene.gaussians import Scene
 from ..system.errors import SceneError
-from ..system.option_kinds import default_of, flag_of
+from ..system.option_kinds import SWITCH, default_of, flag_of, options_of
 from .options import DatasetOptions, PruneOptions
 
 OF_PHOTOGRAPHS = (  # options
@@ -84,9 +84,14 @@ def check_options(options: Any, takes: Collection[str], way: str):
 
 
 def given(options: Any) -> list[str]:
-    """The names of the options that differ from their defaults."""
-    cls = type(options)
-    return [name for name in cls.__dataclass_fields__ if getattr(options, name) != default_of(cls, name)]
+    """The names of the options that differ from their defaults. A switch that is off asks for nothing."""
+    cls, kinds = type(options), options_of(type(options))
+    return [
+        name
+        for name in cls.__dataclass_fields__
+        if getattr(options, name) != default_of(cls, name)
+        and not (name in kinds and kinds[name].kind is SWITCH and getattr(options, name) == "off")
+    ]
 
 
 def check_visible(scene: Scene, name: str):

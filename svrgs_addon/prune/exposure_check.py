@@ -50,8 +50,8 @@ class Spread:
 def spread_of(scene: Scene, dataset: Dataset) -> Spread:
     """Raises FormatError, SceneError."""
     stops, errors = list[float](), list[float]()
-    for photo, shown, _ in compared_views(scene, dataset, VIEWS):
-        brighter = _brighter(photo, shown)
+    for photo, shown, comparable in compared_views(scene, dataset, VIEWS):
+        brighter = np.where(comparable, _brighter(photo, shown), np.nan)
         if np.isfinite(brighter).mean() > LEAST:
             stops.append(float(np.nanmedian(brighter)))
             errors += _errors(brighter)
@@ -72,5 +72,6 @@ def _errors(brighter: np.ndarray) -> list[float]:
     """The standard error of a picture's value, from its patches; empty if there are too few."""
     strips = np.array_split(brighter, PATCHES)
     patches = [patch for strip in strips for patch in np.array_split(strip, PATCHES, axis=1)]
-    values = [np.nanmedian(patch) for patch in patches if np.isfinite(patch).mean() > LEAST]
+    enough = lambda patch: patch.size and np.isfinite(patch).mean() > LEAST
+    values = [np.nanmedian(patch) for patch in filter(enough, patches)]
     return [float(np.std(values, ddof=1) / math.sqrt(len(values)))] if len(values) > 1 else []

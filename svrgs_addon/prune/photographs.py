@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
+from ..finetune.checkpoint import newest_manifest
 from ..finetune.plan import Plan
 from ..scene.gaussians import Scene
 from ..views.dataset import Dataset
 from ..views.rendered import RenderedDataset
+from .context import JobContext
 from .distractors import without_distractors
 from .exposure_check import spread_of
 from .pose_check import offset_of, with_aligned_poses
@@ -22,20 +24,31 @@ class Prepared:
 
     dataset: Dataset
     plan: Plan
-    notes: list[str]
-    facts: dict[str, float]
+    notes: list[str] = field(default_factory=list)
+    facts: dict[str, float] = field(default_factory=dict)
 
 
-def prepared(scene: Scene, dataset: Dataset, plan: Plan) -> Prepared:
-    """Compares tone, exposure and poses, in this order, and then masks distractors if that is asked for. The
-    splat's own pictures need nothing. Raises FormatError, SceneError."""
+def in_its_colours(scene: Scene, dataset: Dataset, plan: Plan) -> Prepared:
+    """Compares the tone: it goes before the question whether splat and photographs belong together. Raises
+    FormatError, SceneError."""
     if isinstance(dataset, RenderedDataset):
-        return Prepared(dataset, replace(plan, exposure="off", refine_poses="off"), [], {})
+        return Prepared(dataset, plan)
     tone = tone_of(scene, dataset)
     matched = tone.differs and plan.exposure != "off"
-    notes = [tone.sentence(matched)] if tone.differs else []
-    dataset = with_tone(dataset, tone) if matched else dataset
-    facts = {"tone_db": tone.after - tone.before}
+    return Prepared(
+        with_tone(dataset, tone) if matched else dataset,
+        plan,
+        [tone.sentence(matched)] if tone.differs else [],
+        {"tone_db": tone.after - tone.before},
+    )
+
+
+def prepared(scene: Scene, dataset: Dataset, plan: Plan, job: JobContext) -> Prepared:
+    """Compares exposure and poses, in this order, and then masks distractors if that is asked for. The
+    splat's own pictures need nothing. Raises FormatError, SceneError, Cancelled."""
+    if isinstance(dataset, RenderedDataset):
+        return Prepared(dataset, replace(plan, exposure="off", refine_poses="off"))
+    notes, facts = list[str](), dict[str, float]()
     if plan.exposure == "auto":
         spread = spread_of(scene, dataset)
         plan = replace(plan, exposure="on" if spread.varies else "off")
@@ -47,7 +60,10 @@ def prepared(scene: Scene, dataset: Dataset, plan: Plan) -> Prepared:
     refined = plan.refine_poses == "on"
     notes += [offset.sentence(refined)] if offset.off else []
     facts |= {"beside_pixels": offset.pixels, "aligned_db": offset.gain}
-    dataset = with_aligned_poses(scene, dataset) if refined else dataset
+    resumed = job.resume and newest_manifest(job.folder) is not None  # its checkpoint has the poses
+    if refined and (plan.max_drop or not resumed):
+        # an allowed drop is decided and measured in held-out views, which must not be off either
+        dataset = with_aligned_poses(scene, dataset, bool(plan.max_drop), job.part, job.stop)
     if plan.mask_distractors:
         dataset, sentence = without_distractors(scene, dataset)
         notes.append(sentence)

@@ -8,6 +8,7 @@ Where all views move forwards or backwards, the splat has another size, and that
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,6 +18,7 @@ from ..render.metrics.evaluate import picture_options
 from ..render.pose_alignment import AHEAD, SIDES, Aligned, aligned, beside, error_of
 from ..scene.camera import Camera, evenly
 from ..scene.gaussians import Scene
+from ..system.errors import Cancelled
 from ..views.dataset import Dataset
 
 VIEWS, COARSE = 8, (150,)  # views that are compared, at most, and the longer side of their pictures, about
@@ -79,25 +81,41 @@ def _halves(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     return white * valid, (1 - white) * valid
 
 
-def with_aligned_poses(scene: Scene, dataset: Dataset) -> Dataset:
-    """The dataset whose training views were moved to where the splat shows their photographs. Raises
-    FormatError, SceneError."""
+def with_aligned_poses(
+    scene: Scene,
+    dataset: Dataset,
+    held_out: bool = False,
+    part: Callable[[str, float], None] = lambda *_: None,
+    stop: Callable[[], bool] = lambda: False,
+) -> Dataset:
+    """The dataset whose training views were moved to where the splat shows their photographs. held_out: the
+    others too. part: is told the progress, as in JobContext. stop: asked after each view. Raises FormatError,
+    SceneError, Cancelled."""
     cameras = list(dataset.cameras)
-    moved = _aligned(scene, dataset, {index: cameras[index] for index in dataset.train_indices}, SIDES)
-    common = _common(moved)
+    views = range(len(cameras)) if held_out else dataset.train_indices
+    moved = _aligned(scene, dataset, {index: cameras[index] for index in views}, SIDES, part, stop)
+    common = _common({index: moved[index] for index in dataset.train_indices})
     for index, one in moved.items():
         cameras[index] = one.camera(common)
     return replace(dataset, cameras=cameras)
 
 
 def _aligned(
-    scene: Scene, dataset: Dataset, cameras: dict[int, Camera], sides: tuple[int, ...]
+    scene: Scene,
+    dataset: Dataset,
+    cameras: dict[int, Camera],
+    sides: tuple[int, ...],
+    part: Callable[[str, float], None] = lambda *_: None,
+    stop: Callable[[], bool] = lambda: False,
 ) -> dict[int, Aligned]:
     rasterizer, options = Rasterizer(), picture_options(scene, dataset.background)
-    return {
-        index: aligned(scene, camera, dataset.image(index), rasterizer, options, sides)
-        for index, camera in cameras.items()
-    }
+    moved = dict[int, Aligned]()
+    for index, image in dataset.stream(cameras):
+        moved[index] = aligned(scene, cameras[index], image, rasterizer, options, sides)
+        part("aligning the photographs", len(moved) / len(cameras))
+        if stop():
+            raise Cancelled("stopped while the photographs were aligned; nothing was changed")
+    return moved
 
 
 def _common(moved: dict[int, Aligned]) -> np.ndarray:

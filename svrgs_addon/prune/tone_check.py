@@ -14,6 +14,7 @@ from .compared_views import compared_views
 
 VIEWS = 24  # that are compared, at most
 QUANTILES = 257  # of colours, which the curve leads from those of the photographs to those of the splat
+LEAST, PIXELS = 0.05, 100  # share of the pictures, and pixels, that the splat must fill
 DIFFERS = 3.0  # dB: the colours differ if the curve gains more, in views that it was not taken from
 
 
@@ -43,17 +44,21 @@ class Tone:
 
 
 def tone_of(scene: Scene, dataset: Dataset) -> Tone:
-    """The curve of every other view, and what it gains in the others. Raises FormatError, SceneError."""
-    pairs = list[tuple[np.ndarray, np.ndarray]]()
-    for photo, shown, valid in compared_views(scene, dataset, VIEWS):
-        counts = slice(None) if valid is None else valid != 0
-        pairs.append((photo[counts].reshape(-1, 3), shown[counts].clip(0, 1).reshape(-1, 3)))
+    """The curve of every other view, and what it gains in the others; a gain of 0 if the splat fills too
+    little of them. Raises FormatError, SceneError."""
+    pairs, filled = list[tuple[np.ndarray, np.ndarray]](), list[float]()
+    for photo, shown, comparable in compared_views(scene, dataset, VIEWS):
+        pairs.append((photo[comparable], shown[comparable].clip(0, 1)))
+        filled.append(float(comparable.mean()))
     others = pairs[1::2] or pairs
+    fewest = min(sum(len(photo) for photo, _ in some) for some in (pairs[::2], others))
+    if fewest < PIXELS or np.mean(filled) < LEAST:
+        return Tone(np.tile(np.linspace(0, 1, 256, dtype=np.float32), (3, 1)), 0.0, 0.0)
     curve = _curve(*(np.concatenate(side) for side in zip(*pairs[::2], strict=True)))
     errors = np.zeros(2)
     for photo, shown in others:
-        errors += np.square(photo - shown).mean(), np.square(toned(photo, curve) - shown).mean()
-    before, after = -10 * np.log10(errors / len(others) + 1e-12)
+        errors += np.square(photo - shown).sum(), np.square(toned(photo, curve) - shown).sum()
+    before, after = -10 * np.log10(errors / sum(photo.size for photo, _ in others) + 1e-12)
     return Tone(curve, float(before), float(after))
 
 
@@ -63,10 +68,10 @@ def with_tone(dataset: Dataset, tone: Tone) -> Dataset:
 
 
 def _curve(photo: np.ndarray, shown: np.ndarray) -> np.ndarray:
-    """The curve that gives colours (n, 3) of photographs the distribution of those that are shown."""
-    places, values = np.linspace(0, 1, QUANTILES), np.linspace(0, 1, 256)
-    channels = [
-        np.interp(values, np.quantile(photo[:, k], places), np.quantile(shown[:, k], places))
-        for k in range(3)
-    ]
+    """The curve that gives colours (n, 3) of photographs the distribution of those that are shown. Beyond
+    them, it is straight, to black and to white."""
+    places, values, channels = np.linspace(0, 1, QUANTILES), np.linspace(0, 1, 256), []
+    for k in range(3):
+        ends = (np.r_[0, np.quantile(one[:, k], places), 1] for one in (photo, shown))
+        channels.append(np.interp(values, *ends))
     return np.stack(channels).astype(np.float32)

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..native.rasterizer import RenderOptions
 from ..scene.camera import Camera
-from ..views.reduced_photos import photo_of
+from ..views.reduced_photos import photo_of, reduction_to
 
 SIDES, ROUNDS = (100, 300), 4  # longer sides in pixels, about, and steps with each
 STEP = 0.25  # pixels, of the differences
@@ -24,7 +24,7 @@ DAMPING, LESS, MORE = (
     10.0,
 )  # at first; its factor after a step that helped, and after one that did not
 ENOUGH = 0.02  # pixels: a smaller step is the last
-FARTHEST = 30.0  # pixels: no motion is larger
+FARTHEST = 0.05  # of the longer side: no motion is larger
 AHEAD = np.eye(6)[5]  # the part of a motion that goes forwards
 POINTS = 10_000  # of which a depth and a distance are taken
 
@@ -58,8 +58,10 @@ def aligned(
         def render(motion: np.ndarray, small=small) -> np.ndarray:
             return rasterizer.forward(scene, small.displaced(motion * unit), options)["rgb"]
 
-        motion = _minimised(render, photo, motion, factor)
-    if np.abs(motion).max() > FARTHEST or _error(render(motion), photo) >= _error(render(still), photo):
+        motion = _minimised(render, photo, _weights(small), motion, factor)
+    weights, far = _weights(small), FARTHEST * max(camera.width, camera.height)
+    before, after = (_error(render(some), photo, weights) for some in (still, motion))
+    if np.abs(motion).max() > far or after >= before:
         motion = still
     return Aligned(camera, motion, unit)
 
@@ -78,56 +80,60 @@ def error_of(
     """The mean squared difference that aligned() makes small, of pictures of this size, in the pose of the
     camera."""
     small, _, photo = _reduced(camera, image, side)
-    return _error(rasterizer.forward(scene, small, options)["rgb"], photo)
+    return _error(rasterizer.forward(scene, small, options)["rgb"], photo, _weights(small))
 
 
 def _reduced(camera: Camera, image: np.ndarray, side: int) -> tuple[Camera, int, np.ndarray]:
     """The view whose longer side has about so many pixels, by what it was reduced, and its photograph."""
-    factor = camera.reducible(max(1, max(camera.width, camera.height) // side))
+    factor = reduction_to(side, camera)
     small = camera.reduced(factor)
     return small, factor, photo_of(small, image, np.dtype(np.float32), factor)
 
 
-def _minimised(render, photo: np.ndarray, motion: np.ndarray, factor: int) -> np.ndarray:
+def _weights(camera: Camera) -> np.ndarray:
+    """(H W,) float32: the same for all pixels that count, 0 for the others, of sum 1."""
+    valid = np.ones(camera.width * camera.height) if (found := camera.valid) is None else found.ravel()
+    return (valid / max(1.0, valid.sum(dtype=np.float64))).astype(np.float32)
+
+
+def _minimised(render, photo: np.ndarray, weights: np.ndarray, motion: np.ndarray, factor: int) -> np.ndarray:
     """The motion in pixels from which the picture is nearest to the photograph, from a motion near it."""
     picture, ahead, damping = render(motion), STEP * factor, DAMPING
-    gains, residual = _matched(picture, photo)
+    gains, residual = _matched(picture, photo, weights)
     columns = [(render(motion + ahead * axis) - picture) * (gains / ahead) for axis in np.eye(6)]
     jacobian = np.stack([column.ravel() for column in columns])  # near enough for all steps
-    normal, error = (jacobian @ jacobian.T).astype(np.float64), _error(picture, photo)
+    normal, error = (jacobian @ jacobian.T).astype(np.float64), _error(picture, photo, weights)
     for _ in range(ROUNDS):
         slope = (jacobian @ residual.ravel()).astype(np.float64)
         step = np.linalg.solve(normal + np.diag(damping * normal.diagonal() + 1e-12), slope)
         if np.abs(step).max() < ENOUGH * factor:
             break
         picture = render(motion + step)
-        if (new := _error(picture, photo)) < error:
+        if (new := _error(picture, photo, weights)) < error:
             motion, error, damping = motion + step, new, damping * LESS
-            residual = _matched(picture, photo)[1]
+            residual = _matched(picture, photo, weights)[1]
         else:
             damping *= MORE
     return motion
 
 
-def _error(picture: np.ndarray, photo: np.ndarray) -> float:
-    return float(np.square(_matched(picture, photo)[1]).mean(dtype=np.float64))
+def _error(picture: np.ndarray, photo: np.ndarray, weights: np.ndarray) -> float:
+    squares = np.square(_matched(picture, photo, weights)[1]).reshape(-1, 3).sum(axis=1)
+    return float(weights.astype(np.float64) @ squares) / 3
 
 
-def _matched(picture: np.ndarray, photo: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The gain of each channel with which the picture is nearest to the photograph, and what is left: photo
-    less picture, (H, W, 3)."""
-    ones = np.full(
-        picture[..., 0].size, 1 / picture[..., 0].size, np.float32
-    )  # a product is faster than a mean
-    means = ones @ picture.reshape(-1, 3), ones @ photo.reshape(-1, 3)
-    centred, wanted = picture - means[0], photo - means[1]
-    products = [(ones @ (centred * one).reshape(-1, 3)) for one in (wanted, centred)]
+def _matched(picture: np.ndarray, photo: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The gain of each channel with which the picture is nearest to the photograph in the pixels that count,
+    and what is left there: photo less picture, (H, W, 3)."""
+    flat = picture.reshape(-1, 3), photo.reshape(-1, 3)
+    centred, wanted = (one - weights @ one for one in flat)  # products are faster than means
+    products = [weights @ (centred * one) for one in (wanted, centred)]
     gains = products[0] / np.maximum(products[1], 1e-12)
-    return gains, wanted - gains * centred
+    return gains, ((wanted - gains * centred) * (weights > 0)[:, None]).reshape(picture.shape)
 
 
 def in_view(means: np.ndarray, camera: Camera) -> np.ndarray:
-    """(n, 3) float64: some of the centres (N, 3) that the camera sees, in its frame at first."""
+    """(n, 3) float64, world: some of the centres (N, 3) that the camera sees."""
     points = means[:: max(1, len(means) // POINTS)].astype(np.float64)
     local = points @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
     inside = (local[:, 2] > 0) & ((pixels := camera.pixels(local)) >= 0).all(axis=1)
@@ -135,8 +141,8 @@ def in_view(means: np.ndarray, camera: Camera) -> np.ndarray:
 
 
 def pixel_motion(camera: Camera, points: np.ndarray) -> np.ndarray:
-    """(6,) radians and world units: motions (Camera.displaced) by about a pixel of this view, in which points
-    (n, 3), world, are seen."""
+    """(6,) radians and world units: motions (Camera.displaced) by about a pixel of this view, which is in
+    perspective, and in which points (n, 3), world, are seen."""
     depth = float(np.median(points @ camera.viewmat[2, :3] + camera.viewmat[2, 3]))
     return np.repeat([1.0, depth], 3) / camera.K[0, 0]
 

@@ -16,6 +16,12 @@ def fitting_reduction(factor: int, width: int, height: int) -> int:
     return factor
 
 
+def reduction_to(side: int, camera: Camera) -> int:
+    """By what a view is reduced so that its longer side has about `side` pixels, and its shorter one some."""
+    factor = min(max(camera.width, camera.height) // side, min(camera.width, camera.height) // MIN_SIDE)
+    return camera.reducible(max(1, factor))
+
+
 def as_real(image: np.ndarray, dtype, factor: int = 1) -> np.ndarray:
     """A photograph for the loss: (H // factor, W // factor, 3) of the given dtype, display sRGB in 0..1.
 
@@ -38,7 +44,7 @@ def as_real(image: np.ndarray, dtype, factor: int = 1) -> np.ndarray:
 def photo_of(camera: Camera, image: np.ndarray, dtype, factor: int) -> np.ndarray:
     """as_real() of the photograph of a view; 0 where pixels do not count, also where a part of them does not.
     camera: reduced by the factor."""
-    photo, valid = as_real(image, dtype, factor), camera.valid
+    photo, valid = as_real(image, dtype, factor), camera.valid if factor > 1 else None
     return photo if valid is None else photo * valid[..., None]
 
 

@@ -331,6 +331,7 @@ class LearnedByBlocks(ByBlocks):
             result |= _of_drop(result, result["before"]["psnr"] - result["psnr"], self.goal)
             if not self.dataset.deciding_indices:
                 result["notes"].append(NOT_APART)
+        result["notes"].append("by blocks, tone, exposure and poses of photographs are taken as they are")
         result = self.of_prune(result, "")
         job = self.job
         if job.report:

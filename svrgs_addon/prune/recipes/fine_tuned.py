@@ -34,7 +34,7 @@ from ...native.rasterizer import Rasterizer, RenderOptions
 from ...render.metrics.evaluate import evaluate, mean_psnr, render_options
 from ...render.metrics.max_drop import format_loss, missed_drop
 from ...render.pose_alignment import beside
-from ...scene.camera import Camera, spaced
+from ...scene.camera import spaced
 from ...scene.gaussians import Scene
 from ...system import memory
 from ...system.errors import SceneError
@@ -49,7 +49,7 @@ from ..disk_room import ROW, DiskRoom
 from ..door import check_training, check_views, check_visible
 from ..first_cut import first_cut
 from ..likeness import assumed_drop
-from ..photographs import prepared
+from ..photographs import in_its_colours, prepared
 from ..planning import pruning_within
 from ..report.prune_report import report_pictures, write_prune_report
 
@@ -64,7 +64,7 @@ class Tuned:
     source: Scene  # between open() and select()
     scene: Scene  # from tune() on
     run: Run
-    given: list[Camera]  # the cameras of the dataset as it was read; from check() on
+    given: Dataset  # as it was read; from check() on
 
     def __init__(self, plan: Plan, job: JobContext, seconds: float = 0.0):
         """seconds: that the job may take; 0: no limit."""
@@ -84,7 +84,7 @@ class Tuned:
         run = Run(self.model, dataset, plan, make_engine(job.engine), self.model.metadata["antialiased"])
         if run.recovery_pruning:
             run.recovery_pruning.start = self.held
-        identity = checkpoint.identity_of(self.model, dataset, plan, job.engine)
+        identity = checkpoint.identity_of(self.model, self.given, plan, job.engine)
         if job.resume:
             checkpoint.restore(run, job.folder, identity)
             self.clock.earlier = sum(run.seconds.values())
@@ -113,7 +113,9 @@ class Tuned:
 
     def write_fitted(self):
         """What was fitted to the photographs, beside the result; of an earlier result under this name it
-        goes."""
+        goes. Without photographs nothing is touched."""
+        if isinstance(self.dataset, RenderedDataset):
+            return
         run, out, cameras = self.run, self.job.out, self.run.training_cameras
         if run.exposures:
             names = [camera.name for camera in cameras]
@@ -135,7 +137,8 @@ class Tuned:
         return self.dataset.test_indices or ([] if own else self.dataset.train_indices)
 
     def measured(self, scene: Scene, path: Path) -> dict[str, Any]:
-        """The figures of `svrgs eval` for a scene. path: its file, for the size in bytes."""
+        """The figures of `svrgs eval` for a scene, on photographs in its colours. path: its file, for the
+        size in bytes."""
         fitted = self.plan.exposure == "on", self.plan.refine_poses == "on"
         figures = evaluate(scene, self.dataset, self.measuring, Rasterizer(), self.job.lpips, *fitted)
         return {**figures, "bytes": size_on_disk(path)}
@@ -190,7 +193,7 @@ class Tuned:
                 found[camera.name]["exposure_ev"] = float(ev)
         for view, camera in zip(run.places, run.training_cameras, strict=True):
             if run.poses:
-                moved = beside(self.given[view], camera, self.scene.means)
+                moved = beside(self.given.cameras[view], camera, self.scene.means)
                 found[camera.name]["moved_pixels"] = moved
             if camera.valid_bits is not None:
                 found[camera.name]["hidden"] = 1 - camera.valid_share
@@ -235,23 +238,27 @@ class FineTuned(Tuned):
         check_request(dataset, plan)
         refuse_lost_order(plan, self.job)
         check_views(source, dataset.cameras, dataset.train_indices, str(self.path))
-        with self.clock.phase("compare photographs"):
-            self.given = dataset.cameras
-            self.prepared = photographs = prepared(source, dataset, plan)
-        self.dataset, self.plan = dataset, plan = photographs.dataset, photographs.plan
-        self.notes += photographs.notes
-        found, self.seen = check_dataset(source, dataset, str(self.path), self.job.force)
-        for note in found:
-            logging.warning("%s", note)
-        self.notes += found
-        if plan.max_drop:
-            self.dataset = dataset = hold_apart(dataset)
-            if self.measuring and not dataset.deciding_indices:
-                self.notes.append(NOT_APART)
         needed = refuse_excess(
             f"{self.path}: pruning it", source.count, source.sh.shape[1], dataset, plan, memory.BY_BLOCKS
         )
         self.job = self.job.fitting(dataset.cameras, needed)
+        self.given = dataset
+        with self.clock.phase("compare photographs"):
+            toned = in_its_colours(source, dataset, plan)
+        dataset = toned.dataset
+        found, self.seen = check_dataset(source, dataset, str(self.path), self.job.force)
+        for note in found:
+            logging.warning("%s", note)
+        self.notes += [*toned.notes, *found]
+        with self.clock.phase("compare photographs"):
+            photographs = prepared(source, dataset, plan, self.job)
+        self.dataset, self.plan = dataset, plan = photographs.dataset, photographs.plan
+        self.notes += photographs.notes
+        self.compared = toned.facts | photographs.facts
+        if plan.max_drop:
+            self.dataset = dataset = hold_apart(dataset)
+            if self.measuring and not dataset.deciding_indices:
+                self.notes.append(NOT_APART)
         self.room.hold_for(source, source.count, plan.averaged_count(source.count))
 
     def rank(self):
@@ -317,7 +324,7 @@ class FineTuned(Tuned):
             "after": after,
             "levels": self.levels,
             "first_cut": self.cut,
-            "compared": self.prepared.facts,
+            "compared": self.compared,
             **self.facts(),
             **({"rig": dataset.facts} if isinstance(dataset, RenderedDataset) else {}),
             **self.seen,

@@ -46,7 +46,7 @@ class Trained(Tuned):
         # there is no splat yet that would show whether photographs need it
         sure = lambda asked: "off" if asked == "auto" else asked
         plan = replace(plan, exposure=sure(plan.exposure), refine_poses=sure(plan.refine_poses))
-        self.plan, self.given = plan, dataset.cameras
+        self.plan, self.given = plan, dataset
         if (plan.target or plan.share) and not plan.prunes:
             raise SceneError(CANNOT_REACH.format(plan.method.name))
         refuse_unseen_points(dataset)
