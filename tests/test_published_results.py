@@ -139,6 +139,24 @@ def test_sentences_on_the_paper_are_those_of_the_rows(page):
     ]
 
 
+def test_sentences_on_table_one_are_those_of_the_rows():
+    rows = map(json.loads, ROWS.read_text().splitlines())
+    case = {"scene": "snowmiku", "study": "table", "schedule": 1.0, "shrink": 2}
+    found = {row["run"]: row for row in rows if case.items() <= row.items() and row["lpips"]}
+    ours, base, rival = (found[run] for run in ("SVR-GS", "3DGS", "MaskGS alpha"))
+    fewer = [round(other["count"] / ours["count"], 1) for other in (base, rival)]
+    assert said("results.md", "SVR-GS keeps # times fewer Gaussians than 3DGS and # times fewer") == fewer
+    lost = [round(other["psnr"] - ours["psnr"], 1) for other in (base, rival)]
+    assert said("results.md", "but pays # and # dB for them") == lost
+    lpips = [round(row["lpips"], 3) for row in (base, ours)]
+    assert said("results.md", "LPIPS rises from # to #: that is visible") == lpips
+    kept = [found[run] for run in ("MaskGS alpha", "LightGaussian", "Compact3DGS")]
+    ends = [round(end(row["lpips"] for row in kept), 3) for end in (min, max)] + [
+        round(end(base["count"] / row["count"] for row in kept), 1) for end in (min, max)
+    ]
+    assert said("results.md", "keep # to # with # to # times fewer.") == ends
+
+
 def test_the_printed_loss_leaves_as_many_gaussians_as_the_pages_say():
     ratios = []
     for schedule in (0.1, 1):
