@@ -13,7 +13,9 @@ from svrgs_addon.files.images import read_pixels, write_image
 from svrgs_addon.files.registry import write_scene
 from svrgs_addon.prune.distractors import distractors_of, without_distractors
 from svrgs_addon.views.dataset import load_dataset
+from svrgs_addon.views.valid_pixels import MaskOptions
 
+TRAINED = [number for number in range(12) if number % 8]
 TROUBLED = [number for number in range(12) if number % 2]
 STEPS = ("--iterations", 60, "--recovery", 60, "--target", 0.8)
 
@@ -45,7 +47,7 @@ def splat(tiny, tmp_path) -> Path:
 
 def test_they_are_found_where_they_stand_and_nowhere_else(tiny, crowded):
     found = distractors_of(tiny.truth, load_dataset(crowded))
-    assert sorted(found) == [number for number in range(12) if number % 8]
+    assert sorted(found) == TRAINED
     for number, marked in found.items():
         truth = np.zeros_like(marked)
         if number in TROUBLED:
@@ -83,6 +85,13 @@ def test_a_job_that_masks_them_is_nearer_to_the_truth(tiny, splat, crowded, tmp_
         assert any(note.startswith("distractors cover") for note in found["notes"]) == bool(words)
         figures.append(svrgs("eval", out, "--data", tiny.folder, "--json").json["psnr"])
     assert figures[1] > figures[0] + 1
+    written = tmp_path / "1_masks"
+    assert found["masks"] == str(written) and not (tmp_path / "0_masks").exists()
+    again = load_dataset(crowded, masks=MaskOptions(written))
+    for number in TRAINED:
+        valid = again.cameras[number].valid
+        assert valid.all() == (number not in TROUBLED) and valid.mean() > 0.7
+    assert set(found["photographs"]) == {f"{number:02}.png" for number in TRAINED if number in TROUBLED}
 
 
 @pytest.mark.parametrize("words", [["--quick"], []])

@@ -8,15 +8,19 @@ a patch, are full of them. The splat itself may have been trained on the distrac
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 
+from ..files.images import write_image
 from ..native.rasterizer import Rasterizer
 from ..render.metrics.evaluate import render_options
 from ..scene.camera import Camera
 from ..scene.gaussians import SH_C0, Scene
 from ..system.errors import SceneError
+from ..system.foreign import own
 from ..views.dataset import Dataset
 from ..views.reduced_photos import photo_of, reduction_to
 from .compared_views import SIDE
@@ -50,6 +54,21 @@ def without_distractors(scene: Scene, dataset: Dataset) -> tuple[Dataset, str]:
     )
     sentence += f"; nothing is left of {', '.join(hidden)}" if hidden else ""
     return replace(dataset, cameras=cameras, train_indices=left, _cache={}), sentence
+
+
+def folder_of(out: Path) -> Path:
+    """Where the masks of a result are written."""
+    return out.with_name(f"{out.stem}_masks")
+
+
+def write_masks(folder: Path, cameras: Sequence[Camera]):
+    """Writes what counts in each photograph, as COLMAP's masks: NAME.png, 0 where it does not. So `--masks`
+    reads them. Raises SceneError, and FormatError if a link is on the way."""
+    for camera in cameras:
+        valid, file = camera.valid, PurePosixPath(f"{camera.name}.png")
+        white = np.full((camera.height, camera.width), 255, np.uint8)
+        path = own(folder.parent, folder.name, *file.parts)
+        write_image(path, white if valid is None else white * valid)
 
 
 def _resized(marked: np.ndarray, camera: Camera) -> np.ndarray:

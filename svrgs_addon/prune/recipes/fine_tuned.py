@@ -42,6 +42,7 @@ from ...system.memory_limits import peak
 from ...views.cameras_json import write_cameras_json
 from ...views.dataset import Dataset
 from ...views.rendered import RenderedDataset
+from .. import distractors
 from ..belonging import check_dataset
 from ..blocks.folder import remove_blocks
 from ..context import JobContext
@@ -126,6 +127,8 @@ class Tuned:
             write_cameras_json(poses.file_of(out), cameras)
         else:
             poses.file_of(out).unlink(missing_ok=True)
+        if self.plan.mask_distractors:
+            distractors.write_masks(distractors.folder_of(out), cameras)
 
     def close(self):
         self.room.release()
@@ -169,6 +172,7 @@ class Tuned:
             "seed": plan.seed,
             "exposure": self.fitted_exposure(),
             "photographs": self.of_photographs(),
+            "masks": str(distractors.folder_of(self.job.out)) if plan.mask_distractors else None,
             "poses": {"file": str(poses.file_of(self.job.out))} if run.poses else None,
             "notes": self.all_notes(),
             "curves": vars(run.curves),
