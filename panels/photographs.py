@@ -45,6 +45,7 @@ class SVRGS_PT_photographs(SidebarPanel, bpy.types.Panel):
         self.layout.template_list(
             "SVRGS_UL_photographs", "", bpy.data, "objects", settings, "photograph", rows=6
         )
+        self.layout.prop(settings, "show_masks")
 
 
 CLASSES = (SVRGS_UL_photographs, SVRGS_PT_photographs)

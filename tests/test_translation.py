@@ -21,6 +21,7 @@ WORD = re.compile(r"[^\W\d_]{3,}")
 NO_TEXT = {  # in English everywhere
     # names of images, objects, modifiers and sockets: scripts and .blend files know data by name
     "SVR-GS Contact Sheet", "SVR-GS Spatial Mask", "SVR-GS Wipe", "SVR-GS Removed", "Base Color",
+    "SVR-GS Masked Out",
     "f'SVR-GS {name}'", "f'{name} (former)'",
     "f'{original.name} pruned'", "f'{source.name} pruned'", "f'{Path(self.scene).stem} pruned'",
     "f'{obj.name} pruned'", "f'{name} points'",

@@ -46,6 +46,19 @@ def write_image(
     return image
 
 
+def write_tint(name: str, where: np.ndarray, color: tuple[float, ...]) -> bpy.types.Image:
+    """Writes a colour (4,), display sRGB and alpha, into the image of that name where `where` (H, W) is True,
+    and nothing elsewhere."""
+    height, width = where.shape
+    image = bpy.data.images.get(name) or bpy.data.images.new(name, width, height, alpha=True)
+    if tuple(image.size) != (width, height):
+        image.scale(width, height)
+    pixels = np.where(where[::-1, :, None], np.array(color, np.float32), np.float32(0))
+    image.pixels.foreach_set(pixels.ravel())
+    image.update()
+    return image
+
+
 def read_image(image: bpy.types.Image) -> np.ndarray | None:
     """(H, W, 3) float32 display sRGB, rows from the top, composited over black; None if the image's file is
     missing."""

@@ -58,7 +58,8 @@ def load(context, obj: bpy.types.Object, folder: JobFolder) -> bpy.types.Object:
         pruned[OWN_PSNR] = psnr[1]
     if notes := result.get("notes"):
         pruned[NOTES] = "\n".join(map(str, notes))
-    photographs.store(splat_object.root_of(obj), result.get("photographs") or {})
+    found, masks = result.get("photographs") or {}, result.get("masks") or ""
+    photographs.store(splat_object.root_of(obj), found, masks)
     pruned.svrgs_share = 100 * pruned[KEPT] / request["count"]
     if context.view_layer.objects.active == obj and in_view_layer(context, pruned):
         obj.select_set(False)

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import bpy
 from bpy.app.translations import pgettext_iface as tr
 
-from ..data import camera_object, splat_object
+from ...svrgs_addon.views.valid_pixels import FOLDER, MaskOptions, Masks
+from ..data import camera_object, image_pixels, splat_object
+from . import dataset_paths
 
 FOUND = "svrgs_photograph"  # property of a photograph's camera: figures of the last job, by name
+MASKS = "svrgs_masks"  # property of the root of cameras: the folder of the masks of the last job
+OVERLAY = "SVR-GS Masked Out"  # the image over the photograph that is looked at
+TINT = (0.8, 0.1, 0.1, 0.6)  # of what does not count
 
 
 def of(root: bpy.types.Object | None) -> list[bpy.types.Object]:
@@ -17,9 +24,11 @@ def of(root: bpy.types.Object | None) -> list[bpy.types.Object]:
     return sorted(cameras, key=lambda obj: obj.data[camera_object.IMAGE])
 
 
-def store(root: bpy.types.Object | None, found: dict[str, dict[str, float]]):
-    """What a job found about each photograph, by the name of its image. Those that it has nothing about lose
-    what an earlier job found."""
+def store(root: bpy.types.Object | None, found: dict[str, dict[str, float]], masks: str = ""):
+    """What a job found about each photograph, by the name of its image, and the folder of the masks that it
+    wrote. Those that it has nothing about lose what an earlier job found."""
+    if root is not None:
+        root[MASKS] = masks
     for obj in of(root):
         obj.data.pop(FOUND, None)
         if figures := found.get(obj.data[camera_object.IMAGE]):
@@ -41,5 +50,40 @@ def look_through(settings, context):
     if not 0 <= row < len(bpy.data.objects) or bpy.data.objects[row] not in shown:
         return
     context.scene.camera = bpy.data.objects[row]
+    show_mask(settings, context)
     if getattr(context.space_data, "region_3d", None) is not None:
         context.space_data.region_3d.view_perspective = "CAMERA"
+
+
+def show_mask(settings, context):
+    """Lays what does not count over the picture of the scene's camera, and over no other; over none if that
+    is switched off, or if the photograph has no mask."""
+    root = splat_object.root_of(context.object)
+    for obj in of(root):
+        backgrounds = obj.data.background_images
+        for background in [one for one in backgrounds if one.image is not None and one.image.name == OVERLAY]:
+            backgrounds.remove(background)
+    camera = context.scene.camera
+    shown = root is not None and settings.show_masks and camera in of(root)
+    file = mask_file(camera, root, context) if shown else None
+    if file is None:
+        return
+    mask = bpy.data.images.load(str(file))
+    pixels = image_pixels.read_image(mask)
+    bpy.data.images.remove(mask)
+    if pixels is None:
+        return
+    hidden = (pixels[..., 0] > 0) == context.scene.svrgs_prune.invert_masks
+    background = camera.data.background_images.new()
+    background.image = image_pixels.write_tint(OVERLAY, hidden, TINT)
+    background.frame_method, background.display_depth, background.alpha = "STRETCH", "FRONT", 1.0
+    camera.data.show_background_images = True
+
+
+def mask_file(camera: bpy.types.Object, root: bpy.types.Object, context) -> Path | None:
+    """The mask of a photograph: of the last job, of the folder that was chosen, or beside the photographs."""
+    name, beside = camera.data[camera_object.IMAGE], Path(dataset_paths.dataset_of_root(root), FOLDER)
+    chosen = root.get(MASKS, ""), dataset_paths.absolute(context.scene.svrgs_prune.masks)
+    folders = [*(Path(folder) for folder in chosen if isinstance(folder, str) and folder), beside]
+    files = (Masks(MaskOptions(), folder, {}).file(name) for folder in folders)
+    return next(filter(None, files), None)

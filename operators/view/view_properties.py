@@ -57,6 +57,12 @@ class SVRGS_PG_view(bpy.types.PropertyGroup):
     photograph: IntProperty(
         name="Photograph", description="The scene is seen through its camera", update=photographs.look_through
     )  # of the file's objects
+    show_masks: BoolProperty(
+        name="Show Masks",
+        default=True,
+        update=photographs.show_mask,
+        description="Tint what does not count in the photograph that is looked at",
+    )
     background: FloatVectorProperty(
         name="Background",
         subtype="COLOR_GAMMA",

@@ -47,7 +47,9 @@ def test_a_splat_is_trained_and_placed_with_its_cameras(root, watch, bridge):
     assert bpy.ops.svrgs.job_start.poll()
 
 
-def test_the_list_of_photographs_shows_what_was_found_and_looks_through_their_cameras(root, watch, bridge):
+def test_the_list_of_photographs_shows_what_was_found_and_looks_through_their_cameras(
+    root, watch, bridge, tmp_path
+):
     photographs, view = part("operators.scene.photographs"), bpy.context.scene.svrgs_view
     cameras = photographs.of(root)
     assert [obj.data["svrgs_image"] for obj in cameras] == [f"{number:02}.png" for number in range(12)]
@@ -64,6 +66,25 @@ def test_the_list_of_photographs_shows_what_was_found_and_looks_through_their_ca
         assert bpy.context.scene.camera == obj
     view.photograph = bpy.data.objects.find(root.name)
     assert bpy.context.scene.camera == cameras[5]
+    mask = np.full((48, 64), 255, np.uint8)
+    mask[:10] = 0
+    (tmp_path / "masks").mkdir()
+    image = bpy.data.images.new("mask", 64, 48)
+    image.pixels.foreach_set(np.repeat(mask[::-1, :, None] / np.float32(255), 4, axis=2).ravel())
+    image.filepath_raw, image.file_format = str(tmp_path / "masks" / "05.png.png"), "PNG"
+    image.save()
+    overlays = lambda obj: [
+        one.image.name for one in obj.data.background_images if one.display_depth == "FRONT"
+    ]
+    bpy.context.scene.svrgs_prune.masks = str(tmp_path / "masks")
+    view.photograph = bpy.data.objects.find(cameras[5].name)
+    assert overlays(cameras[5]) == [photographs.OVERLAY]
+    tint = bpy.data.images[photographs.OVERLAY]
+    alpha = np.array(tint.pixels[:]).reshape(48, 64, 4)[::-1, :, 3]
+    assert (alpha[:10] > 0.5).all() and not alpha[10:].any()
+    view.photograph = bpy.data.objects.find(cameras[3].name)
+    assert not overlays(cameras[5]) and not overlays(cameras[3])
+    bpy.context.scene.svrgs_prune.masks = ""
     photographs.store(root, {"03.png": {"moved_pixels": 1.25, "hidden": 0.5}})
     assert photographs.about(cameras[3]) == "1.2 px, 50% hidden" and not photographs.about(cameras[5])
 
