@@ -14,6 +14,7 @@ from ...svrgs_addon.scene.camera import Camera
 from ...svrgs_addon.system.errors import SceneError
 from ...svrgs_addon.views import lens as lenses
 
+MASKED_OUT = "SVR-GS Masked Out"  # the image over the photograph that is looked at
 SIZE, ASPECT, IMAGE = "svrgs_size", "svrgs_pixel_aspect", "svrgs_image"  # properties of a photograph's camera
 DISPLAY_SIZE = 0.05  # of a camera in the viewport, in extents of all cameras
 CLIP_END = 100  # in extents of all cameras
@@ -53,6 +54,12 @@ def camera_from_object(
     )
     viewmat = FLIP @ np.linalg.inv(_without_scale(obj.matrix_world))
     return Camera(viewmat, lenses.intrinsics(lens), *size, data.get(IMAGE, obj.name), orthographic)
+
+
+def backgrounds(obj: bpy.types.Object) -> list[bpy.types.Image]:
+    """The photographs behind a camera, without what is laid over them."""
+    images = (background.image for background in obj.data.background_images)
+    return [image for image in images if image is not None and image.name != MASKED_OUT]
 
 
 def camera_to_object(camera: Camera, obj: bpy.types.Object):

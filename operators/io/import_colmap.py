@@ -96,7 +96,10 @@ class SVRGS_OT_import_colmap(ReportingOperator):
 
     def done(self, context, cameras: list[bpy.types.Object], photos: PosedPhotos) -> list[str]:
         """What was imported, in words."""
-        shown, (done, total) = sum(bool(obj.data.background_images) for obj in cameras), undistort.progress()
+        shown, (done, total) = (
+            sum(bool(camera_object.backgrounds(obj)) for obj in cameras),
+            undistort.progress(),
+        )
         text = tr("Imported {cameras:,} cameras and {photographs:,} photographs")
         parts = [text.format(cameras=len(cameras), photographs=shown)]
         if total > done:

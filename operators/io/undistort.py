@@ -76,7 +76,7 @@ def show(obj: bpy.types.Object, file: Path | None):
     """Makes the photograph the background of the camera, unless there is no file or the camera has a
     background."""
     data = obj.data
-    if file is None or data.background_images:
+    if file is None or camera_object.backgrounds(obj):
         return
     background = data.background_images.new()
     background.image = bpy.data.images.load(str(file), check_existing=True)

@@ -212,8 +212,8 @@ def find_photographs(root: bpy.types.Object, folder: str) -> tuple[int, int]:
     """
     images = {}  # by image: its new file
     for camera in (obj for obj in root.children_recursive if obj.type == "CAMERA"):
-        for image in (background.image for background in camera.data.background_images):
-            if image is not None and image.packed_file is None:
+        for image in camera_object.backgrounds(camera):
+            if image.packed_file is None:
                 images[image] = _file_of(image, camera, root, folder)
     found = {image: file for image, file in images.items() if file}
     if images and not found:

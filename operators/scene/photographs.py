@@ -13,7 +13,6 @@ from . import dataset_paths
 
 FOUND = "svrgs_photograph"  # property of a photograph's camera: figures of the last job, by name
 MASKS = "svrgs_masks"  # property of the root of cameras: the folder of the masks of the last job
-OVERLAY = "SVR-GS Masked Out"  # the image over the photograph that is looked at
 TINT = (0.8, 0.1, 0.1, 0.6)  # of what does not count
 
 
@@ -61,7 +60,9 @@ def show_mask(settings, context):
     root = splat_object.root_of(context.object)
     for obj in of(root):
         backgrounds = obj.data.background_images
-        for background in [one for one in backgrounds if one.image is not None and one.image.name == OVERLAY]:
+        for background in [
+            one for one in backgrounds if one.image is not None and one.image.name == camera_object.MASKED_OUT
+        ]:
             backgrounds.remove(background)
     camera = context.scene.camera
     shown = root is not None and settings.show_masks and camera in of(root)
@@ -75,7 +76,7 @@ def show_mask(settings, context):
         return
     hidden = (pixels[..., 0] > 0) == context.scene.svrgs_prune.invert_masks
     background = camera.data.background_images.new()
-    background.image = image_pixels.write_tint(OVERLAY, hidden, TINT)
+    background.image = image_pixels.write_tint(camera_object.MASKED_OUT, hidden, TINT)
     background.frame_method, background.display_depth, background.alpha = "STRETCH", "FRONT", 1.0
     camera.data.show_background_images = True
 

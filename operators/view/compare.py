@@ -191,7 +191,7 @@ def redraw(settings, context):
 
 def photograph(obj: bpy.types.Object):
     """(H, W, 3) display sRGB: the camera's background image; None if it has none."""
-    images = [background.image for background in obj.data.background_images if background.image is not None]
+    images = camera_object.backgrounds(obj)
     return image_pixels.read_image(images[0]) if images else None
 
 

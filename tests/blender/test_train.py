@@ -78,8 +78,10 @@ def test_the_list_of_photographs_shows_what_was_found_and_looks_through_their_ca
     ]
     bpy.context.scene.svrgs_prune.masks = str(tmp_path / "masks")
     view.photograph = bpy.data.objects.find(cameras[5].name)
-    assert overlays(cameras[5]) == [photographs.OVERLAY]
-    tint = bpy.data.images[photographs.OVERLAY]
+    masked_out = part("operators.data.camera_object").MASKED_OUT
+    assert overlays(cameras[5]) == [masked_out]
+    assert part("operators.view.compare").photograph(cameras[5]).shape == (48, 64, 3)
+    tint = bpy.data.images[masked_out]
     alpha = np.array(tint.pixels[:]).reshape(48, 64, 4)[::-1, :, 3]
     assert (alpha[:10] > 0.5).all() and not alpha[10:].any()
     view.photograph = bpy.data.objects.find(cameras[3].name)
