@@ -400,6 +400,8 @@ def refuse_excess(
     coefficients per channel. advice: what else can be done. Returns the bytes that are needed."""
     cameras = dataset.cameras
     needed = memory.tuning(count, coefficients, cameras, dataset.memory_budget, plan.averaged_count(count))
+    if plan.mask_distractors:
+        needed += sum(camera.height * -(-camera.width // 8) for camera in cameras)  # a bit a pixel
     if plan.method.merges:
         needed = max(needed, memory.ordering(count, coefficients, cameras))
     memory.refuse_excess(what, needed, advice)
