@@ -16,7 +16,7 @@ from ..native.rasterizer import RenderOptions
 from ..scene.camera import Camera
 from ..views.reduced_photos import photo_of, reduction_to
 
-SIDES, ROUNDS = (100, 300), 4  # longer sides in pixels, about, and steps with each
+SIDES, ROUNDS = (100, 300, 300), 4  # longer sides in pixels, about, and steps with each
 STEP = 0.25  # pixels, of the differences
 DAMPING, LESS, MORE = (
     1e-3,
