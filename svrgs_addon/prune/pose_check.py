@@ -23,7 +23,7 @@ from ..views.dataset import Dataset
 
 VIEWS, COARSE = 8, (150,)  # views that are compared, at most, and the longer side of their pictures, about
 PATCHES = 6  # of the chequerboard, per side
-OFF = 0.3  # dB: poses are off if alignment gains more, in the median of these views
+OFF = 0.6  # dB: poses are off if alignment gains more, in the median of these views
 
 
 @dataclass(frozen=True)
