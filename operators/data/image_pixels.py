@@ -50,12 +50,16 @@ def write_tint(name: str, where: np.ndarray, color: tuple[float, ...]) -> bpy.ty
     """Writes a colour (4,), display sRGB and alpha, into the image of that name where `where` (H, W) is True,
     and nothing elsewhere."""
     height, width = where.shape
-    image = bpy.data.images.get(name) or bpy.data.images.new(name, width, height, alpha=True)
+    image = bpy.data.images.get(name)
+    if image is not None and not _is_ours(image):
+        image.name, image = f"{name} (former)", None
+    image = image or bpy.data.images.new(name, width, height, alpha=True)
     if tuple(image.size) != (width, height):
         image.scale(width, height)
     pixels = np.where(where[::-1, :, None], np.array(color, np.float32), np.float32(0))
     image.pixels.foreach_set(pixels.ravel())
     image.update()
+    _written.add(name)
     return image
 
 

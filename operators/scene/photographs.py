@@ -7,7 +7,7 @@ from pathlib import Path
 import bpy
 from bpy.app.translations import pgettext_iface as tr
 
-from ...svrgs_addon.views.valid_pixels import FOLDER, MaskOptions, Masks
+from ...svrgs_addon.views.valid_pixels import FOLDER, LOSSY, MaskOptions, Masks
 from ..data import camera_object, image_pixels, splat_object
 from . import dataset_paths
 
@@ -58,15 +58,15 @@ def show_mask(settings, context):
     """Lays what does not count over the picture of the scene's camera, and over no other; over none if that
     is switched off, or if the photograph has no mask."""
     root = splat_object.root_of(context.object)
-    for obj in of(root):
+    for obj in (one for one in of(root) if one.data.library is None):
         backgrounds = obj.data.background_images
         for background in [
             one for one in backgrounds if one.image is not None and one.image.name == camera_object.MASKED_OUT
         ]:
             backgrounds.remove(background)
     camera = context.scene.camera
-    shown = root is not None and settings.show_masks and camera in of(root)
-    file = mask_file(camera, root, context) if shown else None
+    shown = root is not None and settings.show_masks and camera in of(root) and camera.data.library is None
+    file, inverted = mask_file(camera, root, context) if shown else (None, False)
     if file is None:
         return
     mask = bpy.data.images.load(str(file))
@@ -74,17 +74,23 @@ def show_mask(settings, context):
     bpy.data.images.remove(mask)
     if pixels is None:
         return
-    hidden = (pixels[..., 0] > 0) == context.scene.svrgs_prune.invert_masks
+    least = 0.5 if file.suffix.lower() in LOSSY else 0.0
+    hidden = (pixels[..., 0] > least) == inverted
     background = camera.data.background_images.new()
     background.image = image_pixels.write_tint(camera_object.MASKED_OUT, hidden, TINT)
     background.frame_method, background.display_depth, background.alpha = "STRETCH", "FRONT", 1.0
     camera.data.show_background_images = True
 
 
-def mask_file(camera: bpy.types.Object, root: bpy.types.Object, context) -> Path | None:
-    """The mask of a photograph: of the last job, of the folder that was chosen, or beside the photographs."""
-    name, beside = camera.data[camera_object.IMAGE], Path(dataset_paths.dataset_of_root(root), FOLDER)
-    chosen = root.get(MASKS, ""), dataset_paths.absolute(context.scene.svrgs_prune.masks)
-    folders = [*(Path(folder) for folder in chosen if isinstance(folder, str) and folder), beside]
-    files = (Masks(MaskOptions(), folder, {}).file(name) for folder in folders)
-    return next(filter(None, files), None)
+def mask_file(camera: bpy.types.Object, root: bpy.types.Object, context) -> tuple[Path | None, bool]:
+    """The mask of a photograph, of the last job, of the folder that was chosen, or beside the photographs;
+    and whether its black pixels count, as may be chosen for all but those of a job."""
+    settings, name = context.scene.svrgs_prune, camera.data[camera_object.IMAGE]
+    own, chosen = root.get(MASKS, ""), dataset_paths.absolute(settings.masks)
+    folders = [(own, False), (chosen, settings.invert_masks)]
+    folders.append((str(Path(dataset_paths.dataset_of_root(root), FOLDER)), settings.invert_masks))
+    for folder, inverted in folders:
+        if isinstance(folder, str) and folder:
+            if file := Masks(MaskOptions(), Path(folder), {}).file(name):
+                return file, inverted
+    return None, False

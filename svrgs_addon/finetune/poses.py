@@ -25,8 +25,8 @@ FIRST, LAST = 0.02, 0.002
 @dataclass
 class Poses(PhotoAdam):
     """The motions of V photographs with their Adam state: values (V, 6), pixels, from the poses at the start,
-    starts (V, 4, 4); units (V, 6), radians and world units of a pixel (Camera.displaced). What all go
-    forwards on average is left out, so that the splat keeps its size."""
+    starts (V, 4, 4); units (V, 6), radians and world units of a pixel (Camera.displaced). The mean
+    motion forwards of all cameras is left out, so that the splat keeps its size."""
 
     values: np.ndarray
     units: np.ndarray

@@ -22,7 +22,7 @@
     pruned.ply, kept.npy, score.npy, result.json     the result; result.json is written last
     probability.npy                                  if masks were learned
     trained.ply, result.json                         the result of a job that trains
-    recovered_masks/   if distractors were masked (prune/distractors.py)
+    recovered_distractor_masks/   if distractors were masked (prune/distractors.py)
     recovered_exposure.json, trained_exposure.json   if exposure was fitted (finetune/exposure.py)
     recovered_refined_cameras.json, trained_refined_cameras.json   if poses were refined (finetune/poses.py)
 
@@ -112,8 +112,8 @@ _FILES = (
     "trained.ply",
     "*_exposure.json",
     "*_refined_cameras.json",
-    "recovered_masks/*.png",
-    "recovered_masks/*/*.png",
+    "recovered_distractor_masks/*.png",
+    "recovered_distractor_masks/*/*.png",
     "result.json",
     MERGED,
     ORDER,
@@ -366,7 +366,7 @@ class JobFolder:
         """
         if not (self / "job.json").is_file():
             raise FormatError(f"{self.path}: holds no job")
-        masks = self / "recovered_masks"
+        masks = self / "recovered_distractor_masks"
         for folder in (self / "previews", self / "recovered.ply.job", masks):
             remove_link(folder)  # else the patterns would be searched behind it
         for folder in masks.glob("*"):
@@ -387,7 +387,7 @@ class JobFolder:
         for folder in (
             self.path,
             self / "previews",
-            self / "recovered_masks",
+            self / "recovered_distractor_masks",
             checkpoints,
             *checkpoints.glob("[0-9]" * 7),
             *blocks.folders(self / BLOCKS),

@@ -18,11 +18,8 @@ from ..views.reduced_photos import photo_of, reduction_to
 
 SIDES, ROUNDS = (100, 300, 300), 4  # longer sides in pixels, about, and steps with each
 STEP = 0.25  # pixels, of the differences
-DAMPING, LESS, MORE = (
-    1e-3,
-    0.1,
-    10.0,
-)  # at first; its factor after a step that helped, and after one that did not
+DAMPING = 1e-3  # at first
+LESS, MORE = 0.1, 10.0  # its factor after a step that helped, and after one that did not
 ENOUGH = 0.02  # pixels: a smaller step is the last
 FARTHEST = 0.05  # of the longer side: no motion is larger
 AHEAD = np.eye(6)[5]  # the part of a motion that goes forwards

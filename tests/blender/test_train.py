@@ -84,6 +84,17 @@ def test_the_list_of_photographs_shows_what_was_found_and_looks_through_their_ca
     tint = bpy.data.images[masked_out]
     alpha = np.array(tint.pixels[:]).reshape(48, 64, 4)[::-1, :, 3]
     assert (alpha[:10] > 0.5).all() and not alpha[10:].any()
+    bpy.context.scene.svrgs_prune.invert_masks = True
+    view.photograph = bpy.data.objects.find(cameras[5].name)
+    alpha = np.array(tint.pixels[:]).reshape(48, 64, 4)[::-1, :, 3]
+    assert not alpha[:10].any() and (alpha[10:] > 0.5).all()
+    root[photographs.MASKS] = str(tmp_path / "masks")  # those of a job are never inverted
+    view.photograph = bpy.data.objects.find(cameras[5].name)
+    alpha = np.array(tint.pixels[:]).reshape(48, 64, 4)[::-1, :, 3]
+    assert (alpha[:10] > 0.5).all() and not alpha[10:].any()
+    bpy.context.scene.svrgs_prune.invert_masks = False
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "saved.blend"), copy=True)
+    assert tint.packed_file is not None  # else a reloaded file would show black in front of the photograph
     view.photograph = bpy.data.objects.find(cameras[3].name)
     assert not overlays(cameras[5]) and not overlays(cameras[3])
     bpy.context.scene.svrgs_prune.masks = ""
