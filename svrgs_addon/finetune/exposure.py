@@ -46,11 +46,6 @@ class Exposures(PhotoAdam):
         self.values[number] += self.change(number, grad, rate)
 
 
-def rate_at(iteration: int, total: int) -> float:
-    """The learning rate of iteration 0, 1, ... of `total`."""
-    return float(FIRST * (LAST / FIRST) ** (iteration / max(1, total)))
-
-
 def exposed(rgb: np.ndarray, matrix: np.ndarray, valid: np.ndarray | None) -> np.ndarray:
     """Rendered colours (H, W, 3) as the photograph would show them; 0 where pixels do not count. matrix
     (3, 4); valid (H, W), None: all count."""

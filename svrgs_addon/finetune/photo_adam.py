@@ -28,3 +28,8 @@ class PhotoAdam:
         self.v[number] = second * self.v[number] + (1 - second) * grad**2
         root = np.sqrt(self.v[number] / (1 - second**t)) + EPS
         return -rate * self.m[number] / (1 - first**t) / root
+
+
+def rate_at(first: float, last: float, iteration: int, total: int) -> float:
+    """The learning rate of iteration 0, 1, ... of `total`, log-linear from the first to the last."""
+    return float(first * (last / first) ** (iteration / max(1, total)))

@@ -55,11 +55,6 @@ class Poses(PhotoAdam):
         return moved
 
 
-def rate_at(iteration: int, total: int) -> float:
-    """Pixels a step, of iteration 0, 1, ... of `total`."""
-    return float(FIRST * (LAST / FIRST) ** (iteration / max(1, total)))
-
-
 def file_of(out: Path) -> Path:
     """Where the poses of a result are written, as cameras.json of 3DGS."""
     return out.with_name(f"{out.stem}_refined_cameras.json")

@@ -30,6 +30,7 @@ from .engine import Step, StepResult
 from .exposure import Exposures
 from .model import MASK, Model
 from .nested import nested_order, size_of_step
+from .photo_adam import rate_at
 from .plan import Plan
 from .poses import Poses
 from .quality import quality_views
@@ -142,12 +143,11 @@ class Run:
         """A step of the exposure and the pose of the photograph that was shown."""
         place, moment = self.places[view], (self.iteration, self.plan.total)
         if self.exposures and result.exposure is not None:
-            self.exposures.update(place, result.exposure, exposure.rate_at(*moment))
+            rate = rate_at(exposure.FIRST, exposure.LAST, *moment)
+            self.exposures.update(place, result.exposure, rate)
         if self.poses and result.camera is not None:
-            camera = self.dataset.cameras[view]
-            self.dataset.cameras[view] = self.poses.update(
-                place, camera, result.camera, poses.rate_at(*moment)
-            )
+            camera, rate = self.dataset.cameras[view], rate_at(poses.FIRST, poses.LAST, *moment)
+            self.dataset.cameras[view] = self.poses.update(place, camera, result.camera, rate)
 
     def put_back_poses(self, found: Poses):
         """Poses of a checkpoint."""
