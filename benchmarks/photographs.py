@@ -4,10 +4,10 @@
 
 people: a person stands in every other photograph, somewhere else in each. exposure: each photograph has
 another exposure, ±0.3 EV, and another white balance, about ±300 K. poses: each training camera is turned by
-0.2 degrees and moved by 0.3 % of the scene's extent, in random directions. turntable:
-what is near the middle of the scene turns before a wall that stays where it is in every photograph. A scene
-that was trained on the clean photographs is pruned on these, with and without the remedy, and on the clean
-ones. Each row is measured on the clean test views.
+0.2 degrees and moved by 0.3 % of the scene's extent, in random directions. turntable: the middle of the scene
+turns, and the wall behind it looks the same in every photograph. A scene that was trained on the clean
+photographs is pruned on these, with and without the remedy, and on the clean ones. Each row is measured on
+the clean test views.
 """
 
 from __future__ import annotations

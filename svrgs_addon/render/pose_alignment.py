@@ -51,12 +51,13 @@ def aligned(
     unit, motion = pixel_motion(camera, seen), still
     for side in sides:
         small, factor, photo = _reduced(camera, image, side)
+        weights = _weights(small)
 
         def render(motion: np.ndarray, small=small) -> np.ndarray:
             return rasterizer.forward(scene, small.displaced(motion * unit), options)["rgb"]
 
-        motion = _minimised(render, photo, _weights(small), motion, factor)
-    weights, far = _weights(small), FARTHEST * max(camera.width, camera.height)
+        motion = _minimised(render, photo, weights, motion, factor)
+    far = FARTHEST * max(camera.width, camera.height)
     before, after = (_error(render(some), photo, weights) for some in (still, motion))
     if np.abs(motion).max() > far or after >= before:
         motion = still
