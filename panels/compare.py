@@ -66,6 +66,9 @@ def table(layout, result: dict):
     for line in lines:
         for text in line:
             grid.label(text=text, translate=False)
+    if "hidden" in result:
+        text = tr("{share:.1%} of it is masked out, and does not count")
+        wrapped_label(box, text.format(share=result["hidden"]))
     if "lpips_missing" in result:
         wrapped_label(box, result["lpips_missing"], "ERROR")
 

@@ -2,9 +2,9 @@
 
 import bpy
 
-from ..operators.data import camera_object, splat_object
+from ..operators.data import camera_object, known, splat_object
 from ..operators.scene import photographs
-from .sidebar import SidebarPanel
+from .sidebar import SidebarPanel, wrapped_label
 
 
 class SVRGS_UL_photographs(bpy.types.UIList):
@@ -46,6 +46,9 @@ class SVRGS_PT_photographs(SidebarPanel, bpy.types.Panel):
             "SVRGS_UL_photographs", "", bpy.data, "objects", settings, "photograph", rows=6
         )
         self.layout.prop(settings, "show_masks")
+        root = splat_object.root_of(context.object)
+        if root is not None and (problem := known.of(root).mask_problem):
+            wrapped_label(self.layout, problem, "ERROR")
 
 
 CLASSES = (SVRGS_UL_photographs, SVRGS_PT_photographs)

@@ -10,6 +10,7 @@ import pytest
 
 from native_helpers import LEVELS, rasterizer
 from svrgs_addon.files.images import read_pixels, write_image
+from svrgs_addon.jobs import photo_mask
 from svrgs_addon.jobs.farm.farm_job import FarmJob
 from svrgs_addon.jobs.farm.run_tasks import dataset_sha256
 from svrgs_addon.jobs.photo_sample import read_in_child
@@ -100,7 +101,10 @@ def test_masks_that_transforms_json_names_and_those_of_a_given_folder(tiny, mask
     facts["frames"] = [frame | {"mask_path": names[frame["file_path"]]} for frame in facts["frames"]]
     rewrite(other, facts)
     valid = load_dataset(masked).cameras[0].valid
-    np.testing.assert_array_equal(load_dataset(other).cameras[0].valid, valid)
+    camera = load_dataset(other).cameras[0]
+    np.testing.assert_array_equal(camera.valid, valid)
+    found = photo_mask.read_in_child(str(other), "", camera.name, [MaskOptions()])
+    np.testing.assert_array_equal(found, valid)
     given = load_dataset(tiny.folder, masks=MaskOptions(masked / "masks"))
     np.testing.assert_array_equal(given.cameras[0].valid, valid)
     inverted = load_dataset(tiny.folder, masks=MaskOptions(masked / "masks", inverted=True))
@@ -433,3 +437,18 @@ def test_a_look_whether_the_splat_belongs_takes_masks_along(tiny, masked):
     views = read_in_child(str(masked), "")
     assert all(camera.valid_bits is not None for camera, _ in views)
     assert fit(tiny.truth, views)["psnr"] > 30
+
+
+def test_a_child_finds_out_what_counts_in_one_photograph(tiny, masked, tmp_path):
+    """The first mask that is found, as in the dataset that is loaded with the same options."""
+    dataset, (black, elsewhere) = load_dataset(masked), (tmp_path / "black", tmp_path / "elsewhere")
+    camera = dataset.cameras[3]
+    write_mask(elsewhere / f"{camera.name}.png", np.zeros((camera.height, camera.width)))
+    black.mkdir()
+    ask = lambda folder, *masks, name=camera.name: photo_mask.read_in_child(str(folder), "", name, masks)
+    np.testing.assert_array_equal(ask(masked, MaskOptions(black), MaskOptions()), camera.valid)
+    np.testing.assert_array_equal(ask(masked, MaskOptions(inverted=True)), 1 - camera.valid)
+    assert not ask(masked, MaskOptions(elsewhere), MaskOptions()).any()
+    assert ask(tiny.folder, MaskOptions()) is None
+    with pytest.raises(SceneError, match=r"has no view away\.png"):
+        ask(masked, MaskOptions(), name="away.png")

@@ -27,6 +27,7 @@ class KnownObject:
     cameras_checked: tuple[Any, str] = ((), "")
     placing: bool = False  # cameras are being placed for it
     placing_problem: str = ""  # why none were placed
+    mask_problem: str = ""  # why the mask of the photograph that is looked at cannot be shown
     order_problem: str = ""  # why other numbers of Gaussians of this quick result cannot be shown
 
 

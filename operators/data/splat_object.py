@@ -48,7 +48,7 @@ FORMAT, BYTES = "svrgs_format", "svrgs_bytes"
 SAME_PLACE = 1e-6  # difference between matrices in float32 that means nothing
 ROOT = "svrgs_root"  # property of an empty: its children share the coordinates of the files
 # properties of a root: folder of its dataset, name of the image folder in it
-DATASET, IMAGES = "svrgs_dataset", "svrgs_images"
+DATASET, IMAGES, MASKS = "svrgs_dataset", "svrgs_images", "svrgs_masks"
 POINTS = "svrgs_points"  # property of a root: number of sparse points in its dataset
 TYPES = ("MESH", "POINTCLOUD")
 # 3DGS files have y down, Blender has z up

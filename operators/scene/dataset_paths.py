@@ -3,7 +3,7 @@
 Paths are stored as Blender stores those of images: relative to the .blend file ("//…") where that is
 possible, unless the preference Relative Paths is off. Blender adjusts its own paths when a file is saved in
 another folder, but not properties of add-ons. So this is done here: of the datasets of roots and of the prune
-panel, of job folders, and of the folder that was chosen for new jobs.
+panel, of masks, of job folders, and of the folder that was chosen for new jobs.
 """
 
 from __future__ import annotations
@@ -99,6 +99,11 @@ def dataset_of_root(root: bpy.types.Object) -> str:
     return absolute(_text(root.get(splat_object.DATASET)), root.library)
 
 
+def masks_of_job(root: bpy.types.Object) -> str:
+    """The folder of the masks that the last job of a root's cameras wrote; '' if it wrote none."""
+    return absolute(_text(root.get(splat_object.MASKS)), root.library)
+
+
 def _text(value: object) -> str:
     return value if isinstance(value, str) else ""
 
@@ -129,9 +134,11 @@ def _paths() -> Iterator[Place]:
     for obj in (obj for obj in bpy.data.objects if not obj.library):
         yield partial(obj.__setitem__, splat_object.DATASET), _text(obj.get(splat_object.DATASET)), stored
         yield partial(obj.__setitem__, FOLDER), folder_of(obj), _stored_below
+        yield partial(obj.__setitem__, splat_object.MASKS), _text(obj.get(splat_object.MASKS)), _stored_below
     for scene in (scene for scene in bpy.data.scenes if not scene.library):
         settings = scene.svrgs_prune
         yield partial(setattr, settings, "data"), settings.data, stored
+        yield partial(setattr, settings, "masks"), settings.masks, stored
         folder = settings.folder if settings.folder.startswith("//") else ""
         yield partial(setattr, settings, "folder"), folder, stored
 

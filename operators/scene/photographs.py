@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Callable
+from concurrent.futures import Future
+from functools import partial
 from pathlib import Path
 
 import bpy
+import numpy as np
 from bpy.app.translations import pgettext_iface as tr
 
-from ...svrgs_addon.views.valid_pixels import FOLDER, LOSSY, MaskOptions, Masks
-from ..data import camera_object, image_pixels, splat_object
+from ...svrgs_addon.jobs.photo_mask import read_in_child
+from ...svrgs_addon.system.errors import SplatError
+from ...svrgs_addon.views.valid_pixels import MaskOptions
+from ..data import background_work, camera_object, image_pixels, known, splat_object
 from . import dataset_paths
 
 FOUND = "svrgs_photograph"  # property of a photograph's camera: figures of the last job, by name
-MASKS = "svrgs_masks"  # property of the root of cameras: the folder of the masks of the last job
 TINT = (0.8, 0.1, 0.1, 0.6)  # of what does not count
 
 
@@ -27,7 +33,7 @@ def store(root: bpy.types.Object | None, found: dict[str, dict[str, float]], mas
     """What a job found about each photograph, by the name of its image, and the folder of the masks that it
     wrote. Those that it has nothing about lose what an earlier job found."""
     if root is not None:
-        root[MASKS] = masks
+        root[splat_object.MASKS] = masks
     for obj in of(root):
         obj.data.pop(FOUND, None)
         if figures := found.get(obj.data[camera_object.IMAGE]):
@@ -56,41 +62,61 @@ def look_through(settings, context):
 
 def show_mask(settings, context):
     """Lays what does not count over the picture of the scene's camera, and over no other; over none if that
-    is switched off, or if the photograph has no mask."""
-    root = splat_object.root_of(context.object)
+    is switched off, or if the photograph has no mask. The masks are read in a thread."""
+    root, camera = splat_object.root_of(context.object), context.scene.camera
     for obj in (one for one in of(root) if one.data.library is None):
         backgrounds = obj.data.background_images
         for background in [
             one for one in backgrounds if one.image is not None and one.image.name == camera_object.MASKED_OUT
         ]:
             backgrounds.remove(background)
-    camera = context.scene.camera
-    shown = root is not None and settings.show_masks and camera in of(root) and camera.data.library is None
-    file, inverted = mask_file(camera, root, context) if shown else (None, False)
-    if file is None:
+    if root is None:
         return
-    mask = bpy.data.images.load(str(file))
-    pixels = image_pixels.read_image(mask)
-    bpy.data.images.remove(mask)
-    if pixels is None:
+    known.of(root).mask_problem = ""
+    if not settings.show_masks or camera not in of(root) or camera.data.library is not None:
         return
-    least = 0.5 if file.suffix.lower() in LOSSY else 0.0
-    hidden = (pixels[..., 0] > least) == inverted
+    read, uids = (
+        mask_reader(context, camera),
+        (context.scene.session_uid, root.session_uid, camera.session_uid),
+    )
+
+    def done(answer: Future):
+        scene, below, shown = (
+            next((one for one in ids if one.session_uid == uid), None)
+            for ids, uid in zip((bpy.data.scenes, bpy.data.objects, bpy.data.objects), uids, strict=True)
+        )
+        # meanwhile another one may be looked at
+        if scene is None or below is None or shown is None or scene.camera != shown:
+            return
+        try:
+            lay_over(shown, answer.result())
+        except (SplatError, OSError) as error:
+            known.of(below).mask_problem = str(error)
+
+    background_work.run(read, done, detached=True)
+
+
+def lay_over(camera: bpy.types.Object, valid: np.ndarray | None):
+    """Tints what does not count in the picture behind a camera; nothing if all does."""
+    shown = [one.image for one in camera.data.background_images if one.image is not None]
+    if valid is None or any(image.name == camera_object.MASKED_OUT for image in shown):
+        return
     background = camera.data.background_images.new()
-    background.image = image_pixels.write_tint(camera_object.MASKED_OUT, hidden, TINT)
+    background.image = image_pixels.write_tint(camera_object.MASKED_OUT, valid == 0, TINT)
     background.frame_method, background.display_depth, background.alpha = "STRETCH", "FRONT", 1.0
     camera.data.show_background_images = True
 
 
-def mask_file(camera: bpy.types.Object, root: bpy.types.Object, context) -> tuple[Path | None, bool]:
-    """The mask of a photograph, of the last job, of the folder that was chosen, or beside the photographs;
-    and whether its black pixels count, as may be chosen for all but those of a job."""
-    settings, name = context.scene.svrgs_prune, camera.data[camera_object.IMAGE]
-    own, chosen = root.get(MASKS, ""), dataset_paths.absolute(settings.masks)
-    folders = [(own, False), (chosen, settings.invert_masks)]
-    folders.append((str(Path(dataset_paths.dataset_of_root(root), FOLDER)), settings.invert_masks))
-    for folder, inverted in folders:
-        if isinstance(folder, str) and folder:
-            if file := Masks(MaskOptions(), Path(folder), {}).file(name):
-                return file, inverted
-    return None, False
+def mask_reader(context, camera: bpy.types.Object) -> Callable[[], np.ndarray | None]:
+    """Reads what counts in a photograph, as photo_mask.read_in_child(), without bpy: by the masks of the last
+    job, by the folder that was chosen, or as the dataset says. Those of a job are never inverted."""
+    root, settings = splat_object.root_of(camera), context.scene.svrgs_prune
+    folder = dataset_paths.dataset_of_root(root) if root is not None else ""
+    if root is None or camera_object.IMAGE not in camera.data or not os.path.exists(folder):
+        return lambda: None
+    own, chosen = dataset_paths.masks_of_job(root), dataset_paths.absolute(settings.masks)
+    masks = [MaskOptions(Path(chosen) if chosen else None, settings.invert_masks, settings.outside)]
+    if os.path.isdir(own):
+        masks.insert(0, MaskOptions(Path(own)))
+    images = root.get(splat_object.IMAGES, "")
+    return partial(read_in_child, folder, images, camera.data[camera_object.IMAGE], masks)

@@ -7,6 +7,7 @@ from concurrent.futures import Future
 from functools import partial
 
 import bpy
+import numpy as np
 from bpy.app.translations import pgettext_iface as tr
 
 from ...svrgs_addon.files.registry import file_size
@@ -14,16 +15,18 @@ from ...svrgs_addon.jobs.lpips_child import lpips_in_child
 from ...svrgs_addon.native import library
 from ...svrgs_addon.native.rasterizer import Rasterizer
 from ...svrgs_addon.prune.report.pictures import contact_sheet, difference_image, to_uint8, wipe
-from ...svrgs_addon.render.metrics import flip, psnr, ssim
-from ...svrgs_addon.render.metrics.evaluate import picture_options, rounded_to_8_bits
+from ...svrgs_addon.render.metrics import psnr
+from ...svrgs_addon.render.metrics.evaluate import mean_figures, picture_options, rounded_to_8_bits
 from ...svrgs_addon.render.metrics.lpips import weights_file
-from ...svrgs_addon.scene.camera import Camera
+from ...svrgs_addon.scene.camera import Camera, resized_valid
 from ...svrgs_addon.scene.gaussians import Scene
 from ...svrgs_addon.system.errors import SceneError, SplatError
+from ...svrgs_addon.views.valid_pixels import BACKGROUND
 from ..data import background_work, camera_object, image_pixels, splat_object, visible_splats
 from ..data.preferences import threads
 from ..data.reporting import ReportingOperator
 from ..jobs import job_result
+from ..scene import photographs
 from ..scene.contribution import chosen_cameras
 from .spatial_mask import show_in_editors
 
@@ -129,20 +132,24 @@ class SVRGS_OT_compare(ComparingOperator):
         obj = settings.compare_camera or context.scene.camera
         camera = camera_object.camera_from_object(obj, context.scene)
         photo = photograph(obj)
+        valid = None
         if photo is not None:
             camera = camera.resized(photo.shape[1], photo.shape[0])
+            valid = counting(context, obj, photo)
         pictures = original, pruned = splats.render(camera, tuple(settings.background))
-        rows = [measure(*both, photo) for both in zip(splats.scenes, pictures, strict=True)]
+        rows = [measure(*both, photo, valid) for both in zip(splats.scenes, pictures, strict=True)]
         between = psnr(original, pruned)
         figures = {"camera": obj.name, "original": rows[0], "pruned": rows[1], "between": between}
+        if valid is not None:
+            figures["hidden"] = 1 - float(valid.mean())
         image_pixels.write_image(ORIGINAL, original)
         image_pixels.write_image(PRUNED, pruned)
         image_pixels.write_image(DIFFERENCE, difference_image(original, pruned))
         image = image_pixels.write_image(WIPE, wipe(original, pruned, settings.wipe), figures=figures)
         show_in_editors(context, image)
         if photo is not None and weights_file().is_file():
-            perceived(pictures, photo, figures)
-        return summary(rows, between)
+            perceived(pictures, photo, valid, figures)
+        return summary(rows, between, figures.get("hidden", 0.0))
 
 
 class SVRGS_OT_contact_sheet(ComparingOperator):
@@ -195,19 +202,40 @@ def photograph(obj: bpy.types.Object):
     return image_pixels.read_image(images[0]) if images else None
 
 
-def measure(scene, picture, photo) -> dict:
-    """Count and bytes of the splat; with a photograph also PSNR, SSIM and FLIP. All fit into a property,
-    where whole numbers have 32 bits."""
+def counting(context, obj: bpy.types.Object, photo: np.ndarray) -> np.ndarray | None:
+    """The pixels that count where a camera's photograph is compared, (H, W) uint8; None: all. Where what a
+    mask hides is to be the background, it is painted in the photograph. Raises SceneError."""
+    valid = photographs.mask_reader(context, obj)()
+    if valid is None:
+        return None
+    valid = resized_valid(valid, photo.shape[1], photo.shape[0])
+    if context.scene.svrgs_prune.outside == BACKGROUND:
+        photo[valid == 0] = context.scene.svrgs_view.background
+        return None
+    if not valid.any():
+        raise SceneError(tr("the mask of '{name}' hides the whole photograph").format(name=obj.name))
+    return valid
+
+
+def measure(scene, picture, photo, valid) -> dict:
+    """Count and bytes of the splat; with a photograph also PSNR, SSIM and FLIP over the pixels that count.
+    All fit into a property, where whole numbers have 32 bits."""
     row = {"count": scene.count, "bytes": float(file_size(scene))}
     if photo is not None:
-        row |= {"psnr": psnr(picture, photo), "ssim": float(ssim(picture, photo))}
-        row["flip"] = float(flip(picture, photo))
+        figures = mean_figures([(covered(picture, valid), covered(photo, valid), valid)])
+        row |= {name: figures[name] for name in ("psnr", "ssim", "flip")}
     return row
 
 
-def perceived(pictures: tuple, photo, figures: dict):
+def covered(picture: np.ndarray, valid: np.ndarray | None) -> np.ndarray:
+    """The picture, black where it does not count."""
+    return picture if valid is None else picture * valid[..., None]
+
+
+def perceived(pictures: tuple, photo, valid, figures: dict):
     """Measures LPIPS, which takes a minute for a large picture, in a child process, and adds it to the
     figures of the comparison unless there is another one by then."""
+    share = 1 - figures.get("hidden", 0.0)
 
     def done(answer: Future):
         image = bpy.data.images.get(WIPE)
@@ -215,16 +243,17 @@ def perceived(pictures: tuple, photo, figures: dict):
             return
         try:
             for name, value in zip(("original", "pruned"), answer.result(), strict=True):
-                figures[name]["lpips"] = value
+                figures[name]["lpips"] = value / share
         except (SplatError, OSError) as error:
             figures["lpips_missing"] = str(error)
         image[image_pixels.FIGURES] = figures
 
-    work = partial(lpips_in_child, pictures, photo, bpy.app.tempdir)
+    shown = [covered(picture, valid) for picture in pictures]
+    work = partial(lpips_in_child, shown, covered(photo, valid), bpy.app.tempdir)
     background_work.run(work, done, detached=True)
 
 
-def summary(rows: list[dict], between: float) -> str:
+def summary(rows: list[dict], between: float, hidden: float) -> str:
     a, b = rows
     texts = [
         tr("{before:,} to {after:,} Gaussians").format(before=a["count"], after=b["count"]),
@@ -237,6 +266,8 @@ def summary(rows: list[dict], between: float) -> str:
                 before=a["psnr"], after=b["psnr"]
             )
         )
+    if hidden:
+        texts.append(tr("{share:.1%} of it is masked out, and does not count").format(share=hidden))
     return "; ".join(texts)
 
 

@@ -29,7 +29,7 @@ from .colmap import pinhole_camera, undistort_image
 from .photo_files import photograph, present
 from .reduced_photos import toned
 from .sources import Source, read_source
-from .valid_pixels import BACKGROUND, MaskOptions, masks_of
+from .valid_pixels import BACKGROUND, MaskOptions, Masks, masks_of
 
 if TYPE_CHECKING:
     import pycolmap
@@ -246,17 +246,13 @@ def _photographed(
     if not masks.expected:
         return numbers, cameras, photos, notes
 
-    def valid_pixels(k: int) -> tuple[np.ndarray | None, float | None]:
+    def valid_bits(k: int) -> tuple[np.ndarray | None, float | None]:
         """Camera.valid_bits, and the share of the pixels that count."""
-        valid = masks.valid(cameras[k].name, photos[k].path, *sizes[k])
-        distorted = photos[k].distorted
-        if valid is not None and distorted is not None:
-            white = np.repeat(255 * valid[..., None], 3, axis=2)
-            valid = (undistort_image(white, distorted)[..., 0] == 255).astype(np.uint8)
+        valid = _valid_pixels(masks, cameras[k].name, photos[k], sizes[k])
         return (None, None) if valid is None else (np.packbits(valid, axis=1), float(valid.mean()))
 
     with ThreadPoolExecutor(READER_THREADS) as pool:
-        bits, shares = zip(*pool.map(valid_pixels, range(len(photos))), strict=True)
+        bits, shares = zip(*pool.map(valid_bits, range(len(photos))), strict=True)
     notes += masks.notes(shares)
     if options.outside == BACKGROUND:
         photos = [replace(photo, unpainted=one) for photo, one in zip(photos, bits, strict=True)]
@@ -264,3 +260,27 @@ def _photographed(
     shown = [k for k, share in enumerate(shares) if share != 0]
     cameras = [replace(cameras[k], valid_bits=bits[k]) for k in shown]
     return [numbers[k] for k in shown], cameras, [photos[k] for k in shown], notes
+
+
+def valid_pixels(folder: Path, images: str | None, options: MaskOptions, name: str) -> np.ndarray | None:
+    """The pixels of one photograph that count in load_dataset(), (H, W) uint8 of 0 and 1, undistorted; None:
+    all. name: of its view. Raises SceneError, FormatError."""
+    source = read_source(Path(extended(folder)), images)
+    view = next((view for view in source.model.views if view.name == name), None)
+    if view is None or source.image_folder is None:
+        raise SceneError(f"{source.location}: has no view {name}")
+    masks = masks_of(options, source.image_folder, source.masks)
+    if not masks.expected:
+        return None
+    path = photograph(source.image_folder, name) or source.image_folder / name
+    size = image_size(path, upright=False)
+    return _valid_pixels(masks, name, Photo(path, pinhole_camera(view, *size)[1]), size)
+
+
+def _valid_pixels(masks: Masks, name: str, photo: Photo, size: tuple[int, int]) -> np.ndarray | None:
+    """As Masks.valid(), undistorted. size: (width, height) of the photograph. Raises FormatError."""
+    valid = masks.valid(name, photo.path, *size)
+    if valid is None or photo.distorted is None:
+        return valid
+    white = np.repeat(255 * valid[..., None], 3, axis=2)
+    return (undistort_image(white, photo.distorted)[..., 0] == 255).astype(np.uint8)

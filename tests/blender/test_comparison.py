@@ -41,6 +41,40 @@ def test_compare_draws_both_and_measures_against_the_photograph(tmp_path, stage,
         assert 0 < row["ssim"] <= 1 and 0 <= row["flip"] < 1
 
 
+@pytest.mark.parametrize("outside", ["auto", "background"])
+def test_compare_counts_no_pixel_that_the_mask_hides(tmp_path, stage, outside):
+    """Those that are painted count. The masks are those of the folder that was chosen for jobs."""
+    compare, settings = part("operators.view.compare"), stage.svrgs_prune
+    bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
+    splat = bpy.context.object
+    bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
+    bpy.context.view_layer.objects.active = splat
+    mark_removed(splat, np.arange(250) % 3 == 0)
+    mask = np.full((48, 64), 255, np.uint8)
+    mask[:12] = 0
+    photo = stage.camera.data["svrgs_image"]
+    part("svrgs_addon.files.images").write_image(tmp_path / f"{photo}.png", mask)
+    settings.masks, settings.outside = str(tmp_path), outside
+    try:
+        bpy.ops.svrgs.compare()
+        figures, layout = compare.figures(), Layout()
+        part("panels.compare").SVRGS_PT_compare.draw(SimpleNamespace(layout=layout), bpy.context)
+        if outside == "auto":
+            part("svrgs_addon.files.images").write_image(tmp_path / f"{photo}.png", 0 * mask)
+            with pytest.raises(RuntimeError, match="hides the whole photograph"):
+                bpy.ops.svrgs.compare()
+    finally:
+        settings.masks, settings.outside = "", "auto"
+    pruned = pixels(bpy.data.images["SVR-GS Pruned"])[..., :3]
+    wanted = pixels(bpy.data.images.load(str(DATA / f"tiny/images/{photo}")))[..., :3]
+    if outside == "background":
+        wanted[:12] = 0
+    shown = slice(12, None) if outside == "auto" else slice(None)
+    error = np.mean((pruned[shown] - wanted[shown]) ** 2)
+    assert math.isclose(figures["pruned"]["psnr"], -10 * math.log10(error), rel_tol=1e-3)
+    assert ("25.0% of it is masked out" in layout.text) == (outside == "auto")
+
+
 def test_compare_measures_lpips_where_its_weights_are(tmp_path, stage, monkeypatch):
     """In a thread; without a window Blender waits for it."""
     lpips, compare = part("svrgs_addon.render.metrics.lpips"), part("operators.view.compare")

@@ -19,7 +19,7 @@ def project(tmp_path, watch):
     """A folder with a dataset and, unsaved yet, a splat with its cameras."""
     folder = tmp_path / "project"
     shutil.copytree(DATA / "tiny", folder / "data")
-    for name in ("data", "folder", "images"):
+    for name in ("data", "folder", "images", "masks"):
         bpy.context.scene.svrgs_prune.property_unset(name)
     bpy.ops.wm.read_homefile(use_empty=True)
     bpy.ops.svrgs.import_ply(filepath=str(folder / "data/scene.ply"))
@@ -89,14 +89,17 @@ def test_saving_in_another_folder_keeps_the_dataset(project, tmp_path, copy):
     settings = bpy.context.scene.svrgs_prune
     settings.data = str(project / "data")
     save(project / "work.blend")
-    settings.folder = "//jobs"
+    settings.folder, settings.masks = "//jobs", "//masks"
     save(tmp_path / "elsewhere/deep/work.blend", copy=copy)
     assert dataset() == project / "data" and photographs() == {project / "data/images"}
     assert Path(bpy.path.abspath(settings.folder)).resolve() == project / "jobs"
+    assert Path(bpy.path.abspath(settings.masks)).resolve() == project / "masks"
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "elsewhere/deep/work.blend"))
     select_splat()
     assert dataset() == project / "data" and photographs() == {project / "data/images"}
-    assert Path(bpy.path.abspath(bpy.context.scene.svrgs_prune.folder)).resolve() == project / "jobs"
+    settings = bpy.context.scene.svrgs_prune
+    assert Path(bpy.path.abspath(settings.folder)).resolve() == project / "jobs"
+    assert Path(bpy.path.abspath(settings.masks)).resolve() == project / "masks"
     bpy.context.scene.svrgs_prune.data = ""
     assert dataset() == project / "data"
 

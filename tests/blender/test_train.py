@@ -88,7 +88,7 @@ def test_the_list_of_photographs_shows_what_was_found_and_looks_through_their_ca
     view.photograph = bpy.data.objects.find(cameras[5].name)
     alpha = np.array(tint.pixels[:]).reshape(48, 64, 4)[::-1, :, 3]
     assert not alpha[:10].any() and (alpha[10:] > 0.5).all()
-    root[photographs.MASKS] = str(tmp_path / "masks")  # those of a job are never inverted
+    root["svrgs_masks"] = str(tmp_path / "masks")  # those of a job are never inverted
     view.photograph = bpy.data.objects.find(cameras[5].name)
     alpha = np.array(tint.pixels[:]).reshape(48, 64, 4)[::-1, :, 3]
     assert (alpha[:10] > 0.5).all() and not alpha[10:].any()
