@@ -1,26 +1,33 @@
-"""Photographs with troubles, on a generated scene whose truth is known: what a remedy wins back.
+"""Photographs with troubles, on a generated scene whose truth is known: what a remedy wins back; and real
+ones as they are, which no remedy may harm.
 
     .venv/bin/python benchmarks/photographs.py people|exposure|poses|turntable [--scene demo=DIR] [--shrink 2]
+    .venv/bin/python benchmarks/photographs.py auto --scene NAME=DIR --targets 0.25 --seeds 3
 
 people: a person stands in every other photograph, somewhere else in each. exposure: each photograph has
 another exposure, ±0.3 EV, and another white balance, about ±300 K. poses: each training camera is turned by
 0.2 degrees and moved by 0.3 % of the scene's extent, in random directions. turntable: the middle of the scene
 turns, and the wall behind it looks the same in every photograph. A scene that was trained on the clean
 photographs is pruned on these, with and without the remedy, and on the clean ones. Each row is measured on
-the clean test views.
+the clean test views. auto: the same without a trouble, with exposure and poses off and auto. Figures are
+means over seeds, and half their range; processor seconds are those of a prune.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import math
+import resource
 import subprocess
 import sys
 from pathlib import Path
+from statistics import fmean
 
 import numpy as np
 
+from method_report import half_range
 from method_scenes import prepared
 from svrgs_addon.files.images import linear_to_srgb, read_image, read_pixels, srgb_to_linear, write_image
 from svrgs_addon.files.registry import read_scene, write_scene
@@ -123,6 +130,9 @@ def gaze(cameras: list[Camera]) -> tuple[np.ndarray, float]:
 
 def ways_of(trouble: str, images: Path, work: Path, data: list[str]) -> dict[str, list]:
     """The flags of svrgs prune for each way to prune, by its name. data: the flag --data."""
+    if trouble == "auto":
+        photographs = [*data, "--images", images]
+        return {"off": [*photographs, "--exposure", "off", "--refine-poses", "off"], "auto": photographs}
     troubled = [*data, "--images", work / trouble]
     if trouble == "poses":
         shake(Path(data[1]), work / "shaken")
@@ -150,10 +160,12 @@ def main():
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("trouble", choices=("people", "exposure", "poses", "turntable"))
+    parser.add_argument("trouble", choices=("people", "exposure", "poses", "turntable", "auto"))
     parser.add_argument("--scene", default="demo", metavar="NAME=DIR")
     parser.add_argument("--shrink", type=int, default=2)
     parser.add_argument("--schedule", default="0.1")
+    parser.add_argument("--targets", nargs="+", default=TARGETS)
+    parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--work", type=Path, default=ROOT / "build" / "photographs")
     options = parser.parse_args()
     name, _, folder = options.scene.partition("=")
@@ -166,17 +178,32 @@ def main():
     truth = clean
     if options.trouble == "turntable":
         clean, truth, trained = turn(trained, clean, work)
-    ways = {"clean photographs": clean} | ways_of(options.trouble, images, work, clean[:2])
+    ways = {} if options.trouble == "auto" else {"clean photographs": clean}
+    ways |= ways_of(options.trouble, images, work, clean[:2])
     before = svrgs("eval", trained, *truth)["psnr"] or math.inf
     print(f"{name}: {before:.2f} dB before\n\n| kept | {' | '.join(ways)} |\n|---|" + "---|" * len(ways))
-    for target in TARGETS:
-        cells = []
-        for way, data in ways.items():
-            out = work / f"{way}-{target}.ply"
-            words = ["--target", target, "--schedule", options.schedule, "--out", out, "--quiet"]
-            svrgs("prune", trained, *data, *words, "--force", "--overwrite")
-            cells.append(f"{svrgs('eval', out, *truth)['psnr']:.2f}")
-        print(f"| {float(target):.0%} | {' | '.join(cells)} |", flush=True)
+    seconds = {way: list[float]() for way in ways}
+    for target in options.targets:
+        found = {way: list[float]() for way in ways}
+        for seed, (way, data) in itertools.product(range(options.seeds), ways.items()):
+            out, started = work / f"{way}-{target}.ply", processor_seconds()
+            words = ["--target", target, "--schedule", options.schedule, "--seed", seed, "--out", out]
+            svrgs("prune", trained, *data, *words, "--quiet", "--force", "--overwrite")
+            seconds[way].append(processor_seconds() - started)
+            found[way].append(svrgs("eval", out, *truth)["psnr"])
+        print(f"| {float(target):.1%} | {' | '.join(map(in_words, found.values()))} |", flush=True)
+    print(f"| processor seconds | {' | '.join(f'{fmean(values):.0f}' for values in seconds.values())} |")
+
+
+def processor_seconds() -> float:
+    """Of all commands that have ended."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def in_words(values: list[float]) -> str:
+    """The mean of PSNR; of several seeds also half their range."""
+    return f"{fmean(values):.2f}" + (f" ± {half_range(values):.2f}" if len(values) > 1 else "")
 
 
 if __name__ == "__main__":
