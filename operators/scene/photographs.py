@@ -9,7 +9,6 @@ from functools import partial
 from pathlib import Path
 
 import bpy
-import numpy as np
 from bpy.app.translations import pgettext_iface as tr
 
 from ...svrgs_addon.jobs.photo_mask import read_in_child
@@ -96,8 +95,8 @@ def show_mask(settings, context):
     background_work.run(read, done, detached=True)
 
 
-def lay_over(camera: bpy.types.Object, valid: np.ndarray | None):
-    """Tints what does not count in the picture behind a camera; nothing if all does."""
+def lay_over(camera: bpy.types.Object, valid):
+    """Tints what does not count in the picture behind a camera. valid: (H, W), 0 there; None: all counts."""
     shown = [one.image for one in camera.data.background_images if one.image is not None]
     if valid is None or any(image.name == camera_object.MASKED_OUT for image in shown):
         return
@@ -107,7 +106,7 @@ def lay_over(camera: bpy.types.Object, valid: np.ndarray | None):
     camera.data.show_background_images = True
 
 
-def mask_reader(context, camera: bpy.types.Object) -> Callable[[], np.ndarray | None]:
+def mask_reader(context, camera: bpy.types.Object) -> Callable:
     """Reads what counts in a photograph, as photo_mask.read_in_child(), without bpy: by the masks of the last
     job, by the folder that was chosen, or as the dataset says. Those of a job are never inverted."""
     root, settings = splat_object.root_of(camera), context.scene.svrgs_prune

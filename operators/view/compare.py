@@ -7,7 +7,6 @@ from concurrent.futures import Future
 from functools import partial
 
 import bpy
-import numpy as np
 from bpy.app.translations import pgettext_iface as tr
 
 from ...svrgs_addon.files.registry import file_size
@@ -202,7 +201,7 @@ def photograph(obj: bpy.types.Object):
     return image_pixels.read_image(images[0]) if images else None
 
 
-def counting(context, obj: bpy.types.Object, photo: np.ndarray) -> np.ndarray | None:
+def counting(context, obj: bpy.types.Object, photo):
     """The pixels that count where a camera's photograph is compared, (H, W) uint8; None: all. Where what a
     mask hides is to be the background, it is painted in the photograph. Raises SceneError."""
     valid = photographs.mask_reader(context, obj)()
@@ -227,7 +226,7 @@ def measure(scene, picture, photo, valid) -> dict:
     return row
 
 
-def covered(picture: np.ndarray, valid: np.ndarray | None) -> np.ndarray:
+def covered(picture, valid):
     """The picture, black where it does not count."""
     return picture if valid is None else picture * valid[..., None]
 

@@ -11,7 +11,7 @@ from ..render.metrics.evaluate import picture_options
 from ..scene.camera import evenly
 from ..scene.gaussians import Scene
 from ..views.dataset import Dataset
-from ..views.reduced_photos import photo_of, reduction_to
+from ..views.reduced_photos import reduced_view
 
 SIDE = 200  # pixels of the longer side, about
 OPAQUE = 0.9  # alpha, from which on a pixel shows the splat and not what is behind it
@@ -25,9 +25,7 @@ def compared_views(
     splat fills. Raises FormatError, SceneError."""
     rasterizer, options = Rasterizer(), picture_options(scene, dataset.background)
     for index in evenly(dataset.train_indices, most):
-        factor = reduction_to(SIDE, dataset.cameras[index])
-        camera = dataset.cameras[index].reduced(factor)
-        photo = photo_of(camera, dataset.image(index), np.dtype(np.float32), factor)
+        camera, photo = reduced_view(dataset.cameras[index], dataset.image(index), SIDE)
         shown = rasterizer.forward(scene, camera, options, outputs=("rgb", "alpha"))
         valid = True if (found := camera.valid) is None else found != 0
         yield photo, shown["rgb"], (shown["alpha"] > OPAQUE) & valid

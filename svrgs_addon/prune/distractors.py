@@ -22,7 +22,7 @@ from ..scene.gaussians import SH_C0, Scene
 from ..system.errors import SceneError
 from ..system.foreign import own
 from ..views.dataset import Dataset
-from ..views.reduced_photos import photo_of, reduction_to
+from ..views.reduced_photos import reduced_view
 from .compared_views import SIDE
 
 TIMES, MORE = 3.0, 0.03  # an outlier errs by so many times the expected residual, and so much more, of 0..1
@@ -97,9 +97,7 @@ def distractors_of(scene: Scene, dataset: Dataset) -> dict[int, np.ndarray]:
 
     views, sums = dict[int, tuple[Camera, np.ndarray]](), np.zeros((2, scene.count))
     for index in dataset.train_indices:
-        factor = reduction_to(SIDE, dataset.cameras[index])
-        camera = dataset.cameras[index].reduced(factor)
-        photo = photo_of(camera, dataset.image(index), np.dtype(np.float32), factor)
+        camera, photo = reduced_view(dataset.cameras[index], dataset.image(index), SIDE)
         views[index] = camera, _error(rasterizer.forward(scene, camera, options)["rgb"], photo)
         sums += shares(*views[index])
     found = {}

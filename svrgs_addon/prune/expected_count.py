@@ -22,7 +22,7 @@ from ..render.metrics.measures import psnr, with_error
 from ..scene.camera import Camera, spaced
 from ..scene.gaussians import Scene
 from ..views.dataset import Dataset
-from ..views.reduced_photos import photo_of
+from ..views.reduced_photos import reduced_view, reduction_to
 from .quality_forecast import spread
 
 VIEW_SECONDS = 0.8  # time limit of rendering views, without reading files
@@ -59,7 +59,7 @@ def seen_by_some(scene: Scene, dataset: Dataset, plan: Plan) -> Seen:
     )
     views, end = 0, time.monotonic() + VIEW_SECONDS
     for index in chosen:
-        found = scores.contribution(scene, [_reduced(dataset, index)], rasterizer, options)
+        found = scores.contribution(scene, [_reduced(dataset.cameras[index])], rasterizer, options)
         sums, peaks, hits = sums + found[0], np.maximum(peaks, found[1]), hits + found[2]
         views += 1
         if time.monotonic() > end:
@@ -89,7 +89,7 @@ def expected_order(plan: Plan, scene: Scene, dataset: Dataset, seen: Seen) -> np
 
 def _from_some(ranking: Callable, scene: Scene, dataset: Dataset) -> np.ndarray:
     """Saliency or removal error (N,), from some of the views."""
-    views = [_reduced(dataset, index) for index in spaced(_views(dataset), RANKING_VIEWS)]
+    views = [_reduced(dataset.cameras[index]) for index in spaced(_views(dataset), RANKING_VIEWS)]
     return ranking(scene, views, Rasterizer(), render_options(scene, dataset.background))
 
 
@@ -97,14 +97,8 @@ def _views(dataset: Dataset) -> list[int]:
     return dataset.train_indices or list(range(len(dataset.cameras)))
 
 
-def _reduced(dataset: Dataset, index: int):
-    return dataset.cameras[index].reduced(_reduction(dataset, index))
-
-
-def _reduction(dataset: Dataset, index: int) -> int:
-    """By how much the sides of a view are reduced."""
-    camera = dataset.cameras[index]
-    return camera.reducible(max(1, max(camera.width, camera.height) // SIDE))
+def _reduced(camera: Camera) -> Camera:
+    return camera.reduced(reduction_to(SIDE, camera))
 
 
 def _fewest_within_drop(scene: Scene, dataset: Dataset, order: np.ndarray, plan: Plan) -> int:
@@ -133,8 +127,7 @@ def _psnr_on_some(scene: Scene, dataset: Dataset) -> tuple[float, Callable[[np.n
 
     views, found, seconds = [], [], 0.0
     for index in spread(quality_views(dataset)):
-        camera, photo = _reduced(dataset, index), dataset.image(index)
-        views.append((camera, photo_of(camera, photo, np.dtype(np.float32), _reduction(dataset, index))))
+        views.append(reduced_view(dataset.cameras[index], dataset.image(index), SIDE))
         started = time.monotonic()
         found.append(psnr_of_view(*views[-1], None))
         seconds += time.monotonic() - started

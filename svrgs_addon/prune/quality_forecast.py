@@ -22,7 +22,7 @@ from ..render.metrics.evaluate import picture_options, rounded_to_8_bits
 from ..render.metrics.measures import psnr
 from ..scene.gaussians import Scene
 from ..views.dataset import Dataset
-from ..views.reduced_photos import photo_of
+from ..views.reduced_photos import reduced_view
 
 # time limit of rendering views, without the last one; views that are rendered in any case
 SECONDS, MIN_FORECAST_VIEWS = 0.8, 2
@@ -70,15 +70,11 @@ def _mean_psnrs(scene: Scene, dataset: Dataset, kept: list[np.ndarray | None]) -
     rows: list[list[float]] = []
     end = time.monotonic() + SECONDS
     for index in spread(dataset.test_indices or dataset.train_indices):
-        camera = dataset.cameras[index]
-        factor = camera.reducible(max(1, max(camera.width, camera.height) // SIDE))
-        camera = camera.reduced(factor)
-        photo, share = (
-            photo_of(camera, dataset.image(index), np.dtype(np.float32), factor),
-            camera.valid_share,
-        )
+        camera, photo = reduced_view(dataset.cameras[index], dataset.image(index), SIDE)
         images = (rasterizer.forward(scene, camera, options, masks)["rgb"] for masks in kept)
-        rows.append([min(HIGHEST, psnr(rounded_to_8_bits(image), photo, share)) for image in images])
+        rows.append(
+            [min(HIGHEST, psnr(rounded_to_8_bits(image), photo, camera.valid_share)) for image in images]
+        )
         if len(rows) >= MIN_FORECAST_VIEWS and time.monotonic() > end:
             break
     return [fmean(column) for column in zip(*rows, strict=True)]

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..native.rasterizer import RenderOptions
 from ..scene.camera import Camera
-from ..views.reduced_photos import photo_of, reduction_to
+from ..views.reduced_photos import reduced_view, reduction_to
 
 SIDES, ROUNDS = (100, 300, 300), 4  # longer sides in pixels, about, and steps with each
 STEP = 0.25  # pixels, of the differences
@@ -50,13 +50,13 @@ def aligned(
         return Aligned(camera, still, still)
     unit, motion = pixel_motion(camera, seen), still
     for side in sides:
-        small, factor, photo = _reduced(camera, image, side)
+        small, photo = reduced_view(camera, image, side)
         weights = _weights(small)
 
         def render(motion: np.ndarray, small=small) -> np.ndarray:
             return rasterizer.forward(scene, small.displaced(motion * unit), options)["rgb"]
 
-        motion = _minimised(render, photo, weights, motion, factor)
+        motion = _minimised(render, photo, weights, motion, reduction_to(side, camera))
     far = FARTHEST * max(camera.width, camera.height)
     before, after = (_error(render(some), photo, weights) for some in (still, motion))
     if np.abs(motion).max() > far or after >= before:
@@ -77,15 +77,8 @@ def error_of(
 ) -> float:
     """The mean squared difference that aligned() makes small, of pictures of this size, in the pose of the
     camera."""
-    small, _, photo = _reduced(camera, image, side)
+    small, photo = reduced_view(camera, image, side)
     return _error(rasterizer.forward(scene, small, options)["rgb"], photo, _weights(small))
-
-
-def _reduced(camera: Camera, image: np.ndarray, side: int) -> tuple[Camera, int, np.ndarray]:
-    """The view whose longer side has about so many pixels, by what it was reduced, and its photograph."""
-    factor = reduction_to(side, camera)
-    small = camera.reduced(factor)
-    return small, factor, photo_of(small, image, np.dtype(np.float32), factor)
 
 
 def _weights(camera: Camera) -> np.ndarray:

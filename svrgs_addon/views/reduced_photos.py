@@ -48,6 +48,14 @@ def photo_of(camera: Camera, image: np.ndarray, dtype, factor: int) -> np.ndarra
     return photo if valid is None else photo * valid[..., None]
 
 
+def reduced_view(camera: Camera, image: np.ndarray, side: int) -> tuple[Camera, np.ndarray]:
+    """A view whose longer side has about `side` pixels, and its photograph, float32. image: as
+    Dataset.image() gives it."""
+    factor = reduction_to(side, camera)
+    small = camera.reduced(factor)
+    return small, photo_of(small, image, np.dtype(np.float32), factor)
+
+
 def toned(image: np.ndarray, curve: np.ndarray) -> np.ndarray:
     """An image (..., 3), uint8 or float in 0..1, whose channels follow a curve (3, 256): the value in 0..1
     for each 8-bit value. It keeps its type."""

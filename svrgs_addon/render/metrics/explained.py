@@ -7,10 +7,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ...files.images import to_float
 from ...native.rasterizer import Rasterizer
 from ...scene.camera import Camera, evenly
 from ...views.dataset import Dataset
+from ...views.reduced_photos import reduced_view
 from .evaluate import Renderable, Renderer, picture_options
 from .measures import image_pair, psnr
 
@@ -40,16 +40,8 @@ def explained(image: np.ndarray, photo: np.ndarray, valid: np.ndarray | None = N
 def sample_views(dataset: Dataset) -> list[tuple[Camera, np.ndarray]]:
     """Some views of the dataset and their photographs (H, W, 3) float32, reduced to about SAMPLED_SIDE
     pixels. Raises FormatError, SceneError."""
-    views = []
-    for index in evenly(range(len(dataset.cameras)), SAMPLED_VIEWS):
-        camera, photo = dataset.cameras[index], to_float(dataset.image(index))
-        factor = camera.reducible(max(1, max(camera.width, camera.height) // SAMPLED_SIDE))
-        small = camera.reduced(factor)
-        height, width = small.height, small.width
-        blocks = photo[: height * factor, : width * factor].reshape(height, factor, width, factor, 3)
-        picture = blocks.mean(axis=(1, 3), dtype=np.float32)
-        views.append((small, picture if (valid := small.valid) is None else picture * valid[..., None]))
-    return views
+    chosen = evenly(range(len(dataset.cameras)), SAMPLED_VIEWS)
+    return [reduced_view(dataset.cameras[index], dataset.image(index), SAMPLED_SIDE) for index in chosen]
 
 
 def fit(
