@@ -74,25 +74,19 @@ def show_mask(settings, context):
     known.of(root).mask_problem = ""
     if not settings.show_masks or camera not in of(root) or camera.data.library is not None:
         return
-    read, uids = (
-        mask_reader(context, camera),
-        (context.scene.session_uid, root.session_uid, camera.session_uid),
-    )
+    uid, uid_of_root = camera.session_uid, root.session_uid
 
     def done(answer: Future):
-        scene, below, shown = (
-            next((one for one in ids if one.session_uid == uid), None)
-            for ids, uid in zip((bpy.data.scenes, bpy.data.objects, bpy.data.objects), uids, strict=True)
-        )
-        # meanwhile another one may be looked at
-        if scene is None or below is None or shown is None or scene.camera != shown:
+        """Meanwhile another photograph may be looked at, or another file be open."""
+        views = {scene.camera.session_uid: scene for scene in bpy.data.scenes if scene.camera is not None}
+        if uid not in views or not views[uid].svrgs_view.show_masks:
             return
         try:
-            lay_over(shown, answer.result())
+            lay_over(views[uid].camera, answer.result())
         except (SplatError, OSError) as error:
-            known.of(below).mask_problem = str(error)
+            known.of_uid(uid_of_root).mask_problem = str(error)
 
-    background_work.run(read, done, detached=True)
+    background_work.run(mask_reader(context, camera), done, detached=True)
 
 
 def lay_over(camera: bpy.types.Object, valid):
