@@ -4,7 +4,7 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 pythons=()
-for version in ${BLENDERS:-4.2.23 4.5.15 5.2.3}; do
+for version in ${BLENDERS:-4.2.23 4.5.15 5.2.3 5.3.0}; do
     venv=$PWD/build/bpy-$version
     case $version in
         4.* | 5.0.* | 5.1.*) needs=3.11 with=("numpy<2") ;;
