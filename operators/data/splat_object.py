@@ -26,6 +26,7 @@ import numpy as np
 from bpy.app.translations import pgettext_iface as tr
 from mathutils import Matrix
 
+from ...svrgs_addon.scene.affine import transformed
 from ...svrgs_addon.scene.attribute_layout import (
     BASE,
     POSITION,
@@ -41,10 +42,11 @@ from ...svrgs_addon.scene.moved_points import moved_parts
 from ...svrgs_addon.system.errors import SceneError, SplatError
 
 NOTES = "svrgs"  # property of a splat's data-block: types and order of further columns, comments
-# property of a splat without a root: whether its import has turned it from y down to z up; default True
+# property of a splat without a root: whether its import has turned it from y down to z up (_import_matrix)
 Y_DOWN = "svrgs_y_down"
 # properties of an imported splat: name of its file's format, bytes of the file
 FORMAT, BYTES = "svrgs_format", "svrgs_bytes"
+SPZ_COLOR, SPZ_ROUNDING = 0.15, 1e-3  # of SH degree 0, from which the 256 values of a colour are made
 SAME_PLACE = 1e-6  # difference between matrices in float32 that means nothing
 ROOT = "svrgs_root"  # property of an empty: its children share the coordinates of the files
 # properties of a root: folder of its dataset, name of the image folder in it
@@ -341,21 +343,43 @@ def to_file(obj: bpy.types.Object, matrix: Matrix) -> np.ndarray:
     result; if nothing was moved, it is exactly the identity.
     """
     root = root_of(obj)
-    return _relative(
-        root.matrix_world if root is not None else AXES if obj.get(Y_DOWN, True) else Matrix(), matrix
-    )
+    return _relative(root.matrix_world if root is not None else _import_matrix(obj), matrix)
 
 
 def move_below(obj: bpy.types.Object, root: bpy.types.Object | None):
     """Puts a splat below a root, or below nothing, where its file's coordinates are those of the root, or y
     down as after an import."""
+    in_file_coordinates(obj)
     place = Matrix(to_file(obj, obj.matrix_world))
     if root is not None:
         parent_to_root(obj, root)
         obj.matrix_basis = place
     else:
         obj.parent = None
-        obj.matrix_world = (AXES if obj.get(Y_DOWN, True) else Matrix()) @ place
+        obj.matrix_world = _import_matrix(obj) @ place
+
+
+def _import_matrix(obj: bpy.types.Object) -> Matrix:
+    """From the coordinates of the file to Blender's world, as a splat without a root was imported: y down
+    becomes z up, but not in Blender's own import of PLY."""
+    return AXES if obj.get(Y_DOWN, NOTES in obj.data or turned_by_blender(obj)) else Matrix()
+
+
+def turned_by_blender(obj: bpy.types.Object) -> bool:
+    """Whether the numbers of the splat are z up, those of its file y down: Blender turns those of an SPZ,
+    which has 256 values of each colour, and no other ones."""
+    base = None if NOTES in obj.data else values(obj, BASE)
+    if base is None or not len(base):
+        return False
+    levels = (base[:, :3] * SPZ_COLOR + np.float32(0.5)) * 255
+    return bool(np.abs(levels - np.rint(levels)).max() < SPZ_ROUNDING)
+
+
+def in_file_coordinates(obj: bpy.types.Object):
+    """Gives a splat that Blender's own import has turned the numbers of its file, in the same place."""
+    if turned_by_blender(obj):
+        obj.matrix_world, back = obj.matrix_world @ AXES, np.array(AXES.inverted())
+        replace_gaussians(obj, transformed(scene_from_object(obj), back))
 
 
 def to_world(matrix: Matrix, y_down: bool) -> np.ndarray:

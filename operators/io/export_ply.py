@@ -44,6 +44,7 @@ class SVRGS_OT_export_ply(ReportingOperator, ExportHelper, ExportSpace):
         name="Version",
         description="Version of the format",
         items=[
+            ("0", "Automatic", "4, and 3 without spherical harmonics, which Blender 5.3 does not read as 4"),
             ("4", "4", "The newest version"),
             ("3", "3", "For programs that do not read version 4 yet"),
             ("2", "2", "For programs that do not read version 3 yet"),

@@ -176,6 +176,7 @@ def root_for(
         return root
     if root is not None or obj is None or not splat_object.is_splat(obj):
         return splat_object.new_root(folder.name, collection)
+    splat_object.in_file_coordinates(obj)
     root = splat_object.new_root(folder.name, collection, obj.matrix_world)
     splat_object.parent_to_root(obj, root)
     return root

@@ -30,7 +30,10 @@ class ConvertOptions:
         SH_DEGREE, None, "highest degree of the spherical harmonics that is kept", default_help="all"
     )
     spz_version: int | None = option(
-        SPZ_VERSION, None, "version of an SPZ: some programs read older ones only", default_help="4"
+        SPZ_VERSION,
+        None,
+        "version of an SPZ: some programs read older ones only",
+        default_help="4, and 3 without SH, which Blender 5.3 does not read as 4",
     )
     quantise: float = option(
         POSITIVE_FLOAT,

@@ -222,9 +222,9 @@ def _log_repairs(path: str | Path, dropped: int, clamped: int, filtered: bool):
 
 def write_scene(path: str | Path, scene: Scene, version: int = 0, quantise: float = 1.0):
     """Writes the scene atomically, in the format of the suffix of `path`. What the format cannot hold is
-    logged. version: of the format; 0: the newest. quantise: factor on the error in SH that a format may make
-    which chooses it. Raises SceneError; also if the file cannot be read again, or, but for a PLY, without a
-    Gaussian."""
+    logged. version: of the format; 0: that which it chooses. quantise: factor on the error in SH that a
+    format may make which chooses it. Raises SceneError; also if the file cannot be read again, or, but for a
+    PLY, without a Gaussian."""
     splat_format = format_to_write(path)
     assert splat_format.write is not None
     splat_format.check_packages(Path(path))

@@ -13,10 +13,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..scene.activation import LOGIT_OF_ONE
 from ..scene.gaussians import Scene
 
-# opacity 0.99995: rendered like 1, because alpha is clamped at 0.99, but its gradient is not zero
-LOGIT_OF_ONE = 10.0
 MAX_ABS_LOGIT = 1e6  # beyond, arithmetic on logits may overflow; no picture shows a difference
 MAX_ABS_LOG_SCALE = 30.0
 FILTER = "filter_3D"  # column of Mip-Splatting: standard deviation of a filter on each Gaussian

@@ -31,7 +31,7 @@ class SplatFormat:
     read: Callable[[Path], Scene] | None = None
     # of path, scene and, by name, what there is of version and quantise; atomic. None: read only
     write: Callable[..., None] | None = None
-    versions: tuple[int, ...] = ()  # that are written, if there are several; the first one if nothing is said
+    versions: tuple[int, ...] = ()  # that are written, if there are several
     # whether write takes quantise: a factor on the error that it may make in SH, 1 is the usual one
     quantises: bool = False
     # size in bytes of the file that write would make; None: it depends on the values

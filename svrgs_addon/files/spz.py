@@ -74,10 +74,12 @@ def parts_of(data: bytes, max_count: int = MAX_COUNT) -> Iterator[Scene]:
     )
 
 
-def write(path: str | os.PathLike, scene: Scene, version: int = NEWEST, quantise: float = 1.0):
-    """Writes the scene atomically, with its Gaussians in Morton order, as this version of the format.
+def write(path: str | os.PathLike, scene: Scene, version: int = 0, quantise: float = 1.0):
+    """Writes the scene atomically, with its Gaussians in Morton order, as this version of the format. 0: the
+    newest, but 3 for a scene without SH, which is as small, and which Blender 5.3 does not read as version 4.
     quantise: factor on the steps of SH. Raises SceneError."""
-    data = content(path, scene, version, quantise)
+    newest = NEWEST if scene.sh_degree else SMALLEST_THREE
+    data = content(path, scene, version or newest, quantise)
     check_space(path, len(data))
     with atomic_write(path) as file:
         file.write(data)

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
+# opacity 0.99995: rendered like 1, because alpha is clamped at 0.99, but its gradient is not zero
+LOGIT_OF_ONE = 10.0
 TOLERANCE = 2e-6  # relative difference of activated values; exp differs less between two machines
 
 
@@ -43,11 +45,12 @@ def raw_scales(values: np.ndarray, kept: np.ndarray | None = None) -> np.ndarray
 
 
 def raw_opacities(values: np.ndarray, kept: np.ndarray | None = None) -> np.ndarray:
-    """Opacity logits (N,) float32 of opacities; equal to `kept` where sigmoid(kept) still equals the opacity.
-    kept: (N,) or None."""
+    """Opacity logits (N,) float32 of opacities, finite also of 0 and 1; equal to `kept` where sigmoid(kept)
+    still equals the opacity. kept: (N,) or None."""
     wide = values.astype(np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):
         logits = (np.log(wide) - np.log1p(-wide)).astype(np.float32)
+        logits = np.where(np.isinf(logits), np.copysign(np.float32(LOGIT_OF_ONE), logits), logits)
         return _restore(logits, kept, lambda raw: _same(opacities(raw), values))
 
 
