@@ -9,6 +9,7 @@ import bpy
 import numpy as np
 import pytest
 from extension import DATA, part
+from job_helpers import follow, set_up
 from mathutils import Quaternion
 
 pytestmark = pytest.mark.skipif(
@@ -117,3 +118,24 @@ def test_a_splat_of_geometry_nodes_is_drawn(scene, bridge, tmp_path):
     visible = part("operators.data.visible_splats")
     placed = visible.splats(bpy.context.evaluated_depsgraph_get())
     assert placed.scene.count == scene.count
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".spz"])
+def test_a_splat_of_blenders_own_reader_is_pruned_and_exported_like_its_file(
+    suffix, scene, bridge, watch, tmp_path
+):
+    registry = part("svrgs_addon.files.registry")
+    registry.write_scene(tmp_path / f"a{suffix}", scene)
+    obj = own_import(tmp_path / f"a{suffix}")
+    bpy.context.view_layer.objects.active = obj
+    set_up({"depth": "QUICK", "goal": "COUNT", "count": 60})
+    bpy.ops.svrgs.job_start()
+    follow(watch, lambda: bpy.context.object != obj)
+    result = bpy.context.object
+    assert result.data.type == "GAUSSIAN_SPLAT" and result.matrix_world == obj.matrix_world
+    bpy.ops.svrgs.apply()
+    for kept in ("a.ply", "a.spz"):
+        bpy.ops.svrgs.export_ply(filepath=str(tmp_path / f"out-{kept}"))
+        found = registry.read_scene(tmp_path / f"out-{kept}")
+        box = scene.means.min(axis=0) - 0.2, scene.means.max(axis=0) + 0.2
+        assert found.count == 60 and (found.means > box[0]).all() and (found.means < box[1]).all()
