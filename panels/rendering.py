@@ -24,7 +24,7 @@ class SVRGS_PT_not_drawn(bpy.types.Panel):
 
     @classmethod
     def poll(cls, context):
-        return bool(splat_layer.missing(context.scene))
+        return bool(splat_layer.missing(context.scene) or splat_layer.drawn_by_blender(context.scene))
 
     def draw(self, context):
         draw_rendering(self.layout, context)
@@ -35,6 +35,8 @@ def draw_rendering(layout, context):
     scene = context.scene
     if missing := splat_layer.missing(scene):
         wrapped_label(layout, missing, "ERROR")
+    elif note := splat_layer.drawn_by_blender(scene):
+        wrapped_label(layout, note, "INFO")
     column = layout.column(align=True)
     column.operator("svrgs.set_up_rendering", icon="SCENE")
     column.operator("svrgs.set_up_compositing", icon="NODE_COMPOSITING")

@@ -24,7 +24,7 @@ import bmesh
 import bpy
 import numpy as np
 from bpy.app.translations import pgettext_iface as tr
-from mathutils import Matrix
+from mathutils import Euler, Matrix
 
 from ...svrgs_addon.scene.affine import transformed
 from ...svrgs_addon.scene.attribute_layout import (
@@ -47,12 +47,14 @@ Y_DOWN = "svrgs_y_down"
 # properties of an imported splat: name of its file's format, bytes of the file
 FORMAT, BYTES = "svrgs_format", "svrgs_bytes"
 SPZ_COLOR, SPZ_ROUNDING = 0.15, 1e-3  # of SH degree 0, from which the 256 values of a colour are made
+OF_GLTF = "COLOR_0"  # attribute of splats of Blender's own import of glTF
 SAME_PLACE = 1e-6  # difference between matrices in float32 that means nothing
 ROOT = "svrgs_root"  # property of an empty: its children share the coordinates of the files
 # properties of a root: folder of its dataset, name of the image folder in it
 DATASET, IMAGES, MASKS = "svrgs_dataset", "svrgs_images", "svrgs_masks"
 POINTS = "svrgs_points"  # property of a root: number of sparse points in its dataset
 TYPES = ("MESH", "POINTCLOUD")
+BLENDER_HAS_SPLATS = "type" in bpy.types.PointCloud.bl_rna.properties  # from 5.3 on
 # 3DGS files have y down, Blender has z up
 AXES = Matrix(((1, 0, 0, 0), (0, 0, 1, 0), (0, -1, 0, 0), (0, 0, 0, 1)))
 # name of the values; other types: value
@@ -284,7 +286,7 @@ def _to_point_cloud(obj: bpy.types.Object):
     for selection in (".select_vert", ".selection"):
         if selection in obj.data.attributes:
             obj.data.attributes.remove(obj.data.attributes[selection])
-    if hasattr(obj.data, "type"):  # Blender 5.3
+    if BLENDER_HAS_SPLATS:
         obj.data.type = "GAUSSIAN_SPLAT"
 
 
@@ -361,18 +363,19 @@ def move_below(obj: bpy.types.Object, root: bpy.types.Object | None):
 
 def _import_matrix(obj: bpy.types.Object) -> Matrix:
     """From the coordinates of the file to Blender's world, as a splat without a root was imported: y down
-    becomes z up, but not in Blender's own import of PLY."""
-    return AXES if obj.get(Y_DOWN, NOTES in obj.data or turned_by_blender(obj)) else Matrix()
+    becomes z up. Blender's own import of PLY leaves y down; until the splat is rotated by hand."""
+    upright = NOTES in obj.data or turned_by_blender(obj) or obj.matrix_world.to_euler() != Euler()
+    return AXES if obj.get(Y_DOWN, upright) else Matrix()
 
 
 def turned_by_blender(obj: bpy.types.Object) -> bool:
-    """Whether the numbers of the splat are z up, those of its file y down: Blender turns those of an SPZ,
-    which has 256 values of each colour, and no other ones."""
+    """Whether Blender's own import has turned the numbers of the splat from y down to z up: those of glTF,
+    which have a further attribute, and those of SPZ, which have 256 values of each colour."""
     base = None if NOTES in obj.data else values(obj, BASE)
     if base is None or not len(base):
         return False
     levels = (base[:, :3] * SPZ_COLOR + np.float32(0.5)) * 255
-    return bool(np.abs(levels - np.rint(levels)).max() < SPZ_ROUNDING)
+    return _attribute(obj.data, OF_GLTF) or bool(np.abs(levels - np.rint(levels)).max() < SPZ_ROUNDING)
 
 
 def in_file_coordinates(obj: bpy.types.Object):

@@ -20,6 +20,8 @@ RAYS = tuple(
 )
 # engines without a class
 BUILT_IN = {"BLENDER_EEVEE_NEXT": "EEVEE", "BLENDER_EEVEE": "EEVEE", "BLENDER_WORKBENCH": "Workbench"}
+# Blender 5.3: its own engines draw splats
+DRAWS_SPLATS = {*BUILT_IN, "CYCLES"} if splat_object.BLENDER_HAS_SPLATS else set()
 FOLLOWED = (
     "resolution_x", "resolution_y", "resolution_percentage", "pixel_aspect_x", "pixel_aspect_y", "use_border",
     "use_crop_to_border",
@@ -68,6 +70,8 @@ def missing(scene: bpy.types.Scene) -> str:
     if not splats or scene.render.engine == "SVRGS" or scene.svrgs_view.layer_of is not None:
         return ""
     engine, layer = engine_name(scene), layer_of(scene)
+    if layer is None and scene.render.engine in DRAWS_SPLATS:
+        return ""
     if layer is None:
         return tr("{engine} does not draw splats: a render shows grey dots, or nothing").format(engine=engine)
     if not compositor_nodes.are_complete(scene, layer):
@@ -78,6 +82,20 @@ def missing(scene: bpy.types.Scene) -> str:
             engine=engine, name=new
         )
     return ""
+
+
+def drawn_by_blender(scene: bpy.types.Scene) -> str:
+    """That Blender's own engine draws the scene's splats, and where, in a sentence; empty if it does not, or
+    if there is none."""
+    if scene.render.engine not in DRAWS_SPLATS or layer_of(scene) is not None:
+        return ""
+    if not any(map(splat_object.is_splat, scene.objects)):
+        return ""
+    text = tr(
+        "{engine} draws splats itself, more slowly, and not quite in the colours of the training. In Rendered"
+        " viewports it does so where View is off"
+    )
+    return text.format(engine=engine_name(scene))
 
 
 def engine_name(scene: bpy.types.Scene) -> str:

@@ -100,13 +100,18 @@ def parts(gaussians, stage, room, camera, depth):
 # --- Set Up Rendering
 
 
+def alone() -> bool:
+    """Whether Blender's own engines draw no splats."""
+    return not part("operators.data.splat_object").BLENDER_HAS_SPLATS
+
+
 def test_one_click_sets_engine_colours_and_resolution(stage, tmp_path):
     bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
     bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
     size = stage.render.resolution_x, stage.render.resolution_y
     stage.render.engine, stage.render.resolution_x = "CYCLES", 17
     stage.view_settings.view_transform, stage.view_settings.exposure = "AgX", 1.0
-    assert "does not draw splats" in part("operators.scene.splat_layer").missing(stage)
+    assert ("does not draw splats" in part("operators.scene.splat_layer").missing(stage)) == alone()
     assert bpy.ops.svrgs.set_up_rendering() == {"FINISHED"}
     assert (stage.render.engine, stage.view_settings.view_transform, stage.view_settings.exposure) == (
         "SVRGS",
@@ -141,7 +146,8 @@ def test_the_panels_say_what_is_missing(stage, room):
     for name in ("SVRGS_PT_rendering", "SVRGS_PT_not_drawn"):
         text = drawn_panel(name)
         assert (
-            "Workbench does not draw splats" in text
+            ("Workbench does not draw splats" in text, "Workbench draws splats itself" in text)
+            == (alone(), not alone())
             and "svrgs.set_up_rendering" in text
             and "svrgs.set_up_compositing" in text
         )

@@ -25,8 +25,11 @@ def scene(bridge):
 
 def own_import(file) -> bpy.types.Object:
     """The splat that Blender itself makes of a file."""
-    read = bpy.ops.wm.spz_import if file.suffix == ".spz" else bpy.ops.wm.ply_import
-    read(filepath=str(file))
+    readers = {
+        ".ply": bpy.ops.wm.ply_import, ".spz": bpy.ops.wm.spz_import, ".glb": bpy.ops.import_scene.gltf,
+        ".usd": bpy.ops.wm.usd_import,
+    }  # fmt: skip
+    readers[file.suffix](filepath=str(file))
     (obj,) = (obj for obj in bpy.data.objects if obj.type == "POINTCLOUD")
     assert obj.data.type == "GAUSSIAN_SPLAT"
     return obj
@@ -57,28 +60,32 @@ def test_a_splat_of_blenders_own_ply_reader_is_exported_as_its_file_says(scene, 
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
-def test_blenders_own_spz_reader_takes_what_is_exported_and_gives_it_back(degree, scene, bridge, tmp_path):
-    """Also a splat without SH, which it does not read as version 4. It turns y down to z up."""
+@pytest.mark.parametrize("suffix", [".spz", ".glb", ".usd"])
+def test_blenders_own_readers_take_what_is_exported_and_give_it_back(suffix, degree, scene, bridge, tmp_path):
+    """Also a splat without SH, which is not read as SPZ 4. They turn y down to z up."""
     registry = part("svrgs_addon.files.registry")
     sh = np.repeat(scene.sh, 4, axis=1)[:, : (degree + 1) ** 2]
-    registry.write_scene(tmp_path / "a.spz", dataclasses.replace(scene, sh=np.ascontiguousarray(sh)))
-    bpy.ops.svrgs.import_ply(filepath=str(tmp_path / "a.spz"))
+    file = tmp_path / f"a{suffix}"
+    registry.write_scene(file, dataclasses.replace(scene, sh=np.ascontiguousarray(sh)))
+    bpy.ops.svrgs.import_ply(filepath=str(file))
     ours = placed_means(bridge, bpy.context.object)
     bpy.data.objects.remove(bpy.context.object)
-    obj = own_import(tmp_path / "a.spz")
+    obj = own_import(file)
     np.testing.assert_allclose(placed_means(bridge, obj), ours, atol=1e-6)
     bpy.context.view_layer.objects.active = obj
     bpy.ops.svrgs.export_ply(filepath=str(tmp_path / "out.ply"))
-    read, found = registry.read_scene(tmp_path / "a.spz"), registry.read_scene(tmp_path / "out.ply")
+    read, found = registry.read_scene(file), registry.read_scene(tmp_path / "out.ply")
     assert found.sh_degree == degree
     same_splat(found, read)
 
 
 def same_splat(found, wanted):
-    """As far as float32 allows: Blender stores activated values, and turns those of an SPZ."""
+    """As far as float32 allows: Blender stores activated values, and turns them."""
     np.testing.assert_allclose(found.means, wanted.means, atol=1e-6)
     np.testing.assert_allclose(found.sh, wanted.sh, atol=1e-5)
-    np.testing.assert_allclose(found.log_scales, wanted.log_scales, atol=2e-6)
+    # of glTF, Blender names the axes of a Gaussian in another order
+    sizes = [np.sort(one.log_scales, axis=1) for one in (found, wanted)]
+    np.testing.assert_allclose(*sizes, atol=2e-6)
     # SPZ stores 0 and 1, whose logits are infinite
     logits = [one.opacity_logits.clip(-6, 6) for one in (found, wanted)]
     np.testing.assert_allclose(*logits, rtol=1e-6, atol=1e-5)
@@ -99,7 +106,7 @@ def placed_means(bridge, obj) -> np.ndarray:
     return bridge.scene_from_object(obj).means @ matrix[:3, :3].T + matrix[:3, 3]
 
 
-@pytest.mark.parametrize("suffix", [".ply", ".spz"])
+@pytest.mark.parametrize("suffix", [".ply", ".spz", ".glb"])
 def test_a_splat_of_blenders_own_reader_is_joined_to_its_cameras(suffix, scene, bridge, tmp_path):
     part("svrgs_addon.files.registry").write_scene(tmp_path / f"a{suffix}", scene)
     obj = own_import(tmp_path / f"a{suffix}")
