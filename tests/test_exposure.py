@@ -12,16 +12,19 @@ import numpy as np
 import pytest
 
 from job_checks import create, follow
+from native_helpers import LEVELS
 from plans import prune_settings
 from svrgs_addon.files.images import linear_to_srgb, read_image, srgb_to_linear, write_image
 from svrgs_addon.files.registry import read_scene, write_scene
 from svrgs_addon.finetune import checkpoint
 from svrgs_addon.finetune.engine import NativeEngine, Step
-from svrgs_addon.finetune.exposure import IDENTITY, Exposures, exposed, exposed_vjp, stops
+from svrgs_addon.finetune.exposure import IDENTITY, Exposures, stops
 from svrgs_addon.finetune.model import Model
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.settings import Rates
 from svrgs_addon.jobs.job_process import Job
+from svrgs_addon.native import library
+from svrgs_addon.native.pictures import exposed, exposed_vjp
 from svrgs_addon.native.rasterizer import Rasterizer, RenderOptions
 from svrgs_addon.prune.door import given
 from svrgs_addon.prune.options import PruneOptions
@@ -32,6 +35,7 @@ from svrgs_addon.views.dataset import load_dataset
 from svrgs_addon.views.reduced_photos import toned
 
 LARGEST = 0.3  # EV
+EXPOSED_BOUND = {"float64": 1e-13}  # of colours up to 1 and their gradients; of the other levels in the test
 STEPS = ("--iterations", 100, "--recovery", 200, "--target", 0.5)
 
 
@@ -67,8 +71,9 @@ def test_the_gradient_is_that_of_finite_differences(with_mask):
     rng = np.random.default_rng(0)
     rgb, weights, matrix = rng.random((7, 5, 3)), rng.normal(size=(7, 5, 3)), some_matrix()
     valid = (rng.random((7, 5)) < 0.7).astype(np.uint8) if with_mask else None
-    value = lambda colours, m: float((weights * exposed(colours, m, valid) ** 2).sum())
-    d_rgb, d_matrix = exposed_vjp(2 * weights * exposed(rgb, matrix, valid), rgb, matrix, valid)
+    seen = lambda colours, m: exposed(colours, m, valid, "float64")
+    value = lambda colours, m: float((weights * seen(colours, m) ** 2).sum())
+    d_rgb, d_matrix = exposed_vjp(2 * weights * seen(rgb, matrix), rgb, matrix, valid, "float64")
     step = 1e-6
     for array, grad, call in (
         (rgb, d_rgb, lambda x: value(x, matrix)),
@@ -80,6 +85,37 @@ def test_the_gradient_is_that_of_finite_differences(with_mask):
             ends[1][place] -= step
             slope = (call(ends[0]) - call(ends[1])) / (2 * step)
             assert grad[place] == pytest.approx(slope, rel=1e-6, abs=1e-8)
+
+
+@pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("with_mask", [False, True])
+# ends within a vector, and within a task of the pool
+@pytest.mark.parametrize("size", [(1, 1), (3, 37), (90, 101)], ids=str)
+def test_every_level_gives_the_colours_and_gradients_of_float64(level, with_mask, size):
+    rng, dtype = np.random.default_rng(2), np.float64 if level == "float64" else np.float32
+    rgb, d_seen = rng.random((*size, 3)).astype(dtype), rng.normal(size=(*size, 3)).astype(dtype)
+    valid, matrix = (rng.random(size) < 0.7).astype(np.uint8) if with_mask else None, some_matrix()
+    counts = np.ones((*size, 1)) if valid is None else valid[..., None]
+    wide = [array.astype(np.float64) for array in (rgb, d_seen * counts)]
+    seen = (wide[0] @ matrix[:, :3].T + matrix[:, 3]) * counts
+    assert np.abs(exposed(rgb, matrix, valid, level) - seen).max() <= EXPOSED_BOUND.get(level, 5e-7)
+    d_rgb, d_matrix = exposed_vjp(d_seen, rgb, matrix, valid, level)
+    assert d_rgb.dtype == dtype
+    assert np.abs(d_rgb - wide[1] @ matrix[:, :3]).max() <= EXPOSED_BOUND.get(level, 8e-7)
+    expected = np.column_stack([np.einsum("hwk,hwj->kj", wide[1], wide[0]), wide[1].sum(axis=(0, 1))])
+    error = np.linalg.norm(d_matrix - expected) / max(1e-3, np.linalg.norm(expected))
+    assert error <= EXPOSED_BOUND.get(level, 2e-6)  # worst seen 1.2e-6
+
+
+def test_the_gradient_of_a_matrix_does_not_depend_on_threads():
+    rng, found = np.random.default_rng(3), []
+    rgb, d_seen = rng.random((2, 150, 131, 3), np.float32)
+    for threads in (1, 3, 7):
+        library.set_threads(threads)
+        found.append(exposed_vjp(d_seen, rgb, some_matrix(), None)[1])
+    library.set_threads(0)
+    np.testing.assert_array_equal(found[0], found[1])
+    np.testing.assert_array_equal(found[0], found[2])
 
 
 @pytest.mark.parametrize("with_mask", [False, True])

@@ -24,7 +24,7 @@
 extern "C" {
 #endif
 
-#define SVRGS_INTERFACE_VERSION 22
+#define SVRGS_INTERFACE_VERSION 23
 
 typedef void real; /* float or double, by the context's level */
 
@@ -243,6 +243,14 @@ SVRGS_API int32_t svrgs_convolve(int32_t level, const real* image, int32_t heigh
 /* Display colours to linear ones in a working space: rgba (pixels, 4), colours times alpha, and alpha. rgb: (pixels, 3) display sRGB times alpha.
    alpha: (pixels,); where it is not above 0, colours are 0. working_space: 3x3, the rows are linear red, green and blue of sRGB in it. */
 SVRGS_API int32_t svrgs_linear_rgba(int32_t level, const real* rgb, const real* alpha, int64_t pixels, const double working_space[9], real* rgba);
+
+/* Colours as a photograph's exposure shows them: seen = A c + b of each pixel. rgb, seen: (pixels, 3). matrix: 3x4, the rows of (A | b). valid: (pixels,),
+   seen is 0 where it is 0; NULL: all count. */
+SVRGS_API int32_t svrgs_expose(int32_t level, const real* rgb, const uint8_t* valid, int64_t pixels, const double matrix[12], real* seen);
+
+/* Of dL/dseen: d_rgb (pixels, 3) and d_matrix, 3x4. */
+SVRGS_API int32_t svrgs_expose_vjp(int32_t level, const real* d_seen, const real* rgb, const uint8_t* valid, int64_t pixels, const double matrix[12],
+                                   real* d_rgb, double d_matrix[12]);
 
 /* One Adam step (Kingma and Ba), the `step`th (from 1), of `rows` rows of `width` values; grad is (rows, width). Row r updates row
    ids[r] of param and moments (ids ascending; NULL: row r). lr: one rate per column, (width,). Rows whose gradient is not

@@ -349,6 +349,31 @@ int32_t svrgs_linear_rgba(int32_t level, const real* rgb, const real* alpha, int
   });
 }
 
+int32_t svrgs_expose(int32_t level, const real* rgb, const uint8_t* valid, int64_t pixels, const double matrix[12], real* seen) {
+  return guarded([&] {
+    require(matrix && (pixels == 0 || (rgb && seen)), "an argument is missing");
+    require(pixels >= 0 && pixels <= int64_t{svrgs::kMaxSide} * svrgs::kMaxSide, "there are too many pixels");
+    const svrgs::Kernels& of_level = kernels(level);
+    const svrgs::ExposureArguments a = {rgb, nullptr, valid, matrix, seen};
+    svrgs::parallel_blocks(pixels, kPixelGrain, [&](int64_t begin, int64_t end) { of_level.expose_range(a, begin, end); });
+  });
+}
+
+int32_t svrgs_expose_vjp(int32_t level, const real* d_seen, const real* rgb, const uint8_t* valid, int64_t pixels, const double matrix[12], real* d_rgb,
+                         double d_matrix[12]) {
+  return guarded([&] {
+    require(matrix && d_matrix && (pixels == 0 || (d_seen && rgb && d_rgb)), "an argument is missing");
+    require(pixels >= 0 && pixels <= int64_t{svrgs::kMaxSide} * svrgs::kMaxSide, "there are too many pixels");
+    const svrgs::Kernels& of_level = kernels(level);
+    const svrgs::ExposureArguments a = {rgb, d_seen, valid, matrix, d_rgb};
+    std::vector<double> sums(12 * ((pixels + kPixelGrain - 1) / kPixelGrain));  // of each block, so that threads do not matter
+    svrgs::parallel_blocks(pixels, kPixelGrain,
+                           [&](int64_t begin, int64_t end) { of_level.expose_vjp_range(a, begin, end, sums.data() + begin / kPixelGrain * 12); });
+    std::fill_n(d_matrix, 12, 0.0);
+    for (size_t i = 0; i < sums.size(); ++i) d_matrix[i % 12] += sums[i];
+  });
+}
+
 int32_t svrgs_adam(svrgs_context* c, const svrgs_adam_settings* settings, real* param, void* moments, const real* grad, const uint32_t* ids, int64_t rows,
                    int32_t width, int64_t* nonfinite) {
   return guarded([&] {

@@ -43,6 +43,7 @@ namespace svrgs::SVRGS_LEVEL {
 #include "kernels/gradients-inl.h"
 #include "kernels/loss-inl.h"
 #include "kernels/srgb-inl.h"
+#include "kernels/exposure-inl.h"
 #include "kernels/flip-inl.h"
 #include "kernels/convolve-inl.h"
 #include "kernels/multiply_adds-inl.h"
@@ -105,6 +106,8 @@ const Kernels SVRGS_TABLE_NAME = {
     .flip_tile = level::flip_tile,
     .convolve_row = level::convolve_row,
     .linear_range = level::linear_range,
+    .expose_range = level::expose_range,
+    .expose_vjp_range = level::expose_vjp_range,
     .adam_rows = level::adam_pass,
     .multiply_adds = level::multiply_adds,
 };

@@ -48,6 +48,8 @@ struct Kernels {
   void (*flip_tile)(const FlipArguments&, int64_t tile, void* scratch);
   void (*convolve_row)(const struct ConvolveArguments&, int64_t y, int64_t panel);
   void (*linear_range)(const struct LinearArguments&, int64_t begin, int64_t end);
+  void (*expose_range)(const struct ExposureArguments&, int64_t begin, int64_t end);
+  void (*expose_vjp_range)(const struct ExposureArguments&, int64_t begin, int64_t end, double d_matrix[12]);
   int64_t (*adam_rows)(const svrgs_adam_settings&, void* param, void* moments, const void* grad, const uint32_t* ids, int64_t begin, int64_t end, int width);
   double (*multiply_adds)(int64_t rounds);  // operations done
 };
@@ -77,6 +79,13 @@ struct LinearArguments {  // of svrgs_linear_rgba
   const void *rgb, *alpha;
   const double* working_space;
   void* rgba;
+};
+
+struct ExposureArguments {  // of svrgs_expose and svrgs_expose_vjp
+  const void *rgb, *d_seen;
+  const uint8_t* valid;  // optional
+  const double* matrix;
+  void* out;  // seen, or d_rgb
 };
 
 extern const Kernels scalar_kernels, baseline_kernels, avx2_kernels, avx512_kernels, neon_kernels, double_kernels;

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..native.pictures import exposed, exposed_vjp
 from ..native.rasterizer import Rasterizer, RenderOptions
 from ..scene.camera import Camera
 from ..scene.gaussians import PARAMETERS
-from .exposure import exposed, exposed_vjp
 from .model import MASK, Model
 from .penalties import Penalty
 
@@ -145,9 +145,9 @@ class NativeEngine:
         """_image_loss() of the picture as the photograph's exposure shows it, and dL/dexposure."""
         if step.exposure is None:
             return *self._image_loss(step, rgb), None
-        valid = step.camera.valid
-        l1, ssim, d_seen = self._image_loss(step, exposed(rgb, step.exposure, valid))
-        return l1, ssim, *exposed_vjp(d_seen, rgb, step.exposure, valid)
+        valid, level = step.camera.valid, self.rasterizer.level
+        l1, ssim, d_seen = self._image_loss(step, exposed(rgb, step.exposure, valid, level))
+        return l1, ssim, *exposed_vjp(d_seen, rgb, step.exposure, valid, level)
 
     def _image_loss(self, step: Step, rgb: np.ndarray) -> tuple[float, float, np.ndarray]:
         """Mean |difference|, SSIM and the gradient (H, W, 3) of the image loss; both values and the gradient

@@ -11,7 +11,6 @@ result and are never baked into it.
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -44,35 +43,6 @@ class Exposures(PhotoAdam):
     def update(self, number: int, grad: np.ndarray, rate: float):
         """An Adam step of one photograph. grad: dL/d(its matrix), (3, 4)."""
         self.values[number] += self.change(number, grad, rate)
-
-
-def exposed(rgb: np.ndarray, matrix: np.ndarray, valid: np.ndarray | None) -> np.ndarray:
-    """Rendered colours (H, W, 3) as the photograph would show them; 0 where pixels do not count. matrix
-    (3, 4); valid (H, W), None: all count."""
-    rows = _wide(rgb)
-    pixels = rows.shape[1] // 3
-    seen = rows @ np.kron(np.eye(pixels), matrix[:, :3].T).astype(rgb.dtype)
-    by_rows = seen.reshape(rgb.shape[0], -1)  # sums along long rows are three times as fast
-    by_rows += np.tile(matrix[:, 3], rgb.shape[1]).astype(rgb.dtype)
-    seen = seen.reshape(rgb.shape)
-    return seen if valid is None else seen * valid[..., None]
-
-
-def exposed_vjp(
-    d_seen: np.ndarray, rgb: np.ndarray, matrix: np.ndarray, valid: np.ndarray | None
-) -> tuple[np.ndarray, np.ndarray]:
-    """dL/drgb (H, W, 3) and dL/dmatrix (3, 4) float64, of dL/dseen (H, W, 3)."""
-    rows, colours = _wide(d_seen if valid is None else d_seen * valid[..., None]), _wide(rgb)
-    pixels = rows.shape[1] // 3
-    of_pixels = (rows.T @ colours).astype(np.float64).reshape(pixels, 3, pixels, 3)
-    sums = (np.ones(len(rows), rows.dtype) @ rows).astype(np.float64).reshape(pixels, 3).sum(axis=0)
-    d_rgb = rows @ np.kron(np.eye(pixels), matrix[:, :3]).astype(rgb.dtype)
-    return d_rgb.reshape(rgb.shape), np.column_stack([np.einsum("kikj->ij", of_pixels), sums])
-
-
-def _wide(image: np.ndarray) -> np.ndarray:
-    """An image (H, W, 3) with up to four pixels a row: products of matrices with three columns are slow."""
-    return np.ascontiguousarray(image).reshape(-1, 3 * math.gcd(image.shape[0] * image.shape[1], 4))
 
 
 def stops(matrices: np.ndarray) -> np.ndarray:

@@ -21,7 +21,7 @@ from ..system.structs import fields
 from .library_path import library_path
 from .outputs import OUTPUTS
 
-INTERFACE_VERSION = 22
+INTERFACE_VERSION = 23
 GRADS = (*PARAMETERS, "masks", "means2d", "camera")
 # images whose gradients backward() accepts
 LOSS_IMAGES = tuple(output.name for output in OUTPUTS.values() if output.differentiable)
@@ -55,6 +55,8 @@ ARGUMENTS = {
     "svrgs_flip": "ippiidp",
     "svrgs_convolve": "ipiiippip",
     "svrgs_linear_rgba": "ipplpp",
+    "svrgs_expose": "ipplpp",
+    "svrgs_expose_vjp": "ippplppp",
     "svrgs_adam": "pppppplip",
     "svrgs_backward_update": "ppppp",
     "svrgs_sample_masks": "pluupp",

@@ -1,8 +1,9 @@
 """Functions of the native library on pictures: opaque triangles, panoramas of perspective views, the order in
-which a GPU draws Gaussians, FLIP of two pictures, convolutions, and linear colours.
+which a GPU draws Gaussians, FLIP of two pictures, convolutions, linear colours, and exposure.
 
 `native/include/svrgs.h` (svrgs_draw_triangles, svrgs_add_view, svrgs_depth_order, svrgs_flip,
-svrgs_convolve, svrgs_linear_rgba) is the manual; names, shapes and units here are the same.
+svrgs_convolve, svrgs_linear_rgba, svrgs_expose, svrgs_expose_vjp) is the manual; names, shapes and units here
+are the same.
 """
 
 from __future__ import annotations
@@ -198,6 +199,51 @@ def linear_colours(
         rgba.ctypes.data,
     )
     return rgba
+
+
+def exposed(
+    rgb: np.ndarray, matrix: np.ndarray, valid: np.ndarray | None, level: str | None = None
+) -> np.ndarray:
+    """Rendered colours (H, W, 3) as a photograph of this exposure would show them: A c + b of each pixel,
+    where matrix (3, 4) is (A | b); 0 where pixels do not count. valid: (H, W) uint8; None: all count. level:
+    as in flip_errors(). Raises NativeError, and TypeError for arrays of another type or shape."""
+    number, dtype = _level(level)
+    seen, rows = np.empty_like(rgb), np.ascontiguousarray(matrix, np.float64)
+    call_library(
+        "svrgs_expose",
+        number,
+        check(rgb, "rgb", (*rgb.shape[:2], 3), dtype),
+        None if valid is None else check(valid, "valid", rgb.shape[:2], np.uint8),
+        rgb.size // 3,
+        check(rows, "matrix", (3, 4), np.float64),
+        seen.ctypes.data,
+    )
+    return seen
+
+
+def exposed_vjp(
+    d_seen: np.ndarray,
+    rgb: np.ndarray,
+    matrix: np.ndarray,
+    valid: np.ndarray | None,
+    level: str | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """dL/drgb (H, W, 3) and dL/dmatrix (3, 4) float64, of dL/dseen (H, W, 3) of exposed(). Raises as that
+    does."""
+    number, dtype = _level(level)
+    d_rgb, d_matrix, rows = np.empty_like(rgb), np.empty((3, 4)), np.ascontiguousarray(matrix, np.float64)
+    call_library(
+        "svrgs_expose_vjp",
+        number,
+        check(d_seen, "d_seen", rgb.shape, dtype),
+        check(rgb, "rgb", (*rgb.shape[:2], 3), dtype),
+        None if valid is None else check(valid, "valid", rgb.shape[:2], np.uint8),
+        rgb.size // 3,
+        check(rows, "matrix", (3, 4), np.float64),
+        d_rgb.ctypes.data,
+        d_matrix.ctypes.data,
+    )
+    return d_rgb, d_matrix
 
 
 def _level(name: str | None) -> tuple[int, type]:

@@ -46,6 +46,21 @@ void linear_colours(Lines& lines, int32_t level) {
   lines.refuse("linear_rgba_size", svrgs_linear_rgba(level, rgb.data(), alpha.data(), -1, space, rgba.data()), SVRGS_INVALID);
 }
 
+template <class T>
+void exposure(Lines& lines, int32_t level) {
+  const std::vector<T> rgb = values<T>(44, 3 * kPixels, 0, 1), d_seen = values<T>(45, 3 * kPixels, -1, 1);
+  const double matrix[12] = {0.9, 0.1, 0, 0.02, 0.05, 1.1, 0, -0.01, 0, 0, 1, 0.1};
+  std::vector<uint8_t> valid(kPixels);
+  for (size_t i = 0; i < valid.size(); ++i) valid[i] = i % 5 != 0;
+  std::vector<T> seen(3 * kPixels), d_rgb(3 * kPixels);
+  double d_matrix[12];
+  lines.require(svrgs_expose(level, rgb.data(), valid.data(), kPixels, matrix, seen.data()) == SVRGS_OK, "expose");
+  lines.require(svrgs_expose_vjp(level, d_seen.data(), rgb.data(), valid.data(), kPixels, matrix, d_rgb.data(), d_matrix) == SVRGS_OK, "expose_vjp");
+  lines.add("expose", Digest(sizeof(T) == 8 ? kMillionths : kWhole).add(seen).add(d_rgb).add(d_matrix, 12));
+  lines.refuse("expose_size", svrgs_expose(level, rgb.data(), nullptr, -1, matrix, seen.data()), SVRGS_INVALID);
+  lines.refuse("expose_vjp_size", svrgs_expose_vjp(level, d_seen.data(), rgb.data(), nullptr, -1, matrix, d_rgb.data(), d_matrix), SVRGS_INVALID);
+}
+
 // Three steps on rows of `width`; the gradient of one row is not finite.
 template <class T>
 void adam(Lines& lines, svrgs_context* context, int32_t width, int32_t shared) {
@@ -171,6 +186,7 @@ Lines run(const std::string& name, int32_t level, int32_t threads) {
   optimiser<T>(lines, level);
   flip<T>(lines, level);
   linear_colours<T>(lines, level);
+  exposure<T>(lines, level);
   without_level(lines);
   triangles(lines);
   decimation(lines, level);

@@ -137,6 +137,12 @@ class View {
     const double space[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
     require(svrgs_linear_rgba(level, rgb.data(), rgb.data(), pixels, space, linear.data()) == SVRGS_OK, "linear colours");
     append(results, linear);
+    const double matrix[12] = {1, 0.1, 0, 0.1, 0, 1, 0, 0, 0, 0, 0.9, 0};
+    std::vector<float> seen(3 * pixels), d_rgb(3 * pixels);
+    double d_matrix[12];
+    require(svrgs_expose(level, rgb.data(), nullptr, pixels, matrix, seen.data()) == SVRGS_OK, "exposure");
+    require(svrgs_expose_vjp(level, seen.data(), rgb.data(), nullptr, pixels, matrix, d_rgb.data(), d_matrix) == SVRGS_OK, "gradients of exposure");
+    append(results, seen), append(results, d_rgb);
     const std::vector<float> grey(3 * pixels, 0.5f);
     for (float& v : image) v = std::clamp(v, 0.0f, 1.0f);
     for (const double pixels_per_degree : {VIEWERS}) {
