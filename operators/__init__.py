@@ -47,6 +47,7 @@ MODULES = [
         "view.spatial_mask",
         "scene.contribution",
         "scene.select_gaussians",
+        "view.select_region",
         "view.compare",
         "scene.splat_transforms",
         "scene.frame",

@@ -7,6 +7,12 @@ from ..operators.data import selection
 from ..operators.data.splat_object import is_splat
 from .sidebar import SidebarPanel, native_library_works
 
+TOOLS = {
+    "svrgs.select_box": "SELECT_SET",
+    "svrgs.select_brush": "PROP_ON",
+    "svrgs.select_lasso": "GP_SELECT_STROKES",
+}
+
 
 class SVRGS_PT_select(SidebarPanel, bpy.types.Panel):
     bl_label = "Select"
@@ -21,6 +27,10 @@ class SVRGS_PT_select(SidebarPanel, bpy.types.Panel):
         layout, selected = self.layout, selection.selected_count(context.object)
         if not native_library_works(layout):
             return
+        row = layout.row(align=True)
+        for name, icon in TOOLS.items():
+            row.operator("wm.tool_set_by_id", text="", icon=icon).name = name
+        row.prop(context.scene.svrgs_view, "select_through", toggle=True)
         layout.operator_menu_enum(
             "svrgs.select_gaussians", "criterion", text="Select", icon="RESTRICT_SELECT_OFF"
         )

@@ -63,6 +63,13 @@ class SVRGS_PG_view(bpy.types.PropertyGroup):
         update=photographs.show_mask,
         description="Tint what does not count in the photograph that is looked at",
     )
+    select_through: BoolProperty(
+        name="Through",
+        description="Select also Gaussians that others hide. Off: only those that the viewport shows",
+    )
+    select_radius: IntProperty(
+        name="Radius", default=40, min=1, max=1000, subtype="PIXEL", description="Radius of the brush"
+    )
     background: FloatVectorProperty(
         name="Background",
         subtype="COLOR_GAMMA",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 import time
 from types import SimpleNamespace
 
@@ -72,7 +73,7 @@ class Layout:
         def draw(*words, **options):
             if name == "operator":
                 # raises KeyError where there is no such operator
-                getattr(bpy.ops.svrgs, words[0].removeprefix("svrgs.")).get_rna_type()
+                operator.attrgetter(words[0])(bpy.ops).get_rna_type()
             if name == "prop":
                 assert words[1] in words[0].bl_rna.properties, words[1]
             self.notes.append((name, *words, *options.values()))

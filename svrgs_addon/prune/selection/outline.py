@@ -1,0 +1,62 @@
+"""Gaussians inside an outline that was drawn over a view: a polygon, or the stroke of a round brush."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...finetune import scores
+from ...native.library import thresholds
+from ...native.rasterizer import Rasterizer
+from ...render.metrics.evaluate import render_options
+from ...scene.camera import Camera
+from ...scene.gaussians import Scene
+
+SHOWN = 0.1  # alpha T in a pixel, from which on the pixel shows the Gaussian
+
+
+def polygon(points: np.ndarray, width: int, height: int) -> np.ndarray:
+    """(H, W) bool: the pixels whose centres are inside a polygon with these corners (P, 2) in pixels, x to
+    the right and y down; where it overlaps itself, by the even-odd rule."""
+    crossings = np.zeros((height, width + 1), np.int32)
+    for (x0, y0), (x1, y1) in zip(points, np.roll(points, -1, axis=0), strict=True):
+        first, last = (int(np.clip(np.ceil(y - 0.5), 0, height)) for y in sorted((y0, y1)))
+        if first < last:
+            rows = np.arange(first, last)
+            x = x0 + (rows + 0.5 - y0) * (x1 - x0) / (y1 - y0)
+            crossings[rows, np.clip(np.ceil(x - 0.5), 0, width).astype(int)] += 1
+    return (np.cumsum(crossings[:, :-1], axis=1) % 2).astype(bool)
+
+
+def brush(path: np.ndarray, radius: float, width: int, height: int) -> np.ndarray:
+    """(H, W) bool: the pixels whose centres are within the radius of a path (P, 2) of straight lines."""
+    mask = np.zeros((height, width), bool)
+    for start, end in zip(path, path[1:] if len(path) > 1 else path, strict=False):
+        low = np.clip(np.floor(np.minimum(start, end) - radius), 0, (width, height)).astype(int)
+        high = np.clip(np.ceil(np.maximum(start, end) + radius), 0, (width, height)).astype(int)
+        y, x = np.mgrid[low[1] : high[1], low[0] : high[0]] + 0.5
+        along = end - start
+        share = ((x - start[0]) * along[0] + (y - start[1]) * along[1]) / max(1e-12, along @ along)
+        share = np.clip(share, 0, 1)
+        away = np.hypot(x - start[0] - share * along[0], y - start[1] - share * along[1])
+        mask[low[1] : high[1], low[0] : high[0]] |= away <= radius
+    return mask
+
+
+def centres_in(means: np.ndarray, camera: Camera, pixels: np.ndarray) -> np.ndarray:
+    """(N,) bool: the Gaussians whose centres (N, 3), in world coordinates, are in one of the pixels (H, W)
+    bool of the camera, and in front of it."""
+    local = means @ camera.viewmat[:3, :3].T.astype(means.dtype) + camera.viewmat[:3, 3].astype(means.dtype)
+    places = camera.pixels(local)
+    inside = (local[:, 2] > thresholds().near) & (places >= 0).all(axis=1)
+    inside &= (places < (camera.width, camera.height)).all(axis=1)
+    columns, rows = places[inside].astype(np.int32).T
+    inside[inside] = pixels[rows, columns]
+    return inside
+
+
+def shown_in(scene: Scene, camera: Camera, pixels: np.ndarray) -> np.ndarray:
+    """(N,) bool: the Gaussians that one of the pixels (H, W) bool of the camera shows."""
+    if not pixels.any():
+        return np.zeros(scene.count, bool)
+    views = [camera.masked(pixels)]
+    return scores.contribution(scene, views, Rasterizer(), render_options(scene))[1] >= SHOWN

@@ -1,0 +1,76 @@
+"""Gaussians inside an outline that is drawn over a view."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from svrgs_addon.native.rasterizer import Rasterizer
+from svrgs_addon.prune.selection.outline import SHOWN, brush, centres_in, polygon, shown_in
+from svrgs_addon.render.metrics.evaluate import render_options
+from svrgs_bench.scenes import orbit_camera, room
+
+WIDTH, HEIGHT = 61, 47
+
+
+def winding(points: np.ndarray, x: float, y: float) -> bool:
+    """Whether a ray to the right crosses the polygon an odd number of times."""
+    odd = False
+    for (x0, y0), (x1, y1) in zip(points, np.roll(points, -1, axis=0), strict=True):
+        if (y0 > y) != (y1 > y):
+            odd ^= x < x0 + (y - y0) * (x1 - x0) / (y1 - y0)
+    return odd
+
+
+@pytest.mark.parametrize("corners", [3, 4, 9, 40])
+def test_a_polygon_holds_the_pixels_whose_centres_are_inside(corners):
+    """Also where it crosses itself, and leaves the picture."""
+    points = np.random.default_rng(corners).uniform((-20, -20), (WIDTH + 20, HEIGHT + 20), (corners, 2))
+    found = polygon(points, WIDTH, HEIGHT)
+    expected = [[winding(points, x + 0.5, y + 0.5) for x in range(WIDTH)] for y in range(HEIGHT)]
+    np.testing.assert_array_equal(found, expected)
+
+
+@pytest.mark.parametrize("length", [1, 2, 7])
+def test_a_brush_holds_the_pixels_near_its_path(length):
+    rng = np.random.default_rng(length)
+    path, radius = rng.uniform((-10, -10), (WIDTH + 10, HEIGHT + 10), (length, 2)), 6.5
+    places = np.stack(np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(HEIGHT) + 0.5), axis=-1)
+    line = np.concatenate(
+        [
+            a + np.linspace(0, 1, 2000)[:, None] * (b - a)
+            for a, b in zip(path, [*path[1:], path[-1]], strict=True)
+        ]
+    )
+    away = np.array([[np.hypot(*(line - place).T).min() for place in row] for row in places])
+    found = brush(path, radius, WIDTH, HEIGHT)
+    clear = np.abs(away - radius) > 0.05  # of the points of the line
+    np.testing.assert_array_equal(found[clear], (away <= radius)[clear])
+
+
+def test_what_is_in_the_outline_is_selected_and_what_is_hidden_is_not_shown():
+    scene, camera = room(2_000), orbit_camera(WIDTH, HEIGHT)
+    inside = polygon(np.array([(10.0, 5.0), (50.0, 5.0), (50.0, 40.0), (10.0, 40.0)]), WIDTH, HEIGHT)
+    centres = centres_in(scene.means, camera, inside)
+    local = scene.means.astype(np.float64) @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
+    x, y = camera.pixels(local).T
+    expected = (local[:, 2] > 0.2) & (x > 10) & (x < 50) & (y > 5) & (y < 40)
+    assert 0 < centres.sum() < scene.count and (centres != expected).sum() <= 2
+    shown, options = shown_in(scene, camera, inside), render_options(scene)
+    assert 0 < shown.sum() < scene.count
+    rasterizer, peaks = Rasterizer(), np.zeros(scene.count)
+    for row, column in np.argwhere(inside):  # the largest alpha T in a pixel, one pixel at a time
+        one = np.zeros_like(inside)
+        one[row, column] = True
+        rasterizer.forward(scene, camera.masked(one), options)
+        sums = np.zeros(scene.count)
+        rasterizer.add_scores(sums)
+        np.maximum(peaks, sums, out=peaks)
+    np.testing.assert_array_equal(shown, peaks >= SHOWN)
+
+
+def test_an_empty_outline_holds_nothing():
+    scene, camera = room(100), orbit_camera(WIDTH, HEIGHT)
+    nothing = polygon(np.array([(5.0, 5.0), (5.0, 5.0)]), WIDTH, HEIGHT)
+    assert not nothing.any()
+    assert not centres_in(scene.means, camera, nothing).any() and not shown_in(scene, camera, nothing).any()
