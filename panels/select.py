@@ -38,12 +38,14 @@ class SVRGS_PT_select(SidebarPanel, bpy.types.Panel):
             return
         row = layout.row()
         row.label(text=tr("{count:,} Gaussians selected").format(count=selected), translate=False)
+        row.operator("svrgs.invert_selection", text="", icon="SELECT_DIFFERENCE")
         row.operator("svrgs.clear_selection", text="", icon="X")
         row = layout.row(align=True)
         row.operator("svrgs.delete_gaussians", text="Delete Selected", icon="TRASH").what = "SELECTED"
         row.operator(
             "svrgs.delete_gaussians", text="Keep Only Selected", icon="FULLSCREEN_EXIT"
         ).what = "OTHERS"
+        layout.operator("svrgs.separate_gaussians", text="Separate Selected", icon="MOD_EXPLODE")
 
 
 CLASSES = (SVRGS_PT_select,)

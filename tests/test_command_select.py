@@ -15,6 +15,7 @@ from command_checks import files, refused
 from svrgs_addon.files.ply import read_ply, write_ply
 from svrgs_addon.files.registry import read_parts, write_scene
 from svrgs_addon.prune.selection.criteria import sizes
+from svrgs_addon.scene.gaussians import SH_C0
 from svrgs_addon.system import memory
 
 
@@ -106,3 +107,11 @@ def test_refusals(svrgs, splat, words, said):
     before = files(splat.parent)
     refused(svrgs("select", splat, *(places.get(word, word) for word in words)), said)
     assert files(splat.parent) == before
+
+
+def test_a_base_colour_is_selected(svrgs, splat):
+    colours = 0.5 + SH_C0 * read_ply(splat).sh[:, 0].astype(np.float64)
+    wanted = np.linalg.norm(colours - (0.6, 0.4, 0.5), axis=1) <= 0.3
+    assert 0 < wanted.sum() < 200
+    result = svrgs("select", splat, "--color", "0.6,0.4,0.5,0.3", "--json").json
+    assert result["selected"] == wanted.sum()

@@ -114,6 +114,22 @@ def delete(obj: bpy.types.Object, others: bool):
             splat_object.set_values(obj, name, kind, values[left])
 
 
+def separate(obj: bpy.types.Object) -> bpy.types.Object:
+    """Makes the selected Gaussians a splat of their own, with all of their attributes, and deletes them here.
+    Returns it. Raises SceneError if none would be left."""
+    mask = read(obj)
+    if not mask.any() or mask.all():
+        raise SceneError(tr("no Gaussian would be left: keep more"))
+    other = splat_object.copy_with(obj, obj.name, splat_object.scene_from_object(obj))
+    for name, kind, values in splat_object.further_values(obj):
+        if name not in other.data.attributes:
+            splat_object.set_values(other, name, kind, values)
+    splat_object.set_values(other, SELECTED, "BOOLEAN", mask)
+    delete(other, others=True)
+    delete(obj, others=False)
+    return other
+
+
 def _volume(obj: bpy.types.Object) -> np.ndarray:
     """(4, 4) float64, from the cube of -1 to 1 to Blender's world: the bounding box of an object, or the size
     of an empty."""

@@ -9,7 +9,7 @@ import math
 
 import bpy
 from bpy.app.translations import pgettext_iface as tr
-from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, FloatVectorProperty, StringProperty
 
 from ...svrgs_addon.native import library
 from ...svrgs_addon.prune.belonging import MIN_SEEN, Seen, percent, seen_of
@@ -38,6 +38,7 @@ CRITERIA = [
     ),
     ("OPACITY", "Opacity", "Opacity in a range"),
     ("SIZE", "Size", "Largest standard deviation in a range"),
+    ("COLOR", "Color", "Base colour, without what depends on the view, near a colour"),
     ("CONTRIBUTION", "Contribution", "Those that add least to the images of the cameras"),
     ("REMOVAL_ERROR", "Removal Error", "Those whose removal would change the images of the cameras least"),
     ("SEEN", "Seen by Camera", "Those that a camera shows, in front of or through others"),
@@ -57,6 +58,7 @@ MODES = [
 SHOWN = {  # properties that a criterion uses
     "BOX": ("volume",), "SPHERE": ("volume",), "OPACITY": ("opacity_low", "opacity_high"),
     "SIZE": ("size_low", "size_high"),
+    "COLOR": ("color", "tolerance"),
     "CONTRIBUTION": ("cameras", "share"), "REMOVAL_ERROR": ("cameras", "share"), "SEEN": ("cameras",),
     "FLOATERS": ("cameras",), "EDIT_MODE": (),
 }  # fmt: skip
@@ -124,6 +126,16 @@ class SVRGS_OT_select_gaussians(SplatOperator):
         subtype="PERCENTAGE",
         description="Percentage of the Gaussians, those with the lowest values",
     )
+    color: FloatVectorProperty(
+        name="Color", subtype="COLOR_GAMMA", min=0, max=1, description="Pick it in the viewport"
+    )
+    tolerance: FloatProperty(
+        name="Tolerance",
+        min=0,
+        max=2,
+        default=0.15,
+        description="Largest distance from the colour; from black to white it is 1.7",
+    )
     cameras: cameras_property()
 
     def draw(self, context):
@@ -167,6 +179,7 @@ class SVRGS_OT_select_gaussians(SplatOperator):
             "BOX": ("box", selection.UNIT_BOX), "SPHERE": ("sphere", selection.UNIT_SPHERE),
             "OPACITY": ("opacity", (self.opacity_low, self.opacity_high)), "SIZE": ("size", (self.size_low,
             self.size_high or math.inf)),
+            "COLOR": ("color", (*self.color, self.tolerance)),
             "CONTRIBUTION": ("lowest_contribution", self.share / 100),
             "REMOVAL_ERROR": ("lowest_removal_error", self.share / 100),
             "SEEN": ("seen_by", "all"), "FLOATERS": ("floaters", True),
@@ -228,6 +241,39 @@ class SVRGS_OT_delete_gaussians(SplatOperator):
         )
 
 
+class SVRGS_OT_separate_gaussians(SplatOperator):
+    bl_idname = "svrgs.separate_gaussians"
+    bl_label = "Separate Gaussians"
+    bl_description = "Make the selected Gaussians of the active splat a splat of their own, in the same place"
+    bl_options = {"REGISTER", "UNDO"}
+
+    problem_of = SVRGS_OT_delete_gaussians.problem_of
+
+    def work(self, context) -> str:
+        obj = context.object
+        before = splat_object.count(obj)
+        other = selection.separate(obj)
+        show_selection(context, False)
+        return tr("Separated {count:,} of {before:,} Gaussians as '{name}'").format(
+            count=splat_object.count(other), before=before, name=other.name
+        )
+
+
+class SVRGS_OT_invert_selection(SplatOperator):
+    bl_idname = "svrgs.invert_selection"
+    bl_label = "Invert Selection"
+    bl_description = "Select the Gaussians of the active splat that are not selected"
+    bl_options = {"REGISTER", "UNDO"}
+
+    def work(self, context) -> str:
+        obj = context.object
+        count = selection.change(obj, selection.read(obj), "SET", invert=True)
+        show_selection(context, count > 0)
+        return tr("Selected {selected:,} of {count:,} Gaussians").format(
+            selected=count, count=splat_object.count(obj)
+        )
+
+
 class SVRGS_OT_clear_selection(SplatOperator):
     bl_idname = "svrgs.clear_selection"
     bl_label = "Clear Selection"
@@ -254,4 +300,10 @@ def show_selection(context, shown: bool):
         view.overlay_shown = colors[shown]
 
 
-CLASSES = (SVRGS_OT_select_gaussians, SVRGS_OT_delete_gaussians, SVRGS_OT_clear_selection)
+CLASSES = (
+    SVRGS_OT_select_gaussians,
+    SVRGS_OT_delete_gaussians,
+    SVRGS_OT_separate_gaussians,
+    SVRGS_OT_invert_selection,
+    SVRGS_OT_clear_selection,
+)

@@ -171,3 +171,34 @@ def test_a_result_that_is_not_applied_is_not_cut(splat, bridge):
     bpy.ops.svrgs.select_gaussians(criterion="OPACITY", opacity_low=0, opacity_high=0.5)
     with pytest.raises(RuntimeError, match="Apply or discard the pruning result"):
         bpy.ops.svrgs.delete_gaussians()
+
+
+def test_a_colour_is_selected_with_a_tolerance(splat, bridge):
+    colours = 0.5 + 0.28209479 * bridge.scene_from_object(splat).sh[:, 0]
+    bpy.ops.svrgs.select_gaussians(criterion="COLOR", color=colours[3], tolerance=0.2)
+    expected = np.linalg.norm(colours - colours[3], axis=1) <= 0.2
+    assert 0 < expected.sum() < len(expected)
+    np.testing.assert_array_equal(selected(splat), expected)
+
+
+def test_a_selection_is_inverted(splat, bridge):
+    bpy.ops.svrgs.select_gaussians(criterion="OPACITY", opacity_high=0.5)
+    before = selected(splat)
+    bpy.ops.svrgs.invert_selection()
+    np.testing.assert_array_equal(selected(splat), ~before)
+
+
+def test_selected_gaussians_become_a_splat_of_their_own(splat, bridge):
+    whole = bridge.scene_from_object(splat)
+    bridge.set_values(splat, "label", "FLOAT", np.arange(whole.count, dtype=np.float32))
+    bpy.ops.svrgs.select_gaussians(criterion="OPACITY", opacity_high=0.5)
+    mask = selected(splat)
+    bpy.ops.svrgs.separate_gaussians()
+    (other,) = (obj for obj in bpy.data.objects if bridge.is_splat(obj) and obj != splat)
+    for obj, rows in ((other, mask), (splat, ~mask)):
+        np.testing.assert_array_equal(bridge.scene_from_object(obj).means, whole.means[rows])
+        np.testing.assert_array_equal(bridge.values(obj, "label"), np.flatnonzero(rows))
+        assert obj.matrix_world == splat.matrix_world and "svrgs:selected" not in obj.data.attributes
+    bpy.ops.svrgs.select_gaussians(criterion="OPACITY", opacity_high=1)
+    with pytest.raises(RuntimeError, match="no Gaussian would be left"):
+        bpy.ops.svrgs.separate_gaussians()

@@ -72,8 +72,11 @@ def texts_of(prop: bpy.types.Property) -> Iterator[str]:
 
 def told_to_blender() -> set[str]:
     """Labels and descriptions of the classes and properties."""
+    tools = part("operators.view.select_region").TOOLS  # Blender registers them as its own toolbar does
     found = {
-        getattr(cls, name, "") for cls in classes() for name in ("bl_label", "bl_description", "bl_category")
+        getattr(cls, name, "")
+        for cls in (*classes(), *tools)
+        for name in ("bl_label", "bl_description", "bl_category")
     }
     found |= {
         text

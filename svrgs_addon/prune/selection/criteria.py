@@ -11,7 +11,7 @@ from ...native.library import thresholds
 from ...native.rasterizer import Rasterizer
 from ...render.metrics.evaluate import picture_options, render_options
 from ...scene.camera import Camera
-from ...scene.gaussians import Scene
+from ...scene.gaussians import SH_C0, Scene
 from ...system.errors import SceneError
 from .haze import hangs_before_cameras
 from .islands import on_small_islands
@@ -54,6 +54,11 @@ def opacities(scene: Scene) -> np.ndarray:
     """(N,) float64 in 0..1."""
     with np.errstate(over="ignore"):
         return 1 / (1 + np.exp(-scene.opacity_logits.astype(np.float64)))
+
+
+def base_colours(scene: Scene) -> np.ndarray:
+    """(N, 3) float64 display sRGB: of SH degree 0."""
+    return 0.5 + SH_C0 * scene.sh[:, 0].astype(np.float64)
 
 
 def sizes(scene: Scene) -> np.ndarray:

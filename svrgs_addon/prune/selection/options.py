@@ -11,7 +11,7 @@ from ...system.option_kinds import BOX, COUNT, FLAG, PATH, RANGE, SHARE, SPHERE,
 # criteria that need views
 OF_VIEWS = ("contribution", "lowest_contribution", "removal_error", "lowest_removal_error", "seen_by")
 RANKING = OF_VIEWS[:-1]  # those by which Gaussians are ranked, over all views
-OF_ONE = ("box", "sphere", "opacity", "size")  # criteria that judge each Gaussian by itself
+OF_ONE = ("box", "sphere", "opacity", "size", "color")  # criteria that judge each Gaussian by itself
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,6 +33,12 @@ class Criteria:
     )
     size: tuple | None = option(
         RANGE, None, "largest standard deviation in this range, in units of the file", metavar="LO,HI"
+    )
+    color: tuple | None = option(
+        SPHERE,
+        None,
+        "base colour, without what depends on the view, within a distance D of this one, display sRGB 0..1",
+        metavar="R,G,B,D",
     )
     contribution: tuple | None = option(
         RANGE,

@@ -51,6 +51,8 @@ def _fulfilled(
         return criteria.in_box(scene.means, limits, matrix)
     if name == "sphere":
         return criteria.in_sphere(scene.means, limits, matrix)
+    if name == "color":
+        return criteria.in_sphere(criteria.base_colours(scene), limits)
     if name == "seen_by":
         return criteria.seen(scene, views(limits))
     if name == "floaters":
