@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -48,8 +50,13 @@ def test_a_brush_holds_the_pixels_near_its_path(length):
     np.testing.assert_array_equal(found[clear], (away <= radius)[clear])
 
 
-def test_what_is_in_the_outline_is_selected_and_what_is_hidden_is_not_shown():
+@pytest.mark.parametrize("orthographic", [False, True])
+def test_what_is_in_the_outline_is_selected_and_what_is_hidden_is_not_shown(orthographic):
     scene, camera = room(2_000), orbit_camera(WIDTH, HEIGHT)
+    if orthographic:
+        K = np.diag([8.0, 8.0, 1.0])
+        K[:2, 2] = camera.K[:2, 2]
+        camera = replace(camera, K=K, orthographic=True)
     inside = polygon(np.array([(10.0, 5.0), (50.0, 5.0), (50.0, 40.0), (10.0, 40.0)]), WIDTH, HEIGHT)
     centres = centres_in(scene.means, camera, inside)
     local = scene.means.astype(np.float64) @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]

@@ -45,12 +45,16 @@ def brush(path: np.ndarray, radius: float, width: int, height: int) -> np.ndarra
 def centres_in(means: np.ndarray, camera: Camera, pixels: np.ndarray) -> np.ndarray:
     """(N,) bool: the Gaussians whose centres (N, 3), in world coordinates, are in one of the pixels (H, W)
     bool of the camera, and in front of it."""
-    local = means @ camera.viewmat[:3, :3].T.astype(means.dtype) + camera.viewmat[:3, 3].astype(means.dtype)
-    places = camera.pixels(local)
-    inside = (local[:, 2] > thresholds().near) & (places >= 0).all(axis=1)
-    inside &= (places < (camera.width, camera.height)).all(axis=1)
-    columns, rows = places[inside].astype(np.int32).T
-    inside[inside] = pixels[rows, columns]
+    # in float32, as seen from the camera: half the time of float64
+    R, K = camera.viewmat[:3, :3], camera.K.astype(np.float32)
+    turned = np.concatenate([camera.K[:2, :2] @ R[:2], R[2:]]).astype(np.float32)
+    x, y, z = turned @ (means - camera.position.astype(np.float32)).T
+    inside = z > thresholds().near
+    share = np.float32(1) if camera.orthographic else 1 / z[inside]
+    columns, rows = np.floor(x[inside] * share + K[0, 2]), np.floor(y[inside] * share + K[1, 2])
+    within = (columns >= 0) & (columns < camera.width) & (rows >= 0) & (rows < camera.height)
+    within[within] = pixels[rows[within].astype(np.int32), columns[within].astype(np.int32)]
+    inside[inside] = within
     return inside
 
 
