@@ -13,6 +13,8 @@ TOOLS = {
     "svrgs.select_lasso": "GP_SELECT_STROKES",
 }
 
+CHANGES = {"GROW": "ADD", "SHRINK": "REMOVE", "INVERT": "SELECT_DIFFERENCE"}
+
 
 class SVRGS_PT_select(SidebarPanel, bpy.types.Panel):
     bl_label = "Select"
@@ -38,7 +40,8 @@ class SVRGS_PT_select(SidebarPanel, bpy.types.Panel):
             return
         row = layout.row()
         row.label(text=tr("{count:,} Gaussians selected").format(count=selected), translate=False)
-        row.operator("svrgs.invert_selection", text="", icon="SELECT_DIFFERENCE")
+        for how, icon in CHANGES.items():
+            row.operator("svrgs.change_selection", text="", icon=icon).how = how
         row.operator("svrgs.clear_selection", text="", icon="X")
         row = layout.row(align=True)
         row.operator("svrgs.delete_gaussians", text="Delete Selected", icon="TRASH").what = "SELECTED"

@@ -17,10 +17,12 @@ from mathutils import Matrix, Vector
 from ...svrgs_addon.prune.selection.options import Criteria
 from ...svrgs_addon.prune.selection.select import selected
 from ...svrgs_addon.scene.camera import Camera
+from ...svrgs_addon.scene.neighbours import nearest_rows
 from ...svrgs_addon.system.errors import SceneError
 from . import splat_object, visible_splats
 
 SELECTED = "svrgs:selected"  # attribute: marks the selected Gaussians
+NEIGHBOURS = 8  # by which a selection grows or shrinks
 EDIT_MODE = ".selection"  # Blender's attribute of a point cloud in Edit Mode
 UNIT_BOX, UNIT_SPHERE = (-1.0, -1.0, -1.0, 1.0, 1.0, 1.0), (0.0, 0.0, 0.0, 1.0)
 COMBINED = {
@@ -87,6 +89,30 @@ def read(obj: bpy.types.Object) -> np.ndarray:
     """(N,) bool: the selection of the splat."""
     mask = splat_object.values(obj, SELECTED)
     return np.zeros(splat_object.count(obj), bool) if mask is None else mask.astype(bool)
+
+
+def grown(obj: bpy.types.Object) -> np.ndarray:
+    """(N,) bool: the selection, and the Gaussians nearest to each selected one."""
+    mask, (rows, near) = read(obj), _nearest(obj)
+    mask[rows[near[mask[rows]]].ravel()] = True
+    return mask
+
+
+def shrunk(obj: bpy.types.Object) -> np.ndarray:
+    """(N,) bool: the selected Gaussians to which the nearest ones are all selected."""
+    mask, (rows, near) = read(obj), _nearest(obj)
+    mask[rows] &= mask[rows[near]].all(axis=1)
+    return mask
+
+
+def _nearest(obj: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
+    """The rows (M,) of the Gaussians that are not marked as removed, and which of these are nearest to each,
+    (M, NEIGHBOURS)."""
+    rows, means = visible_splats.visible_rows(obj), splat_object.stored_values(obj, splat_object.POSITION)
+    rows = rows[np.isfinite(means[rows]).all(axis=1)]
+    if len(rows) <= NEIGHBOURS:
+        return rows, np.empty((len(rows), 0), np.int64)
+    return rows, nearest_rows(means[rows], NEIGHBOURS)
 
 
 def selected_count(obj: bpy.types.Object) -> int:

@@ -55,6 +55,11 @@ MODES = [
     ("SUBTRACT", "Subtract", "Remove these from the selection", "SELECT_SUBTRACT", 2),
     ("INTERSECT", "Intersect", "Keep only these of the selection", "SELECT_INTERSECT", 3),
 ]  # fmt: skip
+CHANGES = [
+    ("INVERT", "Invert", "Select the Gaussians that are not selected"),
+    ("GROW", "Grow", "Select also the nearest Gaussians around those that are selected"),
+    ("SHRINK", "Shrink", "Keep those whose nearest Gaussians are all selected"),
+]
 SHOWN = {  # properties that a criterion uses
     "BOX": ("volume",), "SPHERE": ("volume",), "OPACITY": ("opacity_low", "opacity_high"),
     "SIZE": ("size_low", "size_high"),
@@ -259,15 +264,26 @@ class SVRGS_OT_separate_gaussians(SplatOperator):
         )
 
 
-class SVRGS_OT_invert_selection(SplatOperator):
-    bl_idname = "svrgs.invert_selection"
-    bl_label = "Invert Selection"
-    bl_description = "Select the Gaussians of the active splat that are not selected"
+class SVRGS_OT_change_selection(SplatOperator):
+    bl_idname = "svrgs.change_selection"
+    bl_label = "Change Selection"
+    bl_description = "Invert, grow or shrink the selection of the active splat"
     bl_options = {"REGISTER", "UNDO"}
+
+    how: EnumProperty(
+        name="How",
+        description="What becomes of the selection",
+        items=CHANGES,
+    )
+
+    @classmethod
+    def description(cls, context, properties):
+        return tr(next(text for how, _, text in CHANGES if how == properties.how))
 
     def work(self, context) -> str:
         obj = context.object
-        count = selection.change(obj, selection.read(obj), "SET", invert=True)
+        found = {"INVERT": selection.read, "GROW": selection.grown, "SHRINK": selection.shrunk}[self.how](obj)
+        count = selection.change(obj, found, "SET", invert=self.how == "INVERT")
         show_selection(context, count > 0)
         return tr("Selected {selected:,} of {count:,} Gaussians").format(
             selected=count, count=splat_object.count(obj)
@@ -304,6 +320,6 @@ CLASSES = (
     SVRGS_OT_select_gaussians,
     SVRGS_OT_delete_gaussians,
     SVRGS_OT_separate_gaussians,
-    SVRGS_OT_invert_selection,
+    SVRGS_OT_change_selection,
     SVRGS_OT_clear_selection,
 )

@@ -47,9 +47,7 @@ class SVRGS_OT_select_region(SplatOperator):
         description="What happens with the Gaussians that are selected already",
     )
     path: CollectionProperty(type=bpy.types.OperatorMousePath, options={"HIDDEN", "SKIP_SAVE"})
-    wait: BoolProperty(
-        name="Wait", description="Begin at the next press of the mouse", options={"HIDDEN", "SKIP_SAVE"}
-    )
+    wait: BoolProperty(options={"HIDDEN", "SKIP_SAVE"})  # begin at the next press of the mouse
 
     def work(self, context) -> str:
         obj, region, view = context.object, context.region, context.region_data

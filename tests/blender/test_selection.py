@@ -181,11 +181,23 @@ def test_a_colour_is_selected_with_a_tolerance(splat, bridge):
     np.testing.assert_array_equal(selected(splat), expected)
 
 
-def test_a_selection_is_inverted(splat, bridge):
-    bpy.ops.svrgs.select_gaussians(criterion="OPACITY", opacity_high=0.5)
+def test_a_selection_is_inverted_grows_and_shrinks(splat, bridge):
+    means = bridge.scene_from_object(splat).means.astype(np.float64)
+    distances = np.linalg.norm(means[:, None] - means, axis=2)
+    np.fill_diagonal(distances, np.inf)
+    near = np.argsort(distances, axis=1)[:, :8]
+    bpy.ops.svrgs.select_gaussians(criterion="OPACITY", opacity_low=0.9, opacity_high=1)
     before = selected(splat)
-    bpy.ops.svrgs.invert_selection()
+    bpy.ops.svrgs.change_selection(how="INVERT")
     np.testing.assert_array_equal(selected(splat), ~before)
+    bpy.ops.svrgs.change_selection(how="SHRINK")
+    inner = ~before & (~before)[near].all(axis=1)
+    np.testing.assert_array_equal(selected(splat), inner)
+    bpy.ops.svrgs.change_selection(how="GROW")
+    outer = inner.copy()
+    outer[near[inner].ravel()] = True
+    np.testing.assert_array_equal(selected(splat), outer)
+    assert inner.sum() < outer.sum() < 250
 
 
 def test_selected_gaussians_become_a_splat_of_their_own(splat, bridge):
