@@ -11,6 +11,7 @@ MODULES = [
         "scene",
         "photographs",
         "select",
+        "color",
         "overlay",
         "train",
         "prune",

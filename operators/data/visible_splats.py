@@ -23,7 +23,7 @@ from ...svrgs_addon.scene.concatenate import concatenated
 from ...svrgs_addon.scene.gaussians import Scene
 from ...svrgs_addon.system.errors import SceneError
 from ...svrgs_addon.views.lens import camera_of_projection
-from . import camera_object, quick_order, splat_object
+from . import camera_object, grading, quick_order, splat_object
 
 REMOVED = "removed"  # attribute: marks Gaussians that pruning would remove; they are not drawn
 HIDE_MODIFIER = "SVR-GS Removed"  # the modifier that hides marked Gaussians, and its node group
@@ -60,9 +60,10 @@ class PlacedScene:
 
 
 def visible_scene(obj: bpy.types.Object) -> Scene:
-    """The Gaussians of a splat that are not marked as removed; of a quick result, those that the slider Keep
-    shows."""
-    return quick_order.shown(obj.original) or splat_object.scene_from_object(obj).select(visible_rows(obj))
+    """The Gaussians of a splat that are not marked as removed, with its grade; of a quick result, those that
+    the slider Keep shows."""
+    shown = quick_order.shown(obj.original) or splat_object.scene_from_object(obj).select(visible_rows(obj))
+    return grading.applied(shown, obj)
 
 
 def visible_rows(obj: bpy.types.Object) -> np.ndarray:

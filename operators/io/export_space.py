@@ -13,7 +13,7 @@ from ...svrgs_addon.scene.affine import UNIFORM, stretch, transformed
 from ...svrgs_addon.scene.concatenate import concatenated
 from ...svrgs_addon.scene.gaussians import Scene
 from ...svrgs_addon.system.errors import SceneError
-from ..data import splat_object, visible_splats
+from ..data import grading, splat_object, visible_splats
 from ..jobs import job_result
 from ..scene.splat_transforms import stretch_warning
 from ..translation import OWN
@@ -45,14 +45,14 @@ class ExportSpace:
                 "SEEN",
                 "As Seen",
                 (
-                    "What the viewport shows of the splat: with its modifiers and instances, without"
-                    " Gaussians that are hidden as removed"
+                    "What the viewport shows of the splat: with its modifiers, instances and colour settings,"
+                    " without Gaussians that are hidden as removed"
                 ),
             ),
             (
                 "STORED",
                 "All Stored",
-                "All Gaussians of the splat, also those hidden as removed, without modifiers",
+                "All Gaussians of the splat as stored, also those hidden as removed, without modifiers",
             ),
         ],
     )
@@ -129,5 +129,6 @@ def gaussians(context, obj: bpy.types.Object, seen: bool) -> list:
             " export All Stored"
         )
         raise SceneError(text.format(name=obj.name))
-    scene = splat_object.scene_from_object(obj) if obj.mode == "EDIT" else visible_splats.visible_scene(obj)
-    return [(scene, obj.matrix_world)]
+    if obj.mode != "EDIT":
+        return [(visible_splats.visible_scene(obj), obj.matrix_world)]
+    return [(grading.applied(splat_object.scene_from_object(obj), obj), obj.matrix_world)]

@@ -21,7 +21,7 @@ from ...svrgs_addon.scene.camera import Camera, resized_valid
 from ...svrgs_addon.scene.gaussians import Scene
 from ...svrgs_addon.system.errors import SceneError, SplatError
 from ...svrgs_addon.views.valid_pixels import BACKGROUND
-from ..data import background_work, camera_object, image_pixels, splat_object, visible_splats
+from ..data import background_work, camera_object, grading, image_pixels, splat_object, visible_splats
 from ..data.preferences import threads
 from ..data.reporting import ReportingOperator
 from ..jobs import job_result
@@ -41,7 +41,9 @@ class ComparedSplats:
 
     def __init__(self, context: bpy.types.Context):
         original, pruned = chosen_pair(context)
-        self.scenes = splat_object.scene_from_object(original), shown_scene(pruned)
+        self.graded = any(map(grading.is_graded, (original, pruned)))
+        whole = grading.applied(splat_object.scene_from_object(original), original)
+        self.scenes = whole, shown_scene(pruned)
         places = (obj.matrix_world.copy() for obj in (original, pruned))
         self.placed = [visible_splats.placed([part]) for part in zip(self.scenes, places, strict=True)]
         self.rasterizer = Rasterizer()
@@ -85,7 +87,7 @@ def shown_scene(pruned: bpy.types.Object) -> Scene:
     """Of a job's result: what Apply would keep. Of any other splat: the Gaussians that are not marked as
     removed."""
     if job_result.KEPT in pruned and job_result.undecided(pruned):
-        return job_result.shown_gaussians(pruned)
+        return grading.applied(job_result.shown_gaussians(pruned), pruned)
     return visible_splats.visible_scene(pruned)
 
 
@@ -148,7 +150,8 @@ class SVRGS_OT_compare(ComparingOperator):
         show_in_editors(context, image)
         if photo is not None and weights_file().is_file():
             perceived(pictures, photo, valid, figures)
-        return summary(rows, between, figures.get("hidden", 0.0))
+        text = summary(rows, between, figures.get("hidden", 0.0))
+        return f"{text}; {tr('with the settings of Color')}" if splats.graded else text
 
 
 class SVRGS_OT_contact_sheet(ComparingOperator):

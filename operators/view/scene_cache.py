@@ -10,8 +10,9 @@ import bpy
 from bpy.app.handlers import persistent
 
 from ...svrgs_addon.scene.gaussians import Scene
+from ...svrgs_addon.scene.grade import Grade, graded
 from ...svrgs_addon.scene.morton_order import morton_order
-from ..data import quick_order, splat_object, visible_splats
+from ..data import grading, quick_order, splat_object, visible_splats
 
 
 @dataclass(frozen=True)
@@ -21,6 +22,8 @@ class Entry:
     scene: Scene
     rows: Any  # (N,) the row of each Gaussian in the object; None: it has others
     data: int  # session_uid of the object's data
+    stored: Scene  # the same without the grade of the splat
+    grade: Grade
     # (N,) of attributes that were asked for, None if there is none
     values: dict[str, Any] = field(default_factory=dict)
     number: int = field(default_factory=itertools.count().__next__)  # every entry has another number
@@ -56,13 +59,18 @@ def read_values(obj: bpy.types.Object, name: str):
 
 def _entry(obj: bpy.types.Object, whole: bool = False) -> Entry:
     key = obj.original.session_uid, 0 if whole else obj.data.as_pointer(), whole
+    grade, data = grading.of(obj), obj.original.data.session_uid
     if key not in _entries and not whole and (shown := quick_order.shown(obj.original)) is not None:
-        _entries[key] = Entry(shown, None, obj.original.data.session_uid)
+        _entries[key] = Entry(shown, None, data, shown, Grade())
     if key not in _entries:
         obj = obj.original if whole else obj
         scene, rows = splat_object.scene_from_object(obj), visible_splats.visible_rows(obj)
         rows = morton_order(scene.means) if whole else rows[morton_order(scene.means[rows])]
-        _entries[key] = Entry(scene.select(rows), rows, obj.original.data.session_uid)
+        scene = scene.select(rows)
+        _entries[key] = Entry(scene, rows, data, scene, Grade())
+    if (entry := _entries[key]).grade != grade:
+        scene = graded(entry.stored, grade)
+        _entries[key] = Entry(scene, entry.rows, data, entry.stored, grade, entry.values)
     return _entries[key]
 
 

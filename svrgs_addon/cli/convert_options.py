@@ -9,11 +9,14 @@ from ..system.option_kinds import (
     ANGLES,
     BOX,
     FLAG,
+    NUMBER,
     POINT,
     POSITIVE_FLOAT,
     SH_DEGREE,
+    SHARE,
     SPZ_VERSION,
     TEXT,
+    WEIGHT,
     option,
 )
 
@@ -54,4 +57,10 @@ class ConvertOptions:
     move: tuple = option(
         POINT, (0.0, 0.0, 0.0), "lengths along x, y and z", metavar="X,Y,Z", default_help="none"
     )
+    exposure: float = option(NUMBER, 0.0, "stops of light, about: a gain of 2^(stops / 2.2)")
+    warmth: float = option(NUMBER, 0.0, "stops of red over blue: above 0 for warmer colours")
+    tint: float = option(NUMBER, 0.0, "stops of magenta over green")
+    saturation: float = option(WEIGHT, 1.0, "of colours: 0 grey, 1 as it is")
+    contrast: float = option(WEIGHT, 1.0, "of colours around middle grey: 1 as it is")
+    opacity: float = option(SHARE, 1.0, "factor on the opacity of every Gaussian")
     overwrite: bool = option(FLAG, False, "with several inputs: write those outputs again that exist")

@@ -7,7 +7,7 @@ import argparse
 import contextlib
 import glob
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +20,7 @@ from ..prune.door import check_files, outputs
 from ..prune.selection.criteria import in_box
 from ..scene.affine import scaled, transformed
 from ..scene.gaussians import SH_COEFFICIENTS, Scene
+from ..scene.grade import Grade, graded
 from ..system import memory
 from ..system.errors import MemoryShort, SceneError, SplatError, TooMany
 from ..system.file_names import extended, real
@@ -118,10 +119,11 @@ def _whole(path: Path) -> Scene | None:
 
 
 def _changed(scene: Scene, options: ConvertOptions) -> Scene:
-    """The scene after crop, scale, rotation, move and with fewer bands."""
+    """The scene after crop, scale, rotation, move, with other colours and with fewer bands."""
     if options.box:
         scene = scene.select(np.flatnonzero(in_box(scene.means, options.box)))
     scene = transformed(scaled(scene, options.scale), _matrix(options))
+    scene = graded(scene, Grade(*(getattr(options, field.name) for field in fields(Grade))))
     most = SH_COEFFICIENTS[3 if options.sh_degree is None else options.sh_degree]
     return replace(scene, sh=np.ascontiguousarray(scene.sh[:, :most])) if scene.sh.shape[1] > most else scene
 

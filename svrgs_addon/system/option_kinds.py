@@ -131,6 +131,7 @@ POINT = ANGLES = Kind(
     lambda numbers: len(numbers) == 3 and _finite(numbers),
     _numbers,
 )
+NUMBER = Kind(float, "a number of -20 to 20", lambda value: -20 <= value <= 20)
 POSITIVE_FLOAT = Kind(float, "a number above 0", lambda value: 0 < value < math.inf)
 SPZ_VERSION = Kind(int, "a version from 2 to 4", choices=(2, 3, 4))
 SPHERE = Kind(

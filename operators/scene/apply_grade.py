@@ -1,0 +1,30 @@
+"""Bakes the grade of a splat into its Gaussians."""
+
+from __future__ import annotations
+
+from bpy.app.translations import pgettext_iface as tr
+
+from ..data import edit_guard, grading, splat_object
+from .select_gaussians import SplatOperator
+
+
+class SVRGS_OT_apply_grade(SplatOperator):
+    bl_idname = "svrgs.apply_grade"
+    bl_label = "Apply Color"
+    bl_description = "Give the Gaussians of the active splat the colours and opacities that are seen"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def problem_of(cls, context, obj) -> str:
+        if problem := edit_guard.change_problem(context, [obj]):
+            return problem
+        return "" if grading.is_graded(obj) else tr("The colours are as they are stored")
+
+    def work(self, context) -> str:
+        obj = context.object
+        splat_object.write_gaussians(obj, grading.applied(splat_object.scene_from_object(obj), obj))
+        grading.reset(obj)
+        return tr("The Gaussians have the colours that are seen")
+
+
+CLASSES = (SVRGS_OT_apply_grade,)

@@ -1,0 +1,31 @@
+"""Color: the grade of the active splat, below the panel Scene."""
+
+import bpy
+from bpy.app.translations import pgettext_iface as tr
+
+from ..operators.data import grading
+from ..operators.data.splat_object import is_splat
+from .sidebar import SidebarPanel, split_column, wrapped_label
+
+
+class SVRGS_PT_color(SidebarPanel, bpy.types.Panel):
+    bl_label = "Color"
+    bl_parent_id = "SVRGS_PT_scene"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context):
+        return is_splat(context.object)
+
+    def draw(self, context):
+        obj = context.object
+        column = split_column(self.layout)
+        for name in grading.NAMES:
+            column.prop(obj.svrgs_grade, name)
+        if not grading.is_graded(obj):
+            return
+        wrapped_label(self.layout, tr("Seen and exported so. Pruning measures the stored colours"), "INFO")
+        self.layout.operator("svrgs.apply_grade", icon="CHECKMARK")
+
+
+CLASSES = (SVRGS_PT_color,)

@@ -1,0 +1,101 @@
+"""Colour settings of a splat: the same in the viewport's cache, renders, comparisons and exports; animated,
+applied, and left out by pruning."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+import pytest
+from extension import DATA, part
+from job_helpers import drawn, follow, set_up
+
+
+@pytest.fixture
+def splat():
+    bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
+    return bpy.context.object
+
+
+def grade(obj, **values):
+    for name, value in values.items():
+        setattr(obj.svrgs_grade, name, value)
+    bpy.context.view_layer.update()
+
+
+def expected(bridge, obj, **values):
+    module = part("svrgs_addon.scene.grade")
+    return module.graded(bridge.scene_from_object(obj), module.Grade(**values))
+
+
+def evaluated(obj):
+    return obj.evaluated_get(bpy.context.evaluated_depsgraph_get())
+
+
+VALUES = {"exposure": 0.5, "warmth": 0.25, "saturation": 0.5, "contrast": 1.25, "opacity": 0.5}
+
+
+def test_what_is_seen_and_exported_is_graded_and_what_is_stored_is_not(splat, bridge, tmp_path):
+    before, cache = bridge.scene_from_object(splat), part("operators.view.scene_cache")
+    cache.read(evaluated(splat))
+    grade(splat, **VALUES)
+    wanted = expected(bridge, splat, **VALUES)
+    visible = part("operators.data.visible_splats").visible_scene(evaluated(splat))
+    np.testing.assert_array_equal(visible.sh, wanted.sh)
+    rows = np.lexsort(wanted.means.T)
+    cached = cache.read(evaluated(splat))
+    np.testing.assert_array_equal(cached.sh[np.lexsort(cached.means.T)], wanted.sh[rows])
+    read = part("svrgs_addon.files.registry").read_scene
+    for what, scene in (("SEEN", wanted), ("STORED", before)):
+        bpy.ops.svrgs.export_ply(filepath=str(tmp_path / f"{what}.ply"), what=what)
+        found = read(tmp_path / f"{what}.ply")
+        np.testing.assert_array_equal(found.sh, scene.sh)
+        np.testing.assert_array_equal(found.opacity_logits, scene.opacity_logits)
+    np.testing.assert_array_equal(bridge.scene_from_object(splat).sh, before.sh)
+
+
+def test_it_is_animated(splat, bridge):
+    for frame, value in ((1, 0.0), (11, 2.0)):
+        splat.svrgs_grade.exposure = value
+        splat.svrgs_grade.keyframe_insert("exposure", frame=frame)
+    visible = part("operators.data.visible_splats").visible_scene
+    for frame in (1, 6, 11):
+        bpy.context.scene.frame_set(frame)
+        now = evaluated(splat).svrgs_grade.exposure
+        assert (0 <= now <= 2) and (now in (0, 2) or frame == 6) and (0 < now < 2 or frame != 6)
+        found = visible(evaluated(splat))
+        np.testing.assert_array_equal(found.sh, expected(bridge, splat, exposure=now).sh)
+
+
+def test_it_is_applied_to_the_gaussians(splat, bridge):
+    with pytest.raises(RuntimeError, match="as they are stored"):
+        bpy.ops.svrgs.apply_grade()
+    grade(splat, **VALUES)
+    wanted = expected(bridge, splat, **VALUES)
+    assert "svrgs.apply_grade" in drawn("color")
+    bpy.ops.svrgs.apply_grade()
+    found = bridge.scene_from_object(splat)
+    np.testing.assert_array_equal(found.sh, wanted.sh)
+    np.testing.assert_allclose(found.opacity_logits, wanted.opacity_logits, atol=1e-5)
+    assert splat.svrgs_grade.contrast == 1 and "svrgs.apply_grade" not in drawn("color")
+
+
+def test_comparisons_and_results_keep_it_and_pruning_does_not_see_it(splat, bridge, watch, capfd):
+    grade(splat, **VALUES)
+    set_up({"data": "", "depth": "QUICK", "goal": "COUNT", "count": 100})
+    bpy.ops.svrgs.job_start()
+    follow(watch, lambda: bpy.context.object != splat)
+    result = bpy.context.object
+    assert result.svrgs_grade.exposure == 0.5
+    stored = bridge.scene_from_object(splat)
+    colours = bridge.scene_from_object(result).sh[:, 0]
+    low, high = stored.sh[:, 0].min(axis=0) - 0.2, stored.sh[:, 0].max(axis=0) + 0.2
+    assert (colours >= low).all() and (colours <= high).all()
+    compare = part("operators.view.compare")
+    camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+    bpy.context.scene.collection.objects.link(camera)
+    bpy.context.scene.camera = camera
+    bpy.ops.svrgs.compare()
+    assert "with the settings of Color" in capfd.readouterr().out
+    splats = compare.ComparedSplats(bpy.context)
+    np.testing.assert_array_equal(splats.scenes[0].sh, expected(bridge, splat, **VALUES).sh)
+    assert splats.scenes[1].count == 100 and not np.isin(splats.scenes[1].sh[:, 0], colours).all()
