@@ -22,6 +22,10 @@ class SVRGS_PT_color(SidebarPanel, bpy.types.Panel):
         column = split_column(self.layout)
         for name in grading.NAMES:
             column.prop(obj.svrgs_grade, name)
+        column.prop(obj.svrgs_grade, "crop")
+        row = column.row()
+        row.active = obj.svrgs_grade.crop is not None
+        row.prop(obj.svrgs_grade, "softness")
         if not grading.is_graded(obj):
             return
         wrapped_label(self.layout, tr("Seen and exported so. Pruning measures the stored colours"), "INFO")

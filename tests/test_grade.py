@@ -91,3 +91,23 @@ def test_convert_grades(tmp_path, svrgs):
     expected, found = graded(scene, Grade(0.5, 0.2, -0.1, 1.3, 0.9, 0.7)), read_ply(tmp_path / "b.ply")
     np.testing.assert_array_equal(found.sh, expected.sh)
     np.testing.assert_array_equal(found.opacity_logits, expected.opacity_logits)
+
+
+@pytest.mark.parametrize("softness", [0.0, 0.5])
+def test_what_is_outside_the_box_is_gone_and_what_is_near_its_faces_fades(softness):
+    scene = room(3_000)
+    middle, half = scene.means.mean(axis=0).astype(np.float64), 1.3 * scene.means.std(axis=0)
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = np.diag(1 / half), -middle / half
+    found = graded(scene, Grade(crop=tuple(map(tuple, matrix.tolist())), softness=softness))
+    depth = 1 - np.abs((scene.means - middle) / half).max(axis=1)
+    kept = depth > 0
+    assert 0 < kept.sum() < scene.count
+    np.testing.assert_array_equal(found.means, scene.means[kept])
+    share = np.clip(depth[kept] / softness, 0, 1) if softness else np.ones(kept.sum())
+    factors = share**2 * (3 - 2 * share)
+    before, after = (
+        1 / (1 + np.exp(-one.astype(np.float64)))
+        for one in (scene.opacity_logits[kept], found.opacity_logits)
+    )
+    np.testing.assert_allclose(after, factors * before, rtol=1e-5, atol=2e-6)

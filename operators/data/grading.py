@@ -3,14 +3,17 @@ Gaussians keep their own colours, and pruning measures those."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import bpy
+import numpy as np
 from bpy.props import FloatProperty, PointerProperty
 
 from ...svrgs_addon.scene.gaussians import Scene
-from ...svrgs_addon.scene.grade import Grade, graded
-from . import background_work
+from ...svrgs_addon.scene.grade import Grade, graded, inside
+from . import background_work, volumes
 
-NAMES = tuple(Grade.__dataclass_fields__)
+NAMES = ("exposure", "warmth", "tint", "saturation", "contrast", "opacity")
 
 
 def _changed(self, context):
@@ -43,6 +46,20 @@ class SVRGS_PG_grade(bpy.types.PropertyGroup):
         update=_changed,
         description="Around middle grey. 1: as it is",
     )
+    crop: PointerProperty(
+        name="Crop Box",
+        type=bpy.types.Object,
+        update=_changed,
+        description="Only what is inside the bounding box of this object stays; an empty is a cube",
+    )
+    softness: FloatProperty(
+        name="Softness",
+        min=0,
+        max=1,
+        subtype="FACTOR",
+        update=_changed,
+        description="Over what share of the way from the faces of the box to its middle opacity grows",
+    )
     opacity: FloatProperty(
         name="Opacity",
         min=0,
@@ -55,12 +72,22 @@ class SVRGS_PG_grade(bpy.types.PropertyGroup):
 
 
 def of(obj: bpy.types.Object) -> Grade:
-    """The grade of a splat."""
-    return Grade(*(getattr(obj.svrgs_grade, name) for name in NAMES))
+    """The grade of a splat. Raises SceneError if its crop box has no volume."""
+    settings = obj.svrgs_grade
+    grade = Grade(*(getattr(settings, name) for name in NAMES))
+    if settings.crop is None:
+        return grade
+    to_box = np.linalg.solve(volumes.matrix_of(settings.crop), np.array(obj.matrix_world, np.float64))
+    return replace(grade, crop=tuple(map(tuple, to_box.tolist())), softness=settings.softness)
 
 
 def is_graded(obj: bpy.types.Object) -> bool:
     return of(obj) != Grade()
+
+
+def left(scene: Scene, obj: bpy.types.Object) -> np.ndarray:
+    """(N,) bool: the Gaussians that the crop box leaves."""
+    return inside(scene.means, of(obj)) > 0
 
 
 def applied(scene: Scene, obj: bpy.types.Object) -> Scene:
@@ -69,7 +96,7 @@ def applied(scene: Scene, obj: bpy.types.Object) -> Scene:
 
 
 def reset(obj: bpy.types.Object):
-    for name in NAMES:
+    for name in (*NAMES, "crop", "softness"):
         obj.svrgs_grade.property_unset(name)
 
 

@@ -12,14 +12,13 @@ from collections.abc import Callable
 import bpy
 import numpy as np
 from bpy.app.translations import pgettext_iface as tr
-from mathutils import Matrix, Vector
 
 from ...svrgs_addon.prune.selection.options import Criteria
 from ...svrgs_addon.prune.selection.select import selected
 from ...svrgs_addon.scene.camera import Camera
 from ...svrgs_addon.scene.neighbours import nearest_rows
 from ...svrgs_addon.system.errors import SceneError
-from . import splat_object, visible_splats
+from . import splat_object, visible_splats, volumes
 
 SELECTED = "svrgs:selected"  # attribute: marks the selected Gaussians
 NEIGHBOURS = 8  # by which a selection grows or shrinks
@@ -48,7 +47,11 @@ def find(
     placed = visible_splats.placed(
         [(splat_object.scene_from_object(obj).select(rows), obj.matrix_world.copy())]
     )
-    matrix = None if volume is None else np.linalg.solve(_volume(volume), np.array(placed.matrix, np.float64))
+    matrix = (
+        None
+        if volume is None
+        else np.linalg.solve(volumes.matrix_of(volume), np.array(placed.matrix, np.float64))
+    )
     if wanted.size is not None:
         wanted = Criteria(size=(wanted.size[0] / placed.unit, wanted.size[1] / placed.unit))
     mask = np.zeros(splat_object.count(obj), bool)
@@ -154,23 +157,3 @@ def separate(obj: bpy.types.Object) -> bpy.types.Object:
     delete(other, others=True)
     delete(obj, others=False)
     return other
-
-
-def _volume(obj: bpy.types.Object) -> np.ndarray:
-    """(4, 4) float64, from the cube of -1 to 1 to Blender's world: the bounding box of an object, or the size
-    of an empty."""
-    low, high = (
-        np.array([function(corner[k] for corner in obj.bound_box) for k in range(3)])
-        for function in (min, max)
-    )
-    if obj.type == "EMPTY":
-        low, high = np.full(3, -obj.empty_display_size), np.full(3, obj.empty_display_size)
-    place = Matrix.Translation(Vector((low + high) / 2)) @ Matrix.Diagonal((*(high - low) / 2, 1.0))
-    matrix = np.array(obj.matrix_world @ place, np.float64)
-    if not abs(np.linalg.det(matrix)) > 0:
-        raise SceneError(
-            tr(
-                "'{name}' has no volume: choose an empty, or an object with a height, a width and a depth"
-            ).format(name=obj.name)
-        )
-    return matrix

@@ -21,6 +21,7 @@ from ...svrgs_addon.scene.affine import UNIFORM, stretch, transformed
 from ...svrgs_addon.scene.camera import Camera
 from ...svrgs_addon.scene.concatenate import concatenated
 from ...svrgs_addon.scene.gaussians import Scene
+from ...svrgs_addon.scene.grade import inside
 from ...svrgs_addon.system.errors import SceneError
 from ...svrgs_addon.views.lens import camera_of_projection
 from . import camera_object, grading, quick_order, splat_object
@@ -60,13 +61,21 @@ class PlacedScene:
 
 
 def visible_scene(obj: bpy.types.Object) -> Scene:
-    """The Gaussians of a splat that are not marked as removed, with its grade; of a quick result, those that
+    """The Gaussians of visible_rows() with the splat's grade; of a quick result, those that
     the slider Keep shows."""
     shown = quick_order.shown(obj.original) or splat_object.scene_from_object(obj).select(visible_rows(obj))
     return grading.applied(shown, obj)
 
 
 def visible_rows(obj: bpy.types.Object) -> np.ndarray:
+    """Rows of the Gaussians that are neither marked as removed nor outside the splat's crop box."""
+    rows, grade = unmarked_rows(obj), grading.of(obj)
+    if grade.crop is None:
+        return rows
+    return rows[inside(splat_object.stored_values(obj, splat_object.POSITION)[rows], grade) > 0]
+
+
+def unmarked_rows(obj: bpy.types.Object) -> np.ndarray:
     """Rows of the Gaussians that are not marked as removed."""
     removed = splat_object.values(obj, REMOVED)
     return np.flatnonzero(removed == 0) if removed is not None else np.arange(splat_object.count(obj))

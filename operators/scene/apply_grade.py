@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from bpy.app.translations import pgettext_iface as tr
 
-from ..data import edit_guard, grading, splat_object
+from ...svrgs_addon.system.errors import SceneError
+from ..data import edit_guard, grading, selection, splat_object
 from .select_gaussians import SplatOperator
 
 
@@ -22,7 +23,14 @@ class SVRGS_OT_apply_grade(SplatOperator):
 
     def work(self, context) -> str:
         obj = context.object
-        splat_object.write_gaussians(obj, grading.applied(splat_object.scene_from_object(obj), obj))
+        whole = splat_object.scene_from_object(obj)
+        scene = grading.applied(whole, obj)
+        if not scene.count:
+            raise SceneError(tr("no Gaussian would be left: keep more"))
+        if scene.count < whole.count:
+            selection.change(obj, grading.left(whole, obj), "SET")
+            selection.delete(obj, others=True)
+        splat_object.write_gaussians(obj, scene)
         grading.reset(obj)
         return tr("The Gaussians have the colours that are seen")
 

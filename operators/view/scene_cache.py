@@ -10,7 +10,7 @@ import bpy
 from bpy.app.handlers import persistent
 
 from ...svrgs_addon.scene.gaussians import Scene
-from ...svrgs_addon.scene.grade import Grade, graded
+from ...svrgs_addon.scene.grade import Grade, graded, inside
 from ...svrgs_addon.scene.morton_order import morton_order
 from ..data import grading, quick_order, splat_object, visible_splats
 
@@ -23,6 +23,7 @@ class Entry:
     rows: Any  # (N,) the row of each Gaussian in the object; None: it has others
     data: int  # session_uid of the object's data
     stored: Scene  # the same without the grade of the splat
+    all_rows: Any  # of these
     grade: Grade
     # (N,) of attributes that were asked for, None if there is none
     values: dict[str, Any] = field(default_factory=dict)
@@ -61,16 +62,17 @@ def _entry(obj: bpy.types.Object, whole: bool = False) -> Entry:
     key = obj.original.session_uid, 0 if whole else obj.data.as_pointer(), whole
     grade, data = grading.of(obj), obj.original.data.session_uid
     if key not in _entries and not whole and (shown := quick_order.shown(obj.original)) is not None:
-        _entries[key] = Entry(shown, None, data, shown, Grade())
+        _entries[key] = Entry(shown, None, data, shown, None, Grade())
     if key not in _entries:
         obj = obj.original if whole else obj
-        scene, rows = splat_object.scene_from_object(obj), visible_splats.visible_rows(obj)
+        scene, rows = splat_object.scene_from_object(obj), visible_splats.unmarked_rows(obj)
         rows = morton_order(scene.means) if whole else rows[morton_order(scene.means[rows])]
         scene = scene.select(rows)
-        _entries[key] = Entry(scene, rows, data, scene, Grade())
+        _entries[key] = Entry(scene, rows, data, scene, rows, Grade())
     if (entry := _entries[key]).grade != grade:
-        scene = graded(entry.stored, grade)
-        _entries[key] = Entry(scene, entry.rows, data, entry.stored, grade, entry.values)
+        left = inside(entry.stored.means, grade) > 0
+        own = None if entry.all_rows is None else entry.all_rows[left]
+        _entries[key] = Entry(graded(entry.stored, grade), own, data, entry.stored, entry.all_rows, grade)
     return _entries[key]
 
 

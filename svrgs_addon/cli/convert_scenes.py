@@ -123,7 +123,8 @@ def _changed(scene: Scene, options: ConvertOptions) -> Scene:
     if options.box:
         scene = scene.select(np.flatnonzero(in_box(scene.means, options.box)))
     scene = transformed(scaled(scene, options.scale), _matrix(options))
-    scene = graded(scene, Grade(*(getattr(options, field.name) for field in fields(Grade))))
+    names = [field.name for field in fields(Grade) if hasattr(options, field.name)]
+    scene = graded(scene, Grade(**{name: getattr(options, name) for name in names}))
     most = SH_COEFFICIENTS[3 if options.sh_degree is None else options.sh_degree]
     return replace(scene, sh=np.ascontiguousarray(scene.sh[:, :most])) if scene.sh.shape[1] > most else scene
 

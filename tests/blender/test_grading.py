@@ -99,3 +99,65 @@ def test_comparisons_and_results_keep_it_and_pruning_does_not_see_it(splat, brid
     splats = compare.ComparedSplats(bpy.context)
     np.testing.assert_array_equal(splats.scenes[0].sh, expected(bridge, splat, **VALUES).sh)
     assert splats.scenes[1].count == 100 and not np.isin(splats.scenes[1].sh[:, 0], colours).all()
+
+
+@pytest.fixture
+def box(splat):
+    """An empty around a part of the splat."""
+    empty = bpy.data.objects.new("box", None)
+    bpy.context.scene.collection.objects.link(empty)
+    empty.empty_display_size = 0.5
+    splat.svrgs_grade.crop = empty
+    bpy.context.view_layer.update()
+    return empty
+
+
+def in_box(bridge, obj, box) -> np.ndarray:
+    matrix = np.linalg.solve(np.array(box.matrix_world), np.array(obj.matrix_world))
+    local = bridge.scene_from_object(obj).means @ matrix[:3, :3].T + matrix[:3, 3]
+    return (np.abs(local) <= box.empty_display_size).all(axis=1)
+
+
+def test_a_crop_box_hides_what_is_outside_of_it_wherever_it_is_moved(splat, bridge, box):
+    cache, visible = part("operators.view.scene_cache"), part("operators.data.visible_splats")
+    bridge.set_values(splat, "label", "FLOAT", np.arange(250, dtype=np.float32))
+    for place in ((0, 0, 0), (0.3, 0, -0.2), (50, 0, 0)):
+        box.location = place
+        bpy.context.view_layer.update()
+        kept = in_box(bridge, splat, box)
+        assert 0 < kept.sum() < 250 or place[0] == 50
+        rows = np.flatnonzero(kept)
+        np.testing.assert_array_equal(visible.visible_rows(evaluated(splat)), rows)
+        means = bridge.scene_from_object(splat).means
+        np.testing.assert_array_equal(visible.visible_scene(evaluated(splat)).means, means[rows])
+        assert cache.read(evaluated(splat)).count == len(rows)
+        np.testing.assert_array_equal(np.sort(cache.read_values(evaluated(splat), "label")), rows)
+    bpy.ops.svrgs.change_selection(how="INVERT")
+    assert not bridge.values(splat, "svrgs:selected").any(), "what is hidden is not selected"
+
+
+def test_a_crop_box_is_applied(splat, bridge, box):
+    kept, means = in_box(bridge, splat, box), bridge.scene_from_object(splat).means
+    bpy.ops.svrgs.apply_grade()
+    np.testing.assert_array_equal(bridge.scene_from_object(splat).means, means[kept])
+    assert splat.svrgs_grade.crop is None
+    splat.svrgs_grade.crop = box
+    box.location = (50, 0, 0)
+    bpy.context.view_layer.update()
+    with pytest.raises(RuntimeError, match="no Gaussian would be left"):
+        bpy.ops.svrgs.apply_grade()
+
+
+def test_a_picture_of_nothing_is_drawn(splat, box):
+    box.location = (50, 0, 0)
+    camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+    bpy.context.scene.collection.objects.link(camera)
+    bpy.context.scene.camera = camera
+    bpy.context.scene.render.engine, bpy.context.scene.render.resolution_x = "SVRGS", 64
+    bpy.context.scene.render.resolution_y = 48
+    bpy.ops.render.render()
+    box.location = (0, 0, 0)
+    box.scale = (0, 1, 1)
+    bpy.context.view_layer.update()
+    with pytest.raises(RuntimeError, match="has no volume"):
+        bpy.ops.svrgs.export_ply(filepath="never.ply")

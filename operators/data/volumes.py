@@ -1,0 +1,30 @@
+"""Objects that bound a box."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+from bpy.app.translations import pgettext_iface as tr
+from mathutils import Matrix, Vector
+
+from ...svrgs_addon.system.errors import SceneError
+
+
+def matrix_of(obj: bpy.types.Object) -> np.ndarray:
+    """(4, 4) float64, from the cube of -1 to 1 to Blender's world: the bounding box of an object, or the size
+    of an empty."""
+    low, high = (
+        np.array([function(corner[k] for corner in obj.bound_box) for k in range(3)])
+        for function in (min, max)
+    )
+    if obj.type == "EMPTY":
+        low, high = np.full(3, -obj.empty_display_size), np.full(3, obj.empty_display_size)
+    place = Matrix.Translation(Vector((low + high) / 2)) @ Matrix.Diagonal((*(high - low) / 2, 1.0))
+    matrix = np.array(obj.matrix_world @ place, np.float64)
+    if not abs(np.linalg.det(matrix)) > 0:
+        raise SceneError(
+            tr(
+                "'{name}' has no volume: choose an empty, or an object with a height, a width and a depth"
+            ).format(name=obj.name)
+        )
+    return matrix
