@@ -180,6 +180,16 @@ def test_versions_agree_and_only_files_are_asked_for():
     assert list(MANIFEST["permissions"]) == ["files"] and MANIFEST["license"] == ["SPDX:GPL-3.0-or-later"]
 
 
+def test_the_manifest_follows_the_rules_of_the_public_repository():
+    """Those of extensions.blender.org that its builder does not check."""
+    assert not re.search("blender", MANIFEST["name"] + MANIFEST["id"], re.IGNORECASE)
+    assert len(MANIFEST["tagline"]) <= 64 and MANIFEST["tagline"][-1].isalnum()
+    assert all(re.fullmatch(r"\d{4}(-\d{4})? \w.*", holder) for holder in MANIFEST["copyright"])
+    reasons = MANIFEST["permissions"].values()
+    assert all(len(reason) <= 64 and reason[-1].isalnum() for reason in reasons)
+    assert MANIFEST["maintainer"] and MANIFEST["tags"]
+
+
 def in_folder(words: Iterable[str]) -> list[str]:
     return [str(BLENDER_TESTS / word) if word.endswith(".py") else word for word in words]
 
