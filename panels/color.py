@@ -26,9 +26,13 @@ class SVRGS_PT_color(SidebarPanel, bpy.types.Panel):
         row = column.row()
         row.active = obj.svrgs_grade.crop is not None
         row.prop(obj.svrgs_grade, "softness")
+        if problem := grading.problem(obj):
+            wrapped_label(self.layout, problem, "ERROR")
         if not grading.is_graded(obj):
             return
-        wrapped_label(self.layout, tr("Seen and exported so. Pruning measures the stored colours"), "INFO")
+        wrapped_label(
+            self.layout, tr("Seen and exported so. Pruning takes the splat as it is stored"), "INFO"
+        )
         self.layout.operator("svrgs.apply_grade", icon="CHECKMARK")
 
 

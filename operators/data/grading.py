@@ -11,6 +11,7 @@ from bpy.props import FloatProperty, PointerProperty
 
 from ...svrgs_addon.scene.gaussians import Scene
 from ...svrgs_addon.scene.grade import Grade, graded, inside
+from ...svrgs_addon.system.errors import SceneError
 from . import background_work, volumes
 
 NAMES = ("exposure", "warmth", "tint", "saturation", "contrast", "opacity")
@@ -72,13 +73,23 @@ class SVRGS_PG_grade(bpy.types.PropertyGroup):
 
 
 def of(obj: bpy.types.Object) -> Grade:
-    """The grade of a splat. Raises SceneError if its crop box has no volume."""
+    """The grade of a splat. A crop box without volume crops nothing; see problem()."""
     settings = obj.svrgs_grade
     grade = Grade(*(getattr(settings, name) for name in NAMES))
-    if settings.crop is None:
+    if settings.crop is None or problem(obj):
         return grade
     to_box = np.linalg.solve(volumes.matrix_of(settings.crop), np.array(obj.matrix_world, np.float64))
     return replace(grade, crop=tuple(map(tuple, to_box.tolist())), softness=settings.softness)
+
+
+def problem(obj: bpy.types.Object) -> str:
+    """What is wrong with the crop box of a splat, in a sentence; '' if nothing is."""
+    try:
+        if obj.svrgs_grade.crop is not None:
+            volumes.matrix_of(obj.svrgs_grade.crop)
+    except SceneError as error:
+        return str(error)
+    return ""
 
 
 def is_graded(obj: bpy.types.Object) -> bool:

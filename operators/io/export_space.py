@@ -118,6 +118,8 @@ def gaussians(context, obj: bpy.types.Object, seen: bool) -> list:
     Raises SceneError."""
     if not seen:
         return [(splat_object.scene_from_object(obj), obj.matrix_world)]
+    if problem := grading.problem(obj):
+        raise SceneError(problem)
     parts = visible_splats.shown_by(context.evaluated_depsgraph_get(), obj) if obj.mode != "EDIT" else []
     if parts:
         return parts

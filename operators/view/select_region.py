@@ -69,7 +69,7 @@ class SVRGS_OT_select_region(SplatOperator):
         if context.region_data is None:
             return self.execute(context)
         self.path.clear()
-        self.button = ""
+        self.button, self.region = "", context.region.as_pointer()
         self.mouse = event.mouse_region_x, event.mouse_region_y
         if not self.wait:
             self.begin(event)
@@ -120,8 +120,8 @@ class SVRGS_OT_select_region(SplatOperator):
 
 
 def _draw():
-    """Draws the outline of the operator that runs."""
-    for operator in _drawn:
+    """Draws the outline of the operator that runs, in its viewport."""
+    for operator in (one for one in _drawn if one.region == bpy.context.region.as_pointer()):
         outline = select_in_view.Outline(
             operator.shape,
             [tuple(point.loc) for point in operator.path] or [operator.mouse],

@@ -161,3 +161,4 @@ def test_a_picture_of_nothing_is_drawn(splat, box):
     bpy.context.view_layer.update()
     with pytest.raises(RuntimeError, match="has no volume"):
         bpy.ops.svrgs.export_ply(filepath="never.ply")
+    assert "has no volume" in drawn("color")
