@@ -6,6 +6,7 @@ from bpy.app.translations import pgettext_iface as tr
 from ..operators.data.splat_object import is_splat, root_of
 from ..operators.data.splat_size import about
 from ..operators.io import undistort
+from ..operators.io.import_ply import SAMPLE
 from ..operators.scene import camera_match, dataset_paths, splat_transforms
 from ..operators.scene.frame import in_default_cube
 from .sidebar import SidebarPanel, wrapped_label
@@ -35,6 +36,8 @@ class SVRGS_PT_scene(SidebarPanel, bpy.types.Panel):
             row.label(text="Select a splat, or import one", icon="INFO")
         row.operator("svrgs.frame", text="", icon="ZOOM_SELECTED")
         if not is_splat(context.object):
+            if not any(map(is_splat, context.scene.objects)):
+                draw_first_steps(layout)
             return
         if in_default_cube(context, context.object):
             text = tr("Blender's default cube may hide a part of the splat: select the cube and press H")
@@ -48,6 +51,19 @@ class SVRGS_PT_scene(SidebarPanel, bpy.types.Panel):
             )
             wrapped_label(layout, text.format(count=moved), "INFO")
             layout.operator("svrgs.write_shapes", icon="CHECKMARK")
+
+
+def draw_first_steps(layout):
+    """What to do in a scene without a splat."""
+    for sentence in (
+        tr("1. Import a splat, or open the sample"),
+        tr("2. Choose a goal, and press Prune"),
+        tr("3. Compare, and export what you keep"),
+    ):
+        wrapped_label(layout, sentence)
+    row = layout.row()
+    row.operator_context = "EXEC_DEFAULT"  # without a dialog
+    row.operator("svrgs.import_ply", text="Open Sample", icon="FILE_3D").filepath = str(SAMPLE)
 
 
 def draw_cameras(layout, context):

@@ -28,6 +28,8 @@ from ..data.select import select
 from ..scene.frame import frame
 from ..translation import OWN
 
+SAMPLE = Path(__file__).resolve().parents[2] / "svrgs_addon/sample.spz"  # of the generated scene demo
+
 
 class SVRGS_OT_import_ply(ReportingOperator, ImportHelper):
     bl_idname = "svrgs.import_ply"

@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 import pytest
 from extension import DATA, part
-from job_helpers import Layout
+from job_helpers import Layout, drawn
 
 
 @pytest.fixture
@@ -322,3 +322,14 @@ def test_the_panel_says_what_an_export_would_hold(make_scene, bridge, degree):
         assert bridge.scene_from_object(obj).sh.shape[1] == 1 and about(obj).endswith("SH degree 0")
     obj.data.attributes.remove(obj.data.attributes["rotation"])
     assert not bridge.is_splat(obj)
+
+
+def test_a_scene_without_a_splat_says_what_to_do_and_offers_a_sample(bridge):
+    assert "1. Import a splat, or open the sample" in drawn("scene") and "Open Sample" in drawn("scene")
+    sample = part("operators.io.import_ply").SAMPLE
+    assert sample.stat().st_size < 300_000
+    bpy.ops.svrgs.import_ply(filepath=str(sample))
+    assert bridge.count(bpy.context.object) > 10_000 and bridge.sh_degree(bpy.context.object) == 1
+    assert "Open Sample" not in drawn("scene")
+    bpy.context.view_layer.objects.active = None
+    assert "Open Sample" not in drawn("scene"), "there is a splat"
