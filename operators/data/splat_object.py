@@ -48,6 +48,7 @@ Y_DOWN = "svrgs_y_down"
 FORMAT, BYTES = "svrgs_format", "svrgs_bytes"
 SPZ_COLOR, SPZ_ROUNDING = 0.15, 1e-3  # of SH degree 0, from which the 256 values of a colour are made
 OF_GLTF = "COLOR_0"  # attribute of splats of Blender's own import of glTF
+GRADE = "svrgs_grade"  # settings of data/grading.py, which Blender before 5.0 keeps among the properties
 SAME_PLACE = 1e-6  # difference between matrices in float32 that means nothing
 ROOT = "svrgs_root"  # property of an empty: its children share the coordinates of the files
 # properties of a root: folder of its dataset, name of the image folder in it
@@ -185,10 +186,11 @@ def replace_gaussians(obj: bpy.types.Object, scene: Scene):
 
 def copy_with(obj: bpy.types.Object, name: str, scene: Scene) -> bpy.types.Object:
     """A copy of the splat with other Gaussians, in the same collection: with its place, modifiers and
-    constraints; of its properties, those of its import alone."""
+    constraints; of its properties, those of its import and its grade alone."""
     copy = obj.copy()
     copy.name = name
-    for key in [key for key in copy.keys() if key.startswith("svrgs_") and key not in (Y_DOWN, FORMAT)]:
+    kept = (Y_DOWN, FORMAT, GRADE)
+    for key in [key for key in copy.keys() if key.startswith("svrgs_") and key not in kept]:
         del copy[key]
     obj.users_collection[0].objects.link(copy)
     replace_gaussians(copy, scene)
