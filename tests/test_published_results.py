@@ -155,6 +155,20 @@ def test_sentences_on_table_one_are_those_of_the_rows():
         round(end(base["count"] / row["count"] for row in kept), 1) for end in (min, max)
     ]
     assert said("results.md", "keep # to # with # to # times fewer.") == ends
+    rows = list(map(json.loads, ROWS.read_text().splitlines()))
+    case["scene"] = "south_building"
+    found = {row["run"]: row for row in rows if case.items() <= row.items()}
+    ours, base, rival = (found[run] for run in ("SVR-GS", "3DGS", "MaskGS alpha"))
+    fewer = [round(other["count"] / ours["count"], 1) for other in (base, rival)]
+    assert said("results.md", "it keeps # times fewer than 3DGS and # times fewer than MaskGS") == fewer
+    lpips = [round(row["lpips"], 3) for row in (base, rival, ours)]
+    assert said("results.md", "LPIPS rises from # and # to #. MaskGS") == lpips
+    assert all(found[run]["lpips"] < base["lpips"] for run in ("MaskGS alpha", "Compact3DGS"))
+    tenth = [row for row in rows if (case | {"schedule": 0.1, "run": "3DGS"}).items() <= row.items()]
+    assert base["psnr"] < min(row["psnr"] for row in tenth)
+    assert said("results.md", "3DGS has # dB after these steps") == [round(base["psnr"], 2)]
+    before = fmean(row["lpips"] for row in tenth if row["lpips"])
+    assert said("results.md", "its LPIPS fell from # to #") == [round(before, 3), lpips[0]]
 
 
 def test_the_printed_loss_leaves_as_many_gaussians_as_the_pages_say():
