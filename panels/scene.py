@@ -3,6 +3,7 @@
 import bpy
 from bpy.app.translations import pgettext_iface as tr
 
+from ..operators.data import visible_splats
 from ..operators.data.splat_object import is_splat, root_of
 from ..operators.data.splat_size import about
 from ..operators.io import undistort
@@ -35,6 +36,13 @@ class SVRGS_PT_scene(SidebarPanel, bpy.types.Panel):
         else:
             row.label(text="Select a splat, or import one", icon="INFO")
         row.operator("svrgs.frame", text="", icon="ZOOM_SELECTED")
+        if visible_splats.made_by_nodes(context, context.object):
+            text = tr(
+                "Geometry nodes make the splat of '{name}': to prune it, make it an object with Object ›"
+                " Apply › Visual Geometry to Objects"
+            )
+            wrapped_label(layout, text.format(name=context.object.name), "INFO")
+            return
         if not is_splat(context.object):
             if not any(map(is_splat, context.scene.objects)):
                 draw_first_steps(layout)

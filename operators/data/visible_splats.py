@@ -109,6 +109,17 @@ def shown_by(depsgraph: bpy.types.Depsgraph, obj: bpy.types.Object) -> list[tupl
     return [(visible_scene(i.object), i.matrix_world.copy()) for i in mine if splat_object.is_splat(i.object)]
 
 
+def made_by_nodes(context, obj: bpy.types.Object | None) -> bool:
+    """Whether the object is no splat, and its geometry nodes make one."""
+    if obj is None or splat_object.is_splat(obj) or not _may_instance(obj):
+        return False
+    instances = context.view_layer.depsgraph.object_instances if context.view_layer.depsgraph else ()
+    return any(
+        splat_object.is_splat(i.object) and obj in (i.object.original, i.parent and i.parent.original)
+        for i in instances
+    )
+
+
 def splats_in_view(context: bpy.types.Context) -> Iterator[tuple[bpy.types.Object, Matrix]]:
     """Every evaluated splat that a viewport shows, with its matrix; also instances. Blender frees these
     objects soon: use them at once."""

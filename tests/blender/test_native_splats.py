@@ -9,7 +9,7 @@ import bpy
 import numpy as np
 import pytest
 from extension import DATA, part
-from job_helpers import follow, set_up
+from job_helpers import drawn, follow, set_up
 from mathutils import Quaternion
 
 pytestmark = pytest.mark.skipif(
@@ -119,12 +119,20 @@ def test_a_splat_of_blenders_own_reader_is_joined_to_its_cameras(suffix, scene, 
     np.testing.assert_allclose(np.sort(found, axis=0), np.sort(scene.means, axis=0), atol=1e-3)
 
 
-def test_a_splat_of_geometry_nodes_is_drawn(scene, bridge, tmp_path):
+def test_a_splat_of_geometry_nodes_is_drawn_and_made_an_object(scene, bridge, tmp_path):
     part("svrgs_addon.files.registry").write_scene(tmp_path / "a.spz", scene)
-    through_nodes(tmp_path / "a.spz")
+    bpy.context.view_layer.objects.active = through_nodes(tmp_path / "a.spz")
+    bpy.context.view_layer.update()
     visible = part("operators.data.visible_splats")
+    assert "Geometry nodes make the splat of 'nodes'" in drawn("scene")
     placed = visible.splats(bpy.context.evaluated_depsgraph_get())
     assert placed.scene.count == scene.count
+    bpy.ops.object.select_all(action="SELECT")
+    bpy.ops.object.visual_geometry_to_objects()
+    (made,) = (obj for obj in bpy.data.objects if bridge.is_splat(obj))
+    assert bridge.count(made) == scene.count
+    bpy.context.view_layer.objects.active = made
+    assert "Geometry nodes" not in drawn("scene")
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".spz"])
