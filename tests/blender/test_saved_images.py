@@ -32,6 +32,7 @@ def test_images_are_the_same_after_save_and_reload(tmp_path, room, camera, stage
 
 def test_images_of_a_reopened_file_are_drawn_again_in_place(tmp_path, room, camera, stage, bridge):
     mark_removed(room, np.arange(bridge.count(room)) % 2)
+    stage.svrgs_view.wipe = 0.5
     bpy.ops.svrgs.spatial_mask()
     bpy.ops.svrgs.compare()
     reload(tmp_path)
