@@ -9,7 +9,7 @@ import bpy
 import numpy as np
 
 from ...svrgs_addon.prune.selection.outline import brush, centres_in, polygon, shown_in
-from . import splat_object, visible_splats
+from . import grading, splat_object, visible_splats
 
 CIRCLE = 48  # corners of a drawn circle
 
@@ -57,15 +57,19 @@ def gaussians_in(
     outline: Outline,
     through: bool,
 ) -> np.ndarray:
-    """(N,) bool: the Gaussians of the splat that are not marked as removed, whose centres are inside an
-    outline in a viewport, and which its pixels show; through: also those behind others. Raises SplatError."""
+    """(N,) bool: the Gaussians of the splat that are not hidden, whose centres are inside an outline in a
+    viewport, and which its pixels show; through: also those behind others. Raises SplatError."""
     camera, rows = visible_splats.region_camera(region, view), visible_splats.visible_rows(obj)
     inside = outline.pixels(camera.width, camera.height)
-    mask, means = np.zeros(splat_object.count(obj), bool), splat_object.stored_values(obj, "position")
+    mask, means = (
+        np.zeros(splat_object.count(obj), bool),
+        splat_object.stored_values(obj, splat_object.POSITION),
+    )
     matrix = np.array(obj.matrix_world, np.float32)
     mask[rows] = centres_in(means[rows] @ matrix[:3, :3].T + matrix[:3, 3], camera, inside)
     if through or not mask.any():
         return mask
-    placed = visible_splats.placed([(splat_object.scene_from_object(obj).select(rows), obj.matrix_world)])
+    seen = grading.applied(splat_object.scene_from_object(obj).select(rows), obj)
+    placed = visible_splats.placed([(seen, obj.matrix_world)])
     mask[rows] &= shown_in(placed.scene, placed.seen_by(camera), inside)
     return mask

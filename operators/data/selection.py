@@ -18,7 +18,7 @@ from ...svrgs_addon.prune.selection.select import selected
 from ...svrgs_addon.scene.camera import Camera
 from ...svrgs_addon.scene.neighbours import nearest_rows
 from ...svrgs_addon.system.errors import SceneError
-from . import splat_object, visible_splats, volumes
+from . import grading, splat_object, visible_splats, volumes
 
 SELECTED = "svrgs:selected"  # attribute: marks the selected Gaussians
 NEIGHBOURS = 8  # by which a selection grows or shrinks
@@ -38,15 +38,15 @@ Views = Callable[[visible_splats.PlacedScene, str], list[Camera]]
 def find(
     obj: bpy.types.Object, wanted: Criteria, views: Views, volume: bpy.types.Object | None
 ) -> np.ndarray:
-    """(N,) bool: the Gaussians of the splat that fulfil the criteria and are not marked as removed.
+    """(N,) bool: the Gaussians of the splat that fulfil the criteria, as they are seen: with its grade, and
+    without those that are hidden.
 
     wanted: lengths in Blender's units; its box or sphere is UNIT_BOX or UNIT_SPHERE, which `volume` places.
     Raises SplatError, NativeError.
     """
     rows = visible_splats.visible_rows(obj)
-    placed = visible_splats.placed(
-        [(splat_object.scene_from_object(obj).select(rows), obj.matrix_world.copy())]
-    )
+    seen = grading.applied(splat_object.scene_from_object(obj).select(rows), obj)
+    placed = visible_splats.placed([(seen, obj.matrix_world.copy())])
     matrix = (
         None
         if volume is None
@@ -73,7 +73,7 @@ def change(obj: bpy.types.Object, mask: np.ndarray, mode: str, invert: bool = Fa
     """Combines a mask (N,) with the selection of the splat, as COMBINED defines. Returns the number of
     selected Gaussians.
 
-    invert: what the mask does not mark and pruning has not marked as removed is taken instead.
+    invert: what the mask does not mark, and what is not hidden, is taken instead.
     """
     if invert:
         shown = np.zeros(len(mask), bool)
@@ -109,7 +109,7 @@ def shrunk(obj: bpy.types.Object) -> np.ndarray:
 
 
 def _nearest(obj: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
-    """The rows (M,) of the Gaussians that are not marked as removed, and which of these are nearest to each,
+    """The rows (M,) of the Gaussians that are not hidden, and which of these are nearest to each,
     (M, NEIGHBOURS)."""
     rows, means = visible_splats.visible_rows(obj), splat_object.stored_values(obj, splat_object.POSITION)
     rows = rows[np.isfinite(means[rows]).all(axis=1)]
@@ -132,28 +132,39 @@ def clear(obj: bpy.types.Object):
 def delete(obj: bpy.types.Object, others: bool):
     """Deletes the selected Gaussians, or all others, and clears the selection. Raises SceneError if none
     would be left."""
-    left = read(obj) if others else ~read(obj)
-    if not left.any():
-        raise SceneError(tr("no Gaussian would be left: keep more"))
+    keep(obj, read(obj) if others else ~read(obj))
+
+
+def keep(obj: bpy.types.Object, left: np.ndarray):
+    """Deletes the Gaussians that a mask (N,) bool does not mark, and clears the selection. Raises SceneError
+    if none would be left."""
+    _refuse_nothing(left)
     clear(obj)
     further = splat_object.further_values(obj)
     splat_object.replace_gaussians(obj, splat_object.scene_from_object(obj).select(left))
-    for name, kind, values in further:
-        if name not in obj.data.attributes:
-            splat_object.set_values(obj, name, kind, values[left])
+    _add_further(obj, further, left)
 
 
 def separate(obj: bpy.types.Object) -> bpy.types.Object:
     """Makes the selected Gaussians a splat of their own, with all of their attributes, and deletes them here.
     Returns it. Raises SceneError if none would be left."""
     mask = read(obj)
-    if not mask.any() or mask.all():
-        raise SceneError(tr("no Gaussian would be left: keep more"))
-    other = splat_object.copy_with(obj, obj.name, splat_object.scene_from_object(obj))
-    for name, kind, values in splat_object.further_values(obj):
-        if name not in other.data.attributes:
-            splat_object.set_values(other, name, kind, values)
-    splat_object.set_values(other, SELECTED, "BOOLEAN", mask)
-    delete(other, others=True)
-    delete(obj, others=False)
+    _refuse_nothing(mask)
+    _refuse_nothing(~mask)
+    clear(obj)
+    other = splat_object.copy_with(obj, obj.name, splat_object.scene_from_object(obj).select(mask))
+    _add_further(other, splat_object.further_values(obj), mask)
+    keep(obj, ~mask)
     return other
+
+
+def _refuse_nothing(left: np.ndarray):
+    if not left.any():
+        raise SceneError(tr("no Gaussian would be left: keep more"))
+
+
+def _add_further(obj: bpy.types.Object, further: list[tuple[str, str, np.ndarray]], rows: np.ndarray):
+    """Gives a splat the attributes that it lacks. further: as further_values(). rows: those that it has."""
+    for name, kind, values in further:
+        if name not in obj.data.attributes:
+            splat_object.set_values(obj, name, kind, values[rows])

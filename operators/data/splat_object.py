@@ -377,7 +377,8 @@ def turned_by_blender(obj: bpy.types.Object) -> bool:
     if base is None or not len(base):
         return False
     levels = (base[:, :3] * SPZ_COLOR + np.float32(0.5)) * 255
-    return _attribute(obj.data, OF_GLTF) or bool(np.abs(levels - np.rint(levels)).max() < SPZ_ROUNDING)
+    of_spz = np.abs(levels - np.rint(levels)).max() < SPZ_ROUNDING
+    return bool(of_spz or _attribute(obj.data, OF_GLTF))
 
 
 def in_file_coordinates(obj: bpy.types.Object):

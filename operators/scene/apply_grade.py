@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from bpy.app.translations import pgettext_iface as tr
 
-from ...svrgs_addon.system.errors import SceneError
 from ..data import edit_guard, grading, selection, splat_object
 from .select_gaussians import SplatOperator
 
@@ -25,11 +24,8 @@ class SVRGS_OT_apply_grade(SplatOperator):
         obj = context.object
         whole = splat_object.scene_from_object(obj)
         scene = grading.applied(whole, obj)
-        if not scene.count:
-            raise SceneError(tr("no Gaussian would be left: keep more"))
         if scene.count < whole.count:
-            selection.change(obj, grading.left(whole, obj), "SET")
-            selection.delete(obj, others=True)
+            selection.keep(obj, grading.left(whole, obj))
         splat_object.write_gaussians(obj, scene)
         grading.reset(obj)
         return tr("The Gaussians have the colours that are seen")

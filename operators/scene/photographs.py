@@ -13,7 +13,7 @@ from bpy.app.translations import pgettext_iface as tr
 
 from ...svrgs_addon.jobs.photo_mask import read_in_child
 from ...svrgs_addon.system.errors import SplatError
-from ...svrgs_addon.views.valid_pixels import MaskOptions
+from ...svrgs_addon.views.valid_pixels import BACKGROUND, MaskOptions
 from ..data import background_work, camera_object, image_pixels, known, splat_object
 from . import dataset_paths
 
@@ -102,14 +102,15 @@ def lay_over(camera: bpy.types.Object, valid):
 
 def mask_reader(context, camera: bpy.types.Object) -> Callable:
     """Reads what counts in a photograph, as photo_mask.read_in_child(), without bpy: by the masks of the last
-    job, by the folder that was chosen, or as the dataset says. Those of a job are never inverted."""
+    job, by the folder that was chosen, or as the dataset says. Those of a job are never inverted; they
+    mark distractors, so they are left out where what a mask hides is painted."""
     root, settings = splat_object.root_of(camera), context.scene.svrgs_prune
     folder = dataset_paths.dataset_of_root(root) if root is not None else ""
     if root is None or camera_object.IMAGE not in camera.data or not os.path.exists(folder):
         return lambda: None
     own, chosen = dataset_paths.masks_of_job(root), dataset_paths.absolute(settings.masks)
     masks = [MaskOptions(Path(chosen) if chosen else None, settings.invert_masks, settings.outside)]
-    if os.path.isdir(own):
+    if os.path.isdir(own) and settings.outside != BACKGROUND:
         masks.insert(0, MaskOptions(Path(own)))
     images = root.get(splat_object.IMAGES, "")
     return partial(read_in_child, folder, images, camera.data[camera_object.IMAGE], masks)

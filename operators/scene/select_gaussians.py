@@ -166,11 +166,7 @@ class SVRGS_OT_select_gaussians(SplatOperator):
             mask = selection.find(
                 obj, self.criteria(), lambda placed, named: self.views(context, placed, named, seen), volume
             )
-        count = selection.change(obj, mask, self.mode, self.invert)
-        show_selection(context, count > 0)
-        text = tr("Selected {selected:,} of {count:,} Gaussians").format(
-            selected=count, count=splat_object.count(obj)
-        )
+        text = changed(context, obj, mask, self.mode, self.invert)
         if not seen:
             return text
         return tr(
@@ -283,11 +279,7 @@ class SVRGS_OT_change_selection(SplatOperator):
     def work(self, context) -> str:
         obj = context.object
         found = {"INVERT": selection.read, "GROW": selection.grown, "SHRINK": selection.shrunk}[self.how](obj)
-        count = selection.change(obj, found, "SET", invert=self.how == "INVERT")
-        show_selection(context, count > 0)
-        return tr("Selected {selected:,} of {count:,} Gaussians").format(
-            selected=count, count=splat_object.count(obj)
-        )
+        return changed(context, obj, found, "SET", self.how == "INVERT")
 
 
 class SVRGS_OT_clear_selection(SplatOperator):
@@ -307,6 +299,15 @@ class SVRGS_OT_clear_selection(SplatOperator):
         selection.clear(obj)
         show_selection(context, False)
         return tr("No Gaussian is selected")
+
+
+def changed(context, obj: bpy.types.Object, mask, mode: str, invert: bool = False) -> str:
+    """Changes the selection of a splat as selection.change() does, and shows it. Returns what is selected, in
+    words."""
+    count = selection.change(obj, mask, mode, invert)
+    show_selection(context, count > 0)
+    text = tr("Selected {selected:,} of {count:,} Gaussians")
+    return text.format(selected=count, count=splat_object.count(obj))
 
 
 def show_selection(context, shown: bool):

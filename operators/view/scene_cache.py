@@ -23,7 +23,7 @@ class Entry:
     rows: Any  # (N,) the row of each Gaussian in the object; None: it has others
     data: int  # session_uid of the object's data
     stored: Scene  # the same without the grade of the splat
-    all_rows: Any  # of these
+    all_rows: Any  # as rows, of these
     grade: Grade
     # (N,) of attributes that were asked for, None if there is none
     values: dict[str, Any] = field(default_factory=dict)

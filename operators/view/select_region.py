@@ -15,9 +15,9 @@ from gpu_extras.batch import batch_for_shader
 
 from ...svrgs_addon.native import library
 from ...svrgs_addon.system.errors import SceneError
-from ..data import select_in_view, selection, splat_object
+from ..data import select_in_view
 from ..data.preferences import threads
-from ..scene.select_gaussians import MODES, SplatOperator, show_selection
+from ..scene.select_gaussians import MODES, SplatOperator, changed
 from ..translation import OWN
 
 SHAPES = [
@@ -59,11 +59,7 @@ class SVRGS_OT_select_region(SplatOperator):
             self.shape, [tuple(point.loc) for point in self.path], settings.select_radius
         )
         mask = select_in_view.gaussians_in(context, obj, region, view, outline, settings.select_through)
-        count = selection.change(obj, mask, self.mode)
-        show_selection(context, count > 0)
-        return tr("Selected {selected:,} of {count:,} Gaussians").format(
-            selected=count, count=splat_object.count(obj)
-        )
+        return changed(context, obj, mask, self.mode)
 
     def invoke(self, context, event):
         if context.region_data is None:

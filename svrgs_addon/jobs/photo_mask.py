@@ -17,7 +17,7 @@ import numpy as np
 
 from ..system import subprocess_python
 from ..system.exit_status import answer
-from ..views.dataset import valid_pixels
+from ..views.dataset import valid_of_photograph
 from ..views.valid_pixels import MaskOptions
 
 
@@ -36,7 +36,8 @@ def read_in_child(folder: str, images: str, name: str, masks: Sequence[MaskOptio
 def _write_valid(request: dict) -> dict:
     for way in request["masks"]:
         options = MaskOptions(**way | {"folder": Path(way["folder"]) if way["folder"] else None})
-        valid = valid_pixels(Path(request["folder"]), request["images"] or None, options, request["name"])
+        folder, images = Path(request["folder"]), request["images"] or None
+        valid = valid_of_photograph(folder, images, options, request["name"])
         if valid is not None:
             np.save(request["out"], valid)
             break

@@ -248,7 +248,7 @@ def _photographed(
 
     def valid_bits(k: int) -> tuple[np.ndarray | None, float | None]:
         """Camera.valid_bits, and the share of the pixels that count."""
-        valid = _valid_pixels(masks, cameras[k].name, photos[k], sizes[k])
+        valid = _valid_of(masks, cameras[k].name, photos[k], sizes[k])
         return (None, None) if valid is None else (np.packbits(valid, axis=1), float(valid.mean()))
 
     with ThreadPoolExecutor(READER_THREADS) as pool:
@@ -262,7 +262,9 @@ def _photographed(
     return [numbers[k] for k in shown], cameras, [photos[k] for k in shown], notes
 
 
-def valid_pixels(folder: Path, images: str | None, options: MaskOptions, name: str) -> np.ndarray | None:
+def valid_of_photograph(
+    folder: Path, images: str | None, options: MaskOptions, name: str
+) -> np.ndarray | None:
     """The pixels of one photograph that count in load_dataset(), (H, W) uint8 of 0 and 1, undistorted; None:
     all. name: of its view. Raises SceneError, FormatError."""
     source = read_source(Path(extended(folder)), images)
@@ -274,10 +276,10 @@ def valid_pixels(folder: Path, images: str | None, options: MaskOptions, name: s
         return None
     path = photograph(source.image_folder, name) or source.image_folder / name
     size = image_size(path, upright=False)
-    return _valid_pixels(masks, name, Photo(path, pinhole_camera(view, *size)[1]), size)
+    return _valid_of(masks, name, Photo(path, pinhole_camera(view, *size)[1]), size)
 
 
-def _valid_pixels(masks: Masks, name: str, photo: Photo, size: tuple[int, int]) -> np.ndarray | None:
+def _valid_of(masks: Masks, name: str, photo: Photo, size: tuple[int, int]) -> np.ndarray | None:
     """As Masks.valid(), undistorted. size: (width, height) of the photograph. Raises FormatError."""
     valid = masks.valid(name, photo.path, *size)
     if valid is None or photo.distorted is None:

@@ -179,6 +179,9 @@ def test_a_colour_is_selected_with_a_tolerance(splat, bridge):
     expected = np.linalg.norm(colours - colours[3], axis=1) <= 0.2
     assert 0 < expected.sum() < len(expected)
     np.testing.assert_array_equal(selected(splat), expected)
+    splat.svrgs_grade.saturation = 0
+    bpy.ops.svrgs.select_gaussians(criterion="COLOR", color=colours[3], tolerance=0.2)
+    assert (selected(splat) != expected).any(), "colours are compared as they are seen"
 
 
 def test_a_selection_is_inverted_grows_and_shrinks(splat, bridge):
