@@ -162,3 +162,17 @@ def test_a_picture_of_nothing_is_drawn(splat, box):
     with pytest.raises(RuntimeError, match="has no volume"):
         bpy.ops.svrgs.export_ply(filepath="never.ply")
     assert "has no volume" in drawn("color")
+
+
+def test_it_is_saved_with_the_file_and_a_box_that_is_deleted_crops_nothing(splat, bridge, box, tmp_path):
+    grade(splat, **VALUES)
+    kept = int(in_box(bridge, splat, box).sum())
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "file.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "file.blend"))
+    again = bpy.data.objects["scene"]
+    assert again.svrgs_grade.exposure == 0.5 and again.svrgs_grade.crop.name == "box"
+    shown = part("operators.data.visible_splats").visible_scene(evaluated(again))
+    assert shown.count == kept
+    bpy.data.objects.remove(bpy.data.objects["box"])
+    bpy.context.view_layer.update()
+    assert part("operators.data.visible_splats").visible_scene(evaluated(again)).count == 250
