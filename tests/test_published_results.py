@@ -191,6 +191,21 @@ def test_smaller_photographs_at_first_stay_an_option():
     assert said("performance.md", "on three captures it loses # to # dB") == ends
 
 
+@pytest.mark.parametrize("page", ["results.md", "results/page.md"])
+def test_sentences_on_the_sweep_are_those_of_the_rows(page):
+    rows = means(1, "lambda")
+    count, psnr = rows["snowmiku", 4, "lambda", "lambda_F 1e-4"]
+    others = [rows["snowmiku", 4, "lambda", f"lambda_F {value}e-4"] for value in ("1.25", "1.6", "2")]
+    fewer = [round(100 * (1 - other[0] / count)) for other in others]
+    change = [round(other[1] - psnr, 1) for other in others]
+    assert said(page, "keeps # % fewer Gaussians than 1e-4 (in the paper 8 to 12 %), at +# dB") == [
+        fewer[0],
+        change[0],
+    ]
+    sentence = "keeps # % fewer at −# dB, and 2e-4 # % fewer at −# dB"
+    assert said(page, sentence) == [fewer[1], -change[1], fewer[2], -change[2]]
+
+
 def test_the_printed_loss_leaves_as_many_gaussians_as_the_pages_say():
     ratios = []
     for schedule in (0.1, 1):
