@@ -8,6 +8,7 @@ from collections import defaultdict
 from pathlib import Path
 from statistics import fmean
 
+import numpy as np
 import pytest
 
 ROWS = Path(__file__).resolve().parents[1] / "docs" / "results" / "rows.jsonl"
@@ -204,6 +205,30 @@ def test_sentences_on_the_sweep_are_those_of_the_rows(page):
     ]
     sentence = "keeps # % fewer at −# dB, and 2e-4 # % fewer at −# dB"
     assert said(page, sentence) == [fewer[1], -change[1], fewer[2], -change[2]]
+
+
+def test_sentences_on_coarser_looks_hold_with_every_seed():
+    found: dict[tuple[str, str], dict] = defaultdict(dict)
+    for row in map(json.loads, ROWS.read_text().splitlines()):
+        if row["study"] == "looks":
+            look, share = row["run"].rsplit(" ", 1)
+            found[share, look][row["seed"]] = row["lpips"], row["psnr"]
+    lpips, psnr, exact = said(
+        "results.md",
+        "With every seed LPIPS is at most # above that of the default, and PSNR at most # dB below. The exact"
+        " look itself is no better than the default: its LPIPS is up to # higher.",
+    )
+    default = "half the size, the default"
+    worse: dict[bool, list] = {True: [], False: []}
+    for (share, look), seeds in found.items():
+        assert len(seeds) == 3
+        for seed, figures in seeds.items():
+            own = found[share, default][seed]
+            worse[look == "float32"].append((figures[0] - own[0], own[1] - figures[1]))
+    coarser, exactly = (np.array(worse[kind]).round(3) for kind in (False, True))
+    assert round(exactly[:, 0].max(), 3) == exact and exactly[:, 0].min() >= 0
+    looks = coarser[:, 0].max(), coarser[:, 1].max()
+    assert looks[0] <= lpips and looks[1] <= psnr, looks
 
 
 def test_the_printed_loss_leaves_as_many_gaussians_as_the_pages_say():
