@@ -22,7 +22,6 @@ class SVRGS_PT_overlay(SidebarPanel, bpy.types.Panel):
         column = layout.column()
         column.active = settings.overlay
         column.prop(settings, "overlay_shown")
-        column.prop(settings, "overlay_moving")
 
 
 CLASSES = (SVRGS_PT_overlay,)

@@ -167,6 +167,7 @@ def test_a_report_and_levels_are_written(splat):
 
 def test_what_is_foreseen(splat):
     found = estimate(PruneOptions(scene=splat, target=0.25, recovery=100))
+    assert 0 < found["overdraw_after"] < found["overdraw_before"]
     assert (
         found["kept"] == 250
         and found["psnr_before"] is None

@@ -74,5 +74,6 @@ def test_only_where_many_are_seen_fewer_are_drawn(scene, monkeypatch):
         drawn.append(choice.draws())
         rasterizer.forward(drawn[-1], camera, RenderOptions())
         choice.drew(drawn[-1], rasterizer)
+        choice.wait()
     assert [one is scene for one in drawn] == [True, False, False, False, True, True]
     assert choice.draws() is drawn[1], "made once"

@@ -168,9 +168,9 @@ def test_frame_times_are_printed(drive, tiny, capsys):
             figures = ", ".join(
                 f"{name} {1e3 * times[name]:.0f} ms" for name in ("first", "median", "largest", "without")
             )
-            print(f"\n{int(count):,} Gaussians: {figures}; level {times['levels']}")
+            print(f"\n{int(count):,} Gaussians: {figures}; a pixel for {times['reductions']}")
     assert [int(count) for count in seen] == [196_000, 1_500_000]
-    assert all(times["median"] > 0 and times["levels"] for times in seen.values()), seen
+    assert all(times["median"] > 0 and times["reductions"] for times in seen.values()), seen
 
 
 def test_the_panels_speak_german_and_chinese(drive, tiny):

@@ -56,6 +56,7 @@ def measure_viewport(
         drawn = thinning.draws()
         picture(drawn, camera)
         thinning.drew(drawn, rasterizer)
+        thinning.wait()
 
     def picture(drawn: Scene, camera: Camera) -> np.ndarray:
         return linear_rgba(composite(rasterizer, drawn, camera, passes=()), transparent=False)

@@ -24,7 +24,7 @@
 extern "C" {
 #endif
 
-#define SVRGS_INTERFACE_VERSION 23
+#define SVRGS_INTERFACE_VERSION 24
 
 typedef void real; /* float or double, by the context's level */
 
@@ -297,9 +297,6 @@ SVRGS_API int32_t svrgs_backward_update(svrgs_context*, const svrgs_image_grads*
 /* Draws M_i = [d_i + l_i > 0], l logistic noise keyed by (seed, step, i); slope receives the straight-through
    derivative sigma(d + l)(1 - sigma(d + l)). */
 SVRGS_API int32_t svrgs_sample_masks(const float* logits, int64_t count, uint64_t seed, uint64_t step, uint8_t* masks, float* slope);
-
-/* order (count,): rows of means (count, 3) from the farthest along `axis` to the nearest; ties keep their order; NaN may be anywhere. */
-SVRGS_API int32_t svrgs_depth_order(const float* means, int64_t count, const double axis[3], uint32_t* order);
 
 /* Decimation: an order of operations, each of which removes a Gaussian or merges two neighbours into one, the cheapest first, until `least`
    are left. The number that are left after k of them is count - k, so one order gives every number.

@@ -391,14 +391,6 @@ int32_t svrgs_sample_masks(const float* logits, int64_t count, uint64_t seed, ui
   });
 }
 
-int32_t svrgs_depth_order(const float* means, int64_t count, const double axis[3], uint32_t* order) {
-  return guarded([&] {
-    require(axis && (count == 0 || (means && order)), "an argument is missing");
-    require(count >= 0 && count < kMaxCount, "there are too many rows");
-    svrgs::depth_order(means, count, axis, order);
-  });
-}
-
 int32_t svrgs_decimate(int32_t level, const svrgs_decimation* scene, const int32_t* cancel, const svrgs_merges* out, int64_t* steps, int64_t* merges) {
   return guarded([&] {
     require(scene && out && steps && merges, "an argument is missing");

@@ -1,8 +1,6 @@
 #include "depth_sort.h"
 
 #include <algorithm>
-#include <bit>
-#include <memory>
 
 #include "pool.h"
 
@@ -10,7 +8,7 @@ namespace svrgs {
 namespace {
 
 constexpr int kRadixBits = 11, kRadix = 1 << kRadixBits, kPasses = 3;  // 33 bits cover the 32 of a key
-constexpr int64_t kSortChunks = 8, kSortGrain = 8192;
+constexpr int64_t kSortChunks = 8;
 
 void radix_pass(const Keyed* from, Keyed* to, int64_t count, int shift) {
   static thread_local uint32_t offsets[kSortChunks][kRadix];
@@ -41,21 +39,6 @@ Keyed* sort_by_depth(Keyed* items, Keyed* scratch, int64_t count) {
     std::swap(items, scratch);
   }
   return items;
-}
-
-void depth_order(const float* means, int64_t count, const double axis[3], uint32_t* order) {
-  const auto items = std::make_unique_for_overwrite<Keyed[]>(2 * count);
-  parallel_blocks(count, kSortGrain, [&](int64_t begin, int64_t end) {
-    for (int64_t i = begin; i < end; ++i) {
-      const double x = means[3 * i], y = means[3 * i + 1], z = means[3 * i + 2], along = axis[0] * x + axis[1] * y + axis[2] * z;
-      const uint32_t bits = std::bit_cast<uint32_t>(static_cast<float>(0 - along));
-      items[i] = {bits >> 31 ? ~bits : bits | 1u << 31, static_cast<uint32_t>(i)};  // unsigned integers in the order of the floats
-    }
-  });
-  const Keyed* const sorted = sort_by_depth(items.get(), items.get() + count, count);
-  parallel_blocks(count, kSortGrain, [&](int64_t begin, int64_t end) {
-    for (int64_t i = begin; i < end; ++i) order[i] = sorted[i].place;
-  });
 }
 
 }  // namespace svrgs

@@ -1,4 +1,4 @@
-// A stable sort by 32-bit keys, and Gaussians sorted along an axis; on all threads. Independent of the SIMD level and of the number of threads.
+// A stable sort by 32-bit keys, on all threads. Independent of the SIMD level and of the number of threads.
 #pragma once
 #include <cstdint>
 
@@ -10,7 +10,5 @@ struct Keyed {
 
 // Returns where the sorted items are: in `items`, or in `scratch`, as many.
 [[nodiscard]] Keyed* sort_by_depth(Keyed* items, Keyed* scratch, int64_t count);
-
-void depth_order(const float* means, int64_t count, const double axis[3], uint32_t* order);  // svrgs_depth_order
 
 }  // namespace svrgs

@@ -70,6 +70,7 @@ def sentences(obj: bpy.types.Object) -> list[str]:
         stay.format(kept=kept, count=count, share=kept / count),
         tr("{before} → about {after}").format(before=size_text(obj, count), after=size_text(obj, kept)),
         quality(found),
+        tr("A pixel blends {overdraw_before:.0f} Gaussians, then about {overdraw_after:.0f}").format(**found),
         seen.format(**found),
         time.format(minutes=found["seconds"] / 60, **found),
         *found["notes"],

@@ -76,9 +76,10 @@ def sentence(settings, merges: bool = False) -> str:
     method, goal = METHODS[settings.method], settings.goal
     preset = PRESETS.get(goal)
     if goal == "DEVICE":
-        return tr("Keeps {count:,} Gaussians, or all if there are fewer").format(
-            count=DEVICES[settings.device].gaussians
-        )
+        return tr(
+            "Keeps {count:,} Gaussians, or all if there are fewer. How many a pixel blends counts as much:"
+            " see Estimate"
+        ).format(count=DEVICES[settings.device].gaussians)
     if merges and preset is not None:
         return _share_sentence(preset.share)
     if preset is None:

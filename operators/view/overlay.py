@@ -1,9 +1,9 @@
 """Splats in Solid and Material Preview viewports.
 
-While the view moves, the graphics card draws quads of some Gaussians, sorted by depth. If a frame takes more
-than 0.12 s, the next one has fewer quads and pixels. When the view is at rest, a thread draws the picture
-with the native library, first every 2nd pixel and then all, which is then drawn over the viewport. If the
-Gaussians change and the view does not, the last picture stays until the new one is there.
+The native library draws them. While the view moves, each frame has a picture of its own, so that Gaussians
+and meshes move together: of every 4th, every 2nd or of all pixels, as many as it draws in SLOW_PICTURE. When
+the view is at rest, a thread draws all pixels. If the Gaussians change and the view does not, the last
+picture stays until the new one is there.
 
 Blender draws the points of a splat itself, and they would hide the Gaussians. So splats have the display type
 BOUNDS here.
@@ -20,15 +20,15 @@ import gpu
 from bpy.app.handlers import persistent
 
 from ...svrgs_addon.native import library
-from ...svrgs_addon.native.library import thresholds
-from ...svrgs_addon.native.pictures import depth_order
+from ...svrgs_addon.native.rasterizer import Rasterizer
 from ...svrgs_addon.render.live_view import LiveView, Picture
+from ...svrgs_addon.render.painting import highlighted, painted
 from ...svrgs_addon.render.passes import overlay_rgba
-from ...svrgs_addon.render.quads import Quads, colors, highlighted, painted, quads
+from ...svrgs_addon.render.thinning import Thinning
 from ...svrgs_addon.scene.camera import Camera
 from ...svrgs_addon.scene.gaussians import Scene
 from ...svrgs_addon.system.errors import NativeError, SplatError
-from ...svrgs_addon.views.lens import depth_of_projection, step_back
+from ...svrgs_addon.views.lens import depth_of_projection
 from ..data import gpu_drawing, splat_object, visible_splats
 from ..data.preferences import threads
 from ..data.selection import SELECTED
@@ -38,61 +38,48 @@ from .viewport import redraw
 SHADING = {"SOLID", "MATERIAL"}
 REST_SECONDS = 0.2  # without movement; then the view is at rest
 WAIT_SECONDS = 0.02  # between two looks whether a better picture is there
-COARSE = 2  # a pixel of the first picture at rest covers 2 x 2 pixels
-# seconds; after a slower frame there are fewer quads and pixels, after a faster one more
-SLOW_FRAME, FAST_FRAME = 0.12, 0.03
-LEVELS = 5  # each has half the quads of the one before, and half its pixels per side, down to a quarter
-LARGEST_SCALE = 4.0  # of the size of a Gaussian that is drawn in place of others
+# seconds; after a slower picture of a moving view the next one has fewer pixels, after a faster one more
+SLOW_PICTURE, FAST_PICTURE = 0.03, 0.015
+COARSEST = 4  # a pixel of a picture covers COARSEST x COARSEST pixels of the view at most
 
 
 @dataclass(frozen=True)
 class DrawRequest:
-    """A view at rest. The thread that draws it must not use bpy."""
+    """A view. A thread that draws it must not use bpy."""
 
     cloud: Cloud
     camera: Camera  # in the scene's coordinates
-    hidden: Any  # (H, W) depth of everything else in the viewport, in units of the scene
+    depth: Any  # (H, W) depth buffer of everything else in the viewport
+    projection: Any  # OpenGL's, of that buffer
 
 
-def draw_at_rest(rasterizer, request: DrawRequest, reduction: int) -> tuple:
-    """(H, W, 4) display sRGB times alpha; with all pixels also the colours (n, 3) of the quads from this
-    view, if there are quads; else None."""
-    scene, quads_made, camera = request.cloud.scene, request.cloud.quads, request.camera.reduced(reduction)
-    hidden = request.hidden[: camera.height * reduction : reduction, : camera.width * reduction : reduction]
-    rgba = overlay_rgba(rasterizer, scene, camera, hidden)
-    return rgba, colors(scene, quads_made.rows, camera) if quads_made and reduction == 1 else None
+def draw_picture(rasterizer: Rasterizer, request: DrawRequest, reduction: int):
+    """(H, W, 4) display sRGB times alpha; each pixel covers reduction x reduction pixels of the view."""
+    cloud, camera = request.cloud, request.camera
+    scene = cloud.thinning.draws() if reduction > 1 else cloud.scene
+    small = camera.resized(max(1, camera.width // reduction), max(1, camera.height // reduction))
+    depth = gpu_drawing.farthest(request.depth, reduction)
+    hidden = None if depth is None else depth_of_projection(request.projection, depth) / cloud.placed.unit
+    rgba = overlay_rgba(rasterizer, scene, small, hidden)
+    cloud.thinning.drew(scene, rasterizer)
+    return rgba
 
 
 class Cloud:
-    """The visible splats as one scene. Once the view moves: the quads of some of its Gaussians on the
-    graphics card."""
+    """The visible splats as one scene."""
 
-    def __init__(self, key: tuple, placed: visible_splats.PlacedScene, scene: Scene, count: int):
-        self.key, self.placed, self.scene, self.count = key, placed, scene, count
-        self.quads: Quads | None = None
-        self.geometry: gpu.types.GPUTexture | None = None
-        self.colors: gpu.types.GPUTexture | None = None
-
-    def with_quads(self, camera: Camera) -> Quads:
-        """The quads; if there are none yet, they get the colours that the camera sees."""
-        if self.quads is None:
-            self.quads = quads(self.scene, self.count)
-            self.geometry = gpu_drawing.texture(self.quads.geometry.reshape(-1, 4), "RGBA32F")
-        if self.colors is None:
-            self.set_colors(colors(self.scene, self.quads.rows, camera))
-        return self.quads
-
-    def set_colors(self, rgb):
-        self.colors = gpu_drawing.texture(rgb, "RGBA16F")
+    def __init__(self, key: tuple, placed: visible_splats.PlacedScene, scene: Scene):
+        self.key, self.placed, self.scene, self.thinning = key, placed, scene, Thinning(scene)
 
 
 class View:
     """What is drawn in one viewport."""
 
     def __init__(self):
-        self.live = LiveView(draw_at_rest, reductions=(COARSE, 1))
-        self.last_key, self.since, self.level = b"", 0.0, 0
-        self.target: gpu_drawing.Target | None = None
+        self.live = LiveView(draw_picture, reductions=(1,))
+        self.rasterizer = Rasterizer()  # of pictures while the view moves
+        self.last_key, self.since = b"", 0.0
+        self.reduction, self.slow = COARSEST, 0  # of the next picture; the last one that was too slow
         self.texture: tuple[Picture, gpu.types.GPUTexture] | None = None
 
     def is_at_rest(self, key: bytes) -> bool:
@@ -102,18 +89,18 @@ class View:
         return time.monotonic() - self.since >= REST_SECONDS
 
     def adapt(self, seconds: float):
-        """Chooses the level of the next frame from the time of the last one."""
-        if seconds > SLOW_FRAME:
-            self.level = min(self.level + 1, LEVELS - 1)
-        elif seconds < FAST_FRAME:
-            self.level = max(self.level - 1, 0)
+        """Chooses the reduction of the next picture from the time of the last one."""
+        if seconds > SLOW_PICTURE and self.reduction < COARSEST:
+            self.slow, self.reduction = self.reduction, 2 * self.reduction
+        elif self.reduction > 1 and seconds < FAST_PICTURE / (2 if self.reduction == 2 * self.slow else 1):
+            self.reduction //= 2
 
 
 class Overlay:
     """The draw handler and its state. There is one; in background mode there is none."""
 
     def __init__(self):
-        self._shaders: gpu_drawing.Shaders | None = None
+        self._shader: gpu.types.GPUShader | None = None
         self.views: dict[tuple[int, str], View] = {}  # by region and side
         self.clouds: dict[str, Cloud] = {}  # by side
         # number of changes in the scene: an exact picture depends on the meshes that hide splats
@@ -155,24 +142,24 @@ class Overlay:
             return
 
     @property
-    def shaders(self) -> gpu_drawing.Shaders:
+    def shader(self) -> gpu.types.GPUShader:
         """Made when something is drawn for the first time: in background mode there is no GPU."""
-        if self._shaders is None:
-            self._shaders = gpu_drawing.Shaders()
-        return self._shaders
+        if self._shader is None:
+            self._shader = gpu_drawing.picture_shader()
+        return self._shader
 
     def cloud_of(self, side: viewport_wipe.Side, settings) -> Cloud:
         """The splats of one side of the viewport; the last ones if nothing has changed."""
-        key = settings.overlay_shown, settings.overlay_moving, *side.key
+        key = settings.overlay_shown, *side.key
         known = self.clouds.get(side.name)
         if known is not None and known.key == key:
             return known
         placed = visible_splats.placed([(part.scene, part.matrix) for part in side.shown])
         values = [part.values for part in side.shown]
         if settings.overlay_shown == SELECTED:
-            marked = highlighted(placed.scene, [part.scene.count for part in side.shown], values)
-            return Cloud(key, placed, marked, settings.overlay_moving)
-        return Cloud(key, placed, painted(placed.scene, values), settings.overlay_moving)
+            counts = [part.scene.count for part in side.shown]
+            return Cloud(key, placed, highlighted(placed.scene, counts, values))
+        return Cloud(key, placed, painted(placed.scene, values))
 
     def view_of(self, region: bpy.types.Region, side: str) -> View:
         """The region's view of a side."""
@@ -200,73 +187,25 @@ class Overlay:
     ):
         """Draws in some columns of the viewport. depth: its depth buffer (H, W)."""
         space, local = context.space_data, cloud.placed.seen_by(camera)
+        request = DrawRequest(cloud, local, depth, context.region_data.window_matrix.copy())
         if view.is_at_rest(local.key):
-            key = (
-                local.key,
-                cloud.key,
-                self.changes,
-                space.shading.type,
-                space.shading.show_xray,
-                space.overlay.show_overlays,
-            )
-            view.live.request(
-                key,
-                DrawRequest(
-                    cloud,
-                    local,
-                    depth_of_projection(context.region_data.window_matrix, depth) / cloud.placed.unit,
-                ),
-            )
+            shading = space.shading.type, space.shading.show_xray, space.overlay.show_overlays
+            view.live.request((local.key, cloud.key, self.changes, *shading), request)
             picture = view.live.picture()
             if picture is not None and picture.key[0] == local.key and picture.error is None:
-                gpu_drawing.draw_over_viewport(
-                    self.shaders, self.texture_at_rest(view, cloud, picture), columns
-                )
+                if view.texture is None or view.texture[0] is not picture:
+                    view.texture = picture, gpu_drawing.picture_texture(picture.result)
+                gpu_drawing.draw_over_viewport(self.shader, view.texture[1], columns)
                 if view.live.busy:
                     _redraw_in(WAIT_SECONDS)
                 return
+        else:
+            view.live.cancel()
         _redraw_in(REST_SECONDS / 2)
         started = time.perf_counter()
-        gpu_drawing.draw_over_viewport(
-            self.shaders, self.draw_quads(context, view, cloud, camera, depth), columns
-        )
+        moving = draw_picture(view.rasterizer, request, view.reduction)
         view.adapt(time.perf_counter() - started)
-
-    def texture_at_rest(self, view: View, cloud: Cloud, picture: Picture) -> gpu.types.GPUTexture:
-        if view.texture is None or view.texture[0] is not picture:
-            pixels, quad_colors = picture.result
-            view.texture = picture, gpu_drawing.picture_texture(pixels)
-            if quad_colors is not None and picture.key[1] == cloud.key:
-                cloud.set_colors(quad_colors)
-        return view.texture[1]
-
-    def draw_quads(self, context, view: View, cloud: Cloud, camera: Camera, depth) -> gpu.types.GPUTexture:
-        modelview = context.region_data.view_matrix @ cloud.placed.matrix
-        made = cloud.with_quads(cloud.placed.seen_by(camera))
-        count, reduction = max(1, len(made.rows) >> view.level), min(1 << view.level, 4)
-        order = depth_order(made.means[:count], -modelview.row[2].xyz)
-        width, height = (max(1, side // reduction) for side in (camera.width, camera.height))
-        if view.target is None or (view.target.width, view.target.height) != (width, height):
-            view.target = gpu_drawing.Target(width, height)
-        small, P = camera.resized(width, height), context.region_data.window_matrix
-        near, enlarge = (
-            thresholds().near * cloud.placed.unit - step_back(P),
-            min(cloud.scene.count / count, LARGEST_SCALE**2),
-        )
-        constants = {
-            "modelview": modelview, "lens": (small.K[0, 0], small.K[1, 1], small.K[0, 2], small.K[1, 2]),
-            "view": (width, height, near, enlarge),
-            "mode": (float(camera.orthographic), float(cloud.scene.antialiased), P[2][2], P[2][3]),
-        }  # fmt: skip
-        lists = {
-            "order": gpu_drawing.texture(order, "R32F"),
-            "geometry": cloud.geometry,
-            "colors": cloud.colors,
-        }
-        gpu_drawing.draw_quads(
-            self.shaders, view.target, lists, gpu_drawing.depth_texture(depth, reduction), constants, count
-        )
-        return view.target.texture
+        gpu_drawing.draw_over_viewport(self.shader, gpu_drawing.picture_texture(moving), columns)
 
 
 _overlay: list[Overlay] = []

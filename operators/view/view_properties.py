@@ -144,14 +144,6 @@ class SVRGS_PG_view(bpy.types.PropertyGroup):
         update=overlay.changed,
         description="What the colours of splats show in Solid and Material Preview viewports",
     )
-    overlay_moving: IntProperty(
-        name="Gaussians While Moving",
-        default=200_000,
-        min=1000,
-        soft_max=2_000_000,
-        update=overlay.changed,
-        description="Number of Gaussians that are drawn while the view moves",
-    )
 
 
 CLASSES = (SVRGS_PG_view,)

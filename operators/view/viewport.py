@@ -21,6 +21,7 @@ from ...svrgs_addon.render.meshes import Triangles
 from ...svrgs_addon.render.passes import linear_rgba
 from ...svrgs_addon.scene.camera import Camera
 from ...svrgs_addon.system.errors import NativeError, SplatError
+from ...svrgs_addon.views.lens import step_back
 from ..data import gpu_drawing, mesh_triangles, visible_splats
 from ..data.image_pixels import working_space
 from ..data.preferences import threads
@@ -44,7 +45,8 @@ class DrawRequest:
 
 
 def draw_view(rasterizer, request: DrawRequest, reduction: int):
-    """(H, W, 4) float32 times alpha, in the file's working colour space."""
+    """(H, W, 4) float32 times alpha, in the file's working colour space; and depths (H, W) of Gaussians and
+    meshes in units of the scene, FAR where one sees through them."""
     camera, placed = request.camera.reduced(reduction), request.placed
     background = (0.0, 0.0, 0.0) if request.transparent else request.background
     scene = placed.thinning.draws() if reduction > 1 else placed.scene
@@ -54,10 +56,11 @@ def draw_view(rasterizer, request: DrawRequest, reduction: int):
         placed.seen_by(camera),
         background,
         placed.hidden_by(request.triangles, camera),
-        passes=(),
+        passes=("depth",),
     )
     placed.thinning.drew(scene, rasterizer)
-    return linear_rgba(picture, request.transparent, request.working_space)
+    rgba = linear_rgba(picture, request.transparent, request.working_space)
+    return rgba, picture.solid_depth
 
 
 class Pane:
@@ -67,7 +70,7 @@ class Pane:
         self.live = LiveView(draw_view)
         self.key: tuple = ()
         self.placed: visible_splats.PlacedScene | None = None
-        self.texture: tuple[Picture, gpu.types.GPUTexture] | None = None
+        self.textures: tuple[Picture, list[gpu.types.GPUTexture]] | None = None
 
     def place(self, side: viewport_wipe.Side) -> visible_splats.PlacedScene:
         """The splats of the side as one scene; the last one if nothing has changed. Raises SceneError."""
@@ -83,9 +86,19 @@ class Pane:
         picture = self.live.picture()
         if picture is None or picture.error is not None:
             return
-        if self.texture is None or self.texture[0] is not picture:
-            self.texture = picture, gpu_drawing.picture_texture(picture.result)
-        gpu_drawing.draw_linear(self.texture[1], region.width, region.height, columns)
+        if self.textures is None or self.textures[0] is not picture:
+            self.textures = picture, [gpu_drawing.picture_texture(part) for part in picture.result]
+        gpu_drawing.draw_linear(self.textures[1][0], region.width, region.height, columns)
+
+    def hide_lines(self, shader: gpu.types.GPUShader, lines: gpu.types.GPUTexture, P, columns):
+        """Takes Blender's lines away where the picture is in front of them. P: the window matrix."""
+        if self.textures is not None and self.placed is not None:
+            constants = {
+                "lens": (P[2][2], P[2][3], P[3][2], P[3][3]),
+                "depths": (self.placed.unit, step_back(P)),
+            }
+            textures = {"depth": self.textures[1][1], "lines": lines}
+            gpu_drawing.draw_hiding(shader, textures, constants, columns)
 
 
 class Viewport:
@@ -93,6 +106,9 @@ class Viewport:
 
     def __init__(self):
         self.panes: dict[str, Pane] = {}  # by name of the side
+        self.columns: dict[str, tuple[float, float]] = {}  # of each side that was drawn
+        self.region = 0  # address of the region that was drawn
+        self.shader: gpu.types.GPUShader | None = None  # made in a drawing context
         self.shown: list[viewport_wipe.Shown] = []
         self.triangles: Triangles | None = None
         self.problem = ""
@@ -125,8 +141,19 @@ class Viewport:
         except SplatError as error:
             self.shown, self.problem = [], str(error)
 
+    def hide_lines(self, context: bpy.types.Context):
+        """After Blender has drawn its overlays: takes away those that Gaussians hide."""
+        lines = gpu_drawing.scene_depth(context.region.width, context.region.height)
+        if lines is None:
+            return
+        self.shader = self.shader or gpu_drawing.hiding_shader()
+        texture = gpu_drawing.picture_texture(lines)
+        for side, columns in self.columns.items():
+            self.panes[side].hide_lines(self.shader, texture, context.region_data.window_matrix, columns)
+
     def draw(self, context: bpy.types.Context, scene: bpy.types.Scene) -> str:
         """Draws the newest pictures, and asks for better ones. Returns a line for the user."""
+        self.region, self.columns = context.region.as_pointer(), {}
         if not self.shown or self.triangles is None:
             return self.problem or tr("there is no visible splat: import one")
         try:
@@ -152,6 +179,7 @@ class Viewport:
         pane.live.request(
             key, DrawRequest(placed, self.triangles, camera, background, transparent, working_space())
         )
+        self.columns[side.name] = side.columns
         pane.draw(context.region, side.columns)
         picture = pane.live.picture()
         if picture is None:
@@ -176,4 +204,23 @@ def _refresh() -> float | None:
     return REFRESH if any(viewport.busy for viewport in _open) else None
 
 
+def _after_overlays():
+    context = bpy.context
+    if context.space_data.shading.type == "RENDERED" and context.space_data.overlay.show_overlays:
+        for viewport in _open:
+            if viewport.region == context.region.as_pointer() and context.scene.render.engine == "SVRGS":
+                viewport.hide_lines(context)
+
+
 TIMERS = (_refresh,)
+_handles: list = []
+
+
+def register():
+    if not bpy.app.background:
+        _handles.append(bpy.types.SpaceView3D.draw_handler_add(_after_overlays, (), "WINDOW", "POST_VIEW"))
+
+
+def unregister():
+    while _handles:
+        bpy.types.SpaceView3D.draw_handler_remove(_handles.pop(), "WINDOW")

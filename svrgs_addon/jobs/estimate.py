@@ -11,9 +11,12 @@ from __future__ import annotations
 import sys
 import time
 
+import numpy as np
+
 from ..files.registry import invisible, load_scene
 from ..finetune.plan import at_schedule
 from ..finetune.quality import hold_apart
+from ..finetune.scores import top
 from ..native import library
 from ..prune.belonging import check_dataset
 from ..prune.context import PROCESS
@@ -26,6 +29,8 @@ from ..prune.plans import dataset_of_pruning, plan_of_pruning
 from ..prune.quality_forecast import forecast
 from ..prune.recipes.quick import like_quick
 from ..prune.time_plan import fitted
+from ..render.overdraw import overdraw
+from ..scene.camera import spaced
 from ..scene.gaussians import Scene
 from ..system.errors import SceneError
 from ..system.exit_status import answer
@@ -34,6 +39,8 @@ from ..system.option_kinds import check_mapping
 from ..views.dataset import Dataset
 from .job_recorder import RECORDED
 
+OVERDRAW_VIEWS = 4  # in which it is counted
+
 
 def estimate(options: PruneOptions) -> dict:
     """The estimate, a dict with these keys. Raises SplatError.
@@ -41,10 +48,11 @@ def estimate(options: PruneOptions) -> dict:
     count: Gaussians of the scene; invisible: those with an opacity below 1/255; unseen: those that no
     rendered view sees; faint: those that the first cut removes; kept: roughly how many stay; at_most: whether
     kept is an upper bound; views: number of rendered views; psnr_before, psnr_removed, psnr_after: as in
-    quality_forecast.Forecast, without "psnr_"; psnr_before is None on the splat's own pictures; steps: of the
-    run; steps_per_second: with all Gaussians; schedule: that of the options, or the one that fits into their
-    time limit; seconds: expected time of the whole job; notes: sentences on the dataset and whether the splat
-    belongs to it.
+    quality_forecast.Forecast, without "psnr_"; psnr_before is None on the splat's own pictures;
+    overdraw_before, overdraw_after: Gaussians that a pixel blends (render/overdraw.py), now and of those
+    kept; steps: of the run; steps_per_second: with all Gaussians; schedule: that of the options, or the one
+    that fits into their time limit; seconds: expected time of the whole job; notes: sentences on the dataset
+    and whether the splat belongs to it.
     """
     begun = time.perf_counter()
     library.set_threads(options.threads)
@@ -72,7 +80,9 @@ def estimate(options: PruneOptions) -> dict:
     others = PROCESS + read + (measured if options.time else loaded)
     found = fitted(options.time, plan, seconds_of, others) if options.time else None
     plan = at_schedule(plan, found.schedule) if found else plan
-    quality = forecast(scene, dataset, plan, expected_order(plan, scene, dataset, seen), kept)
+    order = expected_order(plan, scene, dataset, seen)
+    quality = forecast(scene, dataset, plan, order, kept)
+    some = spaced(dataset.cameras, OVERDRAW_VIEWS)
     return {
         "count": scene.count,
         "invisible": int(invisible(scene).sum()),
@@ -83,6 +93,8 @@ def estimate(options: PruneOptions) -> dict:
         "views": seen.views,
         **{f"psnr_{name}": value for name, value in quality._asdict().items()}
         | ({"psnr_before": None} if options.data is None else {}),
+        "overdraw_before": overdraw(scene, some),
+        "overdraw_after": overdraw(scene.select(np.flatnonzero(top(order, kept))), some),
         "steps": plan.total,
         "steps_per_second": 1 / pace.step,
         "schedule": found.schedule if found else options.schedule,

@@ -21,7 +21,7 @@ from ..system.structs import fields
 from .library_path import library_path
 from .outputs import OUTPUTS
 
-INTERFACE_VERSION = 23
+INTERFACE_VERSION = 24
 GRADS = (*PARAMETERS, "masks", "means2d", "camera")
 # images whose gradients backward() accepts
 LOSS_IMAGES = tuple(output.name for output in OUTPUTS.values() if output.differentiable)
@@ -60,7 +60,6 @@ ARGUMENTS = {
     "svrgs_adam": "pppppplip",
     "svrgs_backward_update": "ppppp",
     "svrgs_sample_masks": "pluupp",
-    "svrgs_depth_order": "plpp",
     "svrgs_decimate": "ippppp",
     "svrgs_draw_triangles": "ppp",
     "svrgs_add_view": "pp",

@@ -1,9 +1,8 @@
-"""Functions of the native library on pictures: opaque triangles, panoramas of perspective views, the order in
-which a GPU draws Gaussians, FLIP of two pictures, convolutions, linear colours, and exposure.
+"""Functions of the native library on pictures: opaque triangles, panoramas of perspective views, FLIP of two
+pictures, convolutions, linear colours, and exposure.
 
-`native/include/svrgs.h` (svrgs_draw_triangles, svrgs_add_view, svrgs_depth_order, svrgs_flip,
-svrgs_convolve, svrgs_linear_rgba, svrgs_expose, svrgs_expose_vjp) is the manual; names, shapes and units here
-are the same.
+`native/include/svrgs.h` (svrgs_draw_triangles, svrgs_add_view, svrgs_flip, svrgs_convolve, svrgs_linear_rgba,
+svrgs_expose, svrgs_expose_vjp) is the manual; names, shapes and units here are the same.
 """
 
 from __future__ import annotations
@@ -103,20 +102,6 @@ def add_view(
         check(column_weights, "column_weights", (columns,), np.float64),
     )
     call_library("svrgs_add_view", c.byref(view), c.byref(panorama))
-
-
-def depth_order(means: np.ndarray, axis: np.ndarray) -> np.ndarray:
-    """Rows of means (N, 3) float32 from the farthest along `axis` (3,) to the nearest, (N,) uint32; equal
-    ones keep their order."""
-    order = np.empty(len(means), np.uint32)
-    call_library(
-        "svrgs_depth_order",
-        check(means, "means", (len(means), 3), np.float32),
-        len(means),
-        (c.c_double * 3)(*map(float, axis)),
-        order.ctypes.data,
-    )
-    return order
 
 
 def flip_errors(

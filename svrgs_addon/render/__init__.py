@@ -1,2 +1,2 @@
-"""Complete pictures: compositing with meshes, render passes, live views, quads, colour maps; and how far two
+"""Complete pictures: compositing with meshes, render passes, live views, other colours; and how far two
 pictures differ (metrics/)."""

@@ -46,6 +46,11 @@ class Composite:
         return self.images["depth"]
 
     @property
+    def solid_depth(self) -> np.ndarray:
+        """(H, W) float32: the same, but FAR where less than a half of the pixel is covered."""
+        return np.where(self.coverage > 0.5, self.depth, np.float32(FAR))
+
+    @property
     def alpha(self) -> np.ndarray:
         """(H, W) float32: alpha of the Gaussians alone."""
         return self.images["alpha"]

@@ -1,6 +1,6 @@
-"""Pictures of a view that moves, for the Rendered mode of Blender's viewport. No bpy.
+"""Pictures of a view, drawn by a thread, for the viewports of Blender. No bpy.
 
-One thread draws the newest view: first coarse (every 4th pixel in x and y), then exact. The main thread takes
+It draws the newest view: first coarse (every 4th pixel in x and y), then exact. The main thread takes
 finished pictures and never waits.
 """
 
@@ -62,6 +62,12 @@ class LiveView:
             if self._reduction == 1:
                 self._rasterizer.cancel[0] = 1
             self._changed.notify_all()
+
+    def cancel(self):
+        """Gives up the picture that is being drawn. Until the next request nothing is drawn."""
+        with self._changed:
+            self._wanted = self._started = None
+            self._rasterizer.cancel[0] = 1
 
     def picture(self) -> Picture | None:
         """The newest finished picture; None before the first one."""

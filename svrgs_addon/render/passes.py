@@ -13,11 +13,10 @@ import numpy as np
 
 from ..native.outputs import OUTPUTS
 from ..native.pictures import linear_colours
-from ..native.rasterizer import Rasterizer
+from ..native.rasterizer import Rasterizer, RenderOptions
 from ..scene.camera import Camera
 from ..scene.gaussians import Scene
-from .composite import FAR, Composite, composite
-from .meshes import Surface
+from .composite import FAR, Composite
 
 # (name, channels, type) of each pass except Combined
 PASSES = tuple(output.render_pass for output in OUTPUTS.values() if output.render_pass)
@@ -70,12 +69,16 @@ def _linear(rgb: np.ndarray, alpha: np.ndarray, working_space: Sequence) -> np.n
     )
 
 
-def overlay_rgba(rasterizer: Rasterizer, scene: Scene, camera: Camera, hidden: np.ndarray) -> np.ndarray:
+def overlay_rgba(
+    rasterizer: Rasterizer, scene: Scene, camera: Camera, hidden: np.ndarray | None
+) -> np.ndarray:
     """Gaussians to be blended over a picture of other objects, (H, W, 4): display sRGB times alpha, and
     alpha.
 
     hidden: camera z (H, W) of that picture, infinite where it is empty; a pixel blends only Gaussians with a
-    smaller z.
+    smaller z. None: it is empty everywhere.
     """
-    picture = composite(rasterizer, scene, camera, surface=Surface.black(hidden))
-    return np.concatenate([picture.rgb, picture.alpha[..., None]], axis=-1)
+    options = RenderOptions(antialiased=scene.antialiased, picture_only=True)
+    limit = None if hidden is None else np.ascontiguousarray(hidden, rasterizer.dtype)
+    found = rasterizer.forward(scene, camera, options, outputs=("rgb", "alpha"), depth_limit=limit)
+    return np.dstack([found["rgb"], found["alpha"]])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -41,21 +42,30 @@ def _thinned(scene: Scene) -> Scene:
 
 
 class Thinning:
-    """Which Gaussians the coarse pictures of a scene draw: all, or the thinned ones while many are seen. For
-    one thread."""
+    """Which Gaussians the coarse pictures of a scene draw: all, or the thinned ones while many are seen. A
+    thread makes these; until then all are drawn."""
 
     def __init__(self, scene: Scene):
         self._scene = scene
         self._thin: Scene | None = None
+        self._maker: threading.Thread | None = None
         self._seen = 0  # Gaussians of the whole scene that the last picture has shown, about
 
     def draws(self) -> Scene:
         """The Gaussians of the next coarse picture."""
-        if self._seen <= MAX_SEEN:
-            return self._scene
-        self._thin = self._thin or thinned(self._scene)
-        return self._thin
+        return self._thin if self._thin is not None and self._seen > MAX_SEEN else self._scene
 
     def drew(self, scene: Scene, rasterizer: Rasterizer):
         """Takes note of what the last picture has shown. scene: that of draws(), or the whole one."""
         self._seen = rasterizer.work()["visible"] * (1 if scene is self._scene else GROUP)
+        if self._seen > MAX_SEEN and self._maker is None:
+            self._maker = threading.Thread(target=self._make, name="svrgs-thinning", daemon=True)
+            self._maker.start()
+
+    def wait(self):
+        """Until the thinned Gaussians are there, if they are being made."""
+        if self._maker is not None:
+            self._maker.join()
+
+    def _make(self):
+        self._thin = thinned(self._scene)

@@ -105,16 +105,11 @@ void optimiser(Lines& lines, int32_t level) {
 
 // What knows no level.
 void without_level(Lines& lines) {
-  const std::vector<float> logits = values<float>(60, kCount, -6, 6), means = values<float>(61, 3 * kCount, -4, 4);
+  const std::vector<float> logits = values<float>(60, kCount, -6, 6);
   std::vector<uint8_t> masks(kCount);
   std::vector<float> slope(kCount);
-  std::vector<uint32_t> order(kCount);
   lines.require(svrgs_sample_masks(logits.data(), kCount, 7, 3, masks.data(), slope.data()) == SVRGS_OK, "sample_masks");
   lines.add("sample_masks", Digest(kWhole).add(masks).add(slope));
-  const double axis[3] = {0.36, 0.48, 0.8};
-  lines.require(svrgs_depth_order(means.data(), kCount, axis, order.data()) == SVRGS_OK, "depth_order");
-  lines.add("depth_order", Digest(kWhole).add(order));
-  lines.refuse("depth_order_axis", svrgs_depth_order(means.data(), kCount, nullptr, order.data()), SVRGS_INVALID);
   Panorama panorama;
   const svrgs_view view = panorama.view();
   const svrgs_panorama picture = panorama.picture();

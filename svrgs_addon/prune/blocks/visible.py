@@ -18,7 +18,7 @@ import numpy as np
 from ...native.library import threads
 from ...native.rasterizer import Rasterizer
 from ...render.metrics.evaluate import picture_options, render_options
-from ...render.quads import colors, recolored
+from ...render.painting import colors, recolored
 from ...scene.camera import Camera
 from ...scene.gaussians import Scene
 from ...system import memory

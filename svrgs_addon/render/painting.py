@@ -1,51 +1,20 @@
-"""Gaussians as quads for the graphics card: one blended quad per Gaussian, sorted by depth.
-
-The Solid and Material Preview modes of Blender's viewport draw some of the Gaussians in this way while a view
-moves. When it stops, the exact picture of the native renderer replaces them.
-"""
+"""Scenes in other colours: of a value per Gaussian, or tinted where Gaussians are selected; and the colours
+that a camera sees."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from ..scene import activation
 from ..scene.camera import Camera
 from ..scene.gaussians import SH_C0, Scene
-from ..scene.rotations import rotation_matrices
 from ..scene.sh_rotation import band
 from .color_maps import colored
 
 BLOCK = 65_536  # Gaussians that are computed at a time
-SEED = 1  # of the random order
 HIGHLIGHT, TINT = (1.0, 0.45, 0.05), 0.7  # display sRGB of selected Gaussians, and its share of their colour
 TOP_PERCENTILE = 99.0  # values from this percentile on have the last colour of the map
-
-
-@dataclass(frozen=True)
-class Quads:
-    """n Gaussians of a scene in random order, so that the first k of them are a random sample of the
-    scene."""
-
-    rows: np.ndarray  # (n,) int64, their rows in the scene
-    means: np.ndarray  # (n, 3) float32
-    geometry: np.ndarray  # (n, 3, 4) float32, rows: mean, opacity (0..1); covariance xx xy xz, 0; yy yz zz, 0
-
-
-def quads(scene: Scene, count: int) -> Quads:
-    """The quads of at most `count` random Gaussians. Coordinates are those of the scene."""
-    rows = np.random.default_rng(SEED).permutation(scene.count)[:count]
-    geometry = np.zeros((len(rows), 3, 4), np.float32)
-    for start in range(0, len(rows), BLOCK):
-        part = rows[start : start + BLOCK]
-        scales = np.exp(scene.log_scales[part].astype(np.float64))
-        axes = rotation_matrices(scene.quats[part]) * scales[:, None, :]
-        S = axes @ axes.swapaxes(1, 2)
-        block = geometry[start : start + BLOCK]
-        block[:, 0, :3], block[:, 0, 3] = scene.means[part], activation.opacities(scene.opacity_logits[part])
-        block[:, 1, :3], block[:, 2, :3] = S[:, 0], np.stack([S[:, 1, 1], S[:, 1, 2], S[:, 2, 2]], 1)
-    return Quads(rows, np.ascontiguousarray(scene.means[rows]), geometry)
 
 
 def painted(scene: Scene, values: list[np.ndarray | None]) -> Scene:
