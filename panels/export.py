@@ -5,8 +5,8 @@ from bpy.app.translations import pgettext_iface as tr
 
 from ..operators.data.splat_object import is_splat
 from ..operators.data.splat_size import of_its_file
+from ..operators.data.visible_splats import marked_count
 from ..operators.io import export_farm, export_levels
-from ..operators.jobs.job_result import marked_count
 from ..operators.jobs.prune_state import size
 from .sidebar import SidebarPanel, wrapped_label
 
@@ -25,9 +25,7 @@ class SVRGS_PT_export(SidebarPanel, bpy.types.Panel):
         if marked := marked_count(obj):
             wrapped_label(
                 layout,
-                tr("{count:,} hidden Gaussians stay out of the file. Apply deletes them").format(
-                    count=marked
-                ),
+                tr("{count:,} hidden Gaussians stay out of the file").format(count=marked),
                 "INFO",
             )
         layout.operator("svrgs.export_ply", icon="EXPORT")

@@ -36,6 +36,10 @@ class SVRGS_PT_select(SidebarPanel, bpy.types.Panel):
         layout.operator_menu_enum(
             "svrgs.select_gaussians", "criterion", text="Select", icon="RESTRICT_SELECT_OFF"
         )
+        if hidden := selection.hidden_count(context.object):
+            row = layout.row()
+            row.label(text=tr("{count:,} Gaussians are hidden").format(count=hidden), translate=False)
+            row.operator("svrgs.show_gaussians", text="", icon="HIDE_OFF")
         if not selected:
             return
         row = layout.row()
@@ -48,7 +52,9 @@ class SVRGS_PT_select(SidebarPanel, bpy.types.Panel):
         row.operator(
             "svrgs.delete_gaussians", text="Keep Only Selected", icon="FULLSCREEN_EXIT"
         ).what = "OTHERS"
-        layout.operator("svrgs.separate_gaussians", text="Separate Selected", icon="MOD_EXPLODE")
+        row = layout.row(align=True)
+        row.operator("svrgs.hide_gaussians", icon="HIDE_ON")
+        row.operator("svrgs.separate_gaussians", text="Separate Selected", icon="MOD_EXPLODE")
 
 
 CLASSES = (SVRGS_PT_select,)

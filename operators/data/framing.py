@@ -14,7 +14,7 @@ from ...svrgs_addon.scene.attribute_layout import BASE, POSITION
 from ...svrgs_addon.scene.camera import Camera
 from ...svrgs_addon.scene.upright import levelled, tilt, up_direction
 from . import camera_object, splat_object
-from .visible_splats import REMOVED
+from .visible_splats import marked
 
 SENSOR = 72.0  # millimetres: the longer side of a viewport, in Blender
 UNTURNED = 1e-6  # largest difference of a matrix that counts as none
@@ -90,15 +90,12 @@ def _points(objects: list[bpy.types.Object]) -> Iterator[tuple[np.ndarray, np.nd
     """Means (N, 3) in Blender's world and opacities (N,) of each splat; without a splat, the points of each
     mesh, and ones.
 
-    Gaussians marked as removed have the opacity 0.
+    Gaussians marked as removed, or hidden, have the opacity 0.
     """
     splats = [obj for obj in objects if splat_object.is_splat(obj)]
     for obj in splats:
-        opacities, removed = splat_object.stored_values(obj, BASE)[:, 3], splat_object.values(obj, REMOVED)
-        yield (
-            _in_world(obj, splat_object.stored_values(obj, POSITION)),
-            opacities if removed is None else opacities * ~removed,
-        )
+        opacities = splat_object.stored_values(obj, BASE)[:, 3] * ~marked(obj)
+        yield _in_world(obj, splat_object.stored_values(obj, POSITION)), opacities
     for obj in () if splats else objects:
         if obj.type == "MESH":
             points = np.empty(3 * len(obj.data.vertices), np.float32)

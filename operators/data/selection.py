@@ -129,6 +129,28 @@ def clear(obj: bpy.types.Object):
     splat_object.remove_values(obj, SELECTED)
 
 
+def hide(obj: bpy.types.Object) -> int:
+    """Hides the selected Gaussians from views, pictures and files, and clears the selection. Returns how many
+    they are. Raises SceneError if none would be left."""
+    mask, hidden = read(obj), splat_object.values(obj, visible_splats.HIDDEN)
+    _refuse_nothing(~(mask | visible_splats.marked(obj)))
+    both = mask if hidden is None else mask | hidden.astype(bool)
+    splat_object.set_values(obj, visible_splats.HIDDEN, "BOOLEAN", both)
+    clear(obj)
+    return int(mask.sum())
+
+
+def hidden_count(obj: bpy.types.Object) -> int:
+    """Number of Gaussians that hide() has hidden."""
+    hidden = splat_object.values(obj, visible_splats.HIDDEN)
+    return 0 if hidden is None else int(hidden.sum())
+
+
+def show_all(obj: bpy.types.Object):
+    """Shows the Gaussians that hide() has hidden."""
+    splat_object.remove_values(obj, visible_splats.HIDDEN)
+
+
 def delete(obj: bpy.types.Object, others: bool):
     """Deletes the selected Gaussians, or all others, and clears the selection. Raises SceneError if none
     would be left."""

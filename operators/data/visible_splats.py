@@ -27,6 +27,7 @@ from ...svrgs_addon.views.lens import camera_of_projection
 from . import camera_object, grading, quick_order, splat_object
 
 REMOVED = "removed"  # attribute: marks Gaussians that pruning would remove; they are not drawn
+HIDDEN = "svrgs:hidden"  # attribute: marks Gaussians that the user has hidden; they are not drawn
 HIDE_MODIFIER = "SVR-GS Removed"  # the modifier that hides marked Gaussians, and its node group
 
 Read = Callable[[bpy.types.Object], Scene]
@@ -68,7 +69,8 @@ def visible_scene(obj: bpy.types.Object) -> Scene:
 
 
 def visible_rows(obj: bpy.types.Object) -> np.ndarray:
-    """Rows of the Gaussians that are neither marked as removed nor outside the splat's crop box."""
+    """Rows of the Gaussians that are neither marked as removed, nor hidden, nor outside the splat's crop
+    box."""
     rows, grade = unmarked_rows(obj), grading.of(obj)
     if grade.crop is None:
         return rows
@@ -76,9 +78,23 @@ def visible_rows(obj: bpy.types.Object) -> np.ndarray:
 
 
 def unmarked_rows(obj: bpy.types.Object) -> np.ndarray:
-    """Rows of the Gaussians that are not marked as removed."""
-    removed = splat_object.values(obj, REMOVED)
-    return np.flatnonzero(removed == 0) if removed is not None else np.arange(splat_object.count(obj))
+    """Rows of the Gaussians that are neither marked as removed nor hidden."""
+    return np.flatnonzero(~marked(obj))
+
+
+def marked(obj: bpy.types.Object) -> np.ndarray:
+    """(N,) bool: the Gaussians that are marked as removed, or hidden."""
+    mask = np.zeros(splat_object.count(obj), bool)
+    for name in (REMOVED, HIDDEN):
+        if (values := splat_object.values(obj, name)) is not None:
+            mask |= values.astype(bool)
+    return mask
+
+
+def marked_count(obj: bpy.types.Object) -> int:
+    """Number of the Gaussians that are marked as removed, or hidden."""
+    there = {REMOVED, HIDDEN} & set(obj.data.attributes.keys())
+    return int(marked(obj).sum()) if there else 0
 
 
 def splats(depsgraph: bpy.types.Depsgraph, read: Read = visible_scene) -> PlacedScene | None:

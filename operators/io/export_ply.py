@@ -23,10 +23,9 @@ from ...svrgs_addon.files.registry import (
 )
 from ...svrgs_addon.files.splat_format import SplatFormat
 from ...svrgs_addon.system.errors import SceneError
-from ..data import splat_object
+from ..data import splat_object, visible_splats
 from ..data.reporting import ReportingOperator
 from ..data.splat_size import size_in
-from ..jobs import job_result
 from .export_space import KINDS, ExportSpace
 
 
@@ -90,7 +89,7 @@ class SVRGS_OT_export_ply(ReportingOperator, ExportHelper, ExportSpace):
         self.layout.use_property_split = True
         self.layout.prop(self, "kind")
         obj = context.object
-        hidden = job_result.marked_count(obj) if self.what == "SEEN" else 0
+        hidden = visible_splats.marked_count(obj) if self.what == "SEEN" else 0
         splat_format = _format(self.kind)
         if splat_format.versions:
             self.layout.prop(self, "version")

@@ -14,7 +14,6 @@ from ...svrgs_addon.scene.concatenate import concatenated
 from ...svrgs_addon.scene.gaussians import Scene
 from ...svrgs_addon.system.errors import SceneError
 from ..data import grading, splat_object, visible_splats
-from ..jobs import job_result
 from ..scene.splat_transforms import stretch_warning
 from ..translation import OWN
 
@@ -46,13 +45,13 @@ class ExportSpace:
                 "As Seen",
                 (
                     "What the viewport shows of the splat: with its modifiers, instances and colour settings,"
-                    " without Gaussians that are hidden as removed"
+                    " without Gaussians that are hidden"
                 ),
             ),
             (
                 "STORED",
                 "All Stored",
-                "All Gaussians of the splat as stored, also those hidden as removed, without modifiers",
+                "All Gaussians of the splat as stored, also those that are hidden, without modifiers",
             ),
         ],
     )
@@ -106,8 +105,8 @@ class ExportSpace:
 
     def left_out(self, obj: bpy.types.Object, dropped: int) -> list[str]:
         """What the file does not hold, in words."""
-        hidden = job_result.marked_count(obj) if self.what == "SEEN" else 0
-        texts = [tr("without {count:,} hidden as removed").format(count=hidden)] if hidden else []
+        hidden = visible_splats.marked_count(obj) if self.what == "SEEN" else 0
+        texts = [tr("without {count:,} that are hidden").format(count=hidden)] if hidden else []
         if dropped:
             return [*texts, tr("without {count:,} with values that are not finite").format(count=dropped)]
         return texts

@@ -208,12 +208,6 @@ def show(pruned: bpy.types.Object, count: int):
         set_hidden(obj, hidden)
 
 
-def marked_count(obj: bpy.types.Object) -> int:
-    """Number of Gaussians of the splat that are marked as removed."""
-    removed = splat_object.values(obj, REMOVED)
-    return 0 if removed is None else int(removed.sum())
-
-
 def shown_count(pruned: bpy.types.Object) -> int:
     """Number of Gaussians that Apply would keep."""
     if not ranked(pruned):

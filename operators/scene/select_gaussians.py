@@ -242,6 +242,41 @@ class SVRGS_OT_delete_gaussians(SplatOperator):
         )
 
 
+class SVRGS_OT_hide_gaussians(SplatOperator):
+    bl_idname = "svrgs.hide_gaussians"
+    bl_label = "Hide Selected"
+    bl_description = (
+        "Hide the selected Gaussians of the active splat: no view, picture or file shows them. Pruning takes"
+        " them along"
+    )
+    bl_options = {"REGISTER", "UNDO"}
+
+    problem_of = SVRGS_OT_delete_gaussians.problem_of
+
+    def work(self, context) -> str:
+        count = selection.hide(context.object)
+        show_selection(context, False)
+        return tr("Hid {count:,} Gaussians").format(count=count)
+
+
+class SVRGS_OT_show_gaussians(SplatOperator):
+    bl_idname = "svrgs.show_gaussians"
+    bl_label = "Show Hidden"
+    bl_description = "Show the Gaussians of the active splat that were hidden"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def problem_of(cls, context, obj: bpy.types.Object) -> str:
+        if problem := edit_guard.change_problem(context, [obj]):
+            return problem
+        return "" if selection.hidden_count(obj) else tr("No Gaussian is hidden")
+
+    def work(self, context) -> str:
+        count = selection.hidden_count(context.object)
+        selection.show_all(context.object)
+        return tr("{count:,} Gaussians are shown again").format(count=count)
+
+
 class SVRGS_OT_separate_gaussians(SplatOperator):
     bl_idname = "svrgs.separate_gaussians"
     bl_label = "Separate Gaussians"
@@ -320,6 +355,8 @@ def show_selection(context, shown: bool):
 CLASSES = (
     SVRGS_OT_select_gaussians,
     SVRGS_OT_delete_gaussians,
+    SVRGS_OT_hide_gaussians,
+    SVRGS_OT_show_gaussians,
     SVRGS_OT_separate_gaussians,
     SVRGS_OT_change_selection,
     SVRGS_OT_clear_selection,

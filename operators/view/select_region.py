@@ -144,6 +144,8 @@ def _keys(shape: str) -> tuple:
         _key("LASSO", "SUBTRACT", lasso, shift=True),
         _key("BOX", "SET", {"type": "B", "value": "PRESS"}, wait=True),
         _key("BRUSH", "SET", {"type": "C", "value": "PRESS"}, wait=True),
+        ("svrgs.hide_gaussians", {"type": "H", "value": "PRESS"}, None),
+        ("svrgs.show_gaussians", {"type": "H", "value": "PRESS", "alt": True}, None),
     )
 
 

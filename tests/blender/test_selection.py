@@ -217,3 +217,27 @@ def test_selected_gaussians_become_a_splat_of_their_own(splat, bridge):
     bpy.ops.svrgs.select_gaussians(criterion="OPACITY", opacity_high=1)
     with pytest.raises(RuntimeError, match="no Gaussian would be left"):
         bpy.ops.svrgs.separate_gaussians()
+
+
+def test_hidden_gaussians_are_in_no_view_and_no_file_until_they_are_shown(splat, bridge, tmp_path):
+    low = opacities(bridge, splat) <= 0.5
+    bpy.ops.svrgs.select_gaussians(criterion="OPACITY", opacity_low=0, opacity_high=0.5)
+    bpy.ops.svrgs.hide_gaussians()
+    shown = part("operators.data.visible_splats").visible_scene
+    graph = bpy.context.evaluated_depsgraph_get()
+    assert shown(splat.evaluated_get(graph)).count == (~low).sum() and bridge.count(splat) == 250
+    assert f"{low.sum():,} Gaussians are hidden" in drawn("select")
+    assert f"{low.sum():,} hidden Gaussians stay out of the file" in drawn("export")
+    bpy.ops.svrgs.export_ply(filepath=str(tmp_path / "seen.ply"))
+    assert part("svrgs_addon.files.registry").read_scene(tmp_path / "seen.ply").count == (~low).sum()
+    bpy.ops.svrgs.select_gaussians(criterion="OPACITY", opacity_low=0, opacity_high=1)
+    assert (selected(splat) == ~low).all(), "criteria select what is seen"
+    with pytest.raises(RuntimeError, match="no Gaussian would be left"):
+        bpy.ops.svrgs.hide_gaussians()
+    bpy.ops.svrgs.select_gaussians(criterion="OPACITY", opacity_low=0.9, opacity_high=1)
+    more = int(selected(splat).sum())
+    bpy.ops.svrgs.hide_gaussians()
+    assert part("operators.data.selection").hidden_count(splat) == low.sum() + more
+    bpy.ops.svrgs.show_gaussians()
+    graph = bpy.context.evaluated_depsgraph_get()
+    assert shown(splat.evaluated_get(graph)).count == 250 and "are hidden" not in drawn("select")
