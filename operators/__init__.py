@@ -56,6 +56,7 @@ MODULES = [
         "view.viewport_wipe",
         "view.open_image",
         "jobs.train",
+        "jobs.steps",
         "data.materials",
         "scene.set_up_rendering",
         "scene.splat_layer",

@@ -1,4 +1,4 @@
-"""What the user sees: one file per panel. Panels ask functions of operators/ what to show."""
+"""What the user sees: one file per panel or step. Panels ask functions of operators/ what to show."""
 
 from importlib import import_module
 
@@ -13,12 +13,10 @@ MODULES = [
         "select",
         "color",
         "overlay",
-        "train",
-        "prune",
+        "steps",
         "jobs",
         "spatial_mask",
         "compare",
-        "export",
         "rendering",
         "engine",
         "panorama",

@@ -9,43 +9,43 @@ from .sidebar import SidebarPanel, native_library_works, split_column, wrapped_l
 from .spatial_mask import draw_image
 
 
-class ComparePanel(SidebarPanel):
-    bl_label = "3  Compare"
-    bl_order = 3
+def has_something(context) -> bool:
+    return bool(compare.guessed(context))
+
+
+def draw(layout, context):
+    settings = context.scene.svrgs_view
+    wiping = viewport_wipe.pair(context.scene) is not None
+    if not native_library_works(layout):
+        return
+    column = split_column(layout)
+    guessed = compare.guessed(context)
+    for name in ("original", "pruned", "compare_camera"):
+        column.prop(settings, name, placeholder=guessed.get(name, ""))
+    column = layout.column(align=True)
+    column.operator("svrgs.viewport_wipe", icon="ARROW_LEFTRIGHT", depress=wiping)
+    row = column.row(align=True)
+    row.operator("svrgs.compare", icon="IMAGE_ALPHA")
+    row.operator("svrgs.contact_sheet", icon="RENDERLAYERS", text="All Cameras")
+    image = bpy.data.images.get(compare.WIPE)
+    if image is not None or wiping:
+        layout.prop(settings, "wipe", slider=True)
+    if image is None:
+        wrapped_label(layout, tr("Renders original and pruned side by side"), "INFO")
+        return
+    if not wiping:
+        draw_image(layout, image)
+        layout.operator("svrgs.open_image", icon="WINDOW").name = compare.WIPE
+    if figures := compare.figures():
+        table(layout, figures)
+
+
+class SVRGS_PT_compare_image(SidebarPanel, bpy.types.Panel):
+    bl_label = "Compare"
+    bl_space_type = "IMAGE_EDITOR"
 
     def draw(self, context):
-        layout, settings = self.layout, context.scene.svrgs_view
-        wiping = viewport_wipe.pair(context.scene) is not None
-        if not native_library_works(layout):
-            return
-        column = split_column(layout)
-        guessed = compare.guessed(context)
-        for name in ("original", "pruned", "compare_camera"):
-            column.prop(settings, name, placeholder=guessed.get(name, ""))
-        column = layout.column(align=True)
-        column.operator("svrgs.viewport_wipe", icon="ARROW_LEFTRIGHT", depress=wiping)
-        row = column.row(align=True)
-        row.operator("svrgs.compare", icon="IMAGE_ALPHA")
-        row.operator("svrgs.contact_sheet", icon="RENDERLAYERS", text="All Cameras")
-        image = bpy.data.images.get(compare.WIPE)
-        if image is not None or wiping:
-            layout.prop(settings, "wipe", slider=True)
-        if image is None:
-            wrapped_label(layout, tr("Renders original and pruned side by side"), "INFO")
-            return
-        if not wiping:
-            draw_image(layout, image)
-            layout.operator("svrgs.open_image", icon="WINDOW").name = compare.WIPE
-        if figures := compare.figures():
-            table(layout, figures)
-
-
-class SVRGS_PT_compare(ComparePanel, bpy.types.Panel):
-    pass
-
-
-class SVRGS_PT_compare_image(ComparePanel, bpy.types.Panel):
-    bl_space_type = "IMAGE_EDITOR"
+        draw(self.layout, context)
 
 
 def table(layout, result: dict):
@@ -73,4 +73,4 @@ def table(layout, result: dict):
         wrapped_label(box, result["lpips_missing"], "ERROR")
 
 
-CLASSES = (SVRGS_PT_compare, SVRGS_PT_compare_image)
+CLASSES = (SVRGS_PT_compare_image,)

@@ -1,6 +1,5 @@
 """Step 4: export of the active splat, with the number of Gaussians and the size of the file."""
 
-import bpy
 from bpy.app.translations import pgettext_iface as tr
 
 from ..operators.data.splat_object import is_splat
@@ -8,31 +7,28 @@ from ..operators.data.splat_size import of_its_file
 from ..operators.data.visible_splats import marked_count
 from ..operators.io import export_farm, export_levels
 from ..operators.jobs.prune_state import size
-from .sidebar import SidebarPanel, wrapped_label
+from .sidebar import wrapped_label
 
 
-class SVRGS_PT_export(SidebarPanel, bpy.types.Panel):
-    bl_label = "4  Export"
-    bl_order = 4
-
-    def draw(self, context):
-        layout, obj = self.layout, context.object
-        if not is_splat(obj):
-            layout.label(text="Select the splat to export", icon="INFO")
-            return
-        wrapped_label(layout, tr("{name}: {size} as PLY").format(name=obj.name, size=size(obj)))
-        wrapped_label(layout, of_its_file(obj))
-        if marked := marked_count(obj):
-            wrapped_label(
-                layout,
-                tr("{count:,} hidden Gaussians stay out of the file").format(count=marked),
-                "INFO",
-            )
-        layout.operator("svrgs.export_ply", icon="EXPORT")
-        layout.operator("svrgs.export_levels", icon="MOD_DECIM")
-        layout.operator("svrgs.export_farm_job", icon="NETWORK_DRIVE")
-        for line in (*export_levels.lines(), *export_farm.lines()):
-            wrapped_label(layout, line)
+def has_something(context) -> bool:
+    return is_splat(context.object)
 
 
-CLASSES = (SVRGS_PT_export,)
+def draw(layout, context):
+    obj = context.object
+    if not is_splat(obj):
+        layout.label(text="Select the splat to export", icon="INFO")
+        return
+    wrapped_label(layout, tr("{name}: {size} as PLY").format(name=obj.name, size=size(obj)))
+    wrapped_label(layout, of_its_file(obj))
+    if marked := marked_count(obj):
+        wrapped_label(
+            layout,
+            tr("{count:,} hidden Gaussians stay out of the file").format(count=marked),
+            "INFO",
+        )
+    layout.operator("svrgs.export_ply", icon="EXPORT")
+    layout.operator("svrgs.export_levels", icon="MOD_DECIM")
+    layout.operator("svrgs.export_farm_job", icon="NETWORK_DRIVE")
+    for line in (*export_levels.lines(), *export_farm.lines()):
+        wrapped_label(layout, line)

@@ -20,7 +20,7 @@ BUTTONS = {  # action -> operator, icon
 
 class SVRGS_PT_jobs(SidebarPanel, bpy.types.Panel):
     bl_label = "Jobs"
-    bl_order = 2
+    bl_order = 5
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw_header_preset(self, context):

@@ -3,11 +3,10 @@ next."""
 
 from __future__ import annotations
 
-import bpy
-
 from ..operators.data import quick_order
 from ..operators.jobs import (
-    depths,
+    efforts,
+    estimate,
     goals,
     job_result,
     job_watch,
@@ -17,7 +16,7 @@ from ..operators.jobs import (
 )  # fmt: skip
 from ..operators.scene.dataset_paths import dataset_of
 from .jobs import draw_job
-from .sidebar import SidebarPanel, split_column, wrapped_label
+from .sidebar import split_column, wrapped_label
 
 PAPER_VALUES = (1e-4, 1.25e-4, 1.6e-4, 2e-4)  # values of λ_F in the paper
 # goal -> its property; the strength has rows of its own
@@ -32,61 +31,56 @@ STEPS = ("iterations", "recovery")  # chosen by the program if the time is limit
 ICONS = {"BROKEN": "ERROR", "NOTHING": "INFO"}
 
 
-class SVRGS_PT_prune(SidebarPanel, bpy.types.Panel):
-    bl_label = "2  Prune"
-    bl_order = 2
-
-    @classmethod
-    def poll(cls, context):
-        return not train.is_shown(context)
-
-    def draw(self, context):
-        layout, stage, subject = self.layout, prune_state.stage(context), prune_state.subject(context)
-        found = job_watch.current(context)
-        if stage != "BROKEN" and found is not None:
-            draw_job(layout, context, *found)
-            return
-        if stage == "READY":
-            draw_settings(layout, context)
-        elif stage == "RESULT" and subject is not None:
-            layout.label(text=subject.name, icon="OUTLINER_OB_POINTCLOUD", translate=False)
-            if job_result.has_slider(subject):
-                layout.prop(subject, "svrgs_share", slider=True)
-        icon = ICONS.get(stage, "NONE")
-        for sentence in prune_state.sentences(context):
-            wrapped_label(layout, sentence, icon)
-            icon = "NONE"
-        draw_buttons(layout, context, stage)
+def has_something(context) -> bool:
+    return prune_state.stage(context) != "NOTHING" and not train.is_shown(context)
 
 
-class SVRGS_PT_prune_advanced(SidebarPanel, bpy.types.Panel):
-    bl_label = "Advanced"
-    bl_parent_id = "SVRGS_PT_prune"
-    bl_options = {"DEFAULT_CLOSED"}
+def draw(layout, context):
+    stage, subject = prune_state.stage(context), prune_state.subject(context)
+    found = job_watch.current(context)
+    if train.is_shown(context):
+        layout.label(text="Train the splat first", icon="INFO")
+        return
+    if stage != "BROKEN" and found is not None:
+        draw_job(layout, context, *found)
+        return
+    if stage == "READY":
+        draw_settings(layout, context)
+    elif stage == "RESULT" and subject is not None:
+        layout.label(text=subject.name, icon="OUTLINER_OB_POINTCLOUD", translate=False)
+        if job_result.has_slider(subject):
+            layout.prop(subject, "svrgs_share", slider=True)
+    icon = ICONS.get(stage, "NONE")
+    for sentence in prune_state.sentences(context):
+        wrapped_label(layout, sentence, icon)
+        icon = "NONE"
+    draw_buttons(layout, context, stage)
+    if stage == "READY":
+        header, body = layout.panel("svrgs_advanced", default_closed=True)
+        header.label(text="Advanced")
+        if body is not None:
+            draw_advanced(body, context)
 
-    @classmethod
-    def poll(cls, context):
-        return prune_state.stage(context) == "READY"
 
-    def draw(self, context):
-        column = split_column(self.layout)
-        column.prop(context.scene.svrgs_prune, "method", text="All Methods")
-        for name in ADVANCED:
-            row = column.row()
-            row.active = not (context.scene.svrgs_prune.use_time and name in STEPS)
-            row.prop(context.scene.svrgs_prune, name)
+def draw_advanced(layout, context):
+    column = split_column(layout)
+    column.prop(context.scene.svrgs_prune, "method", text="All Methods")
+    for name in ADVANCED:
+        row = column.row()
+        row.active = not (context.scene.svrgs_prune.use_time and name in STEPS)
+        row.prop(context.scene.svrgs_prune, name)
 
 
 def draw_settings(layout, context):
     settings = context.scene.svrgs_prune
     column = split_column(layout)
-    column.prop(settings, "depth")
-    if settings.depth == "PHOTOGRAPHS":
+    column.prop(settings, "effort")
+    if settings.effort == "PHOTOGRAPHS":
         column.prop(settings, "data", placeholder=dataset_of(context)[0])
-    if settings.depth == "TUNED":
+    if settings.effort == "TUNED":
         column.prop(settings, "views")
         column.operator("svrgs.place_cameras", icon="OUTLINER_OB_CAMERA")
-    if settings.depth != "QUICK":
+    if settings.effort != "QUICK":
         column.prop(settings, "method_choice")
     wrapped_label(column, prune_state.method_sentence(context))
     column.prop(settings, "goal")
@@ -95,16 +89,28 @@ def draw_settings(layout, context):
     elif settings.goal == "LAMBDA" and (strength := goals.strength_sentence(settings)):
         draw_strength(column.column(align=True), settings)
         wrapped_label(column, strength)
-    wrapped_label(column, goals.sentence(settings, depths.merges(context)))
-    if settings.depth != "QUICK":
-        if not depths.merges(context):
+    wrapped_label(column, goals.sentence(settings, efforts.merges(context)))
+    if settings.effort != "QUICK":
+        if not efforts.merges(context):
             column.prop(settings, "nested")
         column.prop(settings, "use_time")
         if settings.use_time:
             column.prop(settings, "time")
-    row = layout.row(align=True)
-    row.operator("svrgs.estimate", icon="VIEWZOOM")
-    row.operator("svrgs.job_start", icon="PLAY")
+    draw_estimate(layout, context)
+    layout.operator("svrgs.job_start", icon="PLAY")
+
+
+def draw_estimate(layout, context):
+    """The estimate in a line, which opens to all that it says."""
+    estimate.keep_up(context)
+    if not estimate.is_live(context.object):
+        layout.operator("svrgs.estimate", icon="VIEWZOOM")
+    if line := estimate.line(context.object):
+        header, body = layout.panel("svrgs_estimate", default_closed=True)
+        header.label(text=line, icon="VIEWZOOM", translate=False)
+        if body is not None:
+            for sentence in estimate.sentences(context.object):
+                wrapped_label(body, sentence)
 
 
 def draw_strength(column, settings):
@@ -129,6 +135,3 @@ def draw_buttons(layout, context, stage: str):
             row.operator("svrgs.adopt_job", icon="LINKED")
         if original is not None and not job_result.undecided(pruned):
             row.operator("svrgs.discard", text="Discard Original", icon="TRASH").what = "ORIGINAL"
-
-
-CLASSES = (SVRGS_PT_prune, SVRGS_PT_prune_advanced)

@@ -10,7 +10,7 @@ from .sidebar import SidebarPanel, wrapped_label
 
 class SVRGS_PT_rendering(SidebarPanel, bpy.types.Panel):
     bl_label = "Render"
-    bl_order = 5
+    bl_order = 6
 
     def draw(self, context):
         draw_rendering(self.layout, context)

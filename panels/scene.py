@@ -1,4 +1,4 @@
-"""Step 1: import of splats and cameras, and what the active splat is."""
+"""Import of splats and cameras, and what the active splat is."""
 
 import bpy
 from bpy.app.translations import pgettext_iface as tr
@@ -16,7 +16,7 @@ ROOTS = 3  # sets of cameras that are offered
 
 
 class SVRGS_PT_scene(SidebarPanel, bpy.types.Panel):
-    bl_label = "1  Scene"
+    bl_label = "Scene"
 
     def draw(self, context):
         layout = self.layout
@@ -64,9 +64,9 @@ class SVRGS_PT_scene(SidebarPanel, bpy.types.Panel):
 def draw_first_steps(layout):
     """What to do in a scene without a splat."""
     for sentence in (
-        tr("1. Import a splat, or open the sample"),
-        tr("2. Choose a goal, and press Prune"),
-        tr("3. Compare, and export what you keep"),
+        tr("Import a splat, or open the sample"),
+        tr("Choose a goal, and press Prune"),
+        tr("Compare, and export what you keep"),
     ):
         wrapped_label(layout, sentence)
     row = layout.row()

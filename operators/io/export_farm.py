@@ -33,7 +33,7 @@ from ...svrgs_addon.views.cameras_json import write_cameras_json
 from ..data import background_work, splat_object
 from ..data.native_check import native_problem
 from ..data.reporting import ReportingOperator
-from ..jobs import depths, goals
+from ..jobs import efforts, goals
 from ..jobs.job import given_views, options_of
 from ..scene.splat_transforms import selected_splats
 
@@ -59,7 +59,7 @@ class SVRGS_OT_export_farm_job(ReportingOperator):
 
     @classmethod
     def problem(cls, context) -> str:
-        problem = native_problem() or depths.problem(context) or goals.problem(context.scene.svrgs_prune)
+        problem = native_problem() or efforts.problem(context) or goals.problem(context.scene.svrgs_prune)
         return problem or ("" if selected_splats(context) else tr("Select a Gaussian splat first"))
 
     def invoke(self, context, event):
@@ -122,7 +122,12 @@ def _finished(folder: Path, answer: Future):
     _lines[:] = [text.format(count=result["tasks"], memory=size_text(result["memory"]), folder=folder)]
 
 
+def menu(self, context):
+    self.layout.operator(SVRGS_OT_export_farm_job.bl_idname, text="Splat Farm Job (folder)")
+
+
 CLASSES = (SVRGS_OT_export_farm_job,)
+MENUS = {"TOPBAR_MT_file_export": menu}
 
 
 def unregister():

@@ -153,7 +153,12 @@ def _after_load(*_):
     _lines.clear()
 
 
+def menu(self, context):
+    self.layout.operator(SVRGS_OT_export_levels.bl_idname, text="Splat Levels of Detail (folder)")
+
+
 CLASSES = (SVRGS_OT_export_levels,)
+MENUS = {"TOPBAR_MT_file_export": menu}
 HANDLERS = {"load_post": _after_load}
 
 

@@ -1,5 +1,9 @@
 """Estimates how many Gaussians would stay, how good the result would be and how long pruning takes. A child
-process does the work; Blender stays usable."""
+process does the work; Blender stays usable.
+
+The panel Prune keeps the estimate up to date: when it is drawn with other settings, a new one begins WAIT
+seconds after the last change.
+"""
 
 from __future__ import annotations
 
@@ -19,6 +23,10 @@ from ..data.splat_size import size_text
 from .job import given_views, options_of, start_problem
 
 MODULE = "svrgs_addon.jobs.estimate"
+WAIT = 0.8  # seconds without a change of the settings
+MOST = 2_000_000  # Gaussians of a splat whose estimate is made unasked
+
+_wanted: dict = {}  # the inputs of the estimate that begins soon
 
 
 def of(obj: bpy.types.Object | None) -> dict:
@@ -44,11 +52,26 @@ def _inputs_now(obj: bpy.types.Object) -> dict:
     }
 
 
-def sentences(obj: bpy.types.Object) -> list[str]:
-    """The last estimate of the splat in words."""
+def line(obj: bpy.types.Object) -> str:
+    """The last estimate of the splat in a line; empty if there is none."""
     found = of(obj)
+    if not found:
+        return ""
+    if "busy" in found:
+        return tr("Estimating …")
     if "error" in found:
-        return [found["error"]]
+        return tr("No estimate")
+    count, after, seconds = found["kept"], found["psnr_after"], found["seconds"]
+    time = tr("{minutes:.0f} min").format(minutes=seconds / 60) if seconds >= 120 else f"{seconds:.0f} s"
+    quality = [f"≥ {after:.1f} dB"] if after is not None else []
+    return ", ".join((tr("≈ {count:,} Gaussians").format(count=count), size_text(obj, count), *quality, time))
+
+
+def sentences(obj: bpy.types.Object) -> list[str]:
+    """The last estimate of the splat in words; [] if there is none."""
+    found = of(obj)
+    if "error" in found or not found or "busy" in found:
+        return [found["error"]] if "error" in found else []
     kept, count = found["kept"], found["count"]
     stay = (
         tr("At most {kept:,} of {count:,} would stay ({share:.0%})")
@@ -115,30 +138,8 @@ class SVRGS_OT_estimate(ReportingOperator):
         return start_problem(context)
 
     def work(self, context) -> str:
-        obj, uid = context.object, context.object.session_uid
-        temp_dir = tempfile.TemporaryDirectory(dir=bpy.app.tempdir)
-        scene, options = Path(temp_dir.name) / "scene.ply", options_of(context, obj)
-        cameras = given_views(context, obj)
-        write_scene(scene, splat_object.scene_from_object(obj))
-        if cameras:
-            # a Blender that only starts does not need it
-            from ...svrgs_addon.views.cameras_json import write_cameras_json
-
-            write_cameras_json(scene.with_name("cameras.json"), cameras)
-            options["cameras"] = str(scene.with_name("cameras.json"))
-
-        def work() -> dict:
-            with temp_dir:
-                return subprocess_python.ask([], MODULE, {"scene": str(scene), "options": options})
-
-        def done(answer: Future):
-            try:
-                known.of_uid(uid).estimate = answer.result()
-            except (SplatError, OSError) as error:
-                known.of_uid(uid).estimate = {"error": str(error)}
-
-        known.of(obj).estimate, known.of(obj).estimated = {"busy": True}, _inputs_now(obj)
-        background_work.run(work, done)
+        obj = context.object
+        begin(context, obj)
         if not bpy.app.background:
             return tr("Estimating from some views")
         if "error" in of(obj):
@@ -146,4 +147,64 @@ class SVRGS_OT_estimate(ReportingOperator):
         return "; ".join(sentences(obj))
 
 
+def begin(context, obj: bpy.types.Object):
+    """Starts an estimate for a splat. In background mode it waits for it."""
+    uid, temp_dir = obj.session_uid, tempfile.TemporaryDirectory(dir=bpy.app.tempdir)
+    path, options = Path(temp_dir.name) / "scene.ply", options_of(context, obj)
+    cameras, scene = given_views(context, obj), splat_object.scene_from_object(obj)
+    if cameras:
+        # a Blender that only starts does not need it
+        from ...svrgs_addon.views.cameras_json import write_cameras_json
+
+        write_cameras_json(path.with_name("cameras.json"), cameras)
+        options["cameras"] = str(path.with_name("cameras.json"))
+
+    def work() -> dict:
+        with temp_dir:
+            write_scene(path, scene)
+            return subprocess_python.ask([], MODULE, {"scene": str(path), "options": options})
+
+    def done(answer: Future):
+        try:
+            known.of_uid(uid).estimate = answer.result()
+        except (SplatError, OSError) as error:
+            known.of_uid(uid).estimate = {"error": str(error)}
+
+    known.of(obj).estimate, known.of(obj).estimated = {"busy": True}, _inputs_now(obj)
+    background_work.run(work, done)
+
+
+def is_live(obj: bpy.types.Object) -> bool:
+    """Whether the estimate of a splat is made unasked."""
+    return splat_object.count(obj) <= MOST
+
+
+def keep_up(context):
+    """Lets an estimate begin soon if that of the active splat is missing. May be called while a panel is
+    drawn."""
+    obj = context.object
+    if (
+        is_live(obj)
+        and not of(obj)
+        and not bpy.app.background
+        and not bpy.app.timers.is_registered(_begin_soon)
+    ):
+        _wanted.clear()
+        bpy.app.timers.register(_begin_soon, first_interval=WAIT / 2)
+
+
+def _begin_soon() -> float | None:
+    """Begins the estimate once the settings have not changed for a while."""
+    context, obj = bpy.context, bpy.context.object
+    if not splat_object.is_splat(obj) or of(obj) or start_problem(context):
+        return None
+    if _wanted != (inputs := _inputs_now(obj)):
+        _wanted.clear()
+        _wanted.update(inputs)
+        return WAIT
+    begin(context, obj)
+    return None
+
+
 CLASSES = (SVRGS_OT_estimate,)
+TIMERS = (_begin_soon,)

@@ -123,7 +123,7 @@ def strength_sentence(settings) -> str:
 def problem(settings) -> str:
     """Why the chosen method cannot reach the chosen goal; empty if it can."""
     method, learns = METHODS[settings.method], settings.iterations > 0
-    if settings.depth == "QUICK":  # its own problems: depths.py
+    if settings.effort == "QUICK":  # its own problems: efforts.py
         return ""
     if settings.goal == "LAMBDA" and method.ranks and not method.share:
         return tr(

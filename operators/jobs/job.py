@@ -16,7 +16,7 @@ from ..data.preferences import threads
 from ..data.reporting import ReportingOperator
 from ..data.select import select
 from ..scene import dataset_paths
-from . import depths, goals, job_queue, job_result, job_state
+from . import efforts, goals, job_queue, job_result, job_state
 from .job_watch import begin, delete_job, job_of
 
 SMALLEST = 0.1  # share of a nested result down to which smaller numbers of Gaussians are trained
@@ -25,35 +25,35 @@ GOALS = ("target", "target_count", "max_drop")  # options that say how many Gaus
 
 def options_of(context, obj: bpy.types.Object) -> dict:
     """The settings of the panel as the options of a job."""
-    s, depth = context.scene.svrgs_prune, depths.chosen(context)
-    if depth == depths.QUICK:
+    s, effort = context.scene.svrgs_prune, efforts.chosen(context)
+    if effort == efforts.QUICK:
         quick = {"quick": True, "seed": s.seed, "threads": threads(context), "force": s.force}
         return quick | goals.options(s, obj, merges=True)
-    data, images = dataset_paths.dataset_of(context) if depth == depths.PHOTOGRAPHS else ("", "")
+    data, images = dataset_paths.dataset_of(context) if effort == efforts.PHOTOGRAPHS else ("", "")
     options = {
-        "data": data, "images": images, "method": "merge" if depths.merges(context) else s.method,
+        "data": data, "images": images, "method": "merge" if efforts.merges(context) else s.method,
         "seed": s.seed, "threads": threads(context), "force": s.force,
         "holdout": s.holdout, "visible_mask": s.visible_mask, "views_by_loss": s.views_by_loss,
     }  # fmt: skip
-    if depth == depths.PHOTOGRAPHS:
+    if effort == efforts.PHOTOGRAPHS:
         options |= dataset_paths.masks_of(context) | {
             "exposure": s.exposure,
             "refine_poses": s.refine_poses,
             "mask_distractors": s.mask_distractors,
         }
     options |= {"time": s.time} if s.use_time else {"iterations": s.iterations, "recovery": s.recovery}
-    if depth == depths.TUNED and s.views == "ONLY":
+    if effort == efforts.TUNED and s.views == "ONLY":
         options["seen_from_only"] = True
-    if s.nested and not depths.merges(context):
+    if s.nested and not efforts.merges(context):
         options["nested"] = SMALLEST
     if METHODS[s.method].first_cut:
         options["min_contribution"] = s.min_contribution
-    return options | goals.options(s, obj, depths.merges(context))
+    return options | goals.options(s, obj, efforts.merges(context))
 
 
 def given_views(context, obj: bpy.types.Object) -> list[Camera]:
     """The cameras of the file that count in a job of the splat; mostly none. Raises SceneError."""
-    given = depths.chosen(context) == depths.TUNED and context.scene.svrgs_prune.views != "PLACED"
+    given = efforts.chosen(context) == efforts.TUNED and context.scene.svrgs_prune.views != "PLACED"
     return views_of_file.views(context, obj) if given else []
 
 
@@ -72,9 +72,9 @@ def start_problem(context) -> str:
     if job_result.undecided(pruned):
         return tr("Apply or discard the result first")
     settings = context.scene.svrgs_prune
-    if settings.nested and not depths.merges(context) and not settings.use_time and not settings.recovery:
+    if settings.nested and not efforts.merges(context) and not settings.use_time and not settings.recovery:
         return tr("Train Smaller Sizes needs steps of recovery: set Recovery above 0 under Advanced")
-    return depths.problem(context) or goals.problem(settings) or native_problem()
+    return efforts.problem(context) or goals.problem(settings) or native_problem()
 
 
 class SVRGS_OT_job_start(ReportingOperator):

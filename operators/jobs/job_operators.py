@@ -125,8 +125,8 @@ class SVRGS_OT_job_resume(JobOperator):
             dataset = dataset_paths.dataset_of_job(context, owner)  # it may have been moved
             if not os.path.exists(dataset):
                 text = tr(
-                    "{folder}: the dataset of this job is not there: with its splat active, find it in step"
-                    " 1 or choose it in step 2, then resume"
+                    "{folder}: the dataset of this job is not there: with its splat active, find it in Scene"
+                    " or choose it in step 2, then resume"
                 )
                 raise SplatError(text.format(folder=dataset))
             job.folder.set_dataset(dataset)

@@ -23,7 +23,7 @@ from ..data.option_properties import (
     time_property,
 )
 from ..translation import OWN
-from . import depths, goals, job_result
+from . import efforts, goals, job_result
 
 WEAKEST, STRONGEST = -5.0, -3.0  # ends of the slider Strength: powers of ten of λ_F
 
@@ -65,8 +65,8 @@ class SVRGS_PG_prune(bpy.types.PropertyGroup):
     exposure: exposure_property()
     refine_poses: poses_property()
     mask_distractors: option_property("mask_distractors")
-    depth: EnumProperty(
-        name="Mode", items=depths.ITEMS, get=depths.number_of, set=depths.choose,
+    effort: EnumProperty(
+        name="Effort", items=efforts.ITEMS, get=efforts.number_of, set=efforts.choose,
         description=(
             "How thoroughly the splat is pruned. Until you choose: on photographs if the splat has"
             " some, else quick"
@@ -75,7 +75,7 @@ class SVRGS_PG_prune(bpy.types.PropertyGroup):
     views: EnumProperty(
         name="Views", items=views_of_file.ITEMS, description="From where the splat's own pictures are taken"
     )
-    depth_number: IntProperty(options={"HIDDEN"})  # of the item; 0: none was chosen
+    effort_number: IntProperty(options={"HIDDEN"})  # of the item; 0: none was chosen
     device: EnumProperty(
         name="Device",
         items=[(key, device.name, device.source) for key, device in DEVICES.items()],

@@ -19,7 +19,7 @@ from ..data.native_check import native_problem
 from ..data.option_properties import CHOICES
 from ..data.splat_size import file_size_text, size_of, size_text
 from ..scene import camera_match, dataset_paths, place_cameras
-from . import depths, estimate, goals, job_queue, job_result, job_state, orphan_jobs
+from . import efforts, goals, job_queue, job_result, job_state, orphan_jobs
 from .job_watch import current
 
 MUCH_BYTES = 100e6  # from here on the panel says how much of the disk a job takes
@@ -58,20 +58,18 @@ def sentences(context) -> list[str]:
             return _of_result(original, pruned)
         if splat_object.is_splat(context.object):
             return _of_ready(context)
-        return [tr("Select a splat, or import one in step 1")]
+        return [tr("Select a splat, or import one in Scene")]
     except SplatError as error:  # an attribute of the result was deleted
         return [str(error)]
 
 
 def _of_ready(context) -> list[str]:
-    obj, found = context.object, estimate.of(context.object)
-    texts = [tr("Estimating from some views …")] if found.get("busy") else []
-    texts = estimate.sentences(obj) if found and not texts else texts
-    texts += [
+    obj = context.object
+    texts = [
         camera_match.sentence(context),
         edit_guard.problem(context, obj),
         goals.problem(context.scene.svrgs_prune),
-        _problem_of_depth(context),
+        _problem_of_effort(context),
         place_cameras.sentence(obj),
         orphan_jobs.sentence(context),
         _of_applied(obj),
@@ -84,7 +82,7 @@ def _disk_use(context) -> str:
     """How much of the disk a job takes, if that is much."""
     obj, count = context.object, splat_object.count(context.object)
     coefficients = (splat_object.sh_degree(obj) + 1) ** 2
-    quick = context.scene.svrgs_prune.depth == "QUICK"
+    quick = context.scene.svrgs_prune.effort == "QUICK"
     size = bytes_of_job(count, size_of(obj, count), coefficients, quick, checkpoint.KEPT + 1)
     if size < MUCH_BYTES:
         return ""
@@ -92,9 +90,9 @@ def _disk_use(context) -> str:
     return text.format(size=file_size_text(size), folder=Path(job_folders(context)[0]).name)
 
 
-def _problem_of_depth(context) -> str:
-    """As depths.problem(), but not what step 1 says already."""
-    problem = depths.problem(context)
+def _problem_of_effort(context) -> str:
+    """As efforts.problem(), but not what the panel Scene says already."""
+    problem = efforts.problem(context)
     return problem if problem != dataset_paths.lost(splat_object.root_of(context.object)) else ""
 
 
@@ -193,9 +191,9 @@ def _of_applied(obj: bpy.types.Object) -> str:
 
 def method_sentence(context) -> str:
     """What the chosen method does; of one that the short menu does not name, after its name."""
-    method = METHODS["merge" if depths.merges(context) else context.scene.svrgs_prune.method]
+    method = METHODS["merge" if efforts.merges(context) else context.scene.svrgs_prune.method]
     sentence = tr(option_properties.method_sentence(method))
-    named = depths.merges(context) or method.name in CHOICES.values()
+    named = efforts.merges(context) or method.name in CHOICES.values()
     return sentence if named else f"{tr(method.label)}: {sentence}"
 
 

@@ -65,7 +65,7 @@ def current_job(context) -> tuple[bpy.types.Object, Job] | None:
 
 
 def is_shown(context) -> bool:
-    """Whether step 2 is to train a splat: it is being trained, or cameras without a splat are active."""
+    """Whether there is a splat to train: it is being trained, or cameras without a splat are active."""
     return current_job(context) is not None or bool(about(context))
 
 

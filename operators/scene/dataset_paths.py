@@ -69,7 +69,7 @@ def problem(context) -> str:
     """Why there is no dataset to prune with, and what to do, in a sentence; '' if there is one."""
     folder, _ = dataset_of(context)
     if not folder:
-        return tr("Choose the dataset of the splat's photographs, or import its cameras in step 1")
+        return tr("Choose the dataset of the splat's photographs, or import its cameras in Scene")
     if os.path.exists(folder):
         return ""
     if context.scene.svrgs_prune.data:
@@ -83,9 +83,9 @@ def lost(root: bpy.types.Object | None) -> str:
     folder = dataset_of_root(root) if root is not None else ""
     if root is None or not folder or os.path.exists(folder):
         return ""
-    return tr(
-        "The photographs of '{name}' are not in {folder} any more: press Find Dataset in step 1"
-    ).format(name=root.name, folder=folder)
+    return tr("The photographs of '{name}' are not in {folder} any more: press Find Dataset in Scene").format(
+        name=root.name, folder=folder
+    )
 
 
 def absolute(path: str, library: bpy.types.Library | None = None) -> str:

@@ -77,6 +77,8 @@ class Layout:
             if name == "prop":
                 assert words[1] in words[0].bl_rna.properties, words[1]
             self.notes.append((name, *words, *options.values()))
+            if name in ("panel", "panel_prop"):
+                return Layout(self.notes), Layout(self.notes)
             return Layout(self.notes) if name in ("row", "column", "box", "grid_flow") else SimpleNamespace()
 
         return draw
@@ -93,11 +95,20 @@ class Layout:
 
 def drawn(panel: str) -> str:
     layout = Layout()
-    cls = getattr(part(f"panels.{panel}"), f"SVRGS_PT_{panel}")
-    cls.draw(SimpleNamespace(layout=layout), bpy.context)
+    draw_panel(part(f"panels.{panel}"), layout)
     return layout.text
+
+
+def draw_panel(module, layout):
+    """Draws a step, or the panel that has the name of its module."""
+    if hasattr(module, "has_something"):
+        module.draw(layout, bpy.context)
+    else:
+        panel = getattr(module, f"SVRGS_PT_{module.__name__.rpartition('.')[2]}")
+        panel.draw(SimpleNamespace(layout=layout), bpy.context)
 
 
 def said() -> str:
     """What the prune panel says, one sentence a line."""
-    return "\n".join(part("operators.jobs.prune_state").sentences(bpy.context))
+    own, estimate = part("operators.jobs.prune_state"), part("operators.jobs.estimate")
+    return "\n".join([*own.sentences(bpy.context), *estimate.sentences(bpy.context.object)])

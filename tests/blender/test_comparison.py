@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from types import SimpleNamespace
 
 import bpy
 import numpy as np
 import pytest
 from extension import DATA, part
-from job_helpers import Layout
+from job_helpers import Layout, draw_panel
 from view_helpers import LEVEL, mark_removed, pixels
 
 pytestmark = pytest.mark.usefixtures("stage")
@@ -58,7 +57,7 @@ def test_compare_counts_no_pixel_that_the_mask_hides(tmp_path, stage, outside):
     try:
         bpy.ops.svrgs.compare()
         figures, layout = compare.figures(), Layout()
-        part("panels.compare").SVRGS_PT_compare.draw(SimpleNamespace(layout=layout), bpy.context)
+        draw_panel(part("panels.compare"), layout)
         if outside == "auto":
             part("svrgs_addon.files.images").write_image(tmp_path / f"{photo}.png", 0 * mask)
             with pytest.raises(RuntimeError, match="hides the whole photograph"):
@@ -91,7 +90,7 @@ def test_compare_measures_lpips_where_its_weights_are(tmp_path, stage, monkeypat
     bpy.ops.svrgs.compare()
     rows = [compare.figures()[name]["lpips"] for name in ("original", "pruned")]
     layout = Layout()
-    part("panels.compare").SVRGS_PT_compare.draw(SimpleNamespace(layout=layout), bpy.context)
+    draw_panel(part("panels.compare"), layout)
     assert rows[0] != rows[1] and "LPIPS" in layout.text and f"{rows[0]:.4f}" in layout.text
     (tmp_path / "w.npz").write_bytes(b"nothing")
     bpy.ops.svrgs.compare()
@@ -108,7 +107,7 @@ def test_the_panel_names_the_pair_that_it_guesses(stage, room, camera):
         "compare_camera": "camera",
     }
     layout = Layout()
-    part("panels.compare").SVRGS_PT_compare.draw(SimpleNamespace(layout=layout), bpy.context)
+    draw_panel(part("panels.compare"), layout)
     assert [note[2:] for note in layout.notes if note[0] == "prop"][:3] == [
         ("original", "room"),
         ("pruned", "room"),

@@ -141,11 +141,11 @@ def lost(project, tmp_path):
 
 
 def test_a_lost_dataset_is_said_and_found_again(lost, project):
-    said = f"The photographs of 'data' are not in {project / 'data'} any more: press Find Dataset in step 1"
+    said = f"The photographs of 'data' are not in {project / 'data'} any more: press Find Dataset in Scene"
     assert said in drawn("scene").replace("  ", " ") and said not in drawn("prune").replace("  ", " ")
     assert "svrgs.find_dataset" in drawn("scene")
     for operator in (bpy.ops.svrgs.job_start, bpy.ops.svrgs.estimate):
-        with pytest.raises(RuntimeError, match="press Find Dataset in step 1"):
+        with pytest.raises(RuntimeError, match="press Find Dataset in Scene"):
             operator()
     bpy.ops.svrgs.find_dataset(directory=str(lost))
     assert (

@@ -8,11 +8,7 @@ import shutil
 import bpy
 import numpy as np
 from extension import DATA, part
-from job_helpers import LONG, drawn, follow, set_up
-
-
-def said() -> str:
-    return "\n".join(part("operators.jobs.prune_state").sentences(bpy.context))
+from job_helpers import LONG, drawn, follow, said, set_up
 
 
 def test_an_estimate_is_shown_only_beside_what_it_was_made_for(bridge):

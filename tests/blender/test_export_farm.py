@@ -33,7 +33,7 @@ def run(folder, *words: str) -> int:
 
 
 def test_a_farm_prunes_as_the_panel_would(splat, bridge, watch, tmp_path):
-    set_up({"depth": "QUICK", "goal": "SHARE", "share": 40, "seed": 3})
+    set_up({"effort": "QUICK", "goal": "SHARE", "share": 40, "seed": 3})
     assert export(tmp_path / "job") == {"FINISHED"} and "Tasks: 1. " in lines()
     assert {path.name for path in (tmp_path / "job").iterdir()} >= {
         "job.json",
@@ -59,7 +59,7 @@ def test_every_selected_splat_is_a_task_with_its_photographs(splat, tmp_path):
     set_up(
         {
             "data": str(DATA / "tiny"),
-            "depth": "PHOTOGRAPHS",
+            "effort": "PHOTOGRAPHS",
             "goal": "SHARE",
             "share": 30,
             "iterations": 40,
@@ -81,7 +81,7 @@ def test_a_worker_may_have_job_and_photographs_elsewhere(splat, tmp_path):
     set_up(
         {
             "data": str(tmp_path / "here/tiny"),
-            "depth": "PHOTOGRAPHS",
+            "effort": "PHOTOGRAPHS",
             "goal": "SHARE",
             "share": 30,
             "iterations": 40,
@@ -103,7 +103,7 @@ def test_a_worker_may_have_job_and_photographs_elsewhere(splat, tmp_path):
 
 
 def test_splats_whose_files_would_be_one_are_refused(splat, tmp_path):
-    set_up({"depth": "QUICK", "goal": "SHARE", "share": 40})
+    set_up({"effort": "QUICK", "goal": "SHARE", "share": 40})
     bpy.ops.object.duplicate()
     splat.select_set(True)
     splat.name, bpy.context.object.name = "a/b", "a_b"
@@ -114,7 +114,7 @@ def test_splats_whose_files_would_be_one_are_refused(splat, tmp_path):
 
 def test_a_time_limit_and_a_folder_with_other_things_are_refused(splat, tmp_path):
     (tmp_path / "mine.txt").write_text("mine")
-    set_up({"depth": "QUICK", "goal": "SHARE", "share": 40})
+    set_up({"effort": "QUICK", "goal": "SHARE", "share": 40})
     with pytest.raises(RuntimeError, match="no farm job"):
         export(tmp_path)
     set_up({"use_time": True})

@@ -81,7 +81,7 @@ def test_it_is_applied_to_the_gaussians(splat, bridge):
 
 def test_comparisons_and_results_keep_it_and_pruning_does_not_see_it(splat, bridge, watch, capfd):
     grade(splat, **VALUES)
-    set_up({"data": "", "depth": "QUICK", "goal": "COUNT", "count": 100})
+    set_up({"data": "", "effort": "QUICK", "goal": "COUNT", "count": 100})
     bpy.ops.svrgs.job_start()
     follow(watch, lambda: bpy.context.object != splat)
     result = bpy.context.object

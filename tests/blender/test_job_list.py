@@ -84,7 +84,7 @@ def test_a_quick_job_does_not_wait_for_a_long_one(two, watch, results):
     bpy.ops.svrgs.job_stop()
     assert not part("operators.jobs.job_queue").is_queued(second)
     bpy.ops.svrgs.job_discard()
-    bpy.context.scene.svrgs_prune.depth = "QUICK"
+    bpy.context.scene.svrgs_prune.effort = "QUICK"
     bpy.ops.svrgs.job_start()
     quick = watch.job_of(other)
     assert quick is not second and quick.running and first.running

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import bpy
 import pytest
 from extension import DATA, part
-from job_helpers import Layout, drawn, set_up
+from job_helpers import drawn, set_up
 
 
 @pytest.fixture
@@ -59,9 +57,8 @@ def test_the_short_menu_shows_and_sets_the_method(splat):
 
 
 def test_all_methods_are_under_advanced_with_words_that_explain_themselves(splat):
-    layout, panel = Layout(), part("panels.prune").SVRGS_PT_prune_advanced
-    panel.draw(SimpleNamespace(layout=layout), bpy.context)
-    assert "All Methods" in layout.text and panel.poll(bpy.context)
+    shown = drawn("prune")
+    assert "Advanced" in shown and "All Methods" in shown
     settings = bpy.context.scene.svrgs_prune.bl_rna.properties
     assert (settings["holdout"].name, settings["min_contribution"].name) == (
         "Hold Out Every Nth Photo",

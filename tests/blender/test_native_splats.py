@@ -143,7 +143,7 @@ def test_a_splat_of_blenders_own_reader_is_pruned_and_exported_like_its_file(
     registry.write_scene(tmp_path / f"a{suffix}", scene)
     obj = own_import(tmp_path / f"a{suffix}")
     bpy.context.view_layer.objects.active = obj
-    set_up({"depth": "QUICK", "goal": "COUNT", "count": 60})
+    set_up({"effort": "QUICK", "goal": "COUNT", "count": 60})
     bpy.ops.svrgs.job_start()
     follow(watch, lambda: bpy.context.object != obj)
     result = bpy.context.object

@@ -23,7 +23,7 @@ def splat(splat):
 @pytest.fixture
 def result(splat, watch, once):
     """100 of 250 Gaussians."""
-    set_up({"depth": "QUICK", "goal": "SHARE", "share": 40})
+    set_up({"effort": "QUICK", "goal": "SHARE", "share": 40})
     with once("quick"):
         bpy.ops.svrgs.job_start()
         (job,) = watch.jobs.values()

@@ -31,12 +31,13 @@ def test_a_splat_is_trained_and_placed_with_its_cameras(root, watch, bridge):
         part("operators.jobs.prune_state").stage(bpy.context) == "BUSY"
         and part("operators.jobs.prune_state").subject(bpy.context).name == root.name
     )
-    panels = [getattr(part(f"panels.{name}"), f"SVRGS_PT_{name}") for name in ("train", "prune")]
-    assert [panel.poll(bpy.context) for panel in panels] == [True, False]
+    opened = part("operators.jobs.steps").opened
+    assert opened(bpy.context) == "train"
     assert "job_stop" in drawn("train") and "iterations" not in drawn("train")
+    assert "Train the splat first" in drawn("prune") and "job_stop" not in drawn("prune")
     follow(watch, lambda: splats(bridge))
     (splat,) = splats(bridge)
-    assert [panel.poll(bpy.context) for panel in panels] == [False, True]
+    assert opened(bpy.context) == "prune"
     assert splat.name == f"{root.name} splat" and splat.parent == root and bpy.context.object == splat
     bpy.context.view_layer.update()
     np.testing.assert_array_equal(splat.matrix_world, root.matrix_world)

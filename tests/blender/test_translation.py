@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import bpy
 import pytest
 from extension import PACKAGE, part
-from job_helpers import LONG, SHORT, follow, set_up
+from job_helpers import LONG, SHORT, draw_panel, follow, set_up
 from messages import catalogues, messages_of, of_jobs
 
 KINDS = (
@@ -122,6 +122,8 @@ class Layout:
         def draw(*words, text="", translate=True, **options):
             if text:
                 self.shown.append(f"⟦{text}⟧" if translate and text in self.known else text)
+            if name in ("panel", "panel_prop"):
+                return Layout(self.known, self.shown), Layout(self.known, self.shown)
             return (
                 Layout(self.known, self.shown)
                 if name in ("row", "column", "box", "grid_flow", "split")
@@ -145,13 +147,7 @@ def drawn(installed, monkeypatch):
 
     def draw(panel: str) -> str:
         shown: list[str] = []
-        for cls in (
-            cls
-            for cls in classes()
-            if issubclass(cls, bpy.types.Panel) and cls.__module__ == f"{PACKAGE}.panels.{panel}"
-        ):
-            if not hasattr(cls, "poll") or cls.poll(bpy.context):
-                cls.draw(SimpleNamespace(layout=Layout(known, shown)), bpy.context)
+        draw_panel(part(f"panels.{panel}"), Layout(known, shown))
         return " ".join(shown)
 
     return draw

@@ -41,7 +41,7 @@ NUMBERS = {number: name for name, _, _, _, number in ITEMS}
 
 def chosen(context) -> str:
     """The choice; if none was made: photographs where there are any, else quick."""
-    return NUMBERS.get(context.scene.svrgs_prune.depth_number) or (
+    return NUMBERS.get(context.scene.svrgs_prune.effort_number) or (
         PHOTOGRAPHS if dataset_paths.dataset_of(context)[0] else QUICK
     )
 
@@ -53,7 +53,7 @@ def number_of(settings) -> int:
 
 def choose(settings, number: int):
     """Setter of the property."""
-    settings.depth_number = number
+    settings.effort_number = number
 
 
 def merges(context) -> bool:
