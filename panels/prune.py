@@ -107,7 +107,7 @@ def draw_estimate(layout, context):
         layout.operator("svrgs.estimate", icon="VIEWZOOM")
     if line := estimate.line(context.object):
         header, body = layout.panel("svrgs_estimate", default_closed=True)
-        header.label(text=line, icon="VIEWZOOM", translate=False)
+        header.label(text=line, translate=False)
         if body is not None:
             for sentence in estimate.sentences(context.object):
                 wrapped_label(body, sentence)

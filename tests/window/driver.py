@@ -22,6 +22,8 @@ SIZE = (1280, 1120)
 first_is_open = True  # of the panels of the tab
 # the first header of the sidebar's tab; from one header to the next where all panels are closed
 HEADER, HEADER_HEIGHT = (825, 97), 28
+# the steps below the header of their panel, while the ones before are closed
+STEPS, FIRST_STEP, STEP_HEIGHT = ("Train", "Prune", "Compare", "Export"), 31, 21
 DATA, OUT = (Path(word) for word in sys.argv[sys.argv.index("--") + 1 :])
 
 
@@ -100,8 +102,15 @@ def sidebar(tab: str) -> Iterator[float]:
 
 
 def open_panel(title: str) -> Iterator[float]:
-    """Opens one panel of the sidebar's tab SVR-GS and closes all others."""
+    """Opens one panel or step of the sidebar's tab SVR-GS and closes all others."""
     global first_is_open
+    if title in STEPS:
+        yield from open_panel("Steps")
+        if not getattr(bpy.context.window_manager.svrgs_steps, title.lower()):
+            yield from close_step()
+            yield from click(HEADER[0] + 15, header_height(title))
+        yield 0.7
+        return
     if not first_is_open:
         yield from click(*HEADER)
     yield from close_all()
@@ -128,6 +137,15 @@ def close_all() -> Iterator[float]:
     yield 0.5
 
 
+def close_step() -> Iterator[float]:
+    """Closes the step that is open, with a click on its header."""
+    steps = bpy.context.window_manager.svrgs_steps
+    for title in STEPS:
+        if getattr(steps, title.lower()):
+            yield from click(HEADER[0] + 15, header_height(title))
+            yield 0.3
+
+
 def titles() -> list[str]:
     """Of the panels of the tab, from top to bottom."""
     panels = [
@@ -147,7 +165,9 @@ def titles() -> list[str]:
 
 
 def header_height(title: str) -> int:
-    """Height of the panel's header where all panels are closed."""
+    """Height of the header of a panel where all panels are closed, or of a step where those before are."""
+    if title in STEPS:
+        return header_height("Steps") + FIRST_STEP + STEP_HEIGHT * STEPS.index(title)
     return HEADER[1] + HEADER_HEIGHT * titles().index(title)
 
 

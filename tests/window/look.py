@@ -83,7 +83,7 @@ def see_overlay(space: bpy.types.SpaceView3D, seen: dict):
     seen["region"] = next(
         [region.height, region.width] for region in area("VIEW_3D").regions if region.type == "WINDOW"
     )
-    seen["overlay"] = [list(live.picture().result[0].shape[:2]) for live in overlay_views()]
+    seen["overlay"] = [list(live.picture().result.shape[:2]) for live in overlay_views()]
     seen["apart"] = {"CAMERA": apart(space)}
     shot("overlay")
 
@@ -96,7 +96,7 @@ def see_without_overlays(space: bpy.types.SpaceView3D, seen: dict):
         "a picture without overlays",
         60,
     )
-    seen["without_overlays"] = [float(live.picture().result[0][..., 3].mean()) for live in overlay_views()]
+    seen["without_overlays"] = [float(live.picture().result[..., 3].mean()) for live in overlay_views()]
     yield 0.5
     shot("without-overlays")
     space.overlay.show_overlays = True
@@ -107,7 +107,7 @@ def see_parallel_rays(space: bpy.types.SpaceView3D, seen: dict):
     # else as far away as Blender happens to have been
     space.region_3d.view_distance, space.region_3d.view_location = 8, (0, 0, 0)
     yield from rest(overlay_views)
-    seen["parallel"] = [float(live.picture().result[0][..., 3].mean()) for live in overlay_views()]
+    seen["parallel"] = [float(live.picture().result[..., 3].mean()) for live in overlay_views()]
     seen["apart"]["ORTHO"] = apart(space)
     shot("parallel")
     space.region_3d.view_perspective = "CAMERA"
@@ -119,7 +119,7 @@ def see_rendered_viewport(space: bpy.types.SpaceView3D, seen: dict):
     space.shading.type = "RENDERED"
     views = lambda: [pane.live for view in viewport._open for pane in view.panes.values()]
     yield from rest(views)
-    seen["rendered"] = [list(live.picture().result.shape[:2]) for live in views()]
+    seen["rendered"] = [list(live.picture().result[0].shape[:2]) for live in views()]
     shot("rendered")
 
 

@@ -1,4 +1,4 @@
-"""Estimate, prune, stop, go on, look at fewer, apply and undo, with the mouse. Writes what it saw to
+"""See the estimate, prune, stop, go on, look at fewer, apply and undo, with the mouse. Writes what it saw to
 OUT/seen.json."""
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from driver import DATA, OUT, click, key, shot, until
 
 PACKAGE = "bl_ext.user_default.svrgs"
 LEFT, RIGHT = 842, 961  # the two buttons of a row
-START, STOP, RESUME, APPLY = 241, 291, 298, 156  # distances of these rows below the header
+START, STOP, RESUME, APPLY = 267, 339, 292, 156  # distances of these rows below the header
 VIEW = (400, 700)  # somewhere in the 3D view
 
 
@@ -46,7 +46,6 @@ def load() -> str:
 
 def ask_for_estimate(splat: str, seen: dict):
     estimate = part("operators.jobs.estimate")
-    yield from click(LEFT, driver.header_height("Prune") + START)
     yield from until(lambda: "kept" in estimate.of(bpy.data.objects[splat]), "an estimate")
     yield 0.5
     seen["estimate"] = estimate.sentences(bpy.data.objects[splat])
