@@ -19,6 +19,7 @@ from time_report import in_time
 
 DEFAULT = "removal"  # the default method
 LEFT_OUT = ("demo", "south_building", "brighton")  # no constant was chosen on them
+CAPTURES = ("snowmiku", "south_building")  # the main real scenes
 BEST = 3  # how many of the other methods are named beside it
 BASE, RIVAL, PAPER = "3DGS", "MaskGS alpha", "SVR-GS"
 TABLE_ONE = (BASE, "LightGaussian", "Compact3DGS", RIVAL, PAPER)
@@ -210,6 +211,14 @@ def rivals(rows: list[dict], charts: Path) -> str:
     return by_share(rows, first | others | last)
 
 
+def full_size(rows: list[dict], charts: Path) -> str:
+    """Real captures with photographs in full size."""
+    rows = [row for row in pruned(rows, "pareto") if row["shrink"] == 1 and row["scene"] in CAPTURES]
+    others = sorted({name for (name,) in groups(rows, "method")} - {"3dgs", DEFAULT})
+    columns = {"3dgs": "plain steps", DEFAULT: f"`{DEFAULT}`"} | {name: f"`{name}`" for name in others}
+    return by_share(rows, columns)
+
+
 def by_share(rows: list[dict], columns: dict[str, str]) -> str:
     """A table of PSNR and LPIPS with a line for each scene and share. columns: heading of each method."""
     lines = []
@@ -327,10 +336,11 @@ def other_figures(rows: list[dict], charts: Path) -> str:
 
 
 def points(rows: list[dict], charts: Path) -> str:
-    """From the sparse points: PSNR and number of Gaussians of every method, a column per scene and
-    schedule."""
+    """From the sparse points: PSNR and number of Gaussians of every method, a column per scene and schedule
+    with more than one of them."""
     rows = [row for row in rows if row["study"] == "table"]
-    columns = groups(rows, "scene", "shrink", "schedule")
+    found = groups(rows, "scene", "shrink", "schedule")
+    columns = {key: those for key, those in found.items() if len(those) > 1}
     lines = []
     for (run,), group in groups(rows, "run").items():
         found = {(row["scene"], row["shrink"], row["schedule"]): row for row in group}
@@ -435,7 +445,7 @@ def sweep(rows: list[dict], charts: Path) -> str:
 
 
 OF_PAGE = (
-    command, equal, rivals, published, looks, skips, levels, pruning, left_out, few, in_time, other_figures,
+    command, equal, rivals, full_size, published, looks, skips, levels, pruning, left_out, few, in_time, other_figures,
     points, table_one, paper, scenarios, sweep,
 )  # fmt: skip
 PARTS: dict[str, Callable[[list[dict], Path], str]] = {part.__name__: part for part in OF_PAGE}
