@@ -445,7 +445,8 @@ def sweep(rows: list[dict], charts: Path) -> str:
 
 
 OF_PAGE = (
-    command, equal, rivals, full_size, published, looks, skips, levels, pruning, left_out, few, in_time, other_figures,
+    command, equal, rivals, full_size, published, looks, skips, levels, pruning, left_out, few, in_time,
+    other_figures,
     points, table_one, paper, scenarios, sweep,
 )  # fmt: skip
 PARTS: dict[str, Callable[[list[dict], Path], str]] = {part.__name__: part for part in OF_PAGE}
