@@ -6,6 +6,8 @@ file is opened; those of an object's data until Blender changes that data, and u
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -52,6 +54,7 @@ class KnownScene:
     dither: float | None = None  # its own dither while it is rendered without
 
 
+marked: set[int] = set()  # session_uids of data whose Gaussians stay as they are in the update that runs
 objects: dict[int, KnownObject] = {}
 _data: dict[int, KnownData] = {}
 _scenes: dict[int, KnownScene] = {}
@@ -77,6 +80,20 @@ def of_scene(scene: bpy.types.Scene) -> KnownScene:
     return _scenes.setdefault(scene.session_uid, KnownScene())
 
 
+@contextmanager
+def only_marks(obj: bpy.types.Object) -> Iterator[None]:
+    """Within it attributes of the splat's data may change, but not its Gaussians: what is known of them, and
+    read of them, stays. What was changed before is taken note of first."""
+    layer, uid = bpy.context.view_layer, obj.data.session_uid
+    layer.update()
+    marked.add(uid)
+    try:
+        yield
+        layer.update()
+    finally:
+        marked.discard(uid)
+
+
 def forget_points():
     """Forgets what is known of the points of all splats."""
     _data.clear()
@@ -88,7 +105,8 @@ def _after_update(scene, depsgraph=None):
         changed = update.id.original
         if isinstance(changed, bpy.types.Object):
             changed = changed.data if update.is_updated_geometry else None
-        _data.pop(getattr(changed, "session_uid", 0), None)
+        if (uid := getattr(changed, "session_uid", 0)) not in marked:
+            _data.pop(uid, None)
 
 
 @persistent

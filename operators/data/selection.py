@@ -18,7 +18,7 @@ from ...svrgs_addon.prune.selection.select import selected
 from ...svrgs_addon.scene.camera import Camera
 from ...svrgs_addon.scene.neighbours import nearest_rows
 from ...svrgs_addon.system.errors import SceneError
-from . import grading, splat_object, visible_splats, volumes
+from . import grading, known, splat_object, visible_splats, volumes
 
 SELECTED = "svrgs:selected"  # attribute: marks the selected Gaussians
 NEIGHBOURS = 8  # by which a selection grows or shrinks
@@ -80,11 +80,12 @@ def change(obj: bpy.types.Object, mask: np.ndarray, mode: str, invert: bool = Fa
         shown[visible_splats.visible_rows(obj)] = True
         mask = shown & ~mask
     mask = COMBINED[mode](read(obj), mask)
-    splat_object.set_values(obj, SELECTED, "BOOLEAN", mask)
-    if obj.type == "MESH":
-        obj.data.vertices.foreach_set("select", mask)
-    else:
-        splat_object.set_values(obj, EDIT_MODE, "BOOLEAN", mask)
+    with known.only_marks(obj):
+        splat_object.set_values(obj, SELECTED, "BOOLEAN", mask)
+        if obj.type == "MESH":
+            obj.data.vertices.foreach_set("select", mask)
+        else:
+            splat_object.set_values(obj, EDIT_MODE, "BOOLEAN", mask)
     return int(mask.sum())
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import bpy
@@ -12,7 +12,9 @@ from bpy.app.handlers import persistent
 from ...svrgs_addon.scene.gaussians import Scene
 from ...svrgs_addon.scene.grade import Grade, graded, inside
 from ...svrgs_addon.scene.morton_order import morton_order
-from ..data import grading, quick_order, splat_object, visible_splats
+from ..data import grading, known, quick_order, splat_object, visible_splats
+
+_numbers = itertools.count()
 
 
 @dataclass(frozen=True)
@@ -27,7 +29,7 @@ class Entry:
     grade: Grade
     # (N,) of attributes that were asked for, None if there is none
     values: dict[str, Any] = field(default_factory=dict)
-    number: int = field(default_factory=itertools.count().__next__)  # every entry has another number
+    number: int = field(default_factory=lambda: next(_numbers))  # every entry has another number
 
 
 # By session_uid of the object, the address of its evaluated data (nodes may show others beside its own, so
@@ -77,7 +79,8 @@ def _entry(obj: bpy.types.Object, whole: bool = False) -> Entry:
 
 
 def forget_updated(depsgraph: bpy.types.Depsgraph):
-    """Removes the entries of objects that have changed or are gone."""
+    """Removes the entries of objects that have changed or are gone. Where only attributes of other kinds have
+    changed, such as the selection, these are read anew."""
     if not _entries:
         return
     there = {obj.session_uid for obj in bpy.data.objects}
@@ -87,7 +90,9 @@ def forget_updated(depsgraph: bpy.types.Depsgraph):
         if not isinstance(update.id, bpy.types.Object) or update.is_updated_geometry
     }
     for key, entry in list(_entries.items()):
-        if key[0] not in there or key[0] in changed or entry.data in changed:
+        if entry.data in known.marked and key[0] in there:
+            _entries[key] = replace(entry, values={}, number=next(_numbers))
+        elif key[0] not in there or key[0] in changed or entry.data in changed:
             del _entries[key]
 
 

@@ -57,3 +57,25 @@ def test_nothing_is_kept_of_a_splat_that_is_gone(stage, bridge, gaussians, room,
     bpy.data.objects.remove(other)
     bpy.context.view_layer.update()
     assert {uid for uid, *_ in cache._entries} == {room.session_uid}
+
+
+def test_a_selection_is_read_and_the_gaussians_are_not_read_anew(stage, gaussians, room):
+    """But what was changed before it is, in the same breath."""
+    cache, change = part("operators.view.scene_cache"), part("operators.data.selection").change
+    evaluated = lambda: room.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    before, mask = cache.read(evaluated()), np.zeros(gaussians.count, bool)
+    for row in (3, 5):
+        mask[row], number = True, seen_number(room)
+        change(room, mask, "SET")
+        assert seen_number(room) != number, "a viewport draws it"
+        order = np.array(
+            [np.flatnonzero((before.means == mean).all(axis=1))[0] for mean in gaussians.means[mask]]
+        )
+        values = cache.read_values(evaluated(), "svrgs:selected")
+        assert sorted(np.flatnonzero(values)) == sorted(order)
+        if room.type == "POINTCLOUD":
+            assert cache.read(evaluated()) is before
+    ones = np.ones(gaussians.count, np.float32)
+    part("operators.data.splat_object").set_values(room, "of a script", "FLOAT", ones)
+    change(room, ~mask, "SET")
+    assert cache.read(evaluated()) is not before
