@@ -12,9 +12,10 @@ Blender, and a crash cannot end Blender.
 import importlib
 import signal
 import sys
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
-ROOT = str(Path(__file__).resolve().parents[1])
+PACKAGE = "svrgs_addon"
 
 
 def main() -> int:
@@ -29,10 +30,14 @@ def main() -> int:
 
 
 def part(name: str):
-    """A module of svrgs_addon. A script has no package, so it cannot import relatively."""
-    if ROOT not in sys.path:
-        sys.path.insert(0, ROOT)
-    return importlib.import_module(f"svrgs_addon.{name}")
+    """A module of svrgs_addon, whose folder is on no path. A script has no package, so it cannot import
+    relatively."""
+    if PACKAGE not in sys.modules:
+        spec = spec_from_file_location(PACKAGE, Path(__file__).resolve().with_name("__init__.py"))
+        assert spec is not None and spec.loader is not None
+        sys.modules[PACKAGE] = module_from_spec(spec)
+        spec.loader.exec_module(sys.modules[PACKAGE])
+    return importlib.import_module(f"{PACKAGE}.{name}")
 
 
 def run(words: list[str]) -> int:

@@ -188,6 +188,11 @@ def test_the_manifest_follows_the_rules_of_the_public_repository():
     reasons = MANIFEST["permissions"].values()
     assert all(len(reason) <= 64 and reason[-1].isalnum() for reason in reasons)
     assert MANIFEST["maintainer"] and MANIFEST["tags"]
+    sources = [
+        path for folder in ("svrgs_addon", "operators", "panels") for path in (ROOT / folder).rglob("*.py")
+    ]
+    written = re.compile(r"sys\.path(\.\w+\(|\s*\+?=|\[)")
+    assert len(sources) > 200 and not [path for path in sources if written.search(path.read_text("utf-8"))]
 
 
 def in_folder(words: Iterable[str]) -> list[str]:
