@@ -1,7 +1,8 @@
 """Makes svrgs_addon/sample.spz, which Open Sample imports in Blender, of the scene of `make demo`:
 
-    svrgs train --data build/demo/scene --iterations 4000 --densify-until 2000 --sh-degree 1 --out plaza.ply
-    python tools/make_sample.py plaza.ply
+    svrgs train --data build/demo/scene --iterations 4000 --densify-until 2000 --sh-degree 1 --out t.ply
+    python tools/make_sample.py t.ply
+
 
 The plaza alone, without lawn and sky, turned as files of captures are (y down), and pruned to COUNT Gaussians.
 """
