@@ -4,7 +4,7 @@
     python tools/make_sample.py t.ply
 
 
-The plaza alone, without lawn and sky, turned as files of captures are (y down), and pruned to COUNT Gaussians.
+The plaza alone, without lawn and sky, turned as files of captures are (y down), pruned to COUNT Gaussians.
 """
 
 from __future__ import annotations
