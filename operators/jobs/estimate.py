@@ -24,7 +24,7 @@ from .job import given_views, options_of, start_problem
 
 MODULE = "svrgs_addon.jobs.estimate"
 WAIT = 0.8  # seconds without a change of the settings
-MOST = 2_000_000  # Gaussians of a splat whose estimate is made unasked
+MOST = 500_000  # Gaussians of a splat whose estimate is made unasked
 
 _wanted: dict = {}  # the inputs of the estimate that begins soon
 
