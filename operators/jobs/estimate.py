@@ -70,8 +70,10 @@ def line(obj: bpy.types.Object) -> str:
 def sentences(obj: bpy.types.Object) -> list[str]:
     """The last estimate of the splat in words; [] if there is none."""
     found = of(obj)
-    if "error" in found or not found or "busy" in found:
-        return [found["error"]] if "error" in found else []
+    if "error" in found:
+        return [found["error"]]
+    if "kept" not in found:
+        return []
     kept, count = found["kept"], found["count"]
     stay = (
         tr("At most {kept:,} of {count:,} would stay ({share:.0%})")
@@ -202,7 +204,10 @@ def _begin_soon() -> float | None:
         _wanted.clear()
         _wanted.update(inputs)
         return WAIT
-    begin(context, obj)
+    try:
+        begin(context, obj)
+    except SplatError as error:  # an attribute was deleted
+        known.of(obj).estimate, known.of(obj).estimated = {"error": str(error)}, inputs
     return None
 
 

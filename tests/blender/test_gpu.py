@@ -89,3 +89,16 @@ def test_blender_does_not_complain_about_the_push_constants(drawing, capfd):
     drawing.hiding_shader()
     ctypes.CDLL(None).fflush(None)
     assert "Push constants" not in "".join(capfd.readouterr())
+
+
+def test_a_moving_view_has_as_many_pixels_as_there_is_time_for():
+    """And does not go back to a size that was too slow unless there is time to spare."""
+    view = part("operators.view.overlay").View()
+    try:
+        seen = []
+        for seconds in (0.01, 0.01, 0.02, 0.04, 0.01, 0.005, 0.05, 0.05, 0.05):
+            seen.append(view.reduction)
+            view.adapt(seconds)
+        assert seen == [4, 2, 1, 1, 2, 2, 1, 2, 4]
+    finally:
+        view.live.close()
