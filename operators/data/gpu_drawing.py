@@ -24,9 +24,10 @@ void main() {
 # from the eye.
 HIDING_FRAGMENT = """
 void main() {
-  float z = texture(depth, uv).r * depths.x - depths.y;
+  float z = texelFetch(depth, ivec2(uv * vec2(textureSize(depth, 0))), 0).r * depths.x - depths.y;
   float buffered = 0.5 * (lens.y - lens.x * z) / (lens.w - lens.z * z) + 0.5;
-  if (buffered >= texture(lines, uv).r - NEAR) discard;
+  float line = texelFetch(lines, ivec2(uv * vec2(textureSize(lines, 0))), 0).r;
+  if (buffered >= line - NEAR) discard;
   result = vec4(0.0);
 }
 """
