@@ -46,8 +46,8 @@ def run(words: list[str]) -> int:
     found = wheels.find(own, extensions)
     variables = part("system.subprocess_python").environment(found)
     variables[part("system.packages").MISSING_VARIABLE] = wheels.missing(found, extensions)
-    path = library.library_path(folder / "svrgs_addon" for folder in extensions)
-    variables[library.LIBRARY_VARIABLE] = str(path)
+    unpacked = [found[wheels.NATIVE] / wheels.NATIVE] if wheels.NATIVE in found else []
+    variables[library.LIBRARY_VARIABLE] = str(library.library_path(unpacked))
     child = processes.ChildProcess([sys.executable, "-m", "svrgs_addon", *words], env=variables)
     for number in processes.stop_signals():
         signal.signal(number, lambda *_: child.ask_to_stop())

@@ -160,11 +160,8 @@ def test_the_zip_holds_the_product_and_nothing_else(extension_zip):
         "svrgs_addon",
         "wheels",
     }
-    assert (
-        "svrgs_addon/libsvrgs.so" in names
-        and "operators/data/splat_object.py" in names
-        and not any("__pycache__" in name for name in names)
-    )
+    assert "operators/data/splat_object.py" in names
+    assert not any(name.endswith((".so", ".dll", ".dylib", ".pyc")) for name in names), "nothing is compiled"
     assert sorted(name for name in names if name.startswith("wheels/")) == sorted(
         wheel[2:] for wheel in manifest["wheels"]
     )

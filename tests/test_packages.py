@@ -16,6 +16,7 @@ from pathlib import Path
 
 import pytest
 
+import native_wheel
 import platforms
 from svrgs_addon.native.library_path import LIBRARY_VARIABLE, library_path
 from svrgs_addon.system import wheels
@@ -318,9 +319,10 @@ def test_blender_lends_what_a_checkout_lacks(bare, tiny, checkout, tmp_path):
     if spec is None or subprocess.run([sys.executable, "-c", "import bpy"], capture_output=True).returncode:
         pytest.skip("Blender as a module is not installed, or cannot be imported")
     extension = tmp_path / "user/extensions/user_default/svrgs"
-    extension.mkdir(parents=True)
-    (extension / "wheels").symlink_to(ROOT / "wheels")
-    (extension / "svrgs_addon").symlink_to(ROOT / "svrgs_addon")
+    (extension / "wheels").mkdir(parents=True)
+    for wheel in (ROOT / "wheels").iterdir():
+        (extension / "wheels" / wheel.name).symlink_to(wheel)
+    native_wheel.write(ROOT / "svrgs_addon" / LIBRARY, platforms.this_platform(), extension / "wheels")
     code = (
         "import sys, runpy; sys.path.append(sys.argv.pop(1)); import bpy; runpy.run_path(sys.argv[1],"
         " run_name='__main__')"
@@ -340,4 +342,5 @@ def test_blender_lends_what_a_checkout_lacks(bare, tiny, checkout, tmp_path):
     assert [path.name.split("-")[0] for path in sorted((tmp_path / "cache/svrgs").iterdir())] == [
         "openimageio",
         "pycolmap",
+        "svrgs_native",
     ][bool(bundled) :]

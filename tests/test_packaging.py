@@ -15,7 +15,9 @@ from pathlib import Path
 import pytest
 
 import build_extension
+import native_wheel
 import platforms
+from svrgs_addon.system import here
 from svrgs_bench import variants
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -40,7 +42,7 @@ def wheels(tmp_path, monkeypatch) -> Path:
 
 
 def manifest(variant: platforms.Variant) -> dict:
-    return tomllib.loads(build_extension.manifest(variant))
+    return tomllib.loads(build_extension.manifest(variant, Path(__file__)))  # any file for a library
 
 
 def test_every_platform_has_a_zip_for_any_python():
@@ -63,10 +65,11 @@ def test_manifests_differ_in_platform_blenders_and_wheels_alone(wheels):
         ] == platforms.VERSION
         assert made["platforms"] == [variant.platform] and made["blender_version_min"] == variant.facts["min"]
         assert made.get("blender_version_max") == variant.facts.get("max")
-        assert len(made.get("wheels", [])) == len(variant.facts["packages"])
+        native, *others = made["wheels"]
+        assert native.startswith(f"./wheels/svrgs_native-{platforms.VERSION}-0")
+        assert len(others) == len(variant.facts["packages"])
         assert all(
-            variant.facts["python"] in wheel and (wheels / Path(wheel).name).exists()
-            for wheel in made.get("wheels", [])
+            variant.facts["python"] in wheel and (wheels / Path(wheel).name).exists() for wheel in others
         )
 
 
@@ -107,9 +110,24 @@ def test_what_a_zip_will_hold(tmp_path):
     assert {path.name for path in (tmp_path / "stage").iterdir()} == {
         *build_extension.PRODUCT,
         "blender_manifest.toml",
+        "wheels",
     }
-    assert [path.name for path in (tmp_path / "stage/svrgs_addon").glob("*svrgs.*")] == ["svrgs.dll"]
     assert not list((tmp_path / "stage").rglob("__pycache__"))
+    (wheel,) = (tmp_path / "stage/wheels").iterdir()
+    with zipfile.ZipFile(wheel) as opened:
+        assert opened.read("svrgs_native/built.dll") == b"a library"
+
+
+def test_the_native_wheel_is_one_that_pip_installs(tmp_path):
+    """For any Python, with the library of this checkout; and the same bytes each time."""
+    library, platform = platforms.ROOT / "svrgs_addon" / here.LIBRARY, platforms.this_platform()
+    wheel = native_wheel.write(library, platform, tmp_path)
+    assert wheel.read_bytes() == native_wheel.write(library, platform, tmp_path / "again").read_bytes()
+    pip = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-index", "--target"]
+    subprocess.run([*pip, tmp_path / "into", wheel], check=True)
+    installed = tmp_path / "into/svrgs_native" / here.LIBRARY
+    assert installed.read_bytes() == library.read_bytes()
+    assert (tmp_path / f"into/svrgs_native-{platforms.VERSION}.dist-info/licenses/LICENSE").exists()
 
 
 # --- the wheel for pip
@@ -202,14 +220,13 @@ def contents(archive: Path) -> dict[str, int]:
         return {info.filename: info.CRC for info in opened.infolist() if not info.is_dir()}
 
 
-def test_packaged_zips_differ_in_manifest_library_and_wheels_alone(packaged):
+def test_packaged_zips_differ_in_manifest_and_wheels_alone(packaged):
     common = set()
     for variant, path in packaged.items():
         assert path.stat().st_size <= LIMIT
         files = contents(path)
         own = {
             "blender_manifest.toml",
-            f"svrgs_addon/{variant.library}",
             *(name for name in files if name.startswith("wheels/")),
         }
         assert own <= set(files)
@@ -222,5 +239,8 @@ def test_packaged_wheels_hold_the_library_of_the_zip(packaged):
         wheel = wheel_for_pip(name)
         variant = platforms.Variant(name, "any-python")
         library = f"svrgs_addon/{variant.library}"
-        assert contents(wheel)[library] == contents(packaged[variant])[library]
         assert [path for path in contents(wheel) if path.endswith((".so", ".dll", ".dylib"))] == [library]
+        build = f"0{contents(wheel)[library]:08x}"  # the checksum of the library
+        assert [path.split("-")[2] for path in contents(packaged[variant]) if "svrgs_native" in path] == [
+            build
+        ]

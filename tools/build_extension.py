@@ -15,6 +15,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+import native_wheel
 from platforms import ROOT, TABLE, VERSION, Variant, variant_for, variants
 
 DIST = ROOT / "dist"
@@ -30,15 +31,15 @@ def builder() -> Path | None:
     return next(Path(spec.origin).parent.glob("*/scripts/addons_core/bl_pkg/cli/blender_ext.py"))
 
 
-def manifest(variant: Variant) -> str:
+def manifest(variant: Variant, library: Path) -> str:
     """The manifest of one zip: blender_manifest.toml with the version, the versions of Blender, the platform
     and the wheels."""
     lines = [f'version = "{VERSION}"', f'platforms = ["{variant.platform}"]']
     lines += [
         f'blender_version_{end} = "{variant.facts[end]}"' for end in ("min", "max") if end in variant.facts
     ]
-    if wheels := variant.wheels():
-        lines += ["wheels = [", *(f'  "./wheels/{wheel.name}",' for wheel in wheels), "]"]
+    names = [native_wheel.name_of(library, variant.platform), *(wheel.name for wheel in variant.wheels())]
+    lines += ["wheels = [", *(f'  "./wheels/{name}",' for name in names), "]"]
     text = (ROOT / "blender_manifest.toml").read_text(encoding="utf-8")
     return text.replace("\n[permissions]", "\n".join([*lines, "\n[permissions]"]))
 
@@ -54,11 +55,10 @@ def stage(variant: Variant, library: Path, folder: Path) -> None:
             if source.is_dir()
             else shutil.copy2(source, folder)
         )
-    shutil.copy2(library, folder / "svrgs_addon" / variant.library)
+    native_wheel.write(library, variant.platform, folder / "wheels")
     for wheel in variant.wheels():
-        (folder / "wheels").mkdir(exist_ok=True)
         shutil.copy2(wheel, folder / "wheels")
-    (folder / "blender_manifest.toml").write_text(manifest(variant), encoding="utf-8")
+    (folder / "blender_manifest.toml").write_text(manifest(variant, library), encoding="utf-8")
 
 
 def build(variant: Variant, library: Path, folder: Path) -> Path:

@@ -1,4 +1,4 @@
-"""Builds the wheel of every platform in platforms.toml, in dist/wheels/, and with it the native core, in
+"""Builds the wheels of every platform: of the program, and of its native core (native_wheel.py), in platforms.toml, in dist/wheels/, and with it the native core, in
 build/platforms/TARGET: python tools/build_wheels.py [PLATFORM...]. Needs the packages of
 requirements-package.txt.
 
@@ -15,7 +15,8 @@ import sys
 import tempfile
 from pathlib import Path
 
-from platforms import BUILT, ROOT, TABLE, VERSION
+import native_wheel
+from platforms import BUILT, ROOT, TABLE, VERSION, Variant
 
 OUT = ROOT / "dist/wheels"
 PROGRAMS = Path(sys.executable).parent
@@ -68,7 +69,7 @@ def build(platform: str) -> Path:
             stdout=subprocess.DEVNULL,
         )
         (wheel,) = Path(made).glob("*.whl")
-        OUT.mkdir(parents=True, exist_ok=True)
+        native_wheel.write(Variant(platform, "any-python").built_library, platform, OUT)
         return Path(shutil.copy2(wheel, OUT / f"svrgs_addon-{VERSION}-py3-none-{facts['pip']}.whl"))
 
 

@@ -24,13 +24,14 @@ from . import here, replacing
 from .errors import SceneError
 
 PACKAGES = ("numpy", "OpenImageIO", "pycolmap")
+NATIVE = "svrgs_native"  # the package of the native library, where it comes as a wheel
 ROOT = Path(__file__).resolve().parents[2]  # the checkout, or the installed extension
 UNFINISHED = ".unpack-"  # begins the names of folders in the cache that are being filled
 
 
 def importable() -> dict[str, Path]:
-    """{package: its folder on sys.path} of those PACKAGES that this process can import."""
-    specs = {name: importlib.util.find_spec(name) for name in PACKAGES}
+    """{package: its folder on sys.path} of those PACKAGES, and of NATIVE, that this process can import."""
+    specs = {name: importlib.util.find_spec(name) for name in (*PACKAGES, NATIVE)}
     return {
         name: Path(next(iter(spec.submodule_search_locations))).parent
         for name, spec in specs.items()
@@ -39,8 +40,8 @@ def importable() -> dict[str, Path]:
 
 
 def find(folders: Iterable[Path] = (), extensions: Iterable[Path] = ()) -> dict[str, Path]:
-    """{package: folder to import it from} of those PACKAGES that are found. missing() says what to do about
-    the others.
+    """{package: folder to import it from} of those PACKAGES, and of NATIVE, that are found. missing() says
+    what to do about the others.
 
     They are looked for on sys.path, then in `folders`, then among the wheels of ROOT, then among those of
     `extensions`, which are folders of installed extensions. Raises SceneError if numpy is found nowhere, and
@@ -52,7 +53,7 @@ def find(folders: Iterable[Path] = (), extensions: Iterable[Path] = ()) -> dict[
     this_python = f"cp{sys.version_info[0]}{sys.version_info[1]}"
     for wheel in _wheels(extensions):
         name = _package(wheel)
-        if name and name not in found and _fits_platform(wheel) and _python(wheel) == this_python:
+        if name and name not in found and _fits_platform(wheel) and _python(wheel) in (this_python, "py3"):
             found[name] = _unpacked(wheel)
     if "numpy" not in found:
         raise SceneError(missing(found, extensions))
@@ -63,7 +64,8 @@ def missing(found: Iterable[str], extensions: Iterable[Path] = ()) -> str:
     """The sentence that says which of the PACKAGES this Python lacks, and what to do; empty if all are in
     `found`."""
     lacking = [name for name in PACKAGES if name not in found]
-    return _what_to_do(lacking, _wheels(extensions)) if lacking else ""
+    wheels = [wheel for wheel in _wheels(extensions) if _package(wheel) != NATIVE]
+    return _what_to_do(lacking, wheels) if lacking else ""
 
 
 def _wheels(extensions: Iterable[Path]) -> list[Path]:
@@ -75,7 +77,7 @@ def _wheels(extensions: Iterable[Path]) -> list[Path]:
 
 def _package(wheel: Path) -> str | None:
     name = wheel.name.partition("-")[0]
-    return next((package for package in PACKAGES if package.lower() == name.lower()), None)
+    return next((one for one in (*PACKAGES, NATIVE) if one.lower() == name.lower()), None)
 
 
 def _python(wheel: Path) -> str:
