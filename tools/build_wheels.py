@@ -1,6 +1,6 @@
-"""Builds the wheels of every platform: of the program, and of its native core (native_wheel.py), in platforms.toml, in dist/wheels/, and with it the native core, in
-build/platforms/TARGET: python tools/build_wheels.py [PLATFORM...]. Needs the packages of
-requirements-package.txt.
+"""Builds the wheels of every platform in platforms.toml, in dist/wheels/: of the program, and of its native
+core alone (native_wheel.py). The core itself lies in build/platforms/TARGET. python tools/build_wheels.py
+[PLATFORM...]. Needs the packages of requirements-package.txt.
 
 build/platforms/TARGET also gets the library with debug symbols, svrgs-debug.
 """
