@@ -62,7 +62,7 @@ def extension_zip(tmp_path_factory):
 
 @pytest.fixture
 def any_python_zip(tmp_path):
-    """The zip without wheels for this platform."""
+    """The zip without packages for this platform."""
     if build_extension.builder() is None:
         pytest.skip("bpy is not installed, and with it Blender's builder of extensions")
     variant = platforms.Variant(platforms.this_platform(), "any-python")

@@ -84,7 +84,7 @@ def generate_repository(zips: list[Path], folder: Path) -> None:
 
 
 def in_repository(variant: Variant) -> bool:
-    """Whether Blender may choose it by itself: with its wheels, or where no wheels exist."""
+    """Whether Blender may choose it by itself: with its packages, or where they have no wheels."""
     return bool(variant.facts["packages"]) or "wheels" not in TABLE["platform"][variant.platform]
 
 

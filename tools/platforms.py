@@ -80,7 +80,7 @@ def this_platform() -> str:
 
 
 def variant_for(python: str) -> Variant:
-    """The one for this platform and a Python (cp311); that without wheels if there is none with wheels."""
+    """The one for this platform and a Python (cp311); that without packages if there is none with them."""
     here = this_platform()
     return next(
         (variant for variant in variants() if variant.fits(here, python)), Variant(here, "any-python")

@@ -1,4 +1,4 @@
-"""The zip without wheels, in a Blender whose Python has no pycolmap: all but COLMAP models works.
+"""The zip without pycolmap, in a Blender whose Python has no pycolmap: all but COLMAP models works.
 ../test_extension.py runs this by name."""
 
 from __future__ import annotations
