@@ -54,7 +54,7 @@ class KnownScene:
     dither: float | None = None  # its own dither while it is rendered without
 
 
-marked: set[int] = set()  # session_uids of data whose Gaussians stay as they are in the update that runs
+unchanged: set[int] = set()  # session_uids of data whose Gaussians do not change in the update that runs
 objects: dict[int, KnownObject] = {}
 _data: dict[int, KnownData] = {}
 _scenes: dict[int, KnownScene] = {}
@@ -82,16 +82,16 @@ def of_scene(scene: bpy.types.Scene) -> KnownScene:
 
 @contextmanager
 def only_marks(obj: bpy.types.Object) -> Iterator[None]:
-    """Within it attributes of the splat's data may change, but not its Gaussians: what is known of them, and
-    read of them, stays. What was changed before is taken note of first."""
+    """Inside this block only marks of the splat change, such as its selection. Its Gaussians do not, so what
+    is known of them stays. Changes from before the block are handled first."""
     layer, uid = bpy.context.view_layer, obj.data.session_uid
     layer.update()
-    marked.add(uid)
+    unchanged.add(uid)
     try:
         yield
         layer.update()
     finally:
-        marked.discard(uid)
+        unchanged.discard(uid)
 
 
 def forget_points():
@@ -105,7 +105,7 @@ def _after_update(scene, depsgraph=None):
         changed = update.id.original
         if isinstance(changed, bpy.types.Object):
             changed = changed.data if update.is_updated_geometry else None
-        if (uid := getattr(changed, "session_uid", 0)) not in marked:
+        if (uid := getattr(changed, "session_uid", 0)) not in unchanged:
             _data.pop(uid, None)
 
 

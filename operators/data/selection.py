@@ -73,7 +73,7 @@ def change(obj: bpy.types.Object, mask: np.ndarray, mode: str, invert: bool = Fa
     """Combines a mask (N,) with the selection of the splat, as COMBINED defines. Returns the number of
     selected Gaussians.
 
-    invert: what the mask does not mark, and what is not hidden, is taken instead.
+    invert: take the Gaussians that the mask does not mark, without hidden ones.
     """
     if invert:
         shown = np.zeros(len(mask), bool)
@@ -133,18 +133,22 @@ def clear(obj: bpy.types.Object):
 def hide(obj: bpy.types.Object) -> int:
     """Hides the selected Gaussians from views, pictures and files, and clears the selection. Returns how many
     they are. Raises SceneError if none would be left."""
-    mask, hidden = read(obj), splat_object.values(obj, visible_splats.HIDDEN)
+    mask = read(obj)
     _refuse_nothing(~(mask | visible_splats.marked(obj)))
-    both = mask if hidden is None else mask | hidden.astype(bool)
-    splat_object.set_values(obj, visible_splats.HIDDEN, "BOOLEAN", both)
+    splat_object.set_values(obj, visible_splats.HIDDEN, "BOOLEAN", mask | _hidden(obj))
     clear(obj)
     return int(mask.sum())
 
 
 def hidden_count(obj: bpy.types.Object) -> int:
     """Number of Gaussians that hide() has hidden."""
+    return int(_hidden(obj).sum()) if visible_splats.HIDDEN in obj.data.attributes else 0
+
+
+def _hidden(obj: bpy.types.Object) -> np.ndarray:
+    """(N,) bool: the Gaussians that hide() has hidden."""
     hidden = splat_object.values(obj, visible_splats.HIDDEN)
-    return 0 if hidden is None else int(hidden.sum())
+    return np.zeros(splat_object.count(obj), bool) if hidden is None else hidden.astype(bool)
 
 
 def show_all(obj: bpy.types.Object):
@@ -153,9 +157,9 @@ def show_all(obj: bpy.types.Object):
 
 
 def delete(obj: bpy.types.Object, others: bool):
-    """Deletes the selected Gaussians, or all others, and clears the selection. Raises SceneError if none
-    would be left."""
-    keep(obj, read(obj) if others else ~read(obj))
+    """Deletes the selected Gaussians, or all others but those that hide() has hidden, and clears the
+    selection. Raises SceneError if none would be left."""
+    keep(obj, read(obj) | _hidden(obj) if others else ~read(obj))
 
 
 def keep(obj: bpy.types.Object, left: np.ndarray):

@@ -7,6 +7,7 @@ from __future__ import annotations
 import bpy
 from bpy.props import BoolProperty, PointerProperty, StringProperty
 
+from ..data.splat_object import is_splat
 from . import job_result, prune_state, train
 
 
@@ -27,7 +28,8 @@ def opened(context) -> str:
 
 
 def _situation(context) -> str:
-    return f"{prune_state.stage(context)} {next_step(context)}"
+    newest = max((obj.session_uid for obj in context.scene.objects if is_splat(obj)), default=0)
+    return f"{prune_state.stage(context)} {next_step(context)} {newest}"
 
 
 def _is_open(step: str):

@@ -79,8 +79,8 @@ def _entry(obj: bpy.types.Object, whole: bool = False) -> Entry:
 
 
 def forget_updated(depsgraph: bpy.types.Depsgraph):
-    """Removes the entries of objects that have changed or are gone. Where only attributes of other kinds have
-    changed, such as the selection, these are read anew."""
+    """Removes the entries of objects that have changed or are gone. Where only marks have changed, such as
+    the selection, the Gaussians stay, and the marks are read again."""
     if not _entries:
         return
     there = {obj.session_uid for obj in bpy.data.objects}
@@ -90,7 +90,7 @@ def forget_updated(depsgraph: bpy.types.Depsgraph):
         if not isinstance(update.id, bpy.types.Object) or update.is_updated_geometry
     }
     for key, entry in list(_entries.items()):
-        if entry.data in known.marked and key[0] in there:
+        if entry.data in known.unchanged and key[0] in there:
             _entries[key] = replace(entry, values={}, number=next(_numbers))
         elif key[0] not in there or key[0] in changed or entry.data in changed:
             del _entries[key]

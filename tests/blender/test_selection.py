@@ -238,6 +238,16 @@ def test_hidden_gaussians_are_in_no_view_and_no_file_until_they_are_shown(splat,
     more = int(selected(splat).sum())
     bpy.ops.svrgs.hide_gaussians()
     assert part("operators.data.selection").hidden_count(splat) == low.sum() + more
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "file.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "file.blend"))
+    splat = bpy.data.objects["scene"]
+    bpy.context.view_layer.objects.active = splat
+    assert f"{low.sum() + more:,} Gaussians are hidden" in drawn("select")
+    bpy.ops.svrgs.select_gaussians(criterion="OPACITY", opacity_low=0.6, opacity_high=1)
+    kept = int(selected(splat).sum())
+    bpy.ops.svrgs.delete_gaussians(what="OTHERS")
+    assert bridge.count(splat) == kept + low.sum() + more, "hidden ones are not deleted with the others"
     bpy.ops.svrgs.show_gaussians()
     graph = bpy.context.evaluated_depsgraph_get()
-    assert shown(splat.evaluated_get(graph)).count == 250 and "are hidden" not in drawn("select")
+    assert shown(splat.evaluated_get(graph)).count == bridge.count(splat)
+    assert "are hidden" not in drawn("select")
