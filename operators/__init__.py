@@ -9,6 +9,7 @@ MODULES = [
     import_module(f".{name}", __name__)
     for name in (
         "translation",
+        "manual",
         "data.background_work",
         "data.known",
         "data.job_paths",

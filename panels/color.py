@@ -10,6 +10,7 @@ from .sidebar import SidebarPanel, split_column, wrapped_label
 
 class SVRGS_PT_color(SidebarPanel, bpy.types.Panel):
     bl_label = "Color"
+    manual = "blender.html#color"
     bl_parent_id = "SVRGS_PT_scene"
     bl_options = {"DEFAULT_CLOSED"}
 

@@ -42,6 +42,7 @@ def draw(layout, context):
 
 class SVRGS_PT_compare_image(SidebarPanel, bpy.types.Panel):
     bl_label = "Compare"
+    manual = "blender.html#compare"
     bl_space_type = "IMAGE_EDITOR"
 
     def draw(self, context):

@@ -22,9 +22,11 @@ class SVRGS_PT_jobs(SidebarPanel, bpy.types.Panel):
     bl_label = "Jobs"
     bl_order = 5
     bl_options = {"DEFAULT_CLOSED"}
+    manual = "jobs.html"
 
     def draw_header_preset(self, context):
         self.layout.label(text=job_list.headline(context), translate=False)
+        super().draw_header_preset(context)
 
     def draw(self, context):
         layout, rows = self.layout, job_list.rows(context)

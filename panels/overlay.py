@@ -7,6 +7,7 @@ from .sidebar import SidebarPanel, native_library_works
 
 class SVRGS_PT_overlay(SidebarPanel, bpy.types.Panel):
     bl_label = "View"
+    manual = "blender.html#in-the-view-and-in-renders"
     bl_options = {"DEFAULT_CLOSED"}
     bl_order = 9
 

@@ -33,6 +33,7 @@ class SVRGS_UL_photographs(bpy.types.UIList):
 
 class SVRGS_PT_photographs(SidebarPanel, bpy.types.Panel):
     bl_label = "Photographs"
+    manual = "blender.html#scene"
     bl_parent_id = "SVRGS_PT_scene"
     bl_options = {"DEFAULT_CLOSED"}
 

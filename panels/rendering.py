@@ -10,6 +10,7 @@ from .sidebar import SidebarPanel, wrapped_label
 
 class SVRGS_PT_rendering(SidebarPanel, bpy.types.Panel):
     bl_label = "Render"
+    manual = "rendering.html"
     bl_order = 6
 
     def draw(self, context):

@@ -17,6 +17,7 @@ ROOTS = 3  # sets of cameras that are offered
 
 class SVRGS_PT_scene(SidebarPanel, bpy.types.Panel):
     bl_label = "Scene"
+    manual = "blender.html#scene"
 
     def draw(self, context):
         layout = self.layout

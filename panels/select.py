@@ -18,6 +18,7 @@ CHANGES = {"GROW": "ADD", "SHRINK": "REMOVE", "INVERT": "SELECT_DIFFERENCE"}
 
 class SVRGS_PT_select(SidebarPanel, bpy.types.Panel):
     bl_label = "Select"
+    manual = "selection.html#in-blender"
     bl_parent_id = "SVRGS_PT_scene"
     bl_options = {"DEFAULT_CLOSED"}
 

@@ -20,6 +20,15 @@ class SidebarPanel:  # the base of Panel classes, which have a layout
     bl_space_type = "VIEW_3D"
     bl_region_type = "UI"
     bl_category = "SVR-GS"
+    manual = "blender.html"  # page of the manual
+
+    def draw_header_preset(self, context):
+        manual_button(self.layout, self.manual)
+
+
+def manual_button(layout, page: str):
+    """Opens a page of the manual. page: its name, and # with a section."""
+    layout.operator("svrgs.manual", text="", icon="HELP", emboss=False).page = page
 
 
 def split_column(layout):

@@ -12,6 +12,7 @@ TICKS = 5
 
 class SpatialMaskPanel(SidebarPanel):
     bl_label = "Spatial Mask"
+    manual = "blender.html#in-the-view-and-in-renders"
 
     def draw(self, context):
         layout, settings = self.layout, context.scene.svrgs_view

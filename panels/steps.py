@@ -5,7 +5,7 @@ import bpy
 from bpy.app.translations import pgettext_n as n_
 
 from . import compare, export, prune, train
-from .sidebar import SidebarPanel
+from .sidebar import SidebarPanel, manual_button
 
 STEPS = (
     ("train", n_("1  Train"), train),
@@ -19,12 +19,16 @@ class SVRGS_PT_steps(SidebarPanel, bpy.types.Panel):
     bl_label = "Steps"
     bl_order = 1
 
+    def draw_header_preset(self, context):
+        """Each step has a button of its own."""
+
     def draw(self, context):
         for name, label, step in STEPS:
             header, body = self.layout.panel_prop(context.window_manager.svrgs_steps, name)
             row = header.row()
             row.active = step.has_something(context)
             row.label(text=label)
+            manual_button(header, f"{self.manual}#{name}")
             if body is not None:
                 step.draw(body, context)
 

@@ -151,10 +151,15 @@ def test_the_zip_holds_the_product_and_nothing_else(extension_zip):
     with zipfile.ZipFile(extension_zip(sys.executable, "-c")) as archive:
         names = archive.namelist()
         manifest = tomllib.loads(archive.read("blender_manifest.toml").decode())
+        licences = archive.read("LICENSES.txt").decode()
+    packages = [wheel.split("/")[-1].split("-")[0] for wheel in manifest["wheels"] if "svrgs" not in wheel]
+    assert all(f"{package}-" in licences for package in (*packages, "sphinx", "furo"))
     assert {name.split("/")[0] for name in names} == {
         "__init__.py",
         "blender_manifest.toml",
         "LICENSE",
+        "LICENSES.txt",
+        "manual",
         "operators",
         "panels",
         "svrgs_addon",

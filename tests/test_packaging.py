@@ -60,9 +60,7 @@ def test_manifests_differ_in_platform_blenders_and_wheels_alone(wheels):
     added = {"version", "platforms", "wheels", "blender_version_min", "blender_version_max"}
     for variant in platforms.variants():
         made = manifest(variant)
-        assert {key: made[key] for key in made if key not in added} == template and made[
-            "version"
-        ] == platforms.VERSION
+        assert {key: made[key] for key in made if key not in added} == template
         assert made["platforms"] == [variant.platform] and made["blender_version_min"] == variant.facts["min"]
         assert made.get("blender_version_max") == variant.facts.get("max")
         native, *others = made["wheels"]
@@ -71,6 +69,19 @@ def test_manifests_differ_in_platform_blenders_and_wheels_alone(wheels):
         assert all(
             variant.facts["python"] in wheel and (wheels / Path(wheel).name).exists() for wheel in others
         )
+
+
+def test_zips_of_one_platform_for_different_blenders_have_different_versions():
+    """The public repository takes no second one of the same version; a Blender that is updated finds a newer
+    one."""
+    versions = {
+        variant.blender: variant.version
+        for variant in platforms.variants()
+        if variant.platform == "linux-x64"
+    }
+    older, newer = versions["blender-4.2-to-5.0"], versions["blender-5.1-or-later"]
+    assert older == versions["any-python"] == platforms.VERSION and older < newer
+    assert int(platforms.VERSION.rpartition(".")[2]) % 2 == 0, "or the next release has the version of a zip"
 
 
 def test_no_two_zips_of_the_repository_fit_one_blender():
@@ -110,6 +121,8 @@ def test_what_a_zip_will_hold(tmp_path):
     assert {path.name for path in (tmp_path / "stage").iterdir()} == {
         *build_extension.PRODUCT,
         "blender_manifest.toml",
+        "LICENSES.txt",
+        "manual",
         "wheels",
     }
     assert not list((tmp_path / "stage").rglob("__pycache__"))

@@ -9,17 +9,22 @@ It runs without starting Blender.
 from __future__ import annotations
 
 import importlib.util
+import re
 import shutil
 import subprocess
 import sys
 import tempfile
+import zipfile
+from importlib.metadata import distribution
 from pathlib import Path
 
+import manual
 import native_wheel
-from platforms import ROOT, TABLE, VERSION, Variant, variant_for, variants
+from platforms import ROOT, TABLE, Variant, variant_for, variants
 
 DIST = ROOT / "dist"
 PRODUCT = ("__init__.py", "LICENSE", "operators", "panels", "svrgs_addon")
+LICENCE = re.compile(r"\.dist-info/(licenses/)?(LICEN[CS]E|COPYING|THIRD-PARTY)[^/]*$")
 BUILT_HERE = shutil.ignore_patterns("__pycache__", ".*", "*.so", "*.dll", "*.dylib", "*.new")
 
 
@@ -34,7 +39,7 @@ def builder() -> Path | None:
 def manifest(variant: Variant, library: Path) -> str:
     """The manifest of one zip: blender_manifest.toml with the version, the versions of Blender, the platform
     and the wheels."""
-    lines = [f'version = "{VERSION}"', f'platforms = ["{variant.platform}"]']
+    lines = [f'version = "{variant.version}"', f'platforms = ["{variant.platform}"]']
     lines += [
         f'blender_version_{end} = "{variant.facts[end]}"' for end in ("min", "max") if end in variant.facts
     ]
@@ -55,10 +60,25 @@ def stage(variant: Variant, library: Path, folder: Path) -> None:
             if source.is_dir()
             else shutil.copy2(source, folder)
         )
+    shutil.copytree(manual.build(), folder / "manual")
     native_wheel.write(library, variant.platform, folder / "wheels")
     for wheel in variant.wheels():
         shutil.copy2(wheel, folder / "wheels")
+    (folder / "LICENSES.txt").write_text(licences(variant.wheels()), encoding="utf-8")
     (folder / "blender_manifest.toml").write_text(manifest(variant, library), encoding="utf-8")
+
+
+def licences(wheels: list[Path]) -> str:
+    """The licence texts of what the zip holds of others: its wheels, and the scripts and styles of the
+    manual."""
+    texts = []
+    for wheel in wheels:
+        with zipfile.ZipFile(wheel) as files:
+            texts += [(name, files.read(name).decode()) for name in files.namelist() if LICENCE.search(name)]
+    for made_with in ("sphinx", "furo"):
+        files = distribution(made_with).files or []
+        texts += [(str(file), file.read_text()) for file in files if LICENCE.search(str(file))]
+    return "\n\n".join(f"{'=' * 80}\n{name}\n{'=' * 80}\n\n{text}" for name, text in texts)
 
 
 def build(variant: Variant, library: Path, folder: Path) -> Path:

@@ -14,6 +14,7 @@ TABLE = tomllib.loads((ROOT / "tools/platforms.toml").read_text(encoding="utf-8"
 VERSION = re.search(
     r'^__version__ = "(.+)"$', (ROOT / "svrgs_addon/__init__.py").read_text(encoding="utf-8"), re.MULTILINE
 )[1]
+FIRST_BLENDER = min(facts["min"] for facts in TABLE["blender"].values())
 # wheels of packages; native libraries, in a folder for each target
 WHEELS, BUILT = ROOT / "wheels", ROOT / "build/platforms"
 LIBRARIES = {"linux": "libsvrgs.so", "windows": "svrgs.dll", "macos": "libsvrgs.dylib"}
@@ -33,8 +34,15 @@ class Variant:
         return TABLE["blender"][self.blender]
 
     @property
+    def version(self) -> str:
+        """Of the zip. A shop takes two of one platform only with two versions: those for later Blenders have
+        the next one, so releases have an even last number."""
+        first, _, last = VERSION.rpartition(".")
+        return f"{first}.{int(last) + (self.facts['min'] != FIRST_BLENDER)}"
+
+    @property
     def name(self) -> str:
-        return f"svrgs-{VERSION}-{self.platform}-{self.blender}"
+        return f"svrgs-{self.version}-{self.platform}-{self.blender}"
 
     @property
     def library(self) -> str:
