@@ -7,9 +7,11 @@ from dataclasses import dataclass
 
 import bpy
 import numpy as np
+from mathutils import Matrix
 
 from ...svrgs_addon.prune.selection.outline import brush, centres_in, polygon, shown_in
-from . import grading, splat_object, visible_splats
+from ...svrgs_addon.scene.gaussians import Scene
+from . import visible_splats
 
 CIRCLE = 48  # corners of a drawn circle
 
@@ -50,26 +52,20 @@ def _corners(path: np.ndarray) -> np.ndarray:
 
 
 def gaussians_in(
-    context,
-    obj: bpy.types.Object,
+    scene: Scene,
+    matrix: Matrix,
     region: bpy.types.Region,
     view: bpy.types.RegionView3D,
     outline: Outline,
     through: bool,
 ) -> np.ndarray:
-    """(N,) bool: the Gaussians of the splat that are not hidden, whose centres are inside an outline in a
-    viewport, and which its pixels show; through: also those behind others. Raises SplatError."""
-    camera, rows = visible_splats.region_camera(region, view), visible_splats.visible_rows(obj)
+    """(N,) bool: the Gaussians of a scene, placed in Blender's world by a matrix, whose centres are inside an
+    outline in a viewport, and which its pixels show; through: also those behind others. Raises SplatError."""
+    camera = visible_splats.region_camera(region, view)
     inside = outline.pixels(camera.width, camera.height)
-    mask, means = (
-        np.zeros(splat_object.count(obj), bool),
-        splat_object.stored_values(obj, splat_object.POSITION),
-    )
-    matrix = np.array(obj.matrix_world, np.float32)
-    mask[rows] = centres_in(means[rows] @ matrix[:3, :3].T + matrix[:3, 3], camera, inside)
-    if through or not mask.any():
-        return mask
-    seen = grading.applied(splat_object.scene_from_object(obj).select(rows), obj)
-    placed = visible_splats.placed([(seen, obj.matrix_world)])
-    mask[rows] &= shown_in(placed.scene, placed.seen_by(camera), inside)
+    turn = np.array(matrix, np.float32)
+    mask = centres_in(scene.means @ turn[:3, :3].T + turn[:3, 3], camera, inside)
+    if not through and mask.any():
+        placed = visible_splats.placed([(scene, matrix)])
+        mask &= shown_in(placed.scene, placed.seen_by(camera), inside)
     return mask

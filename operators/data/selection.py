@@ -54,9 +54,9 @@ def find(
     )
     if wanted.size is not None:
         wanted = Criteria(size=(wanted.size[0] / placed.unit, wanted.size[1] / placed.unit))
-    mask = np.zeros(splat_object.count(obj), bool)
-    mask[rows] = selected(placed.scene, wanted, lambda named: views(placed, named), matrix)
-    return mask
+    return splat_object.mask_of(
+        obj, rows[selected(placed.scene, wanted, lambda named: views(placed, named), matrix)]
+    )
 
 
 def found_in_edit_mode(obj: bpy.types.Object) -> np.ndarray:

@@ -89,6 +89,13 @@ def count(obj: bpy.types.Object) -> int:
     return len(obj.data.vertices if obj.type == "MESH" else obj.data.points)
 
 
+def mask_of(obj: bpy.types.Object, rows: np.ndarray) -> np.ndarray:
+    """(N,) bool: whether a Gaussian is in one of these rows."""
+    mask = np.zeros(count(obj), bool)
+    mask[rows] = True
+    return mask
+
+
 def sh_degree(obj: bpy.types.Object) -> int:
     """SH degree that a file of the splat would have: up to the first band that is not complete."""
     bands = (

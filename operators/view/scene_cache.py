@@ -60,6 +60,16 @@ def read_values(obj: bpy.types.Object, name: str):
     return entry.values[name]
 
 
+def read_own(obj: bpy.types.Object) -> tuple[Scene, Any]:
+    """The visible Gaussians of an object itself, without its modifiers, and the row (N,) of each in it."""
+    if not obj.modifiers:
+        entry = _entry(obj.evaluated_get(bpy.context.evaluated_depsgraph_get()))
+        if entry.rows is not None:
+            return entry.scene, entry.rows
+    rows = visible_splats.visible_rows(obj)
+    return grading.applied(splat_object.scene_from_object(obj).select(rows), obj), rows
+
+
 def _entry(obj: bpy.types.Object, whole: bool = False) -> Entry:
     key = obj.original.session_uid, 0 if whole else obj.data.as_pointer(), whole
     grade, data = grading.of(obj), obj.original.data.session_uid

@@ -15,10 +15,11 @@ from gpu_extras.batch import batch_for_shader
 
 from ...svrgs_addon.native import library
 from ...svrgs_addon.system.errors import SceneError
-from ..data import select_in_view
+from ..data import select_in_view, splat_object
 from ..data.preferences import threads
 from ..scene.select_gaussians import MODES, SplatOperator, changed
 from ..translation import OWN
+from . import scene_cache
 
 SHAPES = [
     ("BOX", "Box", "Gaussians in a rectangle"),
@@ -58,7 +59,11 @@ class SVRGS_OT_select_region(SplatOperator):
         outline = select_in_view.Outline(
             self.shape, [tuple(point.loc) for point in self.path], settings.select_radius
         )
-        mask = select_in_view.gaussians_in(context, obj, region, view, outline, settings.select_through)
+        scene, rows = scene_cache.read_own(obj)
+        inside = select_in_view.gaussians_in(
+            scene, obj.matrix_world, region, view, outline, settings.select_through
+        )
+        mask = splat_object.mask_of(obj, rows[inside])
         return changed(context, obj, mask, self.mode)
 
     def invoke(self, context, event):

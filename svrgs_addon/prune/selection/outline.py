@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 
-from ...finetune import scores
 from ...native.library import thresholds
 from ...native.rasterizer import Rasterizer
 from ...render.metrics.evaluate import render_options
@@ -62,5 +63,13 @@ def shown_in(scene: Scene, camera: Camera, pixels: np.ndarray) -> np.ndarray:
     """(N,) bool: the Gaussians that one of the pixels (H, W) bool of the camera shows."""
     if not pixels.any():
         return np.zeros(scene.count, bool)
-    views = [camera.masked(pixels)]
-    return scores.contribution(scene, views, Rasterizer(), render_options(scene))[1] >= SHOWN
+    rasterizer, largest = _rasterizer(), np.zeros(scene.count, np.float32)
+    rasterizer.forward(scene, camera.masked(pixels), render_options(scene), outputs=())
+    rasterizer.add_scores(max_=largest)
+    return largest >= SHOWN
+
+
+@cache
+def _rasterizer() -> Rasterizer:
+    """One for all strokes: to get its memory takes as long as the picture."""
+    return Rasterizer()
