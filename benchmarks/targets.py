@@ -1,16 +1,16 @@
-"""How close methods come to a target: the Gaussians that masks alone would leave against a share, or the dB
-lost against an allowed drop.
+"""How close methods come to a target: the Gaussians that masks alone would leave against a share, or what is
+lost against an allowed loss.
 
     .venv/bin/python benchmarks/targets.py --data DIR --scene TRAINED.ply [--methods svr,maskgs] [--shares
     0.5,0.25] [--json]
     .venv/bin/python benchmarks/targets.py --data DIR --scene TRAINED.ply --methods removal,svr --drops
-    0.2,0.5,1 [--recovery N]
+    0.2,0.5,1 [--recovery N]                           # or --flips 0.01,0.02, or --lpips 0.01,0.03
 
 Further options (--images DIR, --schedule 0.3) are passed to `svrgs prune`.
 
 `make demo` makes a dataset and a trained scene: build/demo/scene and build/demo/trained.ply. It prints one
-row, of JSON or of a table, per method and share or drop. The error of a share is relative, that of a drop is
-in dB. The final ranking, which meets a share exactly, is not part of the figure.
+row, of JSON or of a table, per method and share or loss. The error of a share is relative, that of a loss
+in its unit. The final ranking, which meets a share exactly, is not part of the figure.
 """
 
 from __future__ import annotations
@@ -24,12 +24,13 @@ import tempfile
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
+LOSSES = {"drops": "--max-drop", "flips": "--max-flip", "lpips": "--max-lpips"}  # option: that of svrgs
 COLUMNS = ("method", "asked", "target", "reached", "error", "strength", "psnr before", "psnr", "count")
 
 
 def row(options: argparse.Namespace, method: str, flag: str, asked: float, folder: Path) -> dict:
-    """The figures of one run. flag: --target or --max-drop; asked: its value. It ends the program if the run
-    fails."""
+    """The figures of one run. flag: --target or one of LOSSES; asked: its value. It ends the program if the
+    run fails."""
     words = [
         "--iterations",
         options.iterations,
@@ -61,7 +62,7 @@ def row(options: argparse.Namespace, method: str, flag: str, asked: float, folde
         sys.exit(f"{method} at {asked}: {done.stderr.strip().splitlines()[-1]}")
     result = json.loads(done.stdout)
     figures = {name: result[name] for name in ("strength", "psnr", "count")}
-    if flag == "--max-drop":
+    if flag in LOSSES.values():
         figures |= {"target": asked, "reached": result["drop"], "error": result["drop"] - asked}
     elif result["reached"] is None:
         sys.exit(f"{method} learns no masks, so there is nothing to compare")
@@ -87,14 +88,16 @@ def main():
     parser.add_argument("--methods", default="svr,maskgs", type=lambda text: text.split(","))
     numbers = lambda text: [float(part) for part in text.split(",")]
     parser.add_argument("--shares", default="0.5,0.25", type=numbers)
-    parser.add_argument("--drops", type=numbers, help="allowed drops in dB, instead of shares")
+    for name, flag in LOSSES.items():
+        parser.add_argument(f"--{name}", type=numbers, help=f"values of {flag}, instead of shares")
     parser.add_argument("--iterations", type=int, default=3_000)
     parser.add_argument("--recovery", type=int, help="recovery steps (default: 0, with --drops 5000)")
     parser.add_argument("--json", action="store_true")
     options, options.further = parser.parse_known_args()
-    flag, values = ("--max-drop", options.drops) if options.drops else ("--target", options.shares)
+    losses = [(flag, getattr(options, name)) for name, flag in LOSSES.items() if getattr(options, name)]
+    flag, values = losses[0] if losses else ("--target", options.shares)
     if options.recovery is None:
-        options.recovery = 5_000 if options.drops else 0
+        options.recovery = 5_000 if losses else 0
     if not options.json:
         print("| " + " | ".join(COLUMNS) + " |\n|" + "---|" * len(COLUMNS))
     with tempfile.TemporaryDirectory() as folder:

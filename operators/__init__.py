@@ -9,7 +9,6 @@ MODULES = [
     import_module(f".{name}", __name__)
     for name in (
         "translation",
-        "manual",
         "data.background_work",
         "data.known",
         "data.job_paths",
@@ -56,6 +55,7 @@ MODULES = [
         "scene.frame",
         "view.viewport_wipe",
         "view.open_image",
+        "view.manual",
         "jobs.train",
         "jobs.steps",
         "data.materials",

@@ -40,7 +40,7 @@ def test_links_and_commands_are_those_of_the_english_text(language):
 
 
 def test_every_page_that_blender_opens_is_there(made):
-    sources = [*(ROOT / "panels").glob("*.py"), ROOT / "operators/manual.py"]
+    sources = [*(ROOT / "panels").glob("*.py"), ROOT / "operators/view/manual.py"]
     pages = re.findall(r'"(\w+\.html)(?:#([\w-]+))?"', "".join(path.read_text("utf-8") for path in sources))
     pages += [("blender.html", step) for step in ("train", "prune", "compare", "export")]
     assert len(pages) > 12

@@ -123,7 +123,7 @@ def test_smaller_numbers_of_gaussians_look_better_than_without():
 
 def picture_of(run: Run, rows: np.ndarray) -> float:
     """PSNR in dB with these Gaussians alone."""
-    return run.psnr(np.isin(np.arange(run.model.count), rows))
+    return run.quality(np.isin(np.arange(run.model.count), rows))
 
 
 def test_both_engines_train_the_first_rows():

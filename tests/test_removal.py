@@ -255,9 +255,9 @@ def test_no_more_is_lost_than_allowed():
     scene, data = scene_and_data()
     scene.sh[:] += np.random.default_rng(1).normal(0, 0.1, scene.sh.shape)  # something to lose against
     run = Run(Model.of(scene), data, replace(prune_settings("removal", 32, 0), max_drop=1.0), NativeEngine())
-    before = run.psnr(None)
+    before = run.quality(None)
     assert counts_of(run)[-1] < COUNT
-    assert 10 < before - 1.0 <= run.psnr(None)
+    assert 10 < before - 1.0 <= run.quality(None)
 
 
 def test_in_training_removal_comes_after_densification():

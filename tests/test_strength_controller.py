@@ -117,7 +117,7 @@ def test_the_drop_asked_for_is_used_up_and_not_exceeded(tiny, data):
     for seed in range(1, 6):
         run = to_the_end(steered_run(tiny, data, "svr", max_drop=1.0, seed=seed))
         assert run.model.count < 200
-        drops.append(run.controller.start - run.psnr(None))
+        drops.append(run.controller.start - run.quality(None))
     assert 0.1 < sorted(drops)[2] <= 1.0 and sum(drop <= 1.0 for drop in drops) >= 4, drops
 
 

@@ -61,7 +61,7 @@ def merges(context) -> bool:
     chosen and the goal is a number."""
     settings = context.scene.svrgs_prune
     if chosen(context) == TUNED:
-        return settings.method == DEFAULT and settings.goal not in ("DROP", "LAMBDA")
+        return settings.method == DEFAULT and settings.goal not in ("DROP", "VISIBLE", "LAMBDA")
     return chosen(context) == QUICK
 
 

@@ -13,6 +13,7 @@ from bpy.app.translations import pgettext_iface as tr
 
 from ...svrgs_addon.finetune.methods import DEFAULT, METHODS
 from ...svrgs_addon.finetune.methods.base import Method
+from ...svrgs_addon.render.metrics.lpips import weights_file
 from ..data import splat_object
 from ..data.devices import DEVICES
 from ..data.splat_size import count_in
@@ -40,9 +41,11 @@ ITEMS = [  # the numbers are stored in .blend files
     ("COUNT", "Count", "Keep this number of Gaussians", "NONE", 2),
     ("SIZE", "File Size", "Keep as many Gaussians as fit into a file of this size", "NONE", 3),
     ("DROP", "Loss", "Keep as few Gaussians as lose about this much PSNR", "NONE", 4),
+    ("VISIBLE", "No Visible Change", "Keep as few Gaussians as look the same, by LPIPS", "NONE", 9),
     ("DEVICE", "Device", "Keep as many Gaussians as a device shows fluently", "NONE", 8),
     ("LAMBDA", "Strength", "λ_F decides how many Gaussians stay. A higher strength keeps fewer", "NONE", 0),
 ]
+VISIBLE = 0.01  # of LPIPS: hardly visible
 
 
 def options(settings, obj: bpy.types.Object, merges: bool = False) -> dict:
@@ -51,6 +54,8 @@ def options(settings, obj: bpy.types.Object, merges: bool = False) -> dict:
     method, total, goal = METHODS[settings.method], splat_object.count(obj), settings.goal
     if goal == "DROP":
         return {"max_drop": round(settings.drop, 4)}
+    if goal == "VISIBLE":
+        return {"max_lpips": VISIBLE}
     if goal == "LAMBDA":
         # Blender stores 32 bits
         return {"lambda_f": float(f"{settings.lambda_f:.6g}")} if method.lambda_f else {}
@@ -75,6 +80,11 @@ def sentence(settings, merges: bool = False) -> str:
     options()."""
     method, goal = METHODS[settings.method], settings.goal
     preset = PRESETS.get(goal)
+    if goal == "VISIBLE":
+        return tr(
+            "LPIPS, which sees texture and fine structure, rises by at most {most:g} in views that no step"
+            " trains on"
+        ).format(most=VISIBLE)
     if goal == "DEVICE":
         return tr(
             "Keeps {count:,} Gaussians, or all if there are fewer. How many a pixel blends counts as much:"
@@ -123,13 +133,22 @@ def strength_sentence(settings) -> str:
 def problem(settings) -> str:
     """Why the chosen method cannot reach the chosen goal; empty if it can."""
     method, learns = METHODS[settings.method], settings.iterations > 0
+    if settings.goal == "VISIBLE" and not weights_file().is_file():
+        return tr(
+            "No Visible Change measures LPIPS, and its weights are missing: in a checkout of SVR-GS, make"
+            " lpips fetches them"
+        )
     if settings.effort == "QUICK":  # its own problems: efforts.py
         return ""
     if settings.goal == "LAMBDA" and method.ranks and not method.share:
         return tr(
             "'{method}' only ranks the Gaussians: choose another goal, such as a percentage or a size"
         ).format(method=tr(method.label))
-    if settings.goal != "DROP" or (method.supports_max_drop and learns):
+    if settings.goal == "VISIBLE" and method.learns_masks:
+        return tr("'{method}' cannot hold LPIPS: choose another goal or method").format(
+            method=tr(method.label)
+        )
+    if settings.goal not in ("DROP", "VISIBLE") or (method.supports_max_drop and learns):
         return ""
     if learns:
         return tr("'{method}' cannot prune to a loss in dB: choose another goal or method").format(

@@ -103,6 +103,20 @@ class SVRGS_OT_prune(ReportingOperator):
         precision=2,
         description="PSNR in dB that may be lost, instead of a target. 0: no such limit",
     )
+    max_flip: option_property(
+        "max_flip",
+        name="Max FLIP",
+        precision=3,
+        description="By how much FLIP may rise, instead of a target. 0: no such limit",
+    )
+    max_lpips: option_property(
+        "max_lpips",
+        name="Max LPIPS",
+        precision=3,
+        description=(
+            "By how much LPIPS may rise, instead of a target; it needs the weights of LPIPS. 0: no such limit"
+        ),
+    )
     time: option_property(
         "time", description="Seconds that the job may take, in place of numbers of steps. 0: no limit"
     )
@@ -218,7 +232,8 @@ class SVRGS_OT_prune(ReportingOperator):
         given = {
             "--data": absolute(data), "--images": images, "--report": absolute(self.report_folder),
             "--lambda-f": self.lambda_f, "--target": self.target, "--target-count": self.target_count,
-            "--max-drop": self.max_drop, "--time": self.time, "--seen-from": absolute(self.cameras),
+            "--max-drop": self.max_drop, "--max-flip": self.max_flip, "--max-lpips": self.max_lpips,
+            "--time": self.time, "--seen-from": absolute(self.cameras),
             "--masks": absolute(self.masks), "--outside": self.outside if self.outside != "auto" else "",
             "--exposure": self.exposure if self.exposure != "auto" else "",
             "--refine-poses": self.refine_poses if self.refine_poses != "auto" else "",

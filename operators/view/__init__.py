@@ -1,1 +1,1 @@
-"""Pictures: viewports, the render engine, comparison, the spatial mask."""
+"""Pictures: viewports, the render engine, comparison, the spatial mask, the manual."""

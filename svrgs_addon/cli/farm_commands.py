@@ -16,6 +16,7 @@ from ..jobs.farm.needs import memory_of
 from ..jobs.farm.openjd import write_bundle
 from ..jobs.farm.run_tasks import numbers_of, run_tasks
 from ..jobs.farm.summary import summarise
+from ..prune.door import allowed_loss
 from ..prune.options import PruneOptions
 from ..prune.plans import method_of
 from ..system.errors import SceneError, SplatError
@@ -49,9 +50,9 @@ def _export(args: argparse.Namespace) -> dict[str, Any]:
     suffix = args.to if args.to.startswith(".") else f".{args.to}"
     format_to_write(f"x{suffix}")
     options = options_from(PruneOptions, args)
-    if args.targets and (options.target_count or options.max_drop):
+    if args.targets and (options.target_count or allowed_loss(options).loss):
         raise SceneError(
-            "--targets and --target-count or --max-drop each say how many Gaussians stay: leave one out"
+            "--targets and --target-count or an allowed loss each say how many Gaussians stay: leave one out"
         )
     items = expand(args.scenes, args.data, folder / "results")
     folders = [item.scene.absolute().parent for item in items]

@@ -1,4 +1,4 @@
-"""Searches by quality: the fewest Gaussians that reach a given PSNR, and the share of fine-tuning that does
+"""Searches by quality: the fewest Gaussians that reach a given one, and the share of fine-tuning that does
 best; and the law of what the steps of a run win back of a removal.
 
 The law, in mean squared errors of the scene as it is (now), after a removal without any learning (removed),
@@ -37,20 +37,30 @@ SHARES = (0.75, 0.5, 0.25, 0.0)
 VIEWS = (
     16  # most views on which a drop in PSNR is held, spread evenly over the test views, at most half of them
 )
+SPARED, LEAST_SPARED = 8, 4
 NOT_APART = (
     "there are fewer than two test views: the quality is measured in the views that decided how many"
     " Gaussians stay"
 )
 
 
-def hold_apart(dataset: Dataset) -> Dataset:
-    """The dataset, with some of the test views taken for decisions; the others measure the result."""
-    decide, measure = apart(dataset.test_indices, VIEWS)
-    return replace(dataset, deciding_indices=decide, test_indices=measure)
+def hold_apart(dataset: Dataset, measure: str = "psnr") -> Dataset:
+    """The dataset, with some views taken for decisions, in which nothing is trained or measured. measure: a
+    key of MEASURES.
+
+    For PSNR up to half of the test views: a training view loses far more of it than any other. Losses of FLIP
+    and LPIPS are about the same there, but differ from view to view, and test views are few: so for these
+    every SPARED-th training view, where there are enough, and all test views measure."""
+    trained = dataset.train_indices
+    if measure != "psnr" and len(trained) >= LEAST_SPARED * SPARED:
+        decide, train = apart(trained, min(VIEWS, len(trained) // SPARED))
+        return replace(dataset, deciding_indices=decide, train_indices=train)
+    decide, test = apart(dataset.test_indices, VIEWS)
+    return replace(dataset, deciding_indices=decide, test_indices=test)
 
 
 def quality_views(dataset: Dataset) -> list[int]:
-    """The views on which a drop in PSNR is held: those that are taken for it, or else test views, because
+    """The views on which an allowed loss is held: those that are taken for it, or else test views, because
     training fits its own views more closely than any other; training views if there are none."""
     views = dataset.deciding_indices or dataset.test_indices or dataset.train_indices
     count = min(VIEWS, len(views))
@@ -58,10 +68,11 @@ def quality_views(dataset: Dataset) -> list[int]:
 
 
 def fewest_within(run: RunView, score: np.ndarray, floor: float) -> np.ndarray:
-    """(N,) bool: the Gaussians of highest score, as few as have a PSNR of at least `floor` dB, but at least
-    MIN_SHARE of those at the start. score (N,). To 0.1 % of N."""
+    """(N,) bool: the Gaussians of highest score, as few as have a quality of at least `floor`, but at least
+    MIN_SHARE of those at the start. score (N,). To 0.1 % of N; with LPIPS, which takes long, to 1 %."""
+    parts = 100 if run.plan.measure == "lpips" else 1_000
     least, count = math.ceil(MIN_SHARE * run.initial_count), run.model.count
-    return top(score, fewest(least, count, lambda some: run.psnr(top(score, some)) >= floor, 1_000))
+    return top(score, fewest(least, count, lambda some: run.quality(top(score, some)) >= floor, parts))
 
 
 def fewest(least: int, count: int, within: Callable[[int], bool], parts: int = 100) -> int:

@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 
 from ..native.rasterizer import Rasterizer, RenderOptions
-from ..render.metrics.evaluate import mean_psnr
+from ..render.metrics.evaluate import mean_quality
 from ..scene.camera import Camera
 from ..scene.morton_order import morton_order
 from ..system import memory
@@ -248,18 +248,17 @@ class Run:
         return self.controller.strength if self.controller else 1.0
 
     @property
-    def psnr_before(self) -> float:
+    def quality_before(self) -> float:
         return self.recovery_pruning.start if self.recovery_pruning else 0.0
 
     @property
     def rasterizer(self) -> Rasterizer:
         return self.engine.rasterizer
 
-    def psnr(self, kept: np.ndarray | None) -> float:
-        what = self.model, self.dataset, quality_views(self.dataset)
+    def quality(self, kept: np.ndarray | None) -> float:
+        what = self.model, self.dataset, quality_views(self.dataset), self.rasterizer, self.score_options
         masks_of_kept = None if kept is None else kept.astype(np.uint8)
-        error = self.dataset.unexplained
-        return mean_psnr(*what, self.rasterizer, self.score_options, masks_of_kept, error)
+        return mean_quality(*what, masks_of_kept, self.plan.measure)
 
     @property
     def own(self) -> np.ndarray | None:

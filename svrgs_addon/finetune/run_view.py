@@ -36,9 +36,8 @@ class RunView(Protocol):
         controller."""
 
     @property
-    def psnr_before(self) -> float:
-        """PSNR in dB on a few views (quality_views) before the first step. 0 if the settings allow no drop:
-        then it is not measured."""
+    def quality_before(self) -> float:
+        """quality(None) before the first step. 0 if the settings allow no loss: then it is not measured."""
 
     @property
     def training_cameras(self) -> list[Camera]:
@@ -61,9 +60,10 @@ class RunView(Protocol):
         """(N,) bool: the Gaussians that stay as they are while the method decides: those that are not its
         own, unless it learns masks. None: none."""
 
-    def psnr(self, kept: Keep) -> float:
-        """PSNR in dB on a few views (quality_views), rendered with the Gaussians `kept` (N,) bool; None: with
-        all."""
+    def quality(self, kept: Keep) -> float:
+        """What an allowed loss is taken from (mean_quality()), the higher the better: PSNR in dB, or minus
+        FLIP or LPIPS, on a few views (quality_views), rendered with the Gaussians `kept` (N,) bool; None:
+        with all."""
 
     def current_mask(self) -> Keep:
         """(N,) bool: the Gaussians that would stay if the method decided now and had no target."""

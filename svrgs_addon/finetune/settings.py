@@ -160,8 +160,10 @@ class Settings:
     share: float = 0.0  # instead of a target: share of the Gaussians that exist when densification has ended
     # share of the Gaussians down to which smaller numbers are trained too (nested.py); 0: none
     nested: float = 0.0
-    # instead of a target: PSNR in dB that may be lost at the end, on a few views (quality.py)
+    # instead of a target: what may be lost at the end, on a few views (quality.py), and what it is counted
+    # in, a key of render.metrics.allowed_loss.MEASURES
     max_drop: float = 0.0
+    measure: str = "psnr"
     # whether each photograph has an exposure that is fitted (exposure.py): "on", "off", or "auto" until the
     # photographs were compared with the splat
     exposure: str = "off"

@@ -5,7 +5,7 @@ It is a proportional controller on log-strength; the error is the wanted slope m
 progress q (docs/methods.md, "Strength controller"). q is 0 at the start of the phase and 1 at the goal:
 
 - target count: q = ln(n_0 / n) / ln(n_0 / target); n is the expected number of Gaussians, n_0 the first n;
-- allowed drop: q = (drop in dB so far) / (allowed drop).
+- allowed loss: q = (loss so far) / (allowed loss).
 
 The wanted q is a line: 0 at the step where masks begin to change, 1 at HOLD_FROM of the phase, constant from
 there on.
@@ -35,7 +35,7 @@ class StrengthController:
 
     log_strength: float = 0.0
     largest: float = LIMIT  # upper bound of log_strength
-    start: float = 0.0  # n_0, or the PSNR in dB at the start
+    start: float = 0.0  # n_0, or the quality at the start
     begun: int = 0  # t_0: step at which the line starts; 0: not yet
     last: float = 0.0  # q at the last update
     slope: float = 0.0  # smoothed measured slope of q, per step
@@ -47,9 +47,9 @@ class StrengthController:
         return math.exp(self.log_strength)
 
     def before_step(self, run: RunView):
-        """Called before each step of an active phase. At the first one it measures n_0 or the PSNR."""
+        """Called before each step of an active phase. At the first one it measures n_0 or the quality."""
         if not self.start and (run.target or run.plan.max_drop):
-            self.start = run.psnr_before if run.plan.max_drop else run.expected_count()
+            self.start = run.quality_before if run.plan.max_drop else run.expected_count()
 
     def after_step(self, run: RunView, phase: Phase, number: int):
         """Updates the strength after step `number` of the phase."""
@@ -79,7 +79,7 @@ class StrengthController:
         `settled`, which rises from 0 to 1) and the sum of all p. So q is smooth at first and exact at the
         end."""
         if run.plan.max_drop:
-            return (self.start - run.psnr(run.current_mask())) / run.plan.max_drop
+            return (self.start - run.quality(run.current_mask())) / run.plan.max_drop
         if run.target >= self.start:
             return 1.0
         count = settled * self.reached + (1 - settled) * run.expected_count()

@@ -8,11 +8,13 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from ..files.atomic import check_writable, reserved
 from ..files.registry import format_to_read, format_to_write, invisible, refuse_input
+from ..render.metrics.allowed_loss import MEASURES
 from ..render.metrics.evaluate import Renderable, refuse_unseen
+from ..render.metrics.lpips import NO_WEIGHTS, weights_file
 from ..scene.camera import Camera
 from ..scene.gaussians import Scene
 from ..system.errors import SceneError
@@ -81,6 +83,29 @@ def check_options(options: Any, takes: Collection[str], way: str):
     if others:
         flag = flag_of(type(options), others[0])
         raise SceneError(f"{way} takes no {flag}: leave it out, or leave {way} out")
+
+
+class Allowed(NamedTuple):
+    """A loss of quality that is allowed."""
+
+    loss: float = 0.0  # 0: none
+    measure: str = "psnr"  # a key of MEASURES: what it is counted in
+
+
+def allowed_loss(options: PruneOptions) -> Allowed:
+    """What may be lost. Raises SceneError if the size is given twice, and where the weights of LPIPS that
+    would decide are missing, or others are given."""
+    losses = {"psnr": options.max_drop, "flip": options.max_flip, "lpips": options.max_lpips}
+    asked = [Allowed(loss, measure) for measure, loss in losses.items() if loss]
+    given = [f"--{name.replace('_', '-')}" for name in ("target", "target_count") if getattr(options, name)]
+    given += [MEASURES[one.measure].option for one in asked]
+    if asked and len(given) > 1:
+        raise SceneError(f"{given[0]} and {given[1]} are both given: leave one out")
+    if options.max_lpips and options.lpips_weights:
+        raise SceneError("--max-lpips takes the weights of `make lpips`: leave --lpips-weights out")
+    if options.max_lpips and not weights_file().is_file():
+        raise SceneError(f"--max-lpips: {NO_WEIGHTS}")
+    return asked[0] if asked else Allowed()
 
 
 def given(options: Any) -> list[str]:

@@ -17,8 +17,12 @@ from ..finetune.plan import Plan
 from ..finetune.quality import MIN_SHARE, fewest, quality_views
 from ..finetune.saliency import saliency
 from ..native.rasterizer import Rasterizer
-from ..render.metrics.evaluate import picture_options, render_options, rounded_to_8_bits
-from ..render.metrics.measures import psnr, with_error
+from ..render.metrics.evaluate import (
+    picture_options,
+    quality_of_view,
+    render_options,
+    rounded_to_8_bits,
+)
 from ..scene.camera import Camera, spaced
 from ..scene.gaussians import Scene
 from ..views.dataset import Dataset
@@ -102,35 +106,32 @@ def _reduced(camera: Camera) -> Camera:
 
 
 def _fewest_within_drop(scene: Scene, dataset: Dataset, order: np.ndarray, plan: Plan) -> int:
-    """The fewest Gaussians that are highest in `order` (N,) and hold the allowed drop on some views: without
+    """The fewest Gaussians that are highest in `order` (N,) and hold the allowed loss on some views: without
     learning, or for `removal` and `saliency` by the law of finetune/quality.py. A job keeps fewer."""
-    before, psnr_of = _psnr_on_some(scene, dataset)
+    before, quality_of = _quality_on_some(scene, dataset, plan.measure)
     floor = floor_of_drop(before, plan) if isinstance(plan.method, Removal) else before - plan.max_drop
-    within = lambda count: psnr_of(scores.top(order, count).astype(np.uint8)) >= floor
+    within = lambda count: quality_of(scores.top(order, count).astype(np.uint8)) >= floor
     return fewest(math.ceil(MIN_SHARE * scene.count), scene.count, within)
 
 
-def _psnr_on_some(scene: Scene, dataset: Dataset) -> tuple[float, Callable[[np.ndarray | None], float]]:
-    """The PSNR in dB of the scene, and the function that measures it with a mask (N,) uint8: on as many
-    reduced views as DROP_SECONDS allow."""
+def _quality_on_some(
+    scene: Scene, dataset: Dataset, measure: str
+) -> tuple[float, Callable[[np.ndarray | None], float]]:
+    """The quality of the scene (quality_of_view()), and the function that measures it with a mask (N,) uint8:
+    on as many reduced views as DROP_SECONDS allow."""
     rasterizer, options = Rasterizer(), picture_options(scene, dataset.background)
 
-    def psnr_of_view(camera: Camera, photo: np.ndarray, mask: np.ndarray | None) -> float:
-        return with_error(
-            psnr(
-                rounded_to_8_bits(rasterizer.forward(scene, camera, options, mask)["rgb"]),
-                photo,
-                camera.valid_share,
-            ),
-            dataset.unexplained,
-        )
+    def quality(number: int, mask: np.ndarray | None) -> float:
+        camera, photo = views[number]
+        image = rounded_to_8_bits(rasterizer.forward(scene, camera, options, mask)["rgb"])
+        return quality_of_view(image, photo, camera, measure, dataset.unexplained, number)
 
     views, found, seconds = [], [], 0.0
     for index in spread(quality_views(dataset)):
         views.append(reduced_view(dataset.cameras[index], dataset.image(index), SIDE))
         started = time.monotonic()
-        found.append(psnr_of_view(*views[-1], None))
+        found.append(quality(len(views) - 1, None))
         seconds += time.monotonic() - started
         if len(views) >= DROP_VIEWS and seconds > DROP_SECONDS:
             break
-    return fmean(found), lambda mask: fmean(psnr_of_view(*view, mask) for view in views)
+    return fmean(found), lambda mask: fmean(quality(number, mask) for number in range(len(views)))

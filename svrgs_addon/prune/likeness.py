@@ -13,14 +13,15 @@ import numpy as np
 from ..files.images import to_float
 from ..finetune.quality import quality_views
 from ..render.metrics import psnr
+from ..render.metrics.allowed_loss import ASSUMED, EQUAL
 from ..render.metrics.evaluate import (
     Renderable,
     Renderer,
     mean_figures,
     picture_options,
+    quality_of_view,
     rounded_to_8_bits,
 )
-from ..render.metrics.max_drop import ASSUMED, EQUAL
 from ..render.metrics.measures import almost_empty, with_error
 from ..scene.camera import Camera, evenly
 from ..system.errors import SceneError
@@ -72,6 +73,17 @@ class Likeness:
         """Mean PSNR in dB, that of equal pictures as EQUAL, of at least one view. Raises SplatError."""
         return fmean(min(value, EQUAL) for value in self.psnrs(scene))
 
+    def quality(self, scene: Renderable, measure: str) -> float:
+        """What an allowed loss is taken from, the higher the better: mean quality_of_view(); PSNR as if the
+        original had the error PHOTOGRAPHED. measure: a key of MEASURES. Raises SplatError."""
+        if measure == "psnr":
+            return assumed_psnr(self.psnrs(scene))
+        pairs = zip(self._pairs(scene, "compare"), self.views, strict=True)
+        return fmean(
+            quality_of_view(picture, original, camera, measure, 0.0, number)
+            for number, ((picture, original, _), camera) in enumerate(pairs)
+        )
+
     def measured(self, scene: Renderable) -> dict[str, Any]:
         """Means over the views: psnr (dB, that of equal pictures as EQUAL), ssim, lpips (None if it is not
         measured), flip, and ms_per_frame, the milliseconds to render one; None without views. Raises
@@ -96,7 +108,7 @@ class Likeness:
         """Raises SceneError if there are no views in which an allowed drop could be measured."""
         if not self.views:
             raise SceneError(
-                "--max-drop is measured in views that are held out, and none shows the splat: give more"
+                "an allowed loss is measured in views that are held out, and none shows the splat: give more"
                 " cameras, or --target"
             )
 

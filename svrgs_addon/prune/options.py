@@ -21,6 +21,7 @@ from ..system.option_kinds import (
     FILE,
     FLAG,
     GIGABYTES,
+    LOSS,
     OUTSIDE,
     PATH,
     POSITIVE,
@@ -333,6 +334,24 @@ class PruneOptions(TuningOptions):
         in_job=True,
         group=GOAL,
     )
+    max_flip: float = option(
+        LOSS,
+        0.0,
+        "as --max-drop, but let FLIP rise at most so much: the difference that is seen when two pictures are "
+        "flipped, 0 to 1",
+        metavar="FLIP",
+        default_help="no such limit",
+        in_job=True,
+    )
+    max_lpips: float = option(
+        LOSS,
+        0.0,
+        "as --max-drop, but let LPIPS rise at most so much: texture and fine structure, which PSNR hardly "
+        "sees; 0.01 is hardly visible; needs the weights of `make lpips`",
+        metavar="LPIPS",
+        default_help="no such limit",
+        in_job=True,
+    )
     nested: float | None = option(
         SMALLER_SHARE,
         None,
@@ -356,7 +375,7 @@ class PruneOptions(TuningOptions):
         FLAG,
         False,
         "remove and merge within seconds, on the scene's own pictures instead of photographs; needs "
-        "--target, --target-count, --max-drop or "
+        "--target, --target-count, --max-drop, --max-flip, --max-lpips or "
         "--levels; with --data only the cameras of the dataset are read",
         in_job=True,
         group=TIME,

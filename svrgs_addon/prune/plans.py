@@ -16,7 +16,7 @@ from ..views.dataset import Dataset, load_dataset
 from ..views.rendered import RenderedDataset
 from ..views.valid_pixels import MaskOptions
 from .context import JobContext
-from .door import given
+from .door import allowed_loss, given
 from .job_views import without_photographs
 from .options import (
     MIN_CONTRIBUTION,
@@ -65,7 +65,7 @@ def _target_is_cap(options: TrainOptions) -> bool:
 def plan_of_pruning(options: PruneOptions) -> Plan:
     """The plan of `svrgs prune`. Raises SceneError if the options contradict each other; FormatError if a
     share of the scene is the target and the file cannot be read."""
-    method = method_of(options)
+    method, allowed = method_of(options), allowed_loss(options)
     first_cut = (
         options.min_contribution
         if options.min_contribution is not None
@@ -73,7 +73,8 @@ def plan_of_pruning(options: PruneOptions) -> Plan:
     )
     more: dict[str, Any] = {
         "target": _target(options, method),
-        "max_drop": options.max_drop,
+        "max_drop": allowed.loss,
+        "measure": allowed.measure,
         "min_contribution": first_cut,
         "nested": _nested(options),
     }
@@ -149,7 +150,7 @@ def _target(options: PruneOptions, method: Method) -> int:
     """The number of Gaussians to keep; 0: the method decides."""
     if options.target_count is not None:
         return options.target_count
-    share = options.target or (0.0 if options.max_drop else method.share)
+    share = options.target or (0.0 if allowed_loss(options).loss else method.share)
     return max(1, round(share * registry.describe(options.scene)["count"])) if share and options.scene else 0
 
 
@@ -170,9 +171,10 @@ def context_of(options: TrainOptions | PruneOptions) -> JobContext:
     assert options.out is not None
     reporter = Reporter(options.quiet)
     prunes = options if isinstance(options, PruneOptions) else None
-    asked = options.lpips_weights is not None
+    asked = options.lpips_weights is not None or bool(prunes and prunes.max_lpips)
     try:  # it takes seconds a view: unasked, it is measured for a report alone
-        lpips, missing = load_lpips(options.lpips_weights or (None if prunes and prunes.report else ""))
+        measured = asked or (prunes and prunes.report)
+        lpips, missing = load_lpips(options.lpips_weights or (None if measured else ""))
     except FormatError as error:
         if asked:
             raise

@@ -93,6 +93,7 @@ GIGABYTES = Kind(
 SECONDS = Kind(float, "a number of seconds above 0", lambda value: 0 < value < math.inf, minimum=0)
 DECIBELS = Kind(float, "a number of dB above 0", lambda value: 0 < value < math.inf, minimum=0)
 SHARE = Kind(float, "a share above 0 and up to 1", lambda value: 0 < value <= 1, minimum=0, maximum=1)
+LOSS = Kind(float, "a number above 0 and below 1", lambda value: 0 < value < 1, minimum=0, maximum=1)
 SMALLER_SHARE = Kind(
     float, "a share above 0 and below 1", lambda value: 0 < value < 1, minimum=0, maximum=0.99
 )

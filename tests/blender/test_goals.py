@@ -9,11 +9,13 @@ import pytest
 from extension import DATA, part
 from job_helpers import COUNT, drawn, set_up
 
+GOALS = ("lambda_f", "target_count", "max_drop", "max_lpips")
+
 
 def options(splat) -> dict:
-    """What a job is asked for, of lambda_f, target_count and max_drop."""
+    """What a job is asked for, of lambda_f, target_count, max_drop and max_lpips."""
     found = part("operators.jobs.job").options_of(bpy.context, splat)
-    return {name: found[name] for name in ("lambda_f", "target_count", "max_drop") if name in found}
+    return {name: found[name] for name in GOALS if name in found}
 
 
 def test_light_balanced_and_small_come_first_and_balanced_is_the_default(splat):
@@ -108,3 +110,14 @@ def test_a_file_size_as_the_goal_is_held(splat, tmp_path, bridge, ply):
 
 def test_the_panels_say_the_size_of_the_file(splat):
     assert f"{(DATA / 'tiny/scene.ply').stat().st_size / 1e3:.1f} kB" in drawn("export")
+
+
+def test_no_visible_change_needs_the_weights_of_lpips(splat, monkeypatch, tmp_path):
+    goals, settings = part("operators.jobs.goals"), bpy.context.scene.svrgs_prune
+    set_up({"goal": "VISIBLE", "effort": "PHOTOGRAPHS"})
+    monkeypatch.setattr(goals, "weights_file", lambda: tmp_path / "missing")
+    assert "make lpips" in goals.problem(settings)
+    monkeypatch.setattr(goals, "weights_file", lambda: DATA / "tiny/scene.ply")  # any file
+    assert goals.problem(settings) == "" and options(splat) == {"max_lpips": 0.01}
+    settings.method = "svr"
+    assert "cannot hold LPIPS" in goals.problem(settings)

@@ -21,9 +21,9 @@ def opened(monkeypatch):
     "locale, folder", [("en_US", "en"), ("de_DE", "de"), ("zh_HANS", "zh"), ("fr_FR", "en"), ("", "en")]
 )
 def test_a_page_opens_in_the_language_of_blender(opened, locale, folder, monkeypatch):
-    monkeypatch.setattr(part("operators.manual"), "locale", lambda: locale)
+    monkeypatch.setattr(part("operators.view.manual"), "locale", lambda: locale)
     assert bpy.ops.svrgs.manual(page="blender.html#prune") == {"FINISHED"}
-    file = part("operators.manual").FOLDER / folder / "blender.html"
+    file = part("operators.view.manual").FOLDER / folder / "blender.html"
     assert opened == [f"{file.as_uri()}#prune"] and file.is_file()
 
 
@@ -34,7 +34,7 @@ def test_online_manual_knows_the_page_of_an_operator(opened):
 
 
 def test_without_the_manual_it_says_so(opened, monkeypatch, tmp_path):
-    monkeypatch.setattr(part("operators.manual"), "FOLDER", tmp_path)
+    monkeypatch.setattr(part("operators.view.manual"), "FOLDER", tmp_path)
     with pytest.raises(RuntimeError, match="only the zip of the extension holds it"):
         bpy.ops.svrgs.manual(page="blender.html")
     assert opened == []

@@ -71,7 +71,7 @@ class GNS(Method):
         """With an allowed drop: the number of Gaussians, those of highest saliency, that are needed to hold
         it before any learning."""
         value = saliency(run.model, run.training_cameras, run.rasterizer, run.score_options)
-        return int(fewest_within(run, value, run.psnr_before - run.plan.max_drop).sum())
+        return int(fewest_within(run, value, run.quality_before - run.plan.max_drop).sum())
 
     def prepare(self, run: RunView, phase: Phase, number: int):
         """Adapts r at every other pressed step. r falls if the opacity at the rank of the budget is below the

@@ -53,7 +53,7 @@ class Masked(Method):
         """Without a target, the Gaussians with p > 0.5 stay. With a target, exactly so many of the most
         probable ones; with an allowed drop, the fewest most probable ones that hold it."""
         if run.plan.max_drop:
-            return fewest_within(run, run.model.values[MASK], run.psnr_before - run.plan.max_drop)
+            return fewest_within(run, run.model.values[MASK], run.quality_before - run.plan.max_drop)
         if run.target:
             return masks.most_probable(run.model, run.target, run.own)
         return self.current_mask(run.model)

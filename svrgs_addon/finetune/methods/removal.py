@@ -137,7 +137,7 @@ class Removal(Method):
     def budget_of_drop(self, run: RunView) -> int:
         """The fewest Gaussians of highest rank that are foreseen to hold the allowed drop."""
         rank = self.score(run.model, run.training_cameras, run.rasterizer, run.score_options)
-        return int(fewest_within(run, rank, floor_of_drop(run.psnr_before, run.plan)).sum())
+        return int(fewest_within(run, rank, floor_of_drop(run.quality_before, run.plan)).sum())
 
     def prepare(self, run: RunView, phase: Phase, number: int):
         """Before the first step, lowers the opacities of the Gaussians that a view sees and that are not
@@ -190,8 +190,11 @@ def number_of_passes(steps: int) -> int:
 
 
 def floor_of_drop(before: float, settings: Settings) -> float:
-    """The PSNR in dB that a removal may leave without any learning, so that the run is foreseen to spend
-    SPENT of the allowed drop. before: PSNR of now."""
+    """The quality that a removal may leave without any learning: a PSNR with which the run is foreseen to
+    spend SPENT of the allowed drop. For FLIP and LPIPS, of which nothing is foreseen, all that is allowed may
+    be lost; the recovery removes more. before: quality of now."""
+    if settings.measure != "psnr":
+        return before - settings.max_drop
     return psnr_removed(
         before, before - SPENT * settings.max_drop, min(settings.total, FORESEEN_STEPS), HALVED
     )

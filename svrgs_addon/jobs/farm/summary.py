@@ -13,7 +13,7 @@ from ... import __version__
 from ...files.atomic import atomic_write
 from ...prune.report.point_chart import Axis, Point, chart, front
 from ...prune.report.style import CSS
-from ...render.metrics.max_drop import ASSUMED
+from ...render.metrics.allowed_loss import ASSUMED
 from ...render.metrics.measures import with_error
 from ...system.errors import SceneError
 from ...system.foreign import own

@@ -14,7 +14,7 @@ from ...files.registry import format_to_write
 from ...finetune.methods.removal import floor_of_drop
 from ...finetune.plan import Plan
 from ...finetune.quality import MIN_SHARE, fewest, squared_error
-from ...render.metrics.max_drop import ASSUMED, refuse_loss
+from ...render.metrics.allowed_loss import ASSUMED, refuse_loss
 from ...scene.camera import Camera
 from ...system.errors import FormatError
 from ..likeness import Likeness, assumed_psnr

@@ -13,7 +13,7 @@ from ...files.memory_mapped import mapped_scene
 from ...files.reading import MAX_IN_PARTS
 from ...files.registry import load_parts, size_on_disk, write_scene
 from ...finetune.quality import best_share
-from ...render.metrics.max_drop import loss_notes
+from ...render.metrics.allowed_loss import loss_notes
 from ...scene.camera import apart, evenly
 from ...views.dataset import Dataset
 from ..belonging import check_explained

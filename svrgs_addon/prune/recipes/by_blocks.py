@@ -16,7 +16,7 @@ from ...files.atomic import check_space
 from ...files.digests import scene_sha256
 from ...files.level_files import holds_levels
 from ...finetune.quality import MIN_SHARE, NOT_APART
-from ...render.metrics.max_drop import missed_drop
+from ...render.metrics.allowed_loss import missed_loss
 from ...scene.camera import Camera
 from ...scene.gaussians import Scene
 from ...system.errors import Cancelled
@@ -366,7 +366,7 @@ def _check_room(work: Path, divided: Divided, goal: Goal, more: float = 0.0):
 
 def _of_drop(result: dict[str, Any], lost: float, goal: Goal) -> dict[str, Any]:
     """What an allowed drop adds to a result that has lost so many dB."""
-    return {"drop": lost, "notes": [*result["notes"], *missed_drop(lost, goal.max_drop)]}
+    return {"drop": lost, "notes": [*result["notes"], *missed_loss(lost, goal.max_drop)]}
 
 
 def _identity(

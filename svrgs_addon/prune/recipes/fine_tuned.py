@@ -26,13 +26,14 @@ from ...finetune import checkpoint, exposure, loop, masks, poses
 from ...finetune.decimate.order import NORMALS, lost_columns
 from ...finetune.engine import NativeEngine
 from ...finetune.loop import CURVE_VIEWS
+from ...finetune.methods import DEFAULT
 from ...finetune.model import Model
 from ...finetune.plan import Plan
 from ...finetune.quality import NOT_APART, hold_apart, quality_views
 from ...finetune.run import Run
 from ...native.rasterizer import Rasterizer, RenderOptions
-from ...render.metrics.evaluate import evaluate, mean_psnr, render_options
-from ...render.metrics.max_drop import format_loss, missed_drop
+from ...render.metrics.allowed_loss import MEASURES, format_loss, missed_loss
+from ...render.metrics.evaluate import evaluate, mean_psnr, mean_quality, render_options
 from ...render.pose_alignment import beside
 from ...scene.camera import spaced
 from ...scene.gaussians import Scene
@@ -260,7 +261,7 @@ class FineTuned(Tuned):
         self.notes += photographs.notes
         self.compared = toned.facts | photographs.facts
         if plan.max_drop:
-            self.dataset = dataset = hold_apart(dataset)
+            self.dataset = dataset = hold_apart(dataset, plan.measure)
             if self.measuring and not dataset.deciding_indices:
                 self.notes.append(NOT_APART)
         self.room.hold_for(source, source.count, plan.averaged_count(source.count))
@@ -281,7 +282,7 @@ class FineTuned(Tuned):
         with self.clock.phase("first cut"):
             self.allowed = self.plan.max_drop
             if self.allowed:
-                self.held = psnr_of_drop(source, dataset, self.plan, quality_views(dataset))
+                self.held = quality_of(source, dataset, self.plan)
             self.plan = without_format_loss(source, dataset, self.plan, job.out)
 
     def select(self):
@@ -307,20 +308,22 @@ class FineTuned(Tuned):
                     {"share": share, "out": str(path), **self.measured(read_back(path, level), path)}
                 )
 
-    def lost(self, psnr: float | None) -> float | None:
-        """dB that a result of this PSNR has lost, in the views that measure; None if there are none."""
-        if psnr is None:
+    def lost(self, after: dict[str, Any]) -> float | None:
+        """What a result with these figures has lost, in the views that measure; None if there are none."""
+        measure, own = self.plan.measure, isinstance(self.dataset, RenderedDataset)
+        if after[measure] is None:
             return None
-        own = isinstance(self.dataset, RenderedDataset)
-        return assumed_drop(psnr) if own else self.before["psnr"] - psnr
+        if measure == "psnr":
+            return assumed_drop(after["psnr"]) if own else self.before["psnr"] - after["psnr"]
+        return after[measure] - (0.0 if own else self.before[measure])
 
     def measure(self) -> dict[str, Any]:
         job, dataset = self.job, self.dataset
         with self.clock.phase("evaluate after"):
             scene = read_back(job.out, self.scene)
             after = self.measured(scene, job.out)
-            self.run.drop = self.lost(after["psnr"]) if self.allowed else None
-            self.notes += missed_drop(self.run.drop, self.allowed)
+            self.run.drop = self.lost(after) if self.allowed else None
+            self.notes += missed_loss(self.run.drop, self.allowed, self.plan.measure)
         result = {
             **after,
             "scene": str(self.path),
@@ -366,8 +369,13 @@ def check_request(dataset: Dataset, plan: Plan):
     method, asked = plan.method, plan.target or plan.share
     if plan.max_drop and not (method.supports_max_drop and plan.prunes):
         raise SceneError(
-            f"method '{method.name}' cannot take --max-drop: it needs a method that learns what to prune, and"
-            " iterations in which it learns"
+            f"method '{method.name}' cannot take {MEASURES[plan.measure].option}: it needs a method that"
+            " learns what to prune, and iterations in which it learns"
+        )
+    if plan.measure == "lpips" and method.learns_masks:
+        raise SceneError(
+            f"method '{method.name}' cannot take --max-lpips, which it would measure too often: take"
+            f" --max-flip, or method '{DEFAULT}'"
         )
     if method.ranks and not asked:
         raise SceneError(
@@ -408,19 +416,20 @@ def refuse_excess(
     return needed
 
 
-def psnr_of_drop(scene: Scene, dataset: Dataset, plan: Plan, views: list[int]) -> float:
-    """PSNR in dB of some of the dataset's views, as an allowed drop counts it."""
+def quality_of(scene: Scene, dataset: Dataset, plan: Plan) -> float:
+    """What an allowed loss is taken from, in the views that decide."""
     options = render_options(scene, plan.background)
-    return mean_psnr(scene, dataset, views, Rasterizer(), options, error=dataset.unexplained)
+    return mean_quality(scene, dataset, quality_views(dataset), Rasterizer(), options, measure=plan.measure)
 
 
 def without_format_loss(scene: Scene, dataset: Dataset, plan: Plan, out: Path) -> Plan:
-    """The plan, with what the format of the output loses taken off an allowed drop. Raises SceneError if
+    """The plan, with what the format of the output loses taken off an allowed loss. Raises SceneError if
     nothing is left of it."""
     if not plan.max_drop:
         return plan
-    psnr_of = lambda some: psnr_of_drop(some, dataset, plan, quality_views(dataset))
-    return replace(plan, max_drop=plan.max_drop - format_loss(out, scene, psnr_of, plan.max_drop))
+    quality = lambda some: quality_of(some, dataset, plan)
+    lost = format_loss(out, scene, quality, plan.max_drop, plan.measure)
+    return replace(plan, max_drop=plan.max_drop - lost)
 
 
 def first_scene(scene: Scene, dataset: Dataset, plan: Plan) -> Scene:

@@ -31,8 +31,8 @@ from ...finetune.quality import MIN_SHARE, best_share
 from ...finetune.refit import USUAL, TrainingView, interpolated, middle_scale, pace_at, refit
 from ...native.library import thresholds
 from ...native.rasterizer import Rasterizer
+from ...render.metrics.allowed_loss import loss_notes, missed_loss
 from ...render.metrics.evaluate import render_options
-from ...render.metrics.max_drop import loss_notes, missed_drop
 from ...scene.affine import scaled
 from ...scene.camera import apart
 from ...scene.gaussians import Scene
@@ -44,7 +44,7 @@ from .. import job_views
 from ..belonging import Seen, check_seen
 from ..context import JobContext
 from ..disk_room import ROW
-from ..door import check_options, check_visible
+from ..door import allowed_loss, check_options, check_visible
 from ..likeness import Likeness, assumed_drop, assumed_psnr
 from ..options import PruneOptions
 from ..smallest_file import smallest_file
@@ -64,6 +64,8 @@ TAKES = (  # options; others are refused
     "target",
     "target_count",
     "max_drop",
+    "max_flip",
+    "max_lpips",
     "quiet",
     "quick",
     "force",
@@ -140,11 +142,13 @@ class Quick:
             others=decide,
             lpips=self.job.lpips,
         )
-        self.count, self.quantise = self.wanted, 1.0
-        if options.max_drop:
-            self.likeness.deciding.refuse_without_views()
+        self.count, self.quantise, self.allowed = self.wanted, 1.0, allowed_loss(options)
+        if self.allowed.loss:
+            deciding = self.likeness.deciding
+            deciding.refuse_without_views()
+            quality = lambda scene: deciding.quality(scene, self.allowed.measure)
             self.count, self.quantise = smallest_file(
-                self.order, self.wanted, self._psnr, self.job.out, options.max_drop, 1 / self.factor
+                self.order, self.wanted, quality, self.job.out, self.allowed, 1 / self.factor
             )
 
     def select(self):
@@ -178,13 +182,13 @@ class Quick:
             for one in self.written
         )
         facts["levels"] = [{"share": share, **one} for share, one in zip(options.levels, levels, strict=True)]
-        measured = after["psnr"] is not None
-        facts["drop"] = assumed_drop(after["psnr"]) if options.max_drop and measured else None
+        lost = after[self.allowed.measure] if self.allowed.loss else None
+        facts["drop"] = assumed_drop(lost) if lost is not None and self.allowed.measure == "psnr" else lost
         notes = [
             *self.notes,
             *self.likeness.notes(),
             *self._result_notes(),
-            *missed_drop(facts["drop"], options.max_drop),
+            *missed_loss(facts["drop"], *self.allowed),
         ]
         return {
             **after,
@@ -246,9 +250,9 @@ def like_quick(options: PruneOptions, scene: Scene) -> tuple[PruneOptions, Rende
 def refuse_options(options: PruneOptions):
     """Raises SceneError for options that the quick way does not have."""
     check_options(options, TAKES, "--quick")
-    if not (options.target or options.target_count or options.max_drop or options.levels):
+    if not (options.target or options.target_count or allowed_loss(options).loss or options.levels):
         raise SceneError(
-            "--quick needs --target, --target-count, --max-drop or --levels: it does not choose how many"
+            "--quick needs --target, --target-count, an allowed loss or --levels: it does not choose how many"
             " Gaussians to keep"
         )
 
@@ -263,9 +267,9 @@ def _kept(folder: Path, order: Order, rows: np.ndarray, total: int, factor: floa
 
 
 def _wanted(options: PruneOptions, count: int) -> int:
-    """The number of Gaussians that is asked for, of `count` in the file; the smallest one if a drop is
+    """The number of Gaussians that is asked for, of `count` in the file; the smallest one if a loss is
     allowed."""
-    if options.max_drop:
+    if allowed_loss(options).loss:
         return math.ceil(MIN_SHARE * count)
     return options.target_count or max(1, round((options.target or 1.0) * count))
 

@@ -15,12 +15,13 @@ import numpy as np
 from ...files.images import to_float
 from ...native.library import thresholds
 from ...native.rasterizer import Rasterizer, RenderOptions
-from ...scene.camera import Camera
+from ...scene.camera import Camera, evenly
 from ...system.errors import SceneError
 from ...views.dataset import Dataset
 from ..pose_alignment import aligned
 from . import flip_map, psnr, ssim
 from .colour_match import colour_matched
+from .lpips import default_lpips
 from .measures import with_error
 
 # Limits of refuse_unseen() and any_in_view().
@@ -29,6 +30,9 @@ VISIBLE_POINTS = 100_000  # approximate number of Gaussians that are checked
 # largest z, as a multiple of the largest distance of a camera from the mean of the cameras
 VISIBLE_REACH = 100.0
 TIMED_ROUNDS = 5  # of frame_milliseconds()
+# of LPIPS as an allowed loss: views, the side of the square in each, and how far the squares of two views are
+# apart, as shares of height and width: they are all over the picture (multiples of two irrational numbers)
+BLOCKS, BLOCK, PLACES = 8, 192, (0.7549, 0.5698)
 
 
 class Renderable(Protocol):
@@ -102,6 +106,47 @@ def mean_psnr(
         image = rounded_to_8_bits(rasterizer.forward(model, camera, options, masks)["rgb"])
         values.append(with_error(psnr(image, to_float(dataset.image(i)), camera.valid_share), error))
     return statistics.fmean(values)
+
+
+def mean_quality(
+    model,
+    dataset: Dataset,
+    indices: Sequence[int],
+    rasterizer: Rasterizer,
+    options: RenderOptions,
+    masks=None,
+    measure: str = "psnr",
+) -> float:
+    """What an allowed loss is taken from: the mean quality_of_view() over the given views; of LPIPS, which
+    takes long, over some of them. As for mean_psnr()."""
+    values, options = [], replace(options, picture_only=True)
+    for number, i in enumerate(evenly(indices, BLOCKS) if measure == "lpips" else indices):
+        camera = dataset.cameras[i]
+        image = rounded_to_8_bits(rasterizer.forward(model, camera, options, masks)["rgb"])
+        photo = to_float(dataset.image(i))
+        values.append(quality_of_view(image, photo, camera, measure, dataset.unexplained, number))
+    return statistics.fmean(values)
+
+
+def quality_of_view(
+    image: np.ndarray, photo: np.ndarray, camera: Camera, measure: str, error: float, number: int
+) -> float:
+    """The higher the better: PSNR in dB, or minus FLIP, or minus LPIPS of a block. measure: a key of
+    MEASURES. error: mean squared error that is added, colours in 0..1, for PSNR. number: of the view, for the
+    place of the block. Raises SceneError if the weights of LPIPS are missing."""
+    if measure == "psnr":
+        return with_error(psnr(image, photo, camera.valid_share), error)
+    if measure == "lpips":
+        return -default_lpips()(block(image, number), block(photo, number)) / camera.valid_share
+    flips, valid = flip_map(image, photo), camera.valid
+    return -float((flips if valid is None else flips[valid != 0]).mean(dtype=np.float64))
+
+
+def block(picture: np.ndarray, number: int) -> np.ndarray:
+    """A square of at most BLOCK pixels a side, each number at another place."""
+    spare = (max(0, side - BLOCK) for side in picture.shape[:2])
+    top, left = (round(number * step % 1 * room) for step, room in zip(PLACES, spare, strict=True))
+    return picture[top : top + BLOCK, left : left + BLOCK]
 
 
 def evaluate(

@@ -16,6 +16,7 @@ import re
 import zipfile
 import zlib
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -129,6 +130,15 @@ def load_lpips(path: str | Path | None, input_range: str = "3dgs") -> tuple[Lpip
     return Lpips(
         {key: _checked(found, key, shape, file) for key, shape in _expected().items()}, input_range
     ), ""
+
+
+@cache
+def default_lpips() -> Lpips:
+    """The network with the weights of weights_file(). Raises SceneError if they are missing."""
+    network, reason = load_lpips(None)
+    if network is None:
+        raise SceneError(reason)
+    return network
 
 
 def weights_file() -> Path:

@@ -9,10 +9,10 @@ from pathlib import Path
 import bpy
 from bpy.app.translations import pgettext_iface as tr
 
-from ..svrgs_addon.system.errors import SceneError
-from .data.reporting import ReportingOperator
+from ...svrgs_addon.system.errors import SceneError
+from ..data.reporting import ReportingOperator
 
-FOLDER = Path(__file__).parents[1] / "manual"  # with a folder for each language
+FOLDER = Path(__file__).parents[2] / "manual"  # with a folder for each language
 PAGES = (  # of what Blender calls so
     ("bpy.ops.svrgs.select*", "selection.html#in-blender"),
     ("bpy.ops.svrgs.job*", "jobs.html"),
