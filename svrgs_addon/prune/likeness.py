@@ -23,6 +23,7 @@ from ..render.metrics.evaluate import (
     rounded_to_8_bits,
 )
 from ..render.metrics.measures import almost_empty, with_error
+from ..render.metrics.worst import Worst, worst_of
 from ..scene.camera import Camera, evenly
 from ..system.errors import SceneError
 from ..views.dataset import Dataset
@@ -83,6 +84,11 @@ class Likeness:
             quality_of_view(picture, original, camera, measure, 0.0, number)
             for number, ((picture, original, _), camera) in enumerate(pairs)
         )
+
+    def worst(self, scene: Renderable) -> Worst | None:
+        """Where a scene differs most. Raises SplatError."""
+        pairs = zip(self._pairs(scene, "compare"), self.views, strict=True)
+        return worst_of((camera.name, original, picture) for (picture, original, _), camera in pairs)
 
     def measured(self, scene: Renderable) -> dict[str, Any]:
         """Means over the views: psnr (dB, that of equal pictures as EQUAL), ssim, lpips (None if it is not

@@ -6,13 +6,14 @@ from __future__ import annotations
 import contextlib
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ...files.images import to_float
 from ...files.registry import (
     FORMATS,
     format_to_write,
@@ -33,9 +34,17 @@ from ...finetune.quality import NOT_APART, hold_apart, quality_views
 from ...finetune.run import Run
 from ...native.rasterizer import Rasterizer, RenderOptions
 from ...render.metrics.allowed_loss import MEASURES, format_loss, missed_loss
-from ...render.metrics.evaluate import evaluate, mean_psnr, mean_quality, render_options
+from ...render.metrics.evaluate import (
+    evaluate,
+    mean_psnr,
+    mean_quality,
+    picture_options,
+    render_options,
+    rounded_to_8_bits,
+)
+from ...render.metrics.worst import Worst, worst_of
 from ...render.pose_alignment import beside
-from ...scene.camera import spaced
+from ...scene.camera import evenly, spaced
 from ...scene.gaussians import Scene
 from ...system import memory
 from ...system.errors import SceneError
@@ -53,8 +62,10 @@ from ..first_cut import first_cut
 from ..likeness import assumed_drop
 from ..photographs import in_its_colours, prepared
 from ..planning import pruning_within
+from ..report.pictures import to_uint8
 from ..report.prune_report import report_pictures, write_prune_report
 
+WORST_VIEWS = 16  # at most, among which the worst one is looked for
 CANNOT_REACH = "method '{}' cannot reach a target without iterations in which it prunes"
 
 
@@ -279,6 +290,7 @@ class FineTuned(Tuned):
             if not isinstance(dataset, RenderedDataset):
                 self.before = self.measured(source, self.path)
             self.pictures = report_pictures(source, dataset, Rasterizer()) if job.report else []
+            self.originals = list(map(to_uint8, self.pictures_of(source)))
         with self.clock.phase("first cut"):
             self.allowed = self.plan.max_drop
             if self.allowed:
@@ -308,6 +320,17 @@ class FineTuned(Tuned):
                     {"share": share, "out": str(path), **self.measured(read_back(path, level), path)}
                 )
 
+    def pictures_of(self, scene: Scene) -> Iterator[np.ndarray]:
+        """What some of the views that measure show, (H, W, 3), rounded to 8 bits."""
+        rasterizer, options = Rasterizer(), picture_options(scene, self.dataset.background)
+        for index in evenly(self.measuring, WORST_VIEWS):
+            yield rounded_to_8_bits(rasterizer.forward(scene, self.dataset.cameras[index], options)["rgb"])
+
+    def worst(self, scene: Scene) -> Worst | None:
+        """Where the result differs most from the original."""
+        names = (self.dataset.cameras[index].name for index in evenly(self.measuring, WORST_VIEWS))
+        return worst_of(zip(names, map(to_float, self.originals), self.pictures_of(scene), strict=True))
+
     def lost(self, after: dict[str, Any]) -> float | None:
         """What a result with these figures has lost, in the views that measure; None if there are none."""
         measure, own = self.plan.measure, isinstance(self.dataset, RenderedDataset)
@@ -321,7 +344,7 @@ class FineTuned(Tuned):
         job, dataset = self.job, self.dataset
         with self.clock.phase("evaluate after"):
             scene = read_back(job.out, self.scene)
-            after = self.measured(scene, job.out)
+            after, worst = self.measured(scene, job.out), self.worst(scene)
             self.run.drop = self.lost(after) if self.allowed else None
             self.notes += missed_loss(self.run.drop, self.allowed, self.plan.measure)
         result = {
@@ -331,6 +354,7 @@ class FineTuned(Tuned):
             "after": after,
             "levels": self.levels,
             "first_cut": self.cut,
+            "worst": worst and worst.facts(),
             "compared": self.compared,
             **self.facts(),
             **({"rig": dataset.facts} if isinstance(dataset, RenderedDataset) else {}),
@@ -338,8 +362,9 @@ class FineTuned(Tuned):
         }
         if job.report:
             write_prune_report(
-                job.report, self.path.stem, self.pictures, scene, dataset, self.run, result, job.lpips_missing
-            )
+                job.report, self.path.stem, self.pictures, scene, dataset, self.run, result,
+                job.lpips_missing, worst,
+            )  # fmt: skip
         return self.timed(result)
 
 

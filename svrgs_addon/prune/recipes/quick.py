@@ -182,6 +182,8 @@ class Quick:
             for one in self.written
         )
         facts["levels"] = [{"share": share, **one} for share, one in zip(options.levels, levels, strict=True)]
+        worst = self.likeness.worst(scaled(self.written[0].scene, self.factor))
+        facts["worst"] = worst and worst.facts()
         lost = after[self.allowed.measure] if self.allowed.loss else None
         facts["drop"] = assumed_drop(lost) if lost is not None and self.allowed.measure == "psnr" else lost
         notes = [

@@ -23,6 +23,7 @@ from ...render.metrics.evaluate import (
     picture_options,
     rounded_to_8_bits,
 )
+from ...render.metrics.worst import Worst
 from ...scene.camera import spaced
 from ...scene.gaussians import Scene
 from ...system import memory
@@ -45,13 +46,20 @@ def write_prune_report(
     run: Run,
     result: dict,
     lpips_missing: str,
+    worst: Worst | None,
 ):
     """Writes folder/index.html. before: report_pictures() of the source scene; after: the pruned scene;
-    result: the JSON result of the job; lpips_missing: why LPIPS was not measured. Raises SceneError if it
-    cannot be written."""
+    result: the JSON result of the job; lpips_missing: why LPIPS was not measured; worst: where the pruned
+    scene differs most. Raises SceneError if it cannot be written."""
     source = load_scene(Path(result["scene"])).scene
     figures, notes = timed_in_turn((source, after), (result["before"], result["after"]), dataset)
     del source
+    views = [*report_views(before, report_pictures(after, dataset, Rasterizer()), dataset)]
+    if worst is not None:
+        x, y, width, height = worst.square
+        where = f"{worst.view}, {width} × {height} pixels at {x}, {y}"
+        title = f"{where}: where it differs most, FLIP {worst.square_flip:.3f}"
+        views.append(View(title, worst.original, worst.picture))
     page = Report(
         scene=name,
         before=figures[0],
@@ -67,7 +75,7 @@ def write_prune_report(
         seed=result["seed"],
         versions=_versions(),
         curves=_series(run),
-        views=tuple(report_views(before, report_pictures(after, dataset, Rasterizer()), dataset)),
+        views=tuple(views),
     )
     write_report(folder, page)
 

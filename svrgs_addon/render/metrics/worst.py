@@ -1,0 +1,58 @@
+"""Where a pruned scene differs most from the original, by FLIP: the worst view and its worst square."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from .measures import flip_map
+
+SIDE = 96  # pixels of the square, at most
+
+
+@dataclass(frozen=True)
+class Worst:
+    """A view and its worst square."""
+
+    view: str
+    flip: float  # mean over the view
+    square: tuple[int, int, int, int]  # x, y, width, height in pixels
+    square_flip: float  # mean over the square
+    original: np.ndarray  # (h, w, 3) in 0..1: what the original shows in the square
+    picture: np.ndarray  # and the pruned scene
+
+    def facts(self) -> dict:
+        """The keys of the JSON result."""
+        return {
+            "view": self.view,
+            "flip": self.flip,
+            "square": list(self.square),
+            "square_flip": self.square_flip,
+        }
+
+
+def worst_of(pairs: Iterable[tuple[str, np.ndarray, np.ndarray]]) -> Worst | None:
+    """The worst of some views; None without any. pairs: names of the views, and the pictures (H, W, 3) in
+    0..1 of the original and of the pruned scene."""
+    found = None
+    for view, original, picture in pairs:
+        flips = flip_map(original, picture)
+        mean = float(flips.mean(dtype=np.float64))
+        if found is None or mean > found.flip:
+            (x, y, width, height), worst = worst_square(flips)
+            part = slice(y, y + height), slice(x, x + width)
+            found = Worst(view, mean, (x, y, width, height), worst, original[part], picture[part])
+    return found
+
+
+def worst_square(values: np.ndarray, side: int = SIDE) -> tuple[tuple[int, int, int, int], float]:
+    """(x, y, width, height) of the square, at most `side` pixels a side, of the highest mean value, and that
+    mean. values: (H, W)."""
+    height, width = (min(side, size) for size in values.shape)
+    sums = np.zeros((values.shape[0] + 1, values.shape[1] + 1))
+    np.cumsum(np.cumsum(values, axis=0, dtype=np.float64), axis=1, out=sums[1:, 1:])
+    means = sums[height:, width:] - sums[:-height, width:] - sums[height:, :-width] + sums[:-height, :-width]
+    y, x = np.unravel_index(means.argmax(), means.shape)
+    return (int(x), int(y), width, height), float(means[y, x] / (width * height))
