@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import math
 import time
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterator
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -92,6 +92,7 @@ class Run:
             self.extent = dataset.extent  # a resumed run must have that of the start
             self.poses = Poses.of(self.training_cameras, model.means)
         self.curves = Curves()
+        self.part: Callable[[str, float], None] = lambda *_: None  # told what takes seconds between steps
         self.loss = math.nan
         self.nonfinite = 0  # rows that were not updated because their gradient was not finite
         self.held_back = 0  # densifications that added nothing because memory was short
@@ -258,6 +259,8 @@ class Run:
     def quality(self, kept: np.ndarray | None) -> float:
         what = self.model, self.dataset, quality_views(self.dataset), self.rasterizer, self.score_options
         masks_of_kept = None if kept is None else kept.astype(np.uint8)
+        if self.plan.measure == "lpips":
+            self.part("measures LPIPS", self.iteration / self.plan.total)
         return mean_quality(*what, masks_of_kept, self.plan.measure)
 
     @property

@@ -95,6 +95,7 @@ class Tuned:
         """All phases, with checkpoints."""
         job, plan, dataset = self.job, self.plan, self.dataset
         run = Run(self.model, dataset, plan, make_engine(job.engine), self.model.metadata["antialiased"])
+        run.part = job.part
         if run.recovery_pruning:
             run.recovery_pruning.start = self.held
         identity = checkpoint.identity_of(self.model, self.given, plan, job.engine)
