@@ -32,7 +32,7 @@ from ..finetune.methods import method_named
 from ..finetune.model import Model
 from ..finetune.nested import SIZES
 from ..finetune.plan import Plan, prune_plan
-from ..finetune.quality import VIEWS
+from ..finetune.quality import VIEWS, quality_views
 from ..finetune.recovery_pruning import CUTS
 from ..finetune.run import Run
 from ..finetune.saliency import removal_errors
@@ -40,7 +40,7 @@ from ..finetune.settings import MCMC, Phase
 from ..finetune.strength_controller import UPDATES
 from ..native import library
 from ..native.rasterizer import Rasterizer
-from ..render.metrics.evaluate import evaluate, mean_psnr, render_options
+from ..render.metrics.evaluate import BLOCKS, evaluate, mean_psnr, mean_quality, render_options
 from ..scene.gaussians import Scene
 from ..views.dataset import READER_THREADS, Dataset
 from ..views.rendered import RenderedDataset
@@ -62,7 +62,7 @@ UNKNOWN_SHARE = 0.3  # of the Gaussians of a training, those that stay if a meth
 PARTS = 16  # parts of a phase in which the number of Gaussians is taken as constant
 # with all Gaussians, that take as long as a cut that merges: measured with 150,000 and 500,000
 MERGING_STEPS = 60
-BISECTION = 10  # PSNRs that find the fewest Gaussians that hold one (finetune/quality.py)
+BISECTION = 10  # measurements that find the fewest Gaussians that hold a loss (finetune/quality.py)
 
 
 @dataclass(frozen=True)
@@ -83,6 +83,7 @@ class Pace:
     uncached: float  # share of the training photographs that do not stay in memory
     # of the quality: before pruning, unless the photographs are the splat's own pictures, and after
     measurements: int = 2
+    judged: float = 0.0  # measuring what an allowed loss is taken from, in all views that decide
 
     def pruning(self, plan: Plan, share: float, recorded: tuple[int, int] = (0, 0)) -> float:
         """Seconds of `svrgs prune` without reading and writing the splat. share: of the Gaussians, those that
@@ -155,12 +156,13 @@ class Pace:
         return self._ranking_seconds(passes, left)
 
     def _drop(self, plan: Plan, share: float) -> float:
-        """Seconds of holding a loss of quality: PSNRs on a few views, and ranking passes in the recovery."""
+        """Seconds of holding a loss of quality: its measure on a few views, and ranking passes in the
+        recovery."""
         if not plan.max_drop:
             return 0.0
         decisions, cuts = sum(phase.active for phase in plan.phases), 0 if plan.nested else len(CUTS)
-        psnrs = BISECTION * (decisions + cuts * share**self.power) + UPDATES * plan.method.learns_masks
-        return min(VIEWS, self.test_views) * self.drawn * psnrs + cuts * self.ranking * share**RANKING_POWER
+        times = BISECTION * (decisions + cuts * share**self.power) + UPDATES * plan.method.learns_masks
+        return self.judged * times + cuts * self.ranking * share**RANKING_POWER
 
     def _reading(self, steps: int) -> float:
         """Seconds of reading photographs beside the steps."""
@@ -191,6 +193,8 @@ def pace_of(scene: Scene, dataset: Dataset, plan: Plan, lpips: Callable | None =
     measure = lambda: evaluate(
         scene, dataset, views, rasterizer, lpips, plan.exposure == "on", plan.refine_poses == "on"
     )
+    judge = lambda: mean_quality(scene, dataset, views, rasterizer, options, measure=plan.measure)
+    judging = min(len(quality_views(dataset)), BLOCKS if plan.measure == "lpips" else VIEWS) / len(views)
     step = _step(scene, replace(dataset, train_indices=shown), plan)
     return Pace(
         count=scene.count,
@@ -199,6 +203,7 @@ def pace_of(scene: Scene, dataset: Dataset, plan: Plan, lpips: Callable | None =
         point=drawn * min(CURVE_VIEWS, len(dataset.test_indices)),
         measured=_seconds(measure, warm=True) / len(views),
         measurements=1 if isinstance(dataset, RenderedDataset) else 2,
+        judged=_seconds(judge, warm=True) * judging if plan.max_drop else 0.0,
         photograph=photograph,
         train_views=len(train),
         test_views=len(test),
