@@ -62,6 +62,7 @@ UNKNOWN_SHARE = 0.3  # of the Gaussians of a training, those that stay if a meth
 PARTS = 16  # parts of a phase in which the number of Gaussians is taken as constant
 # with all Gaussians, that take as long as a cut that merges: measured with 150,000 and 500,000
 MERGING_STEPS = 60
+SPENT = 2  # measurements of such a cut
 BISECTION = 10  # measurements that find the fewest Gaussians that hold a loss (finetune/quality.py)
 
 
@@ -161,7 +162,10 @@ class Pace:
         if not plan.max_drop:
             return 0.0
         decisions, cuts = sum(phase.active for phase in plan.phases), 0 if plan.nested else len(CUTS)
-        times = BISECTION * (decisions + cuts * share**self.power) + UPDATES * plan.method.learns_masks
+        # without a law, the decision spends what is allowed, and most cuts find nothing to spare
+        in_cut = BISECTION if plan.measure == "psnr" else SPENT
+        times = BISECTION * decisions + in_cut * cuts * share**self.power
+        times += UPDATES * plan.method.learns_masks
         return self.judged * times + cuts * self.ranking * share**RANKING_POWER
 
     def _reading(self, steps: int) -> float:
@@ -203,7 +207,7 @@ def pace_of(scene: Scene, dataset: Dataset, plan: Plan, lpips: Callable | None =
         point=drawn * min(CURVE_VIEWS, len(dataset.test_indices)),
         measured=_seconds(measure, warm=True) / len(views),
         measurements=1 if isinstance(dataset, RenderedDataset) else 2,
-        judged=_seconds(judge, warm=True) * judging if plan.max_drop else 0.0,
+        judged=_seconds(judge) * judging if plan.max_drop else 0.0,
         photograph=photograph,
         train_views=len(train),
         test_views=len(test),
