@@ -44,7 +44,7 @@ before the run. Medians are those of absolute values. "As now" is the forecast t
 ## Fit and test
 
 H is fitted on {fitted} and tested on the other two scenes: pruning to 50, 25, 17 and 8 % with three tenths of the steps (2 400), as in
-[results.md](results.md#which-method-shows-the-best-picture-with-so-few-gaussians). The runs (means over their seeds) were made with an earlier version.
+[results.md](results.md#rivals-as-they-are-on-a-capture-that-was-left-out). The runs (means over their seeds) were made with an earlier version.
 Their splats were trained again for the forecast, with the same command, which gives nearly the same splat.
 
 {fit}

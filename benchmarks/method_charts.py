@@ -19,27 +19,24 @@ import matplotlib.pyplot as plt  # noqa: E402  (after the choice of the backend)
 MARKERS = "osD^v<>PX*hd"
 
 
-def pareto_chart(
-    curves: dict[str, list[tuple[int, float]]], before: tuple[int, float], title: str, path: Path
-):
-    """PSNR over the number of Gaussians. curves: points (Gaussians, dB) of each method, by rising count;
-    before: the point of the scene that was pruned. `removal` is black; this project's methods and the svr
-    methods have thick lines."""
-    figure, axes = plt.subplots(figsize=(8.5, 5))
+def pareto_chart(curves: dict[str, list[tuple[int, float, float]]], title: str, path: Path):
+    """PSNR and LPIPS over the number of Gaussians. curves: points (Gaussians, dB, LPIPS) of each method, by
+    rising count. `removal` is black."""
+    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.5))
     for k, (method, points) in enumerate(sorted(curves.items())):
-        ours = method.startswith(("svr", "removal", "saliency"))
-        style = {
-            "linewidth": 2 if ours else 1,
-            "markersize": 4,
-            "color": "black" if method == "removal" else plt.cm.tab20(k % 20),
-        }
-        axes.plot(*zip(*points, strict=True), MARKERS[k % len(MARKERS)] + "-", label=method, **style)
-    axes.plot(*before, "k+", markersize=10, label="before")
-    axes.set_xscale("log")
-    axes.set_xlabel("Gaussians left")
-    axes.set_ylabel("PSNR of the test views, dB")
-    axes.set_title(title)
-    axes.legend(fontsize=8, loc="center left", bbox_to_anchor=(1, 0.5))
+        style = {"color": "black", "linewidth": 2} if method == "removal" else {"color": plt.cm.tab20(k % 20)}
+        counts, psnr, lpips = zip(*points, strict=True)
+        for axes, values in ((left, psnr), (right, lpips)):
+            axes.plot(counts, values, MARKERS[k % len(MARKERS)] + "-", markersize=4, label=method, **style)
+    for axes, name in ((left, "PSNR, dB"), (right, "LPIPS")):
+        axes.set_xscale("log")
+        axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axes.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
+        axes.xaxis.set_minor_formatter(NullFormatter())
+        axes.set_xlabel("Gaussians left")
+        axes.set_ylabel(f"{name}, test views")
+    right.legend(fontsize=8, loc="center left", bbox_to_anchor=(1, 0.5))
+    figure.suptitle(title)
     _save(figure, path)
 
 

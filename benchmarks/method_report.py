@@ -18,13 +18,11 @@ from method_studies import OWN_RATES, PRUNED
 from time_report import in_time
 
 DEFAULT = "removal"  # the default method
-LEFT_OUT = ("demo", "south_building", "brighton")  # no constant was chosen on them
-CAPTURES = ("snowmiku", "south_building")  # the main real scenes
-BEST = 3  # how many of the other methods are named beside it
 BASE, RIVAL, PAPER = "3DGS", "MaskGS alpha", "SVR-GS"
 TABLE_ONE = (BASE, "LightGaussian", "Compact3DGS", RIVAL, PAPER)
 PAPER_RUNS = (BASE, RIVAL, PAPER, "Scenario A", "Scenario B")  # the columns of the paper's tables
 FIGURES = ("psnr", "ssim", "lpips", "flip", "count", "bytes", "seconds", "ms_per_frame")
+QUOTED = ("equal", "pareto")  # studies that the README quotes
 LOSSES = {"table": "usual", "lambda": "usual", "printed": "printed"}  # weights of the image loss, by study
 
 
@@ -43,10 +41,14 @@ def command(rows: list[dict], charts: Path) -> str:
     """The command that makes the rows anew, and how long they took."""
     captures = sorted({row["scene"] for row in rows} - set(GENERATED))
     folders = " ".join(f"--scene {scene}=DIR" for scene in captures)
-    hours = sum(row["wall_seconds"] * row["seeds"] for row in rows) / 3600
+    whole, quoted = (
+        sum(row["wall_seconds"] * row["seeds"] for row in some) / 3600
+        for some in (rows, [row for row in rows if row["study"] in QUOTED and row["schedule"] == 0.1])
+    )
     return f"""    .venv/bin/python benchmarks/methods.py --page --rows build/rows.jsonl {folders}
 
-That takes about {hours:.0f} hours on two cores. It says how long the rest takes, and goes on where it
+That takes about {whole:.0f} hours on two cores, what the README quotes of it about {quoted:.0f}
+(`--study {" --study ".join(QUOTED)}`). It says how long the rest takes, and goes on where it
 stopped. `--part 1/3`, `2/3` and `3/3` divide it among three machines, `--join` joins their rows; `--study`
 runs a part."""
 
@@ -129,70 +131,9 @@ def pruned(rows: list[dict], study: str) -> list[dict]:
     ]
 
 
-def pruning(rows: list[dict], charts: Path) -> str:
-    """At equal counts, on scenes that constants were chosen on."""
-    return at_equal_counts([row for row in rows if row["scene"] not in LEFT_OUT], charts)
-
-
-def left_out(rows: list[dict], charts: Path) -> str:
-    """The same on scenes that no constant was chosen on."""
-    return at_equal_counts([row for row in rows if row["scene"] in LEFT_OUT], charts)
-
-
-def at_equal_counts(rows: list[dict], charts: Path) -> str:
-    """The default and the best of the others: one table, and a chart with every method for each scene."""
-    lines, pictures = [], []
-    for those in groups(pruned(rows, "pareto"), "scene", "schedule", "shrink", "trained", "start").values():
-        first, before = those[0], max(those, key=lambda row: row["seeds"])["before"]
-        name = f"pareto-{first['scene']}-{first['shrink']}-{first['schedule']:g}"
-        name += f"-{first['start']}-{first['trained']:g}"
-        curves = {
-            method: sorted((row["count"], row["psnr"]) for row in group)
-            for (method,), group in groups(those, "method").items()
-        }
-        pareto_chart(curves, (before["count"], before["psnr"]), case(first), charts / f"{name}.svg")
-        pictures.append(f"![{case(first)}](results/{name}.svg)\n")
-        lines += standings(those)
-    head = [
-        "scene: Gaussians and PSNR before",
-        "as many further steps",
-        "kept",
-        "pixels a Gaussian",
-        DEFAULT,
-        "the best of the others",
-        "others measured",
-    ]
-    return table(head, lines) + "\n" + "\n".join(pictures)
-
-
-def standings(rows: list[dict]) -> Iterable[list[str]]:
-    """One scene: a line per share with the default, the best others, and how many others there are."""
-    before, further = (
-        max(rows, key=lambda row: row["seeds"])["before"],
-        [psnr_of(row) for row in rows if row["share"] == 1],
-    )
-    for (share,), those in sorted(
-        groups((row for row in rows if row["share"] < 1), "share").items(), reverse=True
-    ):
-        others = [row for row in those if row["method"] not in (DEFAULT, OWN_RATES)]
-        others.sort(key=lambda row: -row["psnr"])
-        best = [f"{psnr_of(row)} `{row['method']}`" for row in others[:BEST]]
-        ours = [psnr_of(row) for row in those if row["method"] == DEFAULT]
-        place = f"{case(rows[0])}: {before['count']:,}, {psnr_of(before)} dB"
-        yield [
-            place,
-            *(further or [""]),
-            f"{100 * share:g} %",
-            pixels(those[0]),
-            *(ours or [""]),
-            ", ".join(best),
-            str(len(others)),
-        ]
-
-
 def equal(rows: list[dict], charts: Path) -> str:
     """The recipe of the default with other rankings, and with nothing removed."""
-    rows = pruned(rows, "equal")
+    rows = sorted(pruned(rows, "equal"), key=lambda row: (row["scene"], row["schedule"]))
     alone = {"steps of 3dgs": "plain steps", DEFAULT: "`removal`: GaussianPOP's ranking"}
     rankings = [name for (name,) in groups(rows, "method") if name not in alone]
     columns = alone | {name: f"that of `{name}`" for name in rankings}
@@ -202,18 +143,33 @@ def equal(rows: list[dict], charts: Path) -> str:
 def rivals(rows: list[dict], charts: Path) -> str:
     """The same scenes with each rival as it is, with MCMC, and with the default by the rates of 3DGS."""
     rows = pruned(rows, "pareto")
-    places = {(row["scene"], row["shrink"]) for row in rows if row["method"] == OWN_RATES}
-    rows = [row for row in rows if (row["scene"], row["shrink"]) in places]
+    places = {(row["scene"], row["shrink"], row["trained"]) for row in rows if row["method"] == OWN_RATES}
+    rows = [row for row in rows if (row["scene"], row["shrink"], row["trained"]) in places]
     names = {name for (name,) in groups(rows, "method")}
     first = {"3dgs": "plain steps", DEFAULT: f"`{DEFAULT}`", OWN_RATES: "its passes, rates of 3DGS"}
     last = {"mcmc": "trained to the number by MCMC"}
     others = {name: f"`{name}`" for name in sorted(names - {*first, *last})}
-    return by_share(rows, first | others | last)
+    curves = {
+        name: sorted((row["count"], row["psnr"], row["lpips"]) for row in those)
+        for (name,), those in groups(rows, "method").items()
+    }
+    pareto_chart(curves, case(rows[0]), charts / "rivals.svg")
+    picture = "\n![PSNR and LPIPS over the number of Gaussians](results/rivals.svg)\n"
+    return by_share(rows, first | others | last) + picture
 
 
 def full_size(rows: list[dict], charts: Path) -> str:
     """Real captures with photographs in full size."""
-    rows = [row for row in pruned(rows, "pareto") if row["shrink"] == 1 and row["scene"] in CAPTURES]
+    return beside_rivals([row for row in pruned(rows, "pareto") if row["shrink"] == 1])
+
+
+def to_the_end(rows: list[dict], charts: Path) -> str:
+    """Scenes that were trained with all steps."""
+    return beside_rivals([row for row in pruned(rows, "pareto") if row["trained"] == 1])
+
+
+def beside_rivals(rows: list[dict]) -> str:
+    """A table of the default and each rival."""
     others = sorted({name for (name,) in groups(rows, "method")} - {"3dgs", DEFAULT})
     columns = {"3dgs": "plain steps", DEFAULT: f"`{DEFAULT}`"} | {name: f"`{name}`" for name in others}
     return by_share(rows, columns)
@@ -235,6 +191,13 @@ def published(rows: list[dict], charts: Path) -> str:
     rows = pruned(rows, "published")
     names = sorted((name for (name,) in groups(rows, "method")), key=lambda name: (name.count("5 k"), name))
     return by_share(rows, {name: f"`{name.replace(', ', '`, ')}" for name in names})
+
+
+def ablation(rows: list[dict], charts: Path) -> str:
+    """The default with one part of its recipe changed at a time."""
+    rows = pruned(rows, "ablation")
+    names = [name for (name,) in groups(rows, "method") if name != DEFAULT]
+    return by_share(rows, {DEFAULT: "as it is"} | {name: name for name in sorted(names)})
 
 
 def looks(rows: list[dict], charts: Path) -> str:
@@ -277,8 +240,7 @@ def against(row: dict, plain: dict) -> str:
     change = f"{row['seconds'] / plain['seconds'] - 1:+.0%}, {row['psnr'] - plain['psnr']:+.2f} dB".replace(
         "%", " %"
     )
-    lpips = None if None in (row["lpips"], plain["lpips"]) else row["lpips"] - plain["lpips"]
-    return change + ("" if lpips is None else f", {lpips:+.3f}")
+    return f"{change}, {row['lpips'] - plain['lpips']:+.3f}"
 
 
 def levels(rows: list[dict], charts: Path) -> str:
@@ -292,47 +254,22 @@ def levels(rows: list[dict], charts: Path) -> str:
 
 
 def perceived(row: dict) -> str:
-    """PSNR, and LPIPS where it was measured."""
-    return psnr_of(row) + ("" if row["lpips"] is None else f", {row['lpips']:.3f}")
-
-
-def few(rows: list[dict], charts: Path) -> str:
-    """PSNR of the default and its nearest rivals at few Gaussians, for several schedules."""
-    rows = pruned(rows, "schedules")
-    columns = sorted(
-        groups(rows, "schedule", "method"), key=lambda column: (column[0], column[1] != DEFAULT, column[1])
-    )
-    lines = []
-    for scene, share in sorted(groups(rows, "scene", "share"), key=lambda place: (place[0], -place[1])):
-        found = {
-            (row["schedule"], row["method"]): row
-            for row in rows
-            if (row["scene"], row["share"]) == (scene, share)
-        }
-        before = next(iter(found.values()))["before"]["psnr"]
-        lines.append(
-            [
-                f"{scene} ({before:.2f})",
-                f"{100 * share:g} %",
-                *(psnr_of(found[column]) if column in found else "" for column in columns),
-            ]
-        )
-    return table(
-        ["scene (PSNR before)", "kept", *(f"{method}, {schedule:g}" for schedule, method in columns)], lines
-    )
+    """PSNR and LPIPS."""
+    return f"{psnr_of(row)}, {row['lpips']:.3f}"
 
 
 def other_figures(rows: list[dict], charts: Path) -> str:
-    """PSNR, SSIM and FLIP of the default at each share, and of the same number of further steps without
-    pruning."""
+    """PSNR, LPIPS, SSIM and FLIP of the default at each share, and of the same number of further steps
+    without pruning."""
     lines = []
     for those in groups(pruned(rows, "pareto"), "scene", "schedule", "shrink", "trained", "start").values():
         base = [row for row in those if row["share"] == 1]
         ours = sorted((row for row in those if row["method"] == DEFAULT), key=lambda row: -row["share"])
         for row in [*base, *ours]:
             kept = "no pruning" if row["share"] == 1 else f"{100 * row['share']:g} %"
-            lines.append([case(row), kept, psnr_of(row), f"{row['ssim']:.4f}", f"{row['flip']:.4f}"])
-    return table(["scene", "kept", "PSNR", "SSIM", "FLIP"], lines)
+            figures = (f"{row[name]:.4f}" for name in ("lpips", "ssim", "flip"))
+            lines.append([case(row), kept, psnr_of(row), *figures])
+    return table(["scene", "kept", "PSNR", "LPIPS", "SSIM", "FLIP"], lines)
 
 
 def points(rows: list[dict], charts: Path) -> str:
@@ -379,9 +316,9 @@ def paper(rows: list[dict], charts: Path) -> str:
 
 
 def table_one(rows: list[dict], charts: Path) -> str:
-    """Table 1 of the paper, for each scene and loss that have LPIPS and all steps."""
+    """Table 1 of the paper, for each scene and loss with all steps."""
     lines = []
-    whole = [row for row in rows if row["schedule"] == 1 and row["lpips"] is not None]
+    whole = [row for row in rows if row["schedule"] == 1]
     for (*_, loss), those in by_loss(whole, ("table", "printed")).items():
         found = {row["run"]: row for row in those}
         for name in (run for run in TABLE_ONE if run in found):
@@ -445,8 +382,7 @@ def sweep(rows: list[dict], charts: Path) -> str:
 
 
 OF_PAGE = (
-    command, equal, rivals, full_size, published, looks, skips, levels, pruning, left_out, few, in_time,
-    other_figures,
-    points, table_one, paper, scenarios, sweep,
+    command, equal, ablation, rivals, full_size, to_the_end, published, looks, skips, levels, in_time,
+    other_figures, points, table_one, paper, scenarios, sweep,
 )  # fmt: skip
 PARTS: dict[str, Callable[[list[dict], Path], str]] = {part.__name__: part for part in OF_PAGE}

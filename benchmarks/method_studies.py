@@ -33,7 +33,6 @@ PRINTED = (
     "from svrgs_addon.finetune.methods import METHODS; [setattr(m, 'image_weights', (1.0, 1.0)) for m in"
     " METHODS.values()]"
 )
-DEEP = ("0.25", "0.1", "0.05", "0.02")
 TARGETS = ("0.5", "0.25", "0.1", "0.05")
 RIVALS = (
     "opacity", "contribution", "max-contribution", "pup", "lightgaussian", "compact3dgs", "maskgs", "gns",
@@ -101,7 +100,8 @@ def equal() -> dict[str, list[str]]:
 
 
 def published() -> dict[str, list[str]]:
-    """The runs of the study published: rivals with their published steps, and the default with as many."""
+    """The runs of the study published: rivals with their published steps, and the default with as many, by
+    its own recipe and by theirs."""
     runs = {}
     for target in ("0.25", "0.1"):
         for method in ("lightgaussian", "speedy", "gaussianpop"):
@@ -110,7 +110,8 @@ def published() -> dict[str, list[str]]:
             steps = ["--method", method, "--target", target, "--iterations", "5000", "--recovery", "5000"]
             runs[f"{method}, 5 k + 5 k {target}"] = steps
         steps = ["--method", "removal", "--target", target, "--iterations", "1900", "--recovery", "3100"]
-        runs[f"removal, 5 k {target}"] = steps
+        runs |= {f"{name}, 5 k {target}": steps for name in ("removal", OWN_RATES)}
+        runs[f"{OWN_RATES}, 5 k + 5 k {target}"] = runs[f"removal, 5 k + 5 k {target}"]
     return runs
 
 
@@ -143,11 +144,6 @@ STUDIES = {
         for target in ("0.17", "0.05")
         for label in ABLATION
     },
-    "schedules": {
-        f"{method} {target}": ["--method", method, "--target", target]
-        for target in DEEP
-        for method in ("removal", "maskgs", "gns")
-    },
     "published": published(),
     "skips": {name: [*TABLE["3DGS"], *flags] for name, flags in SKIPS.items()},
     "levels": {level: TABLE["3DGS"] for level in LEVELS},
@@ -159,10 +155,12 @@ STUDIES = {
     },
 }
 # these prune the scene of a run of `table`
-PRUNED = ("equal", "looks", "pareto", "published", "ablation", "schedules", "time")
+PRUNED = ("equal", "looks", "pareto", "published", "ablation", "time")
 
 
 def change_of(study: str, run: str) -> str:
     """The Python code that changes the program before a run."""
-    changes = {"ablation": ABLATION, "pareto": PARTS, "equal": RANKINGS, "looks": LOOKING, "levels": LEVELS}
-    return PRINTED if study == "printed" else changes.get(study, {}).get(run.rpartition(" ")[0] or run, "")
+    changes = {"ablation": ABLATION, "equal": RANKINGS, "looks": LOOKING, "levels": LEVELS}
+    changes |= {"pareto": PARTS, "published": PARTS}
+    name = (run.rpartition(" ")[0] or run).partition(", 5 k")[0]
+    return PRINTED if study == "printed" else changes.get(study, {}).get(name, "")

@@ -32,7 +32,6 @@ machine.
     levels    `svrgs train` with each SIMD level
     scenarios `svrgs train` with scenarios A and B of the paper and several lambda_F
     looks     the same with less exact looks at what stays (benchmarks/looks.py)
-    schedules the same with the default and its nearest rivals, down to 2 %; to be run with several --schedule
     time      the same to 10 %, where each method has the same seconds (`--time`); to be run on a quiet
               machine. --only 10 runs one limit
 """
@@ -128,8 +127,8 @@ def command(request: dict, data: list[str], work: Path, threads: int) -> list[st
     own = work / f"{hashlib.sha256(key(request).encode()).hexdigest()[:16]}.ply"
     out = start_file(request, work) if is_start(request) else own
     schedule = [] if request["study"] == "time" else ["--schedule", str(request["schedule"])]
-    file = weights_file()  # of LPIPS, which takes seconds that a limit of time counts
-    weights = ["--lpips-weights", str(file)] if file.is_file() and request["study"] != "time" else []
+    # a limit of time counts the seconds of LPIPS, too: measured afterwards
+    weights = [] if request["study"] == "time" else lpips_weights()
     common = ["--out", str(out), *request["flags"], *data, "--seed", str(request["seed"]), *schedule]
     common += ["--exposure", "off", "--refine-poses", "off"]  # so that all have the same photographs
     common += [*weights, "--threads", str(threads), "--json", "--quiet"]
@@ -160,16 +159,32 @@ def measured(request: dict, data: list[str], work: Path, threads: int = 0) -> di
     done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True)
     if done.returncode:
         return {**request, "error": (done.stderr.strip().splitlines() or ["no message"])[-1]}
+    result = json.loads(done.stdout)
+    if request["study"] == "time":
+        result |= evaluated(out, data)
     if not is_start(request):
         out.unlink()
         shutil.rmtree(f"{out}.job", ignore_errors=True)
-    result = json.loads(done.stdout)
     return {
         **request,
         "wall_seconds": max(time.time() - started, result["seconds"]),  # it may have been resumed
         "pixels": training_pixels(tuple(data)),
         **{key: result[key] for key in KEPT if key in result},
     }
+
+
+def lpips_weights() -> list[str]:
+    """The flag that names the weights of LPIPS; nothing where they are not there."""
+    file = weights_file()
+    return ["--lpips-weights", str(file)] if file.is_file() else []
+
+
+def evaluated(scene: Path, data: list[str]) -> dict:
+    """The figures of a file on the test views."""
+    words = ["-m", "svrgs_addon", "eval", str(scene), *data, *lpips_weights(), "--json"]
+    done = subprocess.run([sys.executable, *words], cwd=ROOT, capture_output=True, text=True, check=True)
+    figures = json.loads(done.stdout)
+    return {name: figures[name] for name in ("psnr", "ssim", "lpips", "flip") if name in figures}
 
 
 @cache

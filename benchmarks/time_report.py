@@ -22,7 +22,7 @@ def in_time(rows: list[dict], charts: Path) -> str:
 
 
 def of_scene(scene: str, rows: list[dict], charts: Path) -> list[str]:
-    """The lines of one scene: its chart, and PSNR and share of the schedule of each method in each time."""
+    """The lines of one scene: its chart, and PSNR, LPIPS and steps of each method in each time."""
     methods, limits = (
         sorted({row["method"] for row in rows}, key=lambda name: (name != "removal", name)),
         sorted({row["time"]["asked"] for row in rows}),
@@ -51,8 +51,8 @@ def of_scene(scene: str, rows: list[dict], charts: Path) -> list[str]:
 
 
 def cell(row: dict | None) -> str:
-    """PSNR, and the steps that it took."""
-    return f"{row['psnr']:.2f} ({row['iterations']:,} steps)" if row else ""
+    """PSNR, LPIPS, and the steps that it took."""
+    return f"{row['psnr']:.2f}, {row['lpips']:.3f} ({row['iterations']:,} steps)" if row else ""
 
 
 def nearness(rows: list[dict]) -> str:

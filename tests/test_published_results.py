@@ -1,7 +1,6 @@
-"""The rule that the default holds in the published rows of docs/results/rows.jsonl (study `schedules` of
-benchmarks/methods.py)."""
+"""The sentences of docs/results.md and other pages say what the rows of docs/results/rows.jsonl hold
+(benchmarks/methods.py)."""
 
-import itertools
 import json
 import re
 from collections import defaultdict
@@ -12,84 +11,23 @@ import numpy as np
 import pytest
 
 ROWS = Path(__file__).resolve().parents[1] / "docs" / "results" / "rows.jsonl"
-SHARES, SCHEDULES, SCENES = ("0.25", "0.1", "0.05", "0.02"), (0.1, 0.4, 1.0), 3
-DEFAULT, RIVALS = "removal", ("maskgs", "gns")
-MOST = 0.1  # dB by which the default, or a longer schedule, may be behind
-AHEAD = 0.2  # dB by which the default is at least ahead on scenes trained to their end
 
 
-@pytest.fixture(scope="module")
-def psnr() -> dict[tuple, dict[int, float]]:
-    """PSNR of each seed by (case, share, schedule, method). A case is a scene and the size of its
-    photographs. Cases that lack a run are left out."""
-    found: dict[tuple, dict] = defaultdict(lambda: defaultdict(dict))
-    for row in map(json.loads, ROWS.read_text().splitlines()):
-        if row["study"] == "schedules" and "error" not in row:
-            method, share = row["run"].split()
-            found[row["scene"], row["shrink"], row["trained"], row["start"]][share, row["schedule"], method][
-                row["seed"]
-            ] = row["psnr"]
-    runs = set(itertools.product(SHARES, SCHEDULES, (DEFAULT, *RIVALS)))
-    return {
-        (case, *run): seeds
-        for case, those in found.items()
-        if runs <= set(those)
-        for run, seeds in those.items()
-    }
+def rows_of(**case) -> list[dict]:
+    """The rows that have these values."""
+    return [row for row in map(json.loads, ROWS.read_text().splitlines()) if case.items() <= row.items()]
 
 
-def behind(ours: dict[int, float], other: dict[int, float]) -> float:
-    """PSNR of the other run minus ours, mean of the seeds that both have."""
-    return fmean(other[seed] - ours[seed] for seed in ours.keys() & other.keys())
+def by_run(**case) -> dict[str, dict]:
+    """The one row of each run."""
+    found = rows_of(**case)
+    assert len(found) == len({row["run"] for row in found})
+    return {row["run"]: row for row in found}
 
 
-def test_rows_cover_enough_scenes(psnr):
-    assert len({case for case, *_ in psnr}) >= SCENES
-
-
-def test_default_is_nowhere_behind_its_nearest_rivals(psnr):
-    ours = {place: seeds for place, seeds in psnr.items() if place[-1] == DEFAULT}
-    gaps = {
-        (*place[:-1], rival): behind(seeds, psnr[*place[:-1], rival])
-        for place, seeds in ours.items()
-        for rival in RIVALS
-    }
-    assert not {place: gap for place, gap in gaps.items() if gap > MOST}
-
-
-def test_longer_schedule_is_nowhere_worse(psnr):
-    worse = {}
-    for (case, share, schedule, method), seeds in psnr.items():
-        for longer in (other for other in SCHEDULES if method == DEFAULT and other > schedule):
-            worse[case[0], share, schedule, longer] = behind(psnr[case, share, longer, method], seeds)
-    assert not {place: loss for place, loss in worse.items() if loss > MOST}
-
-
-def test_default_is_ahead_on_scenes_trained_to_their_end_with_three_seeds():
-    """Study `pareto`: of every method of other papers by AHEAD, at each share, and above as many further
-    steps without pruning."""
-    found: dict[tuple, dict] = defaultdict(lambda: defaultdict(dict))
-    for row in map(json.loads, ROWS.read_text().splitlines()):
-        if (
-            row["study"] == "pareto"
-            and "error" not in row
-            and (row["trained"], row["start"]) == (1.0, "3DGS")
-        ):
-            found[row["scene"], row["shrink"]][row["run"]][row["seed"]] = row["psnr"]
-    cases = [runs for runs in found.values() if len(runs[f"{DEFAULT} 0.5"]) >= 3]
-    assert len(cases) >= 2
-    for runs in cases:
-        for share in ("0.5", "0.25", "0.1", "0.05"):
-            ours = runs[f"{DEFAULT} {share}"]
-            rivals = {
-                run: other
-                for run, other in runs.items()
-                if run.endswith(f" {share}") and not run.startswith((DEFAULT, "saliency"))
-            }
-            assert len(rivals) > 10 and not {
-                run for run, other in rivals.items() if behind(ours, other) > -AHEAD
-            }
-            assert behind(ours, runs["3dgs"]) < 0
+def test_every_row_has_lpips_and_pixels():
+    rows = rows_of()
+    assert len(rows) > 400 and all(row["lpips"] > 0 and row["pixels"] > 0 for row in rows)
 
 
 # --- sentences with a figure
@@ -113,30 +51,138 @@ def said(page: str, sentence: str) -> list[float]:
     return [float(figure.replace(" ", "")) for figure in found.groups()]
 
 
-@pytest.mark.parametrize("page", ["results.md", "results/page.md"])
-def test_sentences_on_the_paper_are_those_of_the_rows(page):
-    whole, tenth = means(1, "table", "printed"), means(0.1, "table")
-    count = lambda scene, shrink, run, rows=whole: rows[scene, shrink, "table", run][0]
-    fewer = lambda *case, **more: count(*case, "3DGS", **more) / count(*case, "SVR-GS", **more)
-    figures = [fewer("snowmiku", 4), fewer("snowmiku", 4, rows=tenth), fewer("demo", 3)]
-    assert said(
-        page,
-        "keeps # times fewer Gaussians than 3DGS on snowmiku (a tenth of the schedule: #)"
-        " and # times fewer on demo",
-    ) == [round(figure, 1) for figure in figures]
-    grown = [count("snowmiku", 4, "3DGS"), count("snowmiku", 4, "3DGS", rows=tenth)]
-    assert said(page, "3DGS grows to # Gaussians instead of #.") == [round(figure) for figure in grown]
-    gained = {
-        case: (whole[*case, "printed", run][1] - whole[*case, "table", run][1])
-        for case, run in ((("demo", 3), "3DGS"), (("snowmiku", 4), "3DGS"))
-    }
-    assert said(page, "On demo it has # dB more") == [round(gained["demo", 3], 1)]
-    assert said(page, "3DGS itself has # dB less on snowmiku") == [-round(gained["snowmiku", 4])]
-    lost = lambda case, study: whole[*case, study, "MaskGS alpha"][1] - whole[*case, study, "SVR-GS"][1]
-    assert said(page, "it loses # dB on snowmiku and # on demo; with the usual loss # and #.") == [
-        round(lost(case, study), 1)
-        for study in ("printed", "table")
-        for case in (("snowmiku", 4), ("demo", 3))
+def test_sentences_on_longer_runs_are_those_of_the_rows():
+    case = {"study": "equal", "trained": 0.1, "shrink": 2}
+    miku = {n: by_run(**case, scene="snowmiku", schedule=n) for n in (0.05, 0.4, 1.0)}
+    figures = lambda row: [round(row["psnr"], 2), round(row["lpips"], 3)]
+    first = rows_of(**case, scene="snowmiku", schedule=0.1, run="removal 0.1")
+    expected = [round(fmean(row["psnr"] for row in first), 2), round(fmean(row["lpips"] for row in first), 3)]
+    expected += figures(miku[0.4]["removal 0.1"]) + figures(miku[1.0]["removal 0.1"])
+    sentence = "A tenth of snowmiku has # dB and # LPIPS after 800 steps (three seeds), # and # after 3,200,"
+    assert said("results.md", f"{sentence} # and # after 8,000") == expected
+    plain = figures(miku[1.0]["steps of 3dgs 1"])
+    assert said("results.md", "as many plain steps have # and #. So PSNR comes back") == plain
+    half = figures(miku[0.05]["removal 0.1"])
+    assert said("results.md", "a tenth of snowmiku has # dB and # LPIPS.") == half
+    gaps = [
+        (miku[n]["removal 0.1"]["psnr"] - miku[n]["speedy 0.1"]["psnr"],
+         miku[n]["speedy 0.1"]["lpips"] - miku[n]["removal 0.1"]["lpips"]) for n in (0.4, 1.0)
+    ]  # fmt: skip
+    ends = [round(end(gap[k] for gap in gaps), 2 + k) for k in (0, 1) for end in (min, max)]
+    assert said("results.md", "`speedy` is # to # dB and # to # LPIPS behind") == ends
+    south = by_run(**case, scene="south_building", schedule=0.4)
+    tenth = [south[f"{name} 0.1"] for name in ("removal", "speedy", "opacity")]
+    spread = max(row["lpips"] for row in tenth) - min(row["lpips"] for row in tenth)
+    assert spread <= said("results.md", "`opacity` is within # of each other")[0]
+    ahead = round(tenth[2]["psnr"] - tenth[0]["psnr"], 2)
+    assert said("results.md", "and `opacity` has # dB more") == [ahead]
+    recipe = [
+        (runs["removal 1"]["psnr"] - runs["steps of 3dgs 1"]["psnr"],
+         runs["steps of 3dgs 1"]["lpips"] - runs["removal 1"]["lpips"])
+        for scene in ("snowmiku", "south_building") for n in (0.4, 1.0)
+        for runs in [by_run(**case, scene=scene, schedule=n)]
+    ]  # fmt: skip
+    ends = [round(end(gain[k] for gain in recipe), 1 + 2 * k) for k in (0, 1) for end in (min, max)]
+    assert said("results.md", "stays # to # dB and # to # LPIPS ahead of plain steps") == ends
+
+
+def test_sentences_on_passes_with_the_recovery_of_rivals_are_those_of_the_rows():
+    found = by_run(study="published")
+    passes = {n: found[f"removal by 3DGS's rates, {n} 0.1"] for n in ("5 k", "5 k + 5 k")}
+    pairs = (("gaussianpop", "5 k"), ("speedy", "5 k"), ("maskgs", "5 k + 5 k"))
+    rivals = [(passes[n], found[f"{name}, {n} 0.1"]) for name, n in pairs]
+    psnr = [round(ours["psnr"] - other["psnr"], 2) for ours, other in rivals]
+    sentence = "−# dB against `gaussianpop` and +# against `speedy` with 5,000 steps, −# against `maskgs`"
+    assert said("results.md", sentence) == [-psnr[0], psnr[1], -psnr[2]]
+    lpips = [round(other["lpips"] - ours["lpips"], 3) for ours, other in rivals]
+    assert said("results.md", "they are ahead by #, # and #. The rest") == lpips
+    rest = [(found[f"removal, {n} 0.1"], passes[n]) for n in passes]
+    assert said("results.md", "adds # and # dB, but no LPIPS") == [
+        round(ours["psnr"] - other["psnr"], 2) for ours, other in rest
+    ]
+    assert all(abs(ours["lpips"] - other["lpips"]) < 0.004 for ours, other in rest)
+
+
+def test_sentences_on_scenes_trained_with_all_steps_are_those_of_the_rows():
+    found = by_run(study="pareto", trained=1.0)
+    gap = lambda share: round(found[f"removal {share}"]["lpips"] - found[f"maskgs {share}"]["lpips"], 3)
+    sentence = "In LPIPS `maskgs` is ahead, by # with a quarter and # with a tenth"
+    assert said("results.md", sentence) == [gap(0.25), gap(0.1)]
+    best = max(row["psnr"] for run, row in found.items() if run.endswith("0.25") and "removal" not in run)
+    assert said("results.md", "PSNR is ahead by # dB with a quarter") == [
+        round(found["removal 0.25"]["psnr"] - best, 1)
+    ]
+    assert abs(found["removal 0.1"]["psnr"] - found["maskgs 0.1"]["psnr"]) < 0.05
+    before = found["removal 0.25"]["before"]["lpips"]
+    rises = [row["lpips"] - before for run, row in found.items() if run.endswith(" 0.25")]
+    assert said("results.md", "than the scene before (#), by # to #.") == [
+        round(value, 3) for value in (before, min(rises), max(rises))
+    ]
+
+
+def test_in_the_same_time_the_default_is_ahead():
+    found = by_run(study="time")
+    for limit in (10, 30, 60, 120):
+        ours = found[f"removal {limit} s"]
+        others = [row for run, row in found.items() if run.endswith(f" {limit} s") and row is not ours]
+        assert len(others) >= 2
+        assert all(row["psnr"] < ours["psnr"] and row["lpips"] > ours["lpips"] for row in others)
+    late = [row for run, row in found.items() if run.endswith(" 120 s") and "removal" not in run]
+    assert found["removal 30 s"]["psnr"] > max(row["psnr"] for row in late)
+
+
+def test_sentences_on_the_paper_are_those_of_the_rows():
+    scenes = ("snowmiku", "south_building")
+    tenth = {scene: by_run(study="table", scene=scene, schedule=0.1, shrink=2, seed=0) for scene in scenes}
+    ratio = lambda one, other: [
+        round(runs[one]["count"] / runs[other]["count"], 1) for runs in tenth.values()
+    ]
+    sentence = (
+        "SVR-GS keeps # (snowmiku) and # times (south_building) fewer Gaussians than MaskGS, and # and #"
+    )
+    assert said("results.md", sentence) == ratio("MaskGS alpha", "SVR-GS") + ratio("3DGS", "SVR-GS")
+    lost = [
+        round(sign * (runs["MaskGS alpha"][name] - runs["SVR-GS"][name]), digits)
+        for name, sign, digits in (("psnr", 1, 1), ("lpips", -1, 3))
+        for runs in tenth.values()
+    ]
+    assert said("results.md", "It pays # and # dB, and # and # LPIPS, against MaskGS") == lost
+    assert said("results.md", "Scenario B keeps # and # times as many as SVR-GS") == ratio(
+        "Scenario B", "SVR-GS"
+    )
+    for runs in tenth.values():
+        assert runs["Scenario A"]["count"] > max(runs[run]["count"] for run in ("SVR-GS", "Scenario B"))
+        assert runs["Scenario B"]["psnr"] > runs["SVR-GS"]["psnr"]
+    worst = [min(runs[f"{run}"]["psnr"] for run in ("SVR-GS", "Scenario B")) for runs in tenth.values()]
+    assert [runs["Scenario A"]["psnr"] < low for runs, low in zip(tenth.values(), worst, strict=True)] == [
+        True,
+        False,
+    ]
+    even = [(runs["SVR-GS, even"], runs["SVR-GS"]) for runs in tenth.values()]
+    assert said("results.md", "half as many Gaussians stay (# and #), at +# and −# dB, but # and # more") == [
+        *(ours["count"] for ours, _ in even),
+        *(abs(round(ours["psnr"] - other["psnr"], 1)) for ours, other in even),
+        *(round(ours["lpips"] - other["lpips"], 3) for ours, other in even),
+    ]
+    assert all(ours["count"] < other["count"] / 2 for ours, other in even)
+
+
+def test_sentences_on_the_parts_of_the_recipe_are_those_of_the_rows():
+    found = {scene: by_run(study="ablation", scene=scene) for scene in ("snowmiku", "south_building")}
+    gain = lambda scene, part, name: [
+        found[scene][f"removal {share}"][name] - found[scene][f"{part} {share}"][name]
+        for share in ("0.17", "0.05")
+    ]
+    lowered = {scene: gain(scene, "opacities not lowered", "psnr") for scene in found}
+    ends = [-round(value, 2) for value in sorted(lowered["snowmiku"], reverse=True)]
+    assert said("results.md", "on snowmiku it costs # to # dB and #") == [*ends, 0.003]
+    assert all(round(value, 1) == 0.3 for value in lowered["south_building"])
+    rate = [-g for scene in found for g in gain(scene, "opacity rate the same in the whole phase", "lpips")]
+    assert said("results.md", "gives # to # LPIPS on both") == [round(min(rate), 3), round(max(rate), 3)]
+    averaged = [g for scene in found for g in gain(scene, "values not averaged", "psnr")]
+    assert said("results.md", "Averaging gives # to # dB") == [
+        round(min(averaged), 1),
+        round(max(averaged), 1),
     ]
 
 
@@ -231,18 +277,28 @@ def test_sentences_on_coarser_looks_hold_with_every_seed():
     assert looks[0] <= lpips and looks[1] <= psnr, looks
 
 
-def test_the_printed_loss_leaves_as_many_gaussians_as_the_pages_say():
-    ratios = []
-    for schedule in (0.1, 1):
-        rows = means(schedule, "table", "printed")
-        ratios += [
-            rows[scene, shrink, "printed", run][0] / value[0]
-            for (scene, shrink, study, run), value in rows.items()
-            if study == "table" and run == "SVR-GS" and (scene, shrink, "printed", run) in rows
-        ]
+def test_sentences_on_the_printed_loss_are_those_of_the_rows():
+    scenes = ("snowmiku", "south_building")
+    usual, printed = (
+        {scene: by_run(study=study, scene=scene, schedule=0.1, shrink=2, seed=0) for scene in scenes}
+        for study in ("table", "printed")
+    )
+    ratios = [printed[scene]["SVR-GS"]["count"] / usual[scene]["SVR-GS"]["count"] for scene in scenes]
     ends = [round(min(ratios), 1), round(max(ratios), 1)]
     assert ends == said("results.md", "At the same λ_F # to # times as many Gaussians stay")
     assert ends == said("methods.md", "the same λ_F leaves # to # times as many Gaussians")
+    more = lambda scene, name: printed[scene]["SVR-GS"][name] - printed[scene]["MaskGS alpha"][name]
+    figures = [round(sign * more(scene, "psnr"), 1) for scene, sign in zip(scenes, (1, -1), strict=True)]
+    figures += [round(more(scene, "lpips"), 3) for scene in scenes]
+    sentence = "has # dB more on snowmiku and # less on south_building, and # and # more LPIPS"
+    assert said("results.md", sentence) == figures
+    others = [
+        (printed[scene][run], usual[scene][run]) for scene in scenes for run in ("3DGS", "MaskGS alpha")
+    ]
+    times = [one["count"] / other["count"] for one, other in others]
+    less = [other["lpips"] - one["lpips"] for one, other in others]
+    figures = [round(min(times), 1), round(max(times), 1), round(min(less), 3), round(max(less), 3)]
+    assert said("results.md", "keep # to # times as many, and have # to # LPIPS less") == figures
 
 
 def test_runs_on_another_machine_gain_what_the_sentence_says():
@@ -267,11 +323,10 @@ def test_the_table_of_the_readme_is_that_of_the_figures():
 
 @pytest.fixture(scope="module")
 def equal() -> dict[tuple[str, str], dict[int, dict]]:
-    """The rows of the study `equal` by scene and run, and by seed."""
+    """The rows of the study `equal` with 800 steps, by scene and run, and by seed."""
     found: dict[tuple[str, str], dict[int, dict]] = defaultdict(dict)
-    for row in map(json.loads, ROWS.read_text().splitlines()):
-        if row["study"] == "equal" and "error" not in row:
-            found[row["scene"], row["run"]][row["seed"]] = row
+    for row in rows_of(study="equal", schedule=0.1):
+        found[row["scene"], row["run"]][row["seed"]] = row
     return found
 
 
@@ -334,10 +389,8 @@ def test_with_a_quarter_and_a_fortieth_rankings_are_as_near_as_is_said(equal):
 def left_out() -> dict[tuple[str, str], dict[int, dict]]:
     """The rows of the study `pareto` on south_building, by scene and run, and by seed."""
     found: dict[tuple[str, str], dict[int, dict]] = defaultdict(dict)
-    for row in map(json.loads, ROWS.read_text().splitlines()):
-        place = row["study"], row["scene"], row["shrink"]
-        if place == ("pareto", "south_building", 2) and "error" not in row:
-            found["south_building", row["run"]][row["seed"]] = row
+    for row in rows_of(study="pareto", scene="south_building", shrink=2, trained=0.1):
+        found["south_building", row["run"]][row["seed"]] = row
     return found
 
 
