@@ -15,6 +15,7 @@ matplotlib.rcParams |= {
     "grid.color": "#e3e1dc",
 }
 import matplotlib.pyplot as plt  # noqa: E402  (after the choice of the backend)
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter  # noqa: E402
 
 MARKERS = "osD^v<>PX*hd"
 
