@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from svrgs_addon.finetune.quality import SPARED, hold_apart
+from svrgs_addon.finetune.quality import hold_apart
 from svrgs_addon.prune.door import Allowed, allowed_loss
 from svrgs_addon.prune.options import PruneOptions
 from svrgs_addon.render.metrics import flip, lpips, psnr
@@ -80,15 +80,18 @@ def test_blocks_are_all_over_the_picture():
     assert block(small, 3).shape == (50, BLOCK, 3)
 
 
-def test_views_that_decide_neither_train_nor_measure(data):
-    many = data.train_indices * 8  # as if there were as many
-    more = hold_apart(replace(data, train_indices=list(range(len(many)))), "flip")
-    assert (
-        len(more.deciding_indices) == min(16, len(many) // SPARED) and more.test_indices == data.test_indices
-    )
-    assert not set(more.deciding_indices) & set(more.train_indices)
-    few = hold_apart(data, "flip")
-    assert few.train_indices == data.train_indices and not set(few.deciding_indices) & set(few.test_indices)
+@pytest.mark.parametrize("count, decide", [(8, 2), (24, 3), (200, 16)])
+def test_views_that_decide_neither_train_nor_measure(data, count, decide):
+    found = hold_apart(replace(data, train_indices=list(range(100, 100 + count))), "flip")
+    assert len(found.deciding_indices) == decide and found.test_indices == data.test_indices
+    assert len(found.train_indices) == count - decide
+    assert not set(found.deciding_indices) & set(found.train_indices)
+
+
+def test_with_very_few_training_views_half_of_the_test_views_decide(data):
+    found = hold_apart(replace(data, train_indices=list(range(100, 107))), "flip")
+    assert len(found.train_indices) == 7 and not set(found.deciding_indices) & set(found.test_indices)
+    assert set(found.deciding_indices) < set(data.test_indices)
 
 
 def test_flip_is_held_on_photographs(tiny, svrgs, tmp_path):

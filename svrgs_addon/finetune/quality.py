@@ -37,7 +37,7 @@ SHARES = (0.75, 0.5, 0.25, 0.0)
 VIEWS = (
     16  # most views on which a drop in PSNR is held, spread evenly over the test views, at most half of them
 )
-SPARED, LEAST_SPARED = 8, 4
+SPARED, LEAST_SPARED = 8, 2
 NOT_APART = (
     "there are fewer than two test views: the quality is measured in the views that decided how many"
     " Gaussians stay"
@@ -50,10 +50,10 @@ def hold_apart(dataset: Dataset, measure: str = "psnr") -> Dataset:
 
     For PSNR up to half of the test views: a training view loses far more of it than any other. Losses of FLIP
     and LPIPS are about the same there, but differ from view to view, and test views are few: so for these
-    every SPARED-th training view, where there are enough, and all test views measure."""
+    every SPARED-th training view, at least LEAST_SPARED, and all test views measure."""
     trained = dataset.train_indices
-    if measure != "psnr" and len(trained) >= LEAST_SPARED * SPARED:
-        decide, train = apart(trained, min(VIEWS, len(trained) // SPARED))
+    if measure != "psnr" and len(trained) >= SPARED:
+        decide, train = apart(trained, min(VIEWS, max(LEAST_SPARED, len(trained) // SPARED)))
         return replace(dataset, deciding_indices=decide, train_indices=train)
     decide, test = apart(dataset.test_indices, VIEWS)
     return replace(dataset, deciding_indices=decide, test_indices=test)
