@@ -233,12 +233,16 @@ def contents(archive: Path) -> dict[str, int]:
         return {info.filename: info.CRC for info in opened.infolist() if not info.is_dir()}
 
 
-def test_packaged_zips_differ_in_manifest_and_wheels_alone(packaged):
+def test_packaged_zips_differ_in_manifest_wheels_and_their_licences_alone(packaged):
     common = set()
     for path in packaged.values():
         assert path.stat().st_size <= LIMIT
         files = contents(path)
-        own = {"blender_manifest.toml", *(name for name in files if name.startswith("wheels/"))}
+        own = {
+            "blender_manifest.toml",
+            "LICENSES.txt",
+            *(name for name in files if name.startswith("wheels/")),
+        }
         common.add(frozenset((name, crc) for name, crc in files.items() if name not in own))
     assert len(common) == 1
 
