@@ -70,6 +70,16 @@ def test_flip_counts_pixels_that_count():
     assert quality_of_view(other, photo, orbit_camera(40, 30), "flip", 0.0, 0) < -0.3
 
 
+def test_lpips_of_a_block_counts_the_pixels_of_the_block(monkeypatch):
+    monkeypatch.setattr("svrgs_addon.render.metrics.evaluate.default_lpips", lambda: lambda a, b: 0.2)
+    valid = np.zeros((300, 400), bool)
+    valid[: BLOCK // 2, :BLOCK] = True  # half of the block of the first view
+    camera, picture = orbit_camera(400, 300).masked(valid), np.zeros((300, 400, 3), np.float32)
+    assert quality_of_view(picture, picture, camera, "lpips", 0.0, 0) == pytest.approx(-0.4)
+    valid[:] = False
+    assert quality_of_view(picture, picture, camera.masked(valid), "lpips", 0.0, 0) == 0
+
+
 def test_blocks_are_all_over_the_picture():
     picture = np.moveaxis(np.mgrid[:500, :700], 0, -1)
     corners = [block(picture, number)[0, 0] for number in range(8)]

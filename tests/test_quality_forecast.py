@@ -17,7 +17,7 @@ from svrgs_addon.prune import quality_forecast
 from svrgs_addon.prune.options import PruneOptions
 from svrgs_addon.prune.pipeline import prune_scene
 from svrgs_addon.prune.quality_forecast import LEAST_STEPS, forecast, spread
-from svrgs_addon.render.metrics.evaluate import mean_psnr, render_options
+from svrgs_addon.render.metrics.evaluate import mean_quality, render_options
 
 HALVED = {name: method.halved for name, method in METHODS.items() if method.halved}
 
@@ -65,7 +65,7 @@ def test_the_fewer_stay_the_lower_it_is(scene, data, ranking):
 
 def test_where_nothing_is_removed_it_is_the_psnr_of_now(scene, data, ranking):
     found = foreseen(scene, data, ranking, 1.0)
-    now = mean_psnr(scene, data, data.test_indices, Rasterizer(), render_options(scene))
+    now = mean_quality(scene, data, data.test_indices, Rasterizer(), render_options(scene))
     assert found.before == found.removed == pytest.approx(now, abs=1e-6) and found.after == pytest.approx(
         now, abs=1e-6
     )

@@ -261,7 +261,7 @@ class Run:
         masks_of_kept = None if kept is None else kept.astype(np.uint8)
         if self.plan.measure == "lpips":
             self.part("measures LPIPS", self.iteration / self.plan.total)
-        return mean_quality(*what, masks_of_kept, self.plan.measure)
+        return mean_quality(*what, masks_of_kept, self.plan.measure, self.dataset.unexplained)
 
     @property
     def own(self) -> np.ndarray | None:

@@ -40,7 +40,8 @@ from ..finetune.settings import MCMC, Phase
 from ..finetune.strength_controller import UPDATES
 from ..native import library
 from ..native.rasterizer import Rasterizer
-from ..render.metrics.evaluate import BLOCKS, evaluate, mean_psnr, mean_quality, render_options
+from ..render.metrics import worst
+from ..render.metrics.evaluate import BLOCKS, evaluate, mean_quality, render_options
 from ..scene.gaussians import Scene
 from ..views.dataset import READER_THREADS, Dataset
 from ..views.rendered import RenderedDataset
@@ -62,7 +63,7 @@ UNKNOWN_SHARE = 0.3  # of the Gaussians of a training, those that stay if a meth
 PARTS = 16  # parts of a phase in which the number of Gaussians is taken as constant
 # with all Gaussians, that take as long as a cut that merges: measured with 150,000 and 500,000
 MERGING_STEPS = 60
-SPENT = 2  # measurements of such a cut
+CUT_CHECKS = 2  # measurements of a cut that finds nothing to spare
 BISECTION = 10  # measurements that find the fewest Gaussians that hold a loss (finetune/quality.py)
 
 
@@ -93,7 +94,7 @@ class Pace:
             self._measuring(self.measurements)
             + self._cut(plan, share)
             + self._run(plan, share, recorded[0])
-            + recorded[1] * self.drawn
+            + (recorded[1] + 2 * min(worst.VIEWS, self.test_views)) * self.drawn
         )
 
     def training(self, plan: Plan, recorded: tuple[int, int] = (0, 0)) -> float:
@@ -163,7 +164,7 @@ class Pace:
             return 0.0
         decisions, cuts = sum(phase.active for phase in plan.phases), 0 if plan.nested else len(CUTS)
         # without a law, the decision spends what is allowed, and most cuts find nothing to spare
-        in_cut = BISECTION if plan.measure == "psnr" else SPENT
+        in_cut = BISECTION if plan.measure == "psnr" else CUT_CHECKS
         times = BISECTION * decisions + in_cut * cuts * share**self.power
         times += UPDATES * plan.method.learns_masks
         return self.judged * times + cuts * self.ranking * share**RANKING_POWER
@@ -193,7 +194,7 @@ def pace_of(scene: Scene, dataset: Dataset, plan: Plan, lpips: Callable | None =
     ranking = lambda: (plan.method.score if passes else removal_errors)(
         scene, ranked_views, rasterizer, options
     )
-    drawn = _seconds(lambda: mean_psnr(scene, dataset, views, rasterizer, options)) / len(views)
+    drawn = _seconds(lambda: mean_quality(scene, dataset, views, rasterizer, options)) / len(views)
     measure = lambda: evaluate(
         scene, dataset, views, rasterizer, lpips, plan.exposure == "on", plan.refine_poses == "on"
     )

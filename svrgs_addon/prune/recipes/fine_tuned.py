@@ -36,13 +36,12 @@ from ...native.rasterizer import Rasterizer, RenderOptions
 from ...render.metrics.allowed_loss import MEASURES, format_loss, missed_loss
 from ...render.metrics.evaluate import (
     evaluate,
-    mean_psnr,
     mean_quality,
     picture_options,
     render_options,
     rounded_to_8_bits,
 )
-from ...render.metrics.worst import Worst, worst_of
+from ...render.metrics.worst import LARGEST, VIEWS, Worst, worst_of
 from ...render.pose_alignment import beside
 from ...scene.camera import evenly, spaced
 from ...scene.gaussians import Scene
@@ -51,6 +50,7 @@ from ...system.errors import SceneError
 from ...system.memory_limits import peak
 from ...views.cameras_json import write_cameras_json
 from ...views.dataset import Dataset
+from ...views.reduced_photos import reduction_to
 from ...views.rendered import RenderedDataset
 from .. import distractors
 from ..belonging import check_dataset
@@ -65,7 +65,6 @@ from ..planning import pruning_within
 from ..report.pictures import to_uint8
 from ..report.prune_report import report_pictures, write_prune_report
 
-WORST_VIEWS = 16  # at most, among which the worst one is looked for
 CANNOT_REACH = "method '{}' cannot reach a target without iterations in which it prunes"
 
 
@@ -322,14 +321,16 @@ class FineTuned(Tuned):
                 )
 
     def pictures_of(self, scene: Scene) -> Iterator[np.ndarray]:
-        """What some of the views that measure show, (H, W, 3), rounded to 8 bits."""
+        """What some of the views that measure show, (H, W, 3), rounded to 8 bits; large ones reduced."""
         rasterizer, options = Rasterizer(), picture_options(scene, self.dataset.background)
-        for index in evenly(self.measuring, WORST_VIEWS):
-            yield rounded_to_8_bits(rasterizer.forward(scene, self.dataset.cameras[index], options)["rgb"])
+        for index in evenly(self.measuring, VIEWS):
+            camera = self.dataset.cameras[index]
+            camera = camera.reduced(reduction_to(LARGEST, camera))
+            yield rounded_to_8_bits(rasterizer.forward(scene, camera, options)["rgb"])
 
     def worst(self, scene: Scene) -> Worst | None:
         """Where the result differs most from the original."""
-        names = (self.dataset.cameras[index].name for index in evenly(self.measuring, WORST_VIEWS))
+        names = (self.dataset.cameras[index].name for index in evenly(self.measuring, VIEWS))
         return worst_of(zip(names, map(to_float, self.originals), self.pictures_of(scene), strict=True))
 
     def lost(self, after: dict[str, Any]) -> float | None:
@@ -445,7 +446,8 @@ def refuse_excess(
 def quality_of(scene: Scene, dataset: Dataset, plan: Plan) -> float:
     """What an allowed loss is taken from, in the views that decide."""
     options = render_options(scene, plan.background)
-    return mean_quality(scene, dataset, quality_views(dataset), Rasterizer(), options, measure=plan.measure)
+    what = scene, dataset, quality_views(dataset), Rasterizer(), options
+    return mean_quality(*what, measure=plan.measure, error=dataset.unexplained)
 
 
 def without_format_loss(scene: Scene, dataset: Dataset, plan: Plan, out: Path) -> Plan:
@@ -491,6 +493,6 @@ def curve_psnr(run: Run) -> float | None:
         return None
     kept = run.method.current_mask(model) if model.learns_masks else None
     options = RenderOptions(antialiased=run.antialiased, background=run.plan.background)
-    return mean_psnr(
+    return mean_quality(
         model, dataset, views, run.engine.rasterizer, options, None if kept is None else kept.astype(np.uint8)
     )

@@ -89,25 +89,6 @@ def split_indices(dataset: Dataset, split: str) -> Sequence[int]:
     return chosen
 
 
-def mean_psnr(
-    model,
-    dataset: Dataset,
-    indices: Sequence[int],
-    rasterizer: Rasterizer,
-    options: RenderOptions,
-    masks=None,
-    error=0.0,
-) -> float:
-    """Mean PSNR in dB over the given views. model: an object with the arrays of Scene. masks: (N,) uint8,
-    None: all 1. error: mean squared error that is added in each view, colours in 0..1."""
-    values, options = [], replace(options, picture_only=True)
-    for i in indices:
-        camera = dataset.cameras[i]
-        image = rounded_to_8_bits(rasterizer.forward(model, camera, options, masks)["rgb"])
-        values.append(with_error(psnr(image, to_float(dataset.image(i)), camera.valid_share), error))
-    return statistics.fmean(values)
-
-
 def mean_quality(
     model,
     dataset: Dataset,
@@ -116,34 +97,39 @@ def mean_quality(
     options: RenderOptions,
     masks=None,
     measure: str = "psnr",
+    error: float = 0.0,
 ) -> float:
-    """What an allowed loss is taken from: the mean quality_of_view() over the given views; of LPIPS, which
-    takes long, over some of them. As for mean_psnr()."""
+    """Mean quality_of_view() over the given views: PSNR in dB, or what else an allowed loss is taken from; of
+    LPIPS, which takes long, over some of them. model: an object with the arrays of Scene. masks: (N,) uint8,
+    None: all 1. measure, error: as there. Raises SceneError, FormatError."""
     values, options = [], replace(options, picture_only=True)
     for number, i in enumerate(evenly(indices, BLOCKS) if measure == "lpips" else indices):
         camera = dataset.cameras[i]
         image = rounded_to_8_bits(rasterizer.forward(model, camera, options, masks)["rgb"])
         photo = to_float(dataset.image(i))
-        values.append(quality_of_view(image, photo, camera, measure, dataset.unexplained, number))
+        values.append(quality_of_view(image, photo, camera, measure, error, number))
     return statistics.fmean(values)
 
 
 def quality_of_view(
     image: np.ndarray, photo: np.ndarray, camera: Camera, measure: str, error: float, number: int
 ) -> float:
-    """The higher the better: PSNR in dB, or minus FLIP, or minus LPIPS of a block. measure: a key of
-    MEASURES. error: mean squared error that is added, colours in 0..1, for PSNR. number: of the view, for the
-    place of the block. Raises SceneError if the weights of LPIPS are missing."""
+    """The higher the better: PSNR in dB, or minus FLIP, or minus LPIPS of a block, of the pixels that count;
+    0 for a block without any. image, photo: (H, W, 3) in 0..1. measure: a key of MEASURES. error: mean
+    squared error that is added, colours in 0..1, for PSNR. number: of the view, for the place of the block.
+    Raises SceneError if the weights of LPIPS are missing."""
     if measure == "psnr":
         return with_error(psnr(image, photo, camera.valid_share), error)
+    valid = camera.valid
     if measure == "lpips":
-        return -default_lpips()(block(image, number), block(photo, number)) / camera.valid_share
-    flips, valid = flip_map(image, photo), camera.valid
+        share = 1.0 if valid is None else float(block(valid, number).mean())
+        return -default_lpips()(block(image, number), block(photo, number)) / share if share else 0.0
+    flips = flip_map(image, photo)
     return -float((flips if valid is None else flips[valid != 0]).mean(dtype=np.float64))
 
 
 def block(picture: np.ndarray, number: int) -> np.ndarray:
-    """A square of at most BLOCK pixels a side, each number at another place."""
+    """A square of at most BLOCK pixels a side, each number at another place. picture: (H, W, ...)."""
     spare = (max(0, side - BLOCK) for side in picture.shape[:2])
     top, left = (round(number * step % 1 * room) for step, room in zip(PLACES, spare, strict=True))
     return picture[top : top + BLOCK, left : left + BLOCK]

@@ -10,6 +10,8 @@ import numpy as np
 from .measures import flip_map
 
 SIDE = 96  # pixels of the square, at most
+VIEWS = 16  # among which the worst one is looked for, at most
+LARGEST = 800  # pixels: larger pictures are reduced to about that on their longer side
 
 
 @dataclass(frozen=True)
@@ -18,7 +20,7 @@ class Worst:
 
     view: str
     flip: float  # mean over the view
-    square: tuple[int, int, int, int]  # x, y, width, height in pixels
+    square: tuple[int, int, int, int]  # x, y, width, height in pixels of the pictures that were compared
     square_flip: float  # mean over the square
     original: np.ndarray  # (h, w, 3) in 0..1: what the original shows in the square
     picture: np.ndarray  # and the pruned scene
