@@ -9,7 +9,7 @@ from svrgs_addon.files.registry import load_scene, write_scene
 from svrgs_addon.finetune.saliency import removal_errors
 from svrgs_addon.finetune.scores import top
 from svrgs_addon.native.rasterizer import Rasterizer
-from svrgs_addon.render.metrics.evaluate import mean_psnr, render_options
+from svrgs_addon.render.metrics.evaluate import mean_quality, render_options
 from svrgs_addon.views.dataset import load_dataset
 
 splat, folder, out = sys.argv[1:]
@@ -24,5 +24,5 @@ half = scene.select(top(score, scene.count // 2))
 write_scene(out, half)
 
 for name, part in (("all", scene), ("half", half)):
-    psnr = mean_psnr(part, dataset, dataset.test_indices, rasterizer, options)
+    psnr = mean_quality(part, dataset, dataset.test_indices, rasterizer, options)
     print(f"{name}: {part.count:,} Gaussians, PSNR {psnr:.2f} dB on {len(dataset.test_indices)} test views")

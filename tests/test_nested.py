@@ -60,7 +60,7 @@ def test_sizes_fall_by_the_same_ratio_to_the_smallest():
 def test_an_allowed_drop_is_not_spent_in_a_nested_recovery():
     """Its smaller sizes are parts of what the recovery begins with."""
     for nested in (SMALLEST, 0.0):
-        run = until(run_of(replace(SETTINGS, target=0, max_drop=1.0, nested=nested)), 16)
+        run = until(run_of(replace(SETTINGS, target=0, max_loss=1.0, nested=nested)), 16)
         begun = run.model.count
         to_the_end(run)
         assert (run.model.count == begun) == bool(nested)

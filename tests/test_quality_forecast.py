@@ -92,7 +92,7 @@ def test_a_removal_that_makes_the_views_better_promises_nothing():
     [
         prune_settings("opacity", 900, 1500, target=50),  # ranks by another score
         prune_settings("gns", 900, 1500),
-        prune_settings("removal", 900, 1500, max_drop=0.5),  # the drop is the quality
+        prune_settings("removal", 900, 1500, max_loss=0.5),  # the drop is the quality
         prune_settings("svr", 0, 1500),  # nothing is pruned
         prune_settings("removal", 300, LEAST_STEPS - 301),  # nothing so short was measured
     ],

@@ -230,7 +230,7 @@ def test_lowered_opacities_may_rise_faster_at_first(steps, soon):
 
 @pytest.mark.parametrize(
     ("opaque", "more", "lowered"),
-    [(3, {"target": 15}, True), (2, {"target": 15}, False), (3, {"max_drop": 1.0}, True)],
+    [(3, {"target": 15}, True), (2, {"target": 15}, False), (3, {"max_loss": 1.0}, True)],
 )
 def test_nothing_is_lowered_where_few_gaussians_are_opaque(opaque, more, lowered):
     scene, data = scene_and_data()
@@ -254,7 +254,7 @@ def test_only_the_first_step_lowers_opacities():
 def test_no_more_is_lost_than_allowed():
     scene, data = scene_and_data()
     scene.sh[:] += np.random.default_rng(1).normal(0, 0.1, scene.sh.shape)  # something to lose against
-    run = Run(Model.of(scene), data, replace(prune_settings("removal", 32, 0), max_drop=1.0), NativeEngine())
+    run = Run(Model.of(scene), data, replace(prune_settings("removal", 32, 0), max_loss=1.0), NativeEngine())
     before = run.quality(None)
     assert counts_of(run)[-1] < COUNT
     assert 10 < before - 1.0 <= run.quality(None)

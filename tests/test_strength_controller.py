@@ -78,7 +78,7 @@ def test_the_strength_stays_within_limits(monkeypatch, method, largest):
 
 @pytest.mark.parametrize(
     ("changes", "steered"),
-    [({}, False), ({"target": 5}, True), ({"share": 0.5}, True), ({"max_drop": 0.5}, True)],
+    [({}, False), ({"target": 5}, True), ({"share": 0.5}, True), ({"max_loss": 0.5}, True)],
 )
 def test_only_what_is_asked_for_is_steered(changes, steered):
     settings = Settings((), **changes)
@@ -115,7 +115,7 @@ def test_the_drop_asked_for_is_used_up_and_not_exceeded(tiny, data):
     several or next to nothing. Of 21 seeds two lost more than asked; the median was 0.66 dB."""
     drops = []
     for seed in range(1, 6):
-        run = to_the_end(steered_run(tiny, data, "svr", max_drop=1.0, seed=seed))
+        run = to_the_end(steered_run(tiny, data, "svr", max_loss=1.0, seed=seed))
         assert run.model.count < 200
         drops.append(run.controller.start - run.quality(None))
     assert 0.1 < sorted(drops)[2] <= 1.0 and sum(drop <= 1.0 for drop in drops) >= 4, drops
@@ -131,7 +131,7 @@ def test_what_the_recovery_wins_back_is_spent(tiny, data, tmp_path, method, allo
     data = replace(data, train_indices=[1, 3, 5, 7, 9, 11], test_indices=[0, 2, 4, 6, 8, 10])
     drops, cuts = [], []
     for seed in range(3):
-        settings = replace(prune_settings(method, 300, 200), max_drop=allowed, seed=seed)
+        settings = replace(prune_settings(method, 300, 200), max_loss=allowed, seed=seed)
         result = whole_jobs.prune(tiny.splat, data, settings, JobContext(tmp_path / f"{seed}.ply"))
         left = result["curves"]["count"]
         (
@@ -161,7 +161,7 @@ def test_more_is_cut_where_more_is_won_back():
     ],
 )
 def test_a_recovery_that_cuts_goes_on_from_a_checkpoint_bit_for_bit(tiny, data, tmp_path, stop):
-    settings = replace(prune_settings("removal", 500, 300), max_drop=0.2)
+    settings = replace(prune_settings("removal", 500, 300), max_loss=0.2)
     whole, first, second = (
         Run(Model.of(load_scene(tiny.splat).scene), data, settings, NativeEngine()) for _ in range(3)
     )
@@ -183,7 +183,7 @@ def test_a_recovery_that_cuts_goes_on_from_a_checkpoint_bit_for_bit(tiny, data, 
 
 @pytest.mark.parametrize(
     "goal",
-    [{"target": 90}, pytest.param({"max_drop": 1.0}, marks=pytest.mark.slow)],
+    [{"target": 90}, pytest.param({"max_loss": 1.0}, marks=pytest.mark.slow)],
     ids=["target", "max-drop"],
 )
 def test_a_steered_run_restored_from_a_checkpoint_goes_on_bit_for_bit(tiny, data, tmp_path, goal):
@@ -204,7 +204,7 @@ def test_a_steered_run_restored_from_a_checkpoint_goes_on_bit_for_bit(tiny, data
 
 @pytest.mark.parametrize("method", ["opacity", "lightgaussian", "3dgs"])
 def test_a_drop_cannot_be_asked_of_methods_without_masks(data, method):
-    settings = replace(prune_settings(method, 100, 0), max_drop=0.5)
+    settings = replace(prune_settings(method, 100, 0), max_loss=0.5)
     with pytest.raises(SceneError, match="cannot take --max-drop"):
         fine_tuned.check_request(data, settings)
 
@@ -232,14 +232,14 @@ def test_an_allowed_drop_keeps_a_twentieth_at_least_and_needs_photographs_that_s
     run = Run(
         Model.of(load_scene(tiny.splat).scene),
         data,
-        replace(prune_settings("removal", 60, 0), max_drop=1.0),
+        replace(prune_settings("removal", 60, 0), max_loss=1.0),
         NativeEngine(),
     )
     assert fewest_within(run, np.arange(run.model.count), -10.0).sum() == math.ceil(
         quality.MIN_SHARE * run.model.count
     )
     run.recovery_pruning.before_step(run)
-    black = replace(run.plan, max_drop=60.0)
+    black = replace(run.plan, max_loss=60.0)
     with pytest.raises(SceneError, match="even an empty scene loses less than the 60 dB allowed"):
         RecoveryPruning().before_step(
             Run(Model.of(load_scene(tiny.splat).scene), data, black, NativeEngine())
@@ -254,18 +254,18 @@ def test_a_drop_is_measured_on_test_views_and_on_training_views_if_there_are_non
 
 
 def test_a_drop_counts_from_the_scene_before_its_first_cut(tiny, data, tmp_path):
-    settings = replace(prune_settings("svr", 60, 0), max_drop=6.0, min_contribution=0.2)
+    settings = replace(prune_settings("svr", 60, 0), max_loss=6.0, min_contribution=0.2)
     result = whole_jobs.prune(tiny.splat, data, settings, JobContext(tmp_path / "o.ply"))
     assert result["first_cut"] > 20
     assert result["drop"] == pytest.approx(result["before"]["psnr"] - result["psnr"], abs=1e-3)
 
 
 def test_a_drop_counts_what_the_format_of_the_output_loses(tiny, data, tmp_path):
-    settings = replace(prune_settings("svr", 60, 0), max_drop=2.0)
+    settings = replace(prune_settings("svr", 60, 0), max_loss=2.0)
     result = whole_jobs.prune(tiny.splat, data, settings, JobContext(tmp_path / "o.compressed.ply"))
     assert result["drop"] == pytest.approx(result["before"]["psnr"] - result["psnr"], abs=1e-3)
     source = load_scene(tiny.splat).scene
-    left = fine_tuned.without_format_loss(source, data, settings, tmp_path / "o.compressed.ply").max_drop
+    left = fine_tuned.without_format_loss(source, data, settings, tmp_path / "o.compressed.ply").max_loss
     recipe = fine_tuned.FineTuned(tiny.splat, settings, JobContext(tmp_path / "o.ply"), lambda _: data)
     recipe.open()
     recipe.views()
@@ -274,12 +274,12 @@ def test_a_drop_counts_what_the_format_of_the_output_loses(tiny, data, tmp_path)
         for scene in (source, as_stored(source, compressed_ply.FORMAT))
     )
     assert 2.0 - left == pytest.approx(max(0.0, held - seen), abs=1e-3) and left < 2.0
-    assert fine_tuned.without_format_loss(source, data, settings, tmp_path / "o.ply").max_drop == 2.0
+    assert fine_tuned.without_format_loss(source, data, settings, tmp_path / "o.ply").max_loss == 2.0
     with pytest.raises(SceneError, match="o.splat: the format alone loses"):
         whole_jobs.prune(
             tiny.splat,
             replace(data, test_indices=[6, 8]),
-            replace(settings, max_drop=0.01),
+            replace(settings, max_loss=0.01),
             JobContext(tmp_path / "o.splat"),
         )
     assert not (tmp_path / "o.splat").exists()

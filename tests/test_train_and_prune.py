@@ -178,7 +178,7 @@ def test_lambda_is_told_where_it_decided(tiny, data, tmp_path):
         )["lambda_f"]
 
     assert told(method="removal") == told(method="svr", target=100) == told(method="saliency") == 1e-5
-    assert told(method="removal", target=100) is told(method="saliency", max_drop=3.0) is None
+    assert told(method="removal", target=100) is told(method="saliency", max_loss=3.0) is None
 
 
 def test_a_scene_that_would_lose_everything(tiny, data, tmp_path):

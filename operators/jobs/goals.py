@@ -148,7 +148,7 @@ def problem(settings) -> str:
         return tr("'{method}' cannot hold LPIPS: choose another goal or method").format(
             method=tr(method.label)
         )
-    if settings.goal not in ("DROP", "VISIBLE") or (method.supports_max_drop and learns):
+    if settings.goal not in ("DROP", "VISIBLE") or (method.supports_max_loss and learns):
         return ""
     if learns:
         return tr("'{method}' cannot prune to a loss in dB: choose another goal or method").format(

@@ -40,8 +40,8 @@ class RecoveryPruning:
         if run.iteration:
             return
         self.start, nobody = self.start or run.quality(None), np.zeros(run.model.count, bool)
-        if run.quality(nobody) >= self.start - run.plan.max_drop:
-            allowed = f"{run.plan.max_drop:g} {MEASURES[run.plan.measure].unit} allowed"
+        if run.quality(nobody) >= self.start - run.plan.max_loss:
+            allowed = f"{run.plan.max_loss:g} {MEASURES[run.plan.measure].unit} allowed"
             raise SceneError(
                 f"pruning would leave no Gaussian: even an empty scene loses less than the {allowed}; allow"
                 " less, and check that the photographs are not black and show this scene"
@@ -53,7 +53,7 @@ class RecoveryPruning:
         if number not in [round(share * phase.steps) for share in CUTS]:
             return None
         now = run.quality(None)
-        spare = now - (self.start - run.plan.max_drop)
+        spare = now - (self.start - run.plan.max_loss)
         if spare <= 0:
             return None
         ranking = removal_errors(run.model, run.training_cameras, run.rasterizer, run.score_options)

@@ -75,7 +75,7 @@ class Run:
         self.antialiased = antialiased
         self.method = copy(plan.method)
         self.controller = controller_for(plan, self.method.learns_masks, self.method.largest_strength)
-        self.recovery_pruning = RecoveryPruning() if plan.max_drop else None
+        self.recovery_pruning = RecoveryPruning() if plan.max_loss else None
         self.drop: float | None = None  # PSNR lost in dB, set at the end of a run that allows a drop
         self.target = plan.target  # 0: no target, or a share of a number that is not known yet
         self.iteration = 0

@@ -162,7 +162,7 @@ class Settings:
     nested: float = 0.0
     # instead of a target: what may be lost at the end, on a few views (quality.py), and what it is counted
     # in, a key of render.metrics.allowed_loss.MEASURES
-    max_drop: float = 0.0
+    max_loss: float = 0.0
     measure: str = "psnr"
     # whether each photograph has an exposure that is fitted (exposure.py): "on", "off", or "auto" until the
     # photographs were compared with the splat

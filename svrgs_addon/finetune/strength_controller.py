@@ -48,8 +48,8 @@ class StrengthController:
 
     def before_step(self, run: RunView):
         """Called before each step of an active phase. At the first one it measures n_0 or the quality."""
-        if not self.start and (run.target or run.plan.max_drop):
-            self.start = run.quality_before if run.plan.max_drop else run.expected_count()
+        if not self.start and (run.target or run.plan.max_loss):
+            self.start = run.quality_before if run.plan.max_loss else run.expected_count()
 
     def after_step(self, run: RunView, phase: Phase, number: int):
         """Updates the strength after step `number` of the phase."""
@@ -78,8 +78,8 @@ class StrengthController:
         """q. For a target, n is a weighted mean: the number that would stay by the masks alone (weight
         `settled`, which rises from 0 to 1) and the sum of all p. So q is smooth at first and exact at the
         end."""
-        if run.plan.max_drop:
-            return (self.start - run.quality(run.current_mask())) / run.plan.max_drop
+        if run.plan.max_loss:
+            return (self.start - run.quality(run.current_mask())) / run.plan.max_loss
         if run.target >= self.start:
             return 1.0
         count = settled * self.reached + (1 - settled) * run.expected_count()
@@ -89,7 +89,7 @@ class StrengthController:
 def controller_for(
     settings: Settings, learns_masks: bool, largest_strength: float
 ) -> StrengthController | None:
-    """The controller of a run. None without a target, share or max_drop, and for methods that learn no
+    """The controller of a run. None without a target, share or max_loss, and for methods that learn no
     masks."""
-    asked = settings.target or settings.share or settings.max_drop
+    asked = settings.target or settings.share or settings.max_loss
     return StrengthController(largest=math.log(largest_strength)) if learns_masks and asked else None

@@ -70,7 +70,7 @@ def estimate(options: PruneOptions) -> dict:
     toned = in_its_colours(scene, dataset, plan)
     dataset = toned.dataset
     doubts = [*toned.notes, *_doubts(scene, dataset, options.force)]
-    if plan.max_drop:
+    if plan.max_loss:
         dataset = hold_apart(dataset, plan.measure)
     pace, seen = pace_of(scene, dataset, plan), seen_by_some(scene, dataset, plan)
     measured = time.perf_counter() - begun
@@ -89,7 +89,7 @@ def estimate(options: PruneOptions) -> dict:
         "unseen": int((seen.hits == 0).sum()),
         "faint": int((seen.peaks < plan.min_contribution).sum()),
         "kept": kept,
-        "at_most": bool(plan.max_drop),
+        "at_most": bool(plan.max_loss),
         "views": seen.views,
         **{f"psnr_{name}": value for name, value in quality._asdict().items()}
         | ({"psnr_before": None} if options.data is None else {}),

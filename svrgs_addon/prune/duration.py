@@ -160,7 +160,7 @@ class Pace:
     def _drop(self, plan: Plan, share: float) -> float:
         """Seconds of holding a loss of quality: its measure on a few views, and ranking passes in the
         recovery."""
-        if not plan.max_drop:
+        if not plan.max_loss:
             return 0.0
         decisions, cuts = sum(phase.active for phase in plan.phases), 0 if plan.nested else len(CUTS)
         # without a law, the decision spends what is allowed, and most cuts find nothing to spare
@@ -208,7 +208,7 @@ def pace_of(scene: Scene, dataset: Dataset, plan: Plan, lpips: Callable | None =
         point=drawn * min(CURVE_VIEWS, len(dataset.test_indices)),
         measured=_seconds(measure, warm=True) / len(views),
         measurements=1 if isinstance(dataset, RenderedDataset) else 2,
-        judged=_seconds(judge) * judging if plan.max_drop else 0.0,
+        judged=_seconds(judge) * judging if plan.max_loss else 0.0,
         photograph=photograph,
         train_views=len(train),
         test_views=len(test),

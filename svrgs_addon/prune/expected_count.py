@@ -73,7 +73,7 @@ def seen_by_some(scene: Scene, dataset: Dataset, plan: Plan) -> Seen:
 
 def expected_count(plan: Plan, scene: Scene, dataset: Dataset, seen: Seen) -> int:
     """Roughly how many Gaussians stay, at least 1. With an allowed drop an upper bound."""
-    if plan.max_drop:
+    if plan.max_loss:
         return _fewest_within_drop(scene, dataset, expected_order(plan, scene, dataset, seen), plan)
     if plan.target:
         return plan.target
@@ -109,7 +109,7 @@ def _fewest_within_drop(scene: Scene, dataset: Dataset, order: np.ndarray, plan:
     """The fewest Gaussians that are highest in `order` (N,) and hold the allowed loss on some views: without
     learning, or for `removal` and `saliency` by the law of finetune/quality.py. A job keeps fewer."""
     before, quality_of = _quality_on_some(scene, dataset, plan.measure)
-    floor = floor_of_drop(before, plan) if isinstance(plan.method, Removal) else before - plan.max_drop
+    floor = floor_of_drop(before, plan) if isinstance(plan.method, Removal) else before - plan.max_loss
     within = lambda count: quality_of(scores.top(order, count).astype(np.uint8)) >= floor
     return fewest(math.ceil(MIN_SHARE * scene.count), scene.count, within)
 

@@ -61,9 +61,9 @@ def prepared(scene: Scene, dataset: Dataset, plan: Plan, job: JobContext) -> Pre
     notes += [offset.sentence(refined)] if offset.off else []
     facts |= {"beside_pixels": offset.pixels, "aligned_db": offset.gain}
     resumed = job.resume and newest_manifest(job.folder) is not None  # its checkpoint has the poses
-    if refined and (plan.max_drop or not resumed):
+    if refined and (plan.max_loss or not resumed):
         # an allowed drop is decided and measured in held-out views, which must not be off either
-        dataset = with_aligned_poses(scene, dataset, bool(plan.max_drop), job.part, job.stop)
+        dataset = with_aligned_poses(scene, dataset, bool(plan.max_loss), job.part, job.stop)
     if plan.mask_distractors:
         dataset, sentence = without_distractors(scene, dataset)
         notes.append(sentence)

@@ -73,7 +73,7 @@ def plan_of_pruning(options: PruneOptions) -> Plan:
     )
     more: dict[str, Any] = {
         "target": _target(options, method),
-        "max_drop": allowed.loss,
+        "max_loss": allowed.loss,
         "measure": allowed.measure,
         "min_contribution": first_cut,
         "nested": _nested(options),

@@ -55,7 +55,7 @@ def is_foreseen(plan: Plan) -> bool:
     """Whether the quality is foreseen. It is not for methods without a fitted number; with an allowed drop,
     which is the quality; for a run without steps in which the method prunes, or with fewer than LEAST_STEPS
     steps."""
-    return plan.method.halved > 0 and not plan.max_drop and plan.prunes and plan.total >= LEAST_STEPS
+    return plan.method.halved > 0 and not plan.max_loss and plan.prunes and plan.total >= LEAST_STEPS
 
 
 def spread(views: list[int]) -> list[int]:

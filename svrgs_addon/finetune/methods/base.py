@@ -52,7 +52,7 @@ class Method:
     largest_strength: float = 1e4
     ranks: bool = False  # decides by score() alone
     merges: bool = False  # its cut merges Gaussians, too
-    supports_max_drop: bool = False  # --max-drop is allowed
+    supports_max_loss: bool = False  # --max-drop is allowed
     first_cut: bool = False  # `svrgs prune` starts by removing Gaussians whose alpha T is small in every view
     image_weights: tuple[float, float] = (0.8, 0.2)  # weights of the mean absolute error and of 1 - SSIM
 

@@ -46,7 +46,7 @@ class GNS(Method):
 
     lambda_m: float = 2e-4  # r at the start
     # the budget is found by saliency; recovery_pruning.py removes more in the recovery
-    supports_max_drop: bool = True
+    supports_max_loss: bool = True
     factor: float = 1.0  # state: factor on r
     first_goal: float = 0.0  # state: the goal at the first pressed step
     trimmed: int = 0  # state: step at which the Gaussians were trimmed to the budget; 0: not yet
@@ -71,7 +71,7 @@ class GNS(Method):
         """With an allowed drop: the number of Gaussians, those of highest saliency, that are needed to hold
         it before any learning."""
         value = saliency(run.model, run.training_cameras, run.rasterizer, run.score_options)
-        return int(fewest_within(run, value, run.quality_before - run.plan.max_drop).sum())
+        return int(fewest_within(run, value, run.quality_before - run.plan.max_loss).sum())
 
     def prepare(self, run: RunView, phase: Phase, number: int):
         """Adapts r at every other pressed step. r falls if the opacity at the rank of the budget is below the

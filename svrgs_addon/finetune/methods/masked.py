@@ -23,7 +23,7 @@ class Masked(Method):
     or as many as the target."""
 
     learns_masks: bool = True
-    supports_max_drop: bool = True
+    supports_max_loss: bool = True
     first_cut: bool = True
 
     def prune_phases(self, iterations: int, recovery: int, prune_every: int) -> list[Phase]:
@@ -52,8 +52,8 @@ class Masked(Method):
     def final_mask(self, run: RunView) -> Keep:
         """Without a target, the Gaussians with p > 0.5 stay. With a target, exactly so many of the most
         probable ones; with an allowed drop, the fewest most probable ones that hold it."""
-        if run.plan.max_drop:
-            return fewest_within(run, run.model.values[MASK], run.quality_before - run.plan.max_drop)
+        if run.plan.max_loss:
+            return fewest_within(run, run.model.values[MASK], run.quality_before - run.plan.max_loss)
         if run.target:
             return masks.most_probable(run.model, run.target, run.own)
         return self.current_mask(run.model)

@@ -72,7 +72,7 @@ class Removal(Method):
     ranking: Callable = field(default=removal_errors, repr=False)
     lambda_f: float = 1e-4
     lambda_f_help: str = field(default="the saliency above which a Gaussian stays", repr=False)
-    supports_max_drop: bool = True
+    supports_max_loss: bool = True
     count: int = 0  # state: number of Gaussians before the first pass
     lowered: bool = False  # state: whether opacities were lowered
 
@@ -120,12 +120,12 @@ class Removal(Method):
         return rates | {name: factor * rates[name] for name, factor in larger.items()}
 
     def uses_lambda_f(self, settings: Settings) -> bool:
-        return not (settings.target or settings.share or settings.max_drop)
+        return not (settings.target or settings.share or settings.max_loss)
 
     def budget(self, run: RunView) -> int:
         """The number of Gaussians with a saliency above lambda_F. Raises SceneError if almost none has. With
         an allowed drop: the fewest that are foreseen to hold it at the end of the run."""
-        if run.plan.max_drop:
+        if run.plan.max_loss:
             return self.budget_of_drop(run)
         stays = (
             saliency(run.model, run.training_cameras, run.rasterizer, run.score_options) > run.plan.lambda_f
@@ -173,7 +173,7 @@ class Removal(Method):
         """Also the lowering takes a pass, and so does the budget of an allowed drop; that of lambda_F costs
         twice as much."""
         passes = number_of_passes(steps)
-        before = 1 + bool(settings.max_drop) + 2 * self.uses_lambda_f(settings)
+        before = 1 + bool(settings.max_loss) + 2 * self.uses_lambda_f(settings)
         return [(0.0, 1.0)] * before + [(k / passes, share ** sqrt((k + 1) / passes)) for k in range(passes)]
 
     def state(self) -> dict:
@@ -194,9 +194,9 @@ def floor_of_drop(before: float, settings: Settings) -> float:
     spend SPENT of the allowed drop. For FLIP and LPIPS, of which nothing is foreseen, all that is allowed may
     be lost; the recovery removes more. before: quality of now."""
     if settings.measure != "psnr":
-        return before - settings.max_drop
+        return before - settings.max_loss
     return psnr_removed(
-        before, before - SPENT * settings.max_drop, min(settings.total, FORESEEN_STEPS), HALVED
+        before, before - SPENT * settings.max_loss, min(settings.total, FORESEEN_STEPS), HALVED
     )
 
 

@@ -74,7 +74,7 @@ def floor_on_photographs(
         with _held(divided, out, progress_of) as stored:
             loss = max(0.0, before - likeness.psnr(stored))
         refuse_loss(out, loss, allowed)
-    return floor_of_drop(before, replace(plan, max_drop=allowed - loss))
+    return floor_of_drop(before, replace(plan, max_loss=allowed - loss))
 
 
 def fewest_above(divided: Divided, likeness: Likeness, floor: float, progress_of: ProgressOf) -> int:

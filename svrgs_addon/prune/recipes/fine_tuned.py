@@ -170,7 +170,7 @@ class Tuned:
             "method": plan.method.name,
             "lambda_f": plan.lambda_f if run.method.uses_lambda_f(plan) else None,
             "lambda_m": plan.lambda_m or None,
-            "target": None if plan.max_drop else run.target or None,
+            "target": None if plan.max_loss else run.target or None,
             "reached": run.controller.reached if run.controller else None,
             "drop": run.drop,
             "strength": run.strength,
@@ -271,7 +271,7 @@ class FineTuned(Tuned):
         self.dataset, self.plan = dataset, plan = photographs.dataset, photographs.plan
         self.notes += photographs.notes
         self.compared = toned.facts | photographs.facts
-        if plan.max_drop:
+        if plan.max_loss:
             self.dataset = dataset = hold_apart(dataset, plan.measure)
             if self.measuring and not dataset.deciding_indices:
                 self.notes.append(NOT_APART)
@@ -292,7 +292,7 @@ class FineTuned(Tuned):
             self.pictures = report_pictures(source, dataset, Rasterizer()) if job.report else []
             self.originals = list(map(to_uint8, self.pictures_of(source)))
         with self.clock.phase("first cut"):
-            self.allowed = self.plan.max_drop
+            self.allowed = self.plan.max_loss
             if self.allowed:
                 self.held = quality_of(source, dataset, self.plan)
             self.plan = without_format_loss(source, dataset, self.plan, job.out)
@@ -394,7 +394,7 @@ def check_request(dataset: Dataset, plan: Plan):
     asks. Raises SceneError."""
     check_training(dataset.train_indices)
     method, asked = plan.method, plan.target or plan.share
-    if plan.max_drop and not (method.supports_max_drop and plan.prunes):
+    if plan.max_loss and not (method.supports_max_loss and plan.prunes):
         raise SceneError(
             f"method '{method.name}' cannot take {MEASURES[plan.measure].option}: it needs a method that"
             " learns what to prune, and iterations in which it learns"
@@ -453,11 +453,11 @@ def quality_of(scene: Scene, dataset: Dataset, plan: Plan) -> float:
 def without_format_loss(scene: Scene, dataset: Dataset, plan: Plan, out: Path) -> Plan:
     """The plan, with what the format of the output loses taken off an allowed loss. Raises SceneError if
     nothing is left of it."""
-    if not plan.max_drop:
+    if not plan.max_loss:
         return plan
     quality = lambda some: quality_of(some, dataset, plan)
-    lost = format_loss(out, scene, quality, plan.max_drop, plan.measure)
-    return replace(plan, max_drop=plan.max_drop - lost)
+    lost = format_loss(out, scene, quality, plan.max_loss, plan.measure)
+    return replace(plan, max_loss=plan.max_loss - lost)
 
 
 def first_scene(scene: Scene, dataset: Dataset, plan: Plan) -> Scene:
