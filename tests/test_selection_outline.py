@@ -63,6 +63,11 @@ def test_what_is_in_the_outline_is_selected_and_what_is_hidden_is_not_shown(orth
     x, y = camera.pixels(local).T
     expected = (local[:, 2] > 0.2) & (x > 10) & (x < 50) & (y > 5) & (y < 40)
     assert 0 < centres.sum() < scene.count and (centres != expected).sum() <= 2
+    turned = np.eye(4)  # stretched, and far from the origin
+    turned[:3] = np.random.default_rng(0).normal(size=(3, 4)) * (1, 1, 1, 1000)
+    stored = (scene.means - turned[:3, 3]) @ np.linalg.inv(turned[:3, :3]).T
+    moved = centres_in(stored, camera, inside, turned)
+    assert (moved != expected).sum() <= 2
     shown, options = shown_in(scene, camera, inside), render_options(scene)
     assert 0 < shown.sum() < scene.count
     rasterizer, peaks = Rasterizer(), np.zeros(scene.count)
@@ -74,6 +79,18 @@ def test_what_is_in_the_outline_is_selected_and_what_is_hidden_is_not_shown(orth
         rasterizer.add_scores(sums)
         np.maximum(peaks, sums, out=peaks)
     np.testing.assert_array_equal(shown, peaks >= SHOWN)
+
+
+def test_a_flat_splat_is_selected_where_it_is_seen():
+    scene, camera = room(2_000), orbit_camera(WIDTH, HEIGHT)
+    inside = np.ones((HEIGHT, WIDTH), bool)
+    inside[:, WIDTH // 2 :] = False
+    flat = np.diag([1.0, 1.0, 0.0, 1.0])
+    flat[2, 3] = 0.5
+    seen = centres_in(scene.means, camera, inside, flat)
+    placed = (scene.means * (1, 1, 0) + (0, 0, 0.5)).astype(np.float32)
+    expected = centres_in(placed, camera, inside)
+    assert 0 < expected.sum() < scene.count and (seen != expected).sum() <= 2
 
 
 def test_an_empty_outline_holds_nothing():

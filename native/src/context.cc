@@ -20,6 +20,19 @@ constexpr int64_t kPairsOfFewBins = 4096;  // the same, times the number of bins
 using Time = std::chrono::steady_clock::time_point;
 double seconds_between(Time begin, Time end) { return std::chrono::duration<double>(end - begin).count(); }
 
+PixelWindow window_of(const uint8_t* valid, int width, int height) {
+  if (!valid) return {0, 0, width, height};
+  PixelWindow w = {width, height, 0, 0};
+  for (int y = 0; y < height; ++y, valid += width) {
+    const int first = static_cast<int>(std::find_if(valid, valid + width, [](uint8_t v) { return v; }) - valid);
+    if (first == width) continue;
+    int last = width;
+    while (!valid[last - 1]) --last;
+    w = {std::min(w.left, first), std::min(w.top, y), std::max(w.right, last), y + 1};
+  }
+  return w;
+}
+
 int64_t chunk_count(int64_t items, int64_t grain) { return (items + grain - 1) / grain; }
 
 }  // namespace
@@ -41,7 +54,7 @@ void Context::set_frame(const svrgs_scene& s, const svrgs_camera& c, const svrgs
   f.orthographic = c.orthographic;
   f.width = c.width, f.height = c.height;
   f.antialiased = o.antialiased, f.mask_kind = o.mask_kind, f.eps_a = o.eps_a, f.disabled_skips = o.disabled_skips;
-  f.depth_limit = o.depth_limit, f.valid = o.valid;
+  f.depth_limit = o.depth_limit, f.valid = o.valid, f.window = window_of(o.valid, c.width, c.height);
   f.picture_only = o.picture_only || o.depth_limit;
   f.full = o.full && o.mask_kind != SVRGS_MASK_NONE;
   f.want_depth = images.depth != nullptr;

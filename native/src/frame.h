@@ -46,6 +46,10 @@ struct TileEntry {
   uint32_t place, slot;
 };
 
+struct PixelWindow {  // pixels [left, right) of the lines [top, bottom)
+  int left, top, right, bottom;
+};
+
 struct TileOrigin {
   int x, y;  // tile coordinates
 };
@@ -90,6 +94,7 @@ struct Frame {
   double eps_a;
   const void* depth_limit;  // R[height][width], optional
   const uint8_t* valid;     // [height][width], optional: 0 where a pixel shows nothing
+  PixelWindow window;       // the smallest that holds all pixels that show something; what does not reach it is skipped
   // projection
   void* gaussians;       // ProjectedGaussian<R>[count]; a visible Gaussian's index in this array is its place
   TileRect* rects;       // [count], likewise

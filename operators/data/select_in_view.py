@@ -63,9 +63,9 @@ def gaussians_in(
     outline in a viewport, and which its pixels show; through: also those behind others. Raises SplatError."""
     camera = visible_splats.region_camera(region, view)
     inside = outline.pixels(camera.width, camera.height)
-    turn = np.array(matrix, np.float32)
-    mask = centres_in(scene.means @ turn[:3, :3].T + turn[:3, 3], camera, inside)
-    if not through and mask.any():
-        placed = visible_splats.placed([(scene, matrix)])
-        mask &= shown_in(placed.scene, placed.seen_by(camera), inside)
+    if through:
+        return centres_in(scene.means, camera, inside, np.array(matrix))
+    placed = visible_splats.placed([(scene, matrix)])
+    mask = shown_in(placed.scene, placed.seen_by(camera), inside)
+    mask[mask] = centres_in(scene.means[mask], camera, inside, np.array(matrix))
     return mask

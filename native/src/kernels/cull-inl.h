@@ -25,7 +25,7 @@ inline void columns_from(const void* array, int64_t first, int n, V* columns) {
   columns_of<width>(spare, columns);
 }
 
-// Which of W Gaussians may be visible, a bit each: in front of the camera, not too faint, and near enough to the image. The test is
+// Which of W Gaussians may be visible, a bit each: in front of the camera, not too faint, and near enough to the window. The test is
 // conservative: the ellipse is bounded by that of an opaque ball with the largest scale, and `doubt` bounds the rounding errors.
 inline uint32_t may_be_seen(const Frame& f, const CameraParams& camera, const V offset[3], V largest_scale, V opacity_logit) {
   const V x = camera.along(0, offset), y = camera.along(1, offset), z = camera.along(2, offset);
@@ -41,8 +41,8 @@ inline uint32_t may_be_seen(const Frame& f, const CameraParams& camera, const V 
   const V radius = broadcast(kLargestDistance) * sqrt(fma(size * size, stretch, broadcast(R(kBlur))));
   const V px = fma(rx, broadcast(camera.fx), broadcast(R(f.cx))), py = fma(ry, broadcast(camera.fy), broadcast(R(f.cy)));
   const V spread_x = fma(radius + magnitude(px), doubt, radius + R(1)), spread_y = fma(radius + magnitude(py), doubt, radius + R(1));
-  const M outside = either(either(less(px + spread_x, broadcast(0)), less(broadcast(R(f.width)), px - spread_x)),
-                           either(less(py + spread_y, broadcast(0)), less(broadcast(R(f.height)), py - spread_y)));
+  const M outside = either(either(less(px + spread_x, broadcast(R(f.window.left))), less(broadcast(R(f.window.right)), px - spread_x)),
+                           either(less(py + spread_y, broadcast(R(f.window.top))), less(broadcast(R(f.window.bottom)), py - spread_y)));
   const M off = and_not(less(broadcast(R(0.1)), doubt), outside);
   return bits(both(and_not(off, less(broadcast(R(kNear)), z + slack)), at_least(opacity_logit, broadcast(R(kLogitCut)))));
 }

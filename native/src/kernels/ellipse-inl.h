@@ -29,16 +29,16 @@ inline T ellipse_bound(const Frame& f, T log2_opacity) {
   return (f.disabled_skips & SVRGS_OPACITY_BOUNDS ? T{} : log2_opacity) + (kBoundMargin - R(kLog2Cut));
 }
 
-// Pixels [begin, end) of a row or column of `size` pixels that centre +- half covers; none if begin >= end. `half` includes a margin for
+// Pixels of [first, last) in a row or column that centre +- half covers, as [begin, end); none if begin >= end. `half` includes a margin for
 // the rounding of the centre.
 struct PixelRange {
   V begin, end;
 };
 
-inline PixelRange pixel_range(V centre, V half, int size) {
-  const V zero = broadcast(0), full = broadcast(static_cast<R>(size));
-  const V low = clamp(centre - half - R(0.5), zero, full), high = clamp(centre + half - R(0.5), broadcast(-1), full);
-  return {ceil(low), min(floor(high) + R(1), full)};
+inline PixelRange pixel_range(V centre, V half, int first, int last) {
+  const V from = broadcast(static_cast<R>(first)), until = broadcast(static_cast<R>(last));
+  const V low = clamp(centre - half - R(0.5), from, until), high = clamp(centre + half - R(0.5), from - R(1), until);
+  return {ceil(low), min(floor(high) + R(1), until)};
 }
 
 // Half the width or height of the ellipse u^2 + v^2 <= bound, given the variance along that axis, with a margin for rounding.

@@ -26,8 +26,8 @@ struct ScreenGaussians {
   const V bound = ellipse_bound(f, s.log2_opacity), root_bound = sqrt(bound), root_cxx = sqrt(p.cxx), root_cyy = sqrt(p.cyy);
   const V x = narrow(s.x), y = narrow(s.y), far = broadcast(R(1e9));
   s.y_extreme = p.cxy * root_bound * kWhiten * reciprocal(root_cxx);
-  s.columns = pixel_range(x, half_extent(root_bound, root_cxx) + magnitude(x) * kRelativeMargin, f.width);
-  s.rows = pixel_range(y, half_extent(root_bound, root_cyy) + magnitude(y) * kRelativeMargin, f.height);
+  s.columns = pixel_range(x, half_extent(root_bound, root_cxx) + magnitude(x) * kRelativeMargin, f.window.left, f.window.right);
+  s.rows = pixel_range(y, half_extent(root_bound, root_cyy) + magnitude(y) * kRelativeMargin, f.window.top, f.window.bottom);
   const V zero = broadcast(0), quat_max = broadcast(R(kQuatMax)), quat_min = broadcast(R(1 / kQuatMax));
   M ok = both(less(broadcast(kBoundMargin * R(0.5)), bound), both(less(zero, s.l11), less(zero, s.l22)));
   ok = both(ok, finite(s.l11 + magnitude(s.l12) + s.l22 + s.inv_l11 + magnitude(s.y_extreme)));

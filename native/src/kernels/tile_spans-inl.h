@@ -2,7 +2,7 @@
 
 constexpr int64_t kPlacesAhead = 16;  // visible Gaussians fetched before they are needed
 
-struct TileRows {  // waiting rows of tiles: values of their Gaussians; dy of the row's first line of pixels, and of the image's last one; TileRect::columns
+struct TileRows {  // waiting rows of tiles: values of their Gaussians; dy of the row's first line of pixels, and of the window's last one; TileRect::columns
   static constexpr int kRoom = 64;
   R bound[kRoom], l22[kRoom], inv_l11[kRoom], slope[kRoom], y_extreme[kRoom], x[kRoom], low[kRoom], bottom[kRoom];
   IntR begin_end[kRoom];
@@ -15,7 +15,7 @@ inline void find_spans(const Frame& f, const TileRows& rows, int first, int n, S
   const Extent e =
       ellipse_extent(value(rows.bound), value(rows.l22), value(rows.inv_l11), value(rows.slope), value(rows.y_extreme), low - margin, high + margin);
   const V centre = value(rows.x) + (e.left + e.right) * R(0.5), half = (e.right - e.left) * R(0.5) + margin + magnitude(centre) * kRelativeMargin;
-  const PixelRange columns = pixel_range(centre, half, f.width);
+  const PixelRange columns = pixel_range(centre, half, f.window.left, f.window.right);
   const M crosses = both(at_least(e.depth, broadcast(0)), less(columns.begin, columns.end));
   const TileRange across = tile_range(columns);
   U all;  // columns of the Gaussian: rounding can make a row wider
@@ -58,7 +58,7 @@ int64_t fill_spans(const Frame& f, int64_t begin, int64_t end, Span* spans) {
       rows.bound[waiting] = ellipse_bound(f, s.shape.log2_opacity), rows.l22[waiting] = s.shape.l22, rows.inv_l11[waiting] = s.shape.inv_l11;
       rows.slope[waiting] = s.shape.slope, rows.y_extreme[waiting] = s.shape.y_extreme, rows.x[waiting] = static_cast<R>(s.x);
       rows.begin_end[waiting] = t.columns.begin | t.columns.end << 16;
-      rows.low[waiting] = static_cast<R>((t.row + r) * kTile + 0.5 - s.y), rows.bottom[waiting] = static_cast<R>(f.height - 0.5 - s.y);
+      rows.low[waiting] = static_cast<R>((t.row + r) * kTile + 0.5 - s.y), rows.bottom[waiting] = static_cast<R>(f.window.bottom - 0.5 - s.y);
       if (++waiting < TileRows::kRoom) continue;
       for (int first = 0; first < waiting; first += W, spans += W) find_spans(f, rows, first, W, spans, tiles);
       waiting = 0;

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -43,13 +44,19 @@ def brush(path: np.ndarray, radius: float, width: int, height: int) -> np.ndarra
     return mask
 
 
-def centres_in(means: np.ndarray, camera: Camera, pixels: np.ndarray) -> np.ndarray:
-    """(N,) bool: the Gaussians whose centres (N, 3), in world coordinates, are in one of the pixels (H, W)
-    bool of the camera, and in front of it."""
-    # in float32, as seen from the camera: half the time of float64
-    R, K = camera.viewmat[:3, :3], camera.K.astype(np.float32)
-    turned = np.concatenate([camera.K[:2, :2] @ R[:2], R[2:]]).astype(np.float32)
-    x, y, z = turned @ (means - camera.position.astype(np.float32)).T
+def centres_in(means: np.ndarray, camera: Camera, pixels: np.ndarray, matrix=np.eye(4)) -> np.ndarray:
+    """(N,) bool: the Gaussians whose centres (N, 3) are in one of the pixels (H, W) bool of the camera, and
+    in front of it.
+
+    matrix: (4, 4), from the coordinates of the means to those of the camera.
+    """
+    # in float32, from a point near the camera (at it, unless the matrix is flat): half the time of float64
+    moved, K = camera.viewmat @ matrix, camera.K.astype(np.float32)
+    moved[:2] = camera.K[:2, :2] @ moved[:2]
+    origin = np.linalg.lstsq(moved[:3, :3], -moved[:3, 3], rcond=None)[0].astype(np.float32)
+    seen = moved[:3, :3].astype(np.float32) @ (means - origin).T
+    seen += (moved[:3] @ (*origin, 1)).astype(np.float32)[:, None]
+    x, y, z = seen
     inside = z > thresholds().near
     share = np.float32(1) if camera.orthographic else 1 / z[inside]
     columns, rows = np.floor(x[inside] * share + K[0, 2]), np.floor(y[inside] * share + K[1, 2])
@@ -64,7 +71,7 @@ def shown_in(scene: Scene, camera: Camera, pixels: np.ndarray) -> np.ndarray:
     if not pixels.any():
         return np.zeros(scene.count, bool)
     rasterizer, largest = _rasterizer(), np.zeros(scene.count, np.float32)
-    rasterizer.forward(scene, camera.masked(pixels), render_options(scene), outputs=())
+    rasterizer.forward(scene, camera.masked(pixels), replace(render_options(scene), sh_degree=0), outputs=())
     rasterizer.add_scores(max_=largest)
     return largest >= SHOWN
 
