@@ -45,6 +45,7 @@ class SVRGS_PT_spatial_mask(SpatialMaskPanel, bpy.types.Panel):
         SpatialMaskPanel.draw(self, context)
         if not native_problem():
             self.layout.operator("svrgs.contribution", icon="MOD_VERTEX_WEIGHT")
+            self.layout.operator("svrgs.removal_error", icon="SORT_DESC")
 
 
 class SVRGS_PT_spatial_mask_image(SpatialMaskPanel, bpy.types.Panel):

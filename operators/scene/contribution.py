@@ -1,5 +1,5 @@
-"""Writes the attribute "contribution" of a splat: for each Gaussian, the sum of its weights αT over all
-pixels of the cameras."""
+"""Measures how much the images of cameras need each Gaussian of a splat, stores it as attributes, and shows
+them."""
 
 from __future__ import annotations
 
@@ -10,8 +10,10 @@ from bpy.props import EnumProperty
 from ...svrgs_addon.finetune.scores import contribution
 from ...svrgs_addon.native import library
 from ...svrgs_addon.native.rasterizer import Rasterizer
+from ...svrgs_addon.prune.selection.measure import RANK, VIEW, measured, summary
 from ...svrgs_addon.render.metrics.evaluate import render_options
 from ...svrgs_addon.scene.camera import Camera
+from ...svrgs_addon.scene.gaussians import Scene
 from ...svrgs_addon.system.errors import SceneError
 from ..data import camera_object, edit_guard, splat_object, visible_splats
 from ..data.preferences import threads
@@ -33,14 +35,8 @@ def cameras_property():
     )  # fmt: skip
 
 
-class SVRGS_OT_contribution(ReportingOperator):
-    bl_idname = "svrgs.contribution"
-    bl_label = "Show Contribution"
-    bl_description = (
-        "Sum for each Gaussian what it adds to the images of the cameras, and store it as the attribute"
-        " 'contribution'"
-    )
-    bl_options = {"REGISTER", "UNDO"}
+class CamerasOperator(ReportingOperator):
+    """An operator that measures the Gaussians of the active splat in the images of cameras."""
 
     cameras: cameras_property()
 
@@ -51,15 +47,59 @@ class SVRGS_OT_contribution(ReportingOperator):
         return edit_guard.problem(context, context.object)
 
     def work(self, context) -> str:
-        obj = context.object
         library.set_threads(threads(context))
-        scene = splat_object.scene_from_object(obj)
-        placed = visible_splats.placed([(scene, obj.matrix_world.copy())])
-        cameras = views(context, chosen_cameras(context, self.cameras), placed)
-        sums, _, hits = contribution(placed.scene, cameras, Rasterizer(), render_options(scene))
-        splat_object.set_values(obj, ATTRIBUTE, "FLOAT", sums.astype("float32"))
+        obj = context.object
+        placed = visible_splats.placed([(splat_object.scene_from_object(obj), obj.matrix_world.copy())])
+        return self.measure(
+            context, placed.scene, views(context, chosen_cameras(context, self.cameras), placed)
+        )
+
+    def measure(self, context, scene: Scene, cameras: list[Camera]) -> str:
+        """Stores what was measured with store(). Returns it in words. Raises SceneError."""
+        raise NotImplementedError
+
+    @staticmethod
+    def store(context, attributes: dict, shown: str):
+        """Stores values (N,) by name, and lets the colours of Solid viewports show one of them."""
+        for name, values in attributes.items():
+            kind = "INT" if values.dtype.kind == "i" else "FLOAT"
+            splat_object.set_values(context.object, name, kind, values)
+        context.scene.svrgs_view.overlay_shown = shown
+
+
+class SVRGS_OT_contribution(CamerasOperator):
+    bl_idname = "svrgs.contribution"
+    bl_label = "Show Contribution"
+    bl_description = (
+        "Sum for each Gaussian what it adds to the images of the cameras, and store it as the attribute"
+        " 'contribution'"
+    )
+    bl_options = {"REGISTER", "UNDO"}
+
+    def measure(self, context, scene, cameras):
+        sums, _, hits = contribution(scene, cameras, Rasterizer(), render_options(scene))
+        self.store(context, {ATTRIBUTE: sums.astype("float32")}, ATTRIBUTE)
         text = tr("{unseen:,} of {count:,} Gaussians add nothing to {images:,} images")
         return text.format(unseen=int((hits == 0).sum()), count=scene.count, images=len(cameras))
+
+
+class SVRGS_OT_removal_error(CamerasOperator):
+    bl_idname = "svrgs.removal_error"
+    bl_label = "Show Removal Error"
+    bl_description = (
+        "Measure for each Gaussian how much the images of the cameras need it, by how many of them that is"
+        " decided, and how sure its rank is; stored as attributes"
+    )
+    bl_options = {"REGISTER", "UNDO"}
+
+    def measure(self, context, scene, cameras):
+        found = measured(scene, cameras, all_looks=False)
+        self.store(context, found, RANK)
+        text = tr(
+            "{share_of_tenth:.0%} of the removal error is that of a tenth of the Gaussians; a Gaussian is"
+            " decided by {deciding_views:.0f} of {images:,} images, and {unseen:,} by none"
+        )
+        return text.format(**summary(found), images=len(cameras), unseen=int((found[VIEW] < 0).sum()))
 
 
 def chosen_cameras(context, which: str = "PHOTOGRAPHS") -> list[bpy.types.Object]:
@@ -83,4 +123,4 @@ def views(context, cameras: list[bpy.types.Object], placed: visible_splats.Place
     ]
 
 
-CLASSES = (SVRGS_OT_contribution,)
+CLASSES = (SVRGS_OT_contribution, SVRGS_OT_removal_error)

@@ -42,6 +42,12 @@ SHOWN = [
     ("svrgs:selected", "Selection", "The colours of the Gaussians; selected ones are orange"),
     ("contribution", "Contribution",
     "What each Gaussian adds to the images of the cameras. Run Show Contribution first"),
+    ("removal_rank", "Removal Error",
+    "How much the images of the cameras need each Gaussian, as a rank. Run Show Removal Error first"),
+    ("deciding_views", "Deciding Views",
+    "How many images decide on each Gaussian. Run Show Removal Error first"),
+    ("rank_spread_views", "Rank Spread",
+    "How far the rank of each Gaussian moves with other images. Run Show Removal Error first"),
     ("svrgs:probability", "Probability", "Probability of existence, learned by a pruning job with masks"),
     ("svrgs:score", "Rank", "The order in which a pruning job removed the Gaussians"),
 ]  # fmt: skip

@@ -104,3 +104,25 @@ def test_contribution_is_the_score(stage, gaussians, room, camera):
         gaussians, [view], native.Rasterizer(), native.RenderOptions()
     )
     np.testing.assert_allclose(values, expected, rtol=1e-3, atol=1e-3)
+
+
+def test_removal_error_is_that_of_the_cameras_and_is_shown(stage, gaussians, room, camera):
+    with pytest.raises(RuntimeError, match="at least two views"):
+        bpy.ops.svrgs.removal_error(cameras="ACTIVE")
+    assert "removal_rank" not in room.data.attributes
+    other = camera.copy()
+    bpy.context.scene.collection.objects.link(other)
+    try:
+        other.location.x += 0.3
+        bpy.context.view_layer.update()
+        bpy.ops.svrgs.removal_error()
+        views = [view_of(found, stage).moved(room.matrix_world) for found in (camera, other)]
+    finally:
+        bpy.data.objects.remove(other)
+    expected = part("svrgs_addon.prune.selection.measure").measured(gaussians, views, all_looks=False)
+    for name in ("removal_rank", "deciding_views", "rank_spread_views"):
+        values = np.empty(gaussians.count, np.float32)
+        room.data.attributes[name].data.foreach_get("value", values)
+        np.testing.assert_allclose(values, expected[name], atol=5e-3)
+    assert stage.svrgs_view.overlay_shown == "removal_rank"
+    stage.svrgs_view.overlay_shown = "COLOR"

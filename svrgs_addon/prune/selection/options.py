@@ -97,6 +97,12 @@ class SelectOptions(Criteria):
     invert: bool = option(
         FLAG, False, "select all other Gaussians instead: with --out, the criteria then say what is deleted"
     )
+    measure: bool = option(
+        FLAG,
+        False,
+        "measure in the views how much each Gaussian is needed, and how sure its rank is; --out then holds it"
+        " as columns",
+    )
     force: bool = option(FLAG, False, "rank Gaussians also where the views see less than half of them")
     threads: int = option(
         COUNT,

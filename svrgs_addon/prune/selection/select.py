@@ -27,13 +27,19 @@ def selected(scene: Scene, wanted: Criteria, views: Views, matrix: np.ndarray | 
     """
     if not wanted.given():
         raise SceneError("no criterion is given; choose at least one, such as an opacity or a box")
-    mask = ~unusable(scene)
-    usable = clamp_extremes(bake_filter(scene.select(mask))[0])[0]
+    mask, usable = usable_part(scene)
     chosen = np.ones(usable.count, bool)
     for name in wanted.given() if usable.count else ():
         chosen &= _fulfilled(usable, name, wanted, views, matrix)
     mask[mask] = chosen
     return mask
+
+
+def usable_part(scene: Scene) -> tuple[np.ndarray, Scene]:
+    """The Gaussians of a scene, as stored in a file, that can be rendered: (N,) bool, and they as they are
+    rendered."""
+    mask = ~unusable(scene)
+    return mask, clamp_extremes(bake_filter(scene.select(mask))[0])[0]
 
 
 def _fulfilled(
