@@ -53,7 +53,8 @@ def _inputs_now(obj: bpy.types.Object) -> dict:
 
 
 def line(obj: bpy.types.Object) -> str:
-    """The last estimate of the splat in a short line: Gaussians, size, PSNR, time. Empty if there is none."""
+    """The last estimate of the splat in a short line: Gaussians, with the goal Device those that a
+    pixel blends, size, PSNR, time. Empty if there is none."""
     found = of(obj)
     if not found:
         return ""
@@ -64,7 +65,9 @@ def line(obj: bpy.types.Object) -> str:
     count, after, seconds = found["kept"], found["psnr_after"], found["seconds"]
     time = tr("{minutes:.0f} min").format(minutes=seconds / 60) if seconds >= 120 else f"{seconds:.0f} s"
     quality = [f"≥ {after:.1f} dB"] if after is not None else []
-    return " · ".join((f"≈ {count:,}", size_text(obj, count), *quality, time))
+    for_device = bpy.context.scene.svrgs_prune.goal == "DEVICE"
+    overdraw = [tr("{overdraw_after:.0f} a pixel").format(**found)] if for_device else []
+    return " · ".join((f"≈ {count:,}", *overdraw, size_text(obj, count), *quality, time))
 
 
 def sentences(obj: bpy.types.Object) -> list[str]:

@@ -118,6 +118,16 @@ def test_a_device_is_a_number_of_gaussians(splat):
     ]
 
 
+def test_the_estimate_for_a_device_says_how_many_gaussians_a_pixel_blends(splat):
+    estimate = part("operators.jobs.estimate")
+    for goal, said_it in (("SHARE", False), ("DEVICE", True)):
+        set_up({"effort": "QUICK", "goal": goal})
+        bpy.ops.svrgs.estimate()
+        count, *others = estimate.line(splat).split(" · ")
+        blended = round(estimate.of(splat)["overdraw_after"])
+        assert count.startswith("≈ ") and (f"{blended} a pixel" in others) == said_it
+
+
 def test_the_operator_prunes_without_photographs(splat, bridge, tmp_path):
     for more in ({"quick": True}, {"recovery": 20}, {"recovery": 20, "method": "opacity"}):
         bpy.context.view_layer.objects.active = splat
