@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[1]
 LAYERS = ("svrgs_addon", "operators", "panels")  # each may import those before it
 ROOMS = {  # of a layer, likewise; the files beside them are below them all
     "svrgs_addon": (
-        "system", "scene", "native", "files", "views", "render", "finetune", "prune", "jobs", "cli",
+        "system", "scene", "native", "files", "views", "render", "finetune", "prune", "jobs", "viewer", "cli",
     ),
     "operators": ("data", "scene", "jobs", "io", "view"),
 }  # fmt: skip

@@ -85,6 +85,7 @@ assert SHORTER.keys() <= RUNS.keys()
 NOT_RUN = {
     "make demo": "renders and trains for minutes, and downloads packages",
     "make test": "runs this test",
+    "svrgs view trained.ply pruned.ply --data DATASET": "serves until it is interrupted: tests/test_view.py",
     "svrgs bench": "measures for minutes; tests/test_bench.py runs it on small cases",
 }
 

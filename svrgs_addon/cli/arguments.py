@@ -31,6 +31,7 @@ def parser() -> Parser:
         _rig,
         _eval,
         _compare,
+        _view,
         _methods,
         farm,
         large,
@@ -237,6 +238,42 @@ def _compare(commands):
         metavar="DIR",
         help="folder to write the pictures and the HTML page to",
     )
+
+
+def _view(commands):
+    command = command_of(
+        commands, "view", "Shows one scene, or the original and the pruned one, in the browser, until Ctrl-C."
+    )
+    command.add_argument(
+        "scenes",
+        type=extended,
+        nargs="+",
+        metavar="SCENE",
+        help="splat file; a second one is wiped against it",
+    )
+    add_options(command, DatasetOptions, data=False)
+    command.add_argument(
+        "--cameras",
+        type=extended,
+        metavar="JSON",
+        help="without --data: cameras.json of 3DGS, or transforms.json (default: one view that is placed)",
+    )
+    command.add_argument(
+        "--nested",
+        action="store_true",
+        help="the last scene is a nested result (prune --nested): a slider shows fewer of its Gaussians",
+    )
+    command.add_argument(
+        "--force", action="store_true", help="show scenes also where they explain little of the photographs"
+    )
+    command.add_argument(
+        "--port",
+        type=reader(POSITIVE),
+        default=8080,
+        metavar="N",
+        help="port, or the next free one (default: 8080)",
+    )
+    command.add_argument("--no-browser", action="store_true", help="only say the address")
 
 
 def _methods(commands):

@@ -136,6 +136,14 @@ def evaluate(args: argparse.Namespace) -> int:
     return _print(result, args, _figures(result, reason))
 
 
+def view(args: argparse.Namespace) -> int:
+    from .view_scenes import view_scenes
+
+    _set_threads(args)
+    view_scenes(args)
+    return 0
+
+
 def compare(args: argparse.Namespace) -> int:
     from .compare_scenes import compare_scenes
 
@@ -191,8 +199,8 @@ def bench(args: argparse.Namespace) -> int:
 
 COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
     "info": info, "render": render, "train": train, "prune": prune, "select": select, "convert": convert,
-    "rig": rig, "eval": evaluate, "compare": compare, "methods": methods, "farm": farm, "large": large,
-    "bench": bench,
+    "view": view, "rig": rig, "eval": evaluate, "compare": compare, "methods": methods, "farm": farm,
+    "large": large, "bench": bench,
 }  # fmt: skip
 
 

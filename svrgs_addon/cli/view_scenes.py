@@ -1,0 +1,62 @@
+"""`svrgs view`: one scene, or the original and the pruned one, in the browser."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import threading
+import webbrowser
+
+from ..files.registry import check_readable, load_scene
+from ..prune.belonging import check_explained
+from ..prune.options import DatasetOptions
+from ..prune.plans import dataset_of
+from ..render.metrics.evaluate import refuse_unseen
+from ..system import memory
+from ..system.errors import SceneError
+from ..viewer.server import LARGEST, Source, Viewer
+from ..views.camera_files import load_cameras
+from .option_parser import options_from
+
+
+def view_scenes(args: argparse.Namespace):
+    """Shows the scenes until Ctrl-C. Raises SplatError, as for views that are of another scene."""
+    viewer = Viewer(source_of(args), args.port)
+    try:
+        print(f"{viewer.url} shows {' and '.join(viewer.source.names)}; Ctrl-C ends it", flush=True)
+        if not args.no_browser:
+            webbrowser.open(viewer.url)
+        threading.Event().wait()
+    except KeyboardInterrupt:
+        pass
+    finally:
+        viewer.close()
+
+
+def source_of(args: argparse.Namespace) -> Source:
+    """What the arguments name, read and checked. Raises SplatError."""
+    if args.data and args.cameras:
+        raise SceneError("--data and --cameras both name views; leave one out")
+    if len(args.scenes) > 2:
+        raise SceneError("at most two scenes are shown: the original and the pruned one")
+    for path in args.scenes:
+        check_readable(path)
+    dataset = dataset_of(options_from(DatasetOptions, args)) if args.data else None
+    cameras = dataset.cameras if dataset else load_cameras(args.cameras) if args.cameras else []
+    scenes = []
+    for path in args.scenes:
+        scene = load_scene(path).scene
+        memory.refuse_excess(f"{path}: showing it", memory.rendering(scene.count, LARGEST, LARGEST))
+        if cameras:
+            refuse_unseen(scene, cameras, str(path))
+        for note in check_explained(scene, dataset, str(path), args.force) if dataset else ():
+            logging.warning("%s", note)
+        scenes.append(scene)
+    return Source(
+        tuple(path.name for path in args.scenes),
+        tuple(scenes),
+        cameras,
+        dataset,
+        args.nested,
+        args.background,
+    )

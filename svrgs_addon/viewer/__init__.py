@@ -1,0 +1,1 @@
+"""The interactive picture of `svrgs view`."""

@@ -1,0 +1,265 @@
+"""The page of `svrgs view`: viser's, with pictures of the native renderer behind its cameras and controls.
+
+viser serves the page and says where each browser looks. A thread for each draws that view, coarse at first
+where an exact picture takes long, and sends it as the background. Only this machine can connect.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import math
+import threading
+import time
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from ..files.images import to_float
+from ..native.rasterizer import Rasterizer
+from ..prune.selection.measure import BY_VIEWS, RANK, VIEWS
+from ..render.live_view import LiveView
+from ..render.metrics.evaluate import mean_figures, picture_options, rounded_to_8_bits
+from ..render.painting import painted
+from ..scene.camera import Camera, evenly
+from ..scene.gaussians import Scene
+from ..scene.rotations import quats_from_matrices, rotation_matrices
+from ..scene.upright import up_direction
+from ..system import packages
+from ..system.errors import NativeError
+from ..views.dataset import Dataset
+from .shown import COLORS, DIFFERENCE, MASK, Shown, drawn, first
+
+HOST = "127.0.0.1"
+UP = np.array([0.0, -1.0, 0.0])  # of a splat without cameras, as in most files
+FAST = 0.02  # seconds of an exact picture, up to which no coarse one is drawn before it
+QUALITY = {True: 95, False: 70}  # of a JPEG: of an exact picture, and of a coarse one
+LARGEST = 2048  # pixels of the longer side of a picture
+MOST_FRUSTA, THUMBNAIL = 100, 96  # cameras that are drawn; pixels of the longer side of their photographs
+FRUSTUM = 0.06  # length of a frustum, of the distance between cameras and the median Gaussian
+# columns of a measured file (prune/selection/measure.py) that colours can show
+COLUMNS = {"Removal error, as a rank": RANK, "Deciding views": VIEWS, "Rank spread over views": BY_VIEWS}
+FRUSTA = "/cameras"  # their node
+# without cameras, where the first view is from, in distances that hold 80 % of the means; and, with cameras,
+# how near to the camera it may turn about
+START, NEAREST = np.array([0.0, -0.8, -1.8]), 0.1
+
+
+@dataclass(frozen=True)
+class Source:
+    """What is looked at. names, scenes: one splat, or the original and the pruned one. cameras: where it is
+    looked at from at first, and drawn as frusta; may be empty. dataset: their photographs. nested: the rows
+    of the last scene are in the order of a nested result."""
+
+    names: tuple[str, ...]
+    scenes: tuple[Scene, ...]
+    cameras: list[Camera]
+    dataset: Dataset | None = None
+    nested: bool = False
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @property
+    def middle(self) -> np.ndarray:
+        """(3,) the median Gaussian."""
+        return np.median(self.scenes[0].means[:: max(1, self.scenes[0].count // 10_000)], axis=0)
+
+    def columns(self) -> dict[str, str]:
+        """Of COLUMNS, those that every scene has."""
+        there = lambda name: all(name in scene.attributes for scene in self.scenes)
+        return {label: name for label, name in COLUMNS.items() if there(name)}
+
+
+class Viewer:
+    """The server and its controls; close() ends it. Raises SceneError if viser is missing."""
+
+    def __init__(self, source: Source, port: int):
+        viser = packages.load("viser", "svrgs view")
+        self.source, self.shown = source, Shown(source.scenes, background=source.background)
+        with contextlib.redirect_stdout(io.StringIO()):  # viser prints its addresses
+            self.server = viser.ViserServer(host=HOST, port=port, label="SVR-GS", verbose=False)
+        self._views: dict[int, LiveView] = {}  # by the number of a client
+        self._changes, self._seconds = 0, 0.0  # of what is shown; of the last exact picture
+        self._measuring = threading.Lock()
+        self._look_from_a_camera()
+        self._add_controls()
+        self.server.on_client_connect(self._connected)
+        self.server.on_client_disconnect(self._disconnected)
+        if source.cameras:
+            threading.Thread(target=self._add_frusta, name="svrgs-frusta", daemon=True).start()
+
+    @property
+    def url(self) -> str:
+        return f"http://{HOST}:{self.server.get_port()}"
+
+    def close(self):
+        self.server.stop()
+        for view in [*self._views.values()]:
+            view.close()
+
+    def quality(self, index: int) -> list[str]:
+        """A sentence on each scene, as far as it is shown: how it differs from a photograph."""
+        source, dataset, rasterizer = self.source, self.source.dataset, Rasterizer()
+        assert dataset is not None
+        camera, photo, lines = dataset.cameras[index], to_float(dataset.image(index)), []
+        for name, scene in zip(source.names, self._kept(), strict=True):
+            image = rasterizer.forward(scene, camera, picture_options(scene, source.background))["rgb"]
+            found = mean_figures([(rounded_to_8_bits(image), photo, camera.valid)])
+            lines.append(
+                f"{name}: PSNR {found['psnr']:.2f} dB, SSIM {found['ssim']:.3f}, FLIP {found['flip']:.3f}"
+            )
+        return lines
+
+    def _look_from_a_camera(self):
+        """Where a browser looks from at first, and which way is up."""
+        source, start = self.source, self.server.initial_camera
+        middle = source.middle
+        up = up_direction(np.array([camera.viewmat[:3, :3] for camera in source.cameras]))
+        self.server.scene.set_up_direction(tuple(UP if up is None else up))
+        if source.cameras:
+            camera = source.cameras[0]
+            ahead = camera.viewmat[2, :3]
+            start.position, start.fov = tuple(camera.position), fov_of(camera)
+            distance = max(NEAREST, ahead @ (middle - camera.position))
+            start.look_at = tuple(camera.position + distance * ahead)
+        else:
+            reach = np.percentile(np.linalg.norm(source.scenes[0].means - middle, axis=1), 80)
+            start.position, start.look_at = tuple(middle + reach * START), tuple(middle)
+
+    def _add_controls(self):
+        gui, source = self.server.gui, self.source
+        gui.configure_theme(dark_mode=True, show_share_button=False, control_layout="collapsible")
+        named = zip(source.names, source.scenes, strict=True)
+        gui.add_markdown("  \n".join(f"{name}: {scene.count:,} Gaussians" for name, scene in named))
+        pair = len(source.scenes) == 2
+        choices = [COLORS, MASK, *([DIFFERENCE] if pair else []), *source.columns()]
+        self._colors = gui.add_dropdown("Show", choices)
+        self._share = gui.add_slider("Wipe", 0.0, 1.0, 0.005, 0.5, visible=pair)
+        count = source.scenes[-1].count
+        self._count = gui.add_slider("Gaussians", 1, count, 1, count, visible=source.nested)
+        for control in (self._colors, self._share, self._count):
+            control.on_update(lambda _: self._change())
+        cameras = len(source.cameras)
+        self._view = gui.add_slider("Camera", 0, max(1, cameras - 1), 1, 0, visible=cameras > 1)
+        self._view.on_update(lambda event: self._visit(self._view.value, event))
+        self._frusta_shown = gui.add_checkbox("Show Cameras", False, visible=cameras > 0)
+        self._frusta_shown.on_update(lambda _: self._show_frusta())
+        self._figures = gui.add_markdown("", visible=cameras > 0)
+
+    def _kept(self) -> tuple[Scene, ...]:
+        """The scenes, the last one with as many Gaussians as are asked for."""
+        *others, last = self.source.scenes
+        return (*others, last if self._count.value == last.count else first(last, self._count.value))
+
+    def _change(self):
+        """A control was changed: every browser gets another picture."""
+        scenes, colors = self._kept(), self._colors.value
+        if column := self.source.columns().get(colors):
+            scenes = tuple(
+                first(painted(whole, [whole.attributes[column]]), scene.count)
+                for whole, scene in zip(self.source.scenes, scenes, strict=True)
+            )
+            colors = COLORS
+        self.shown = Shown(scenes, colors, self._share.value, self.source.background)
+        self._changes += 1
+        for client in self.server.get_clients().values():
+            self._request(client)
+
+    def _connected(self, client: Any):
+        self._views[client.client_id] = LiveView(partial(self._draw, client))
+        client.camera.on_update(lambda _: self._request(client))
+        self._request(client)
+
+    def _disconnected(self, client: Any):
+        if view := self._views.pop(client.client_id, None):
+            view.close()
+
+    def _request(self, client: Any):
+        """Asks for the picture of what a browser looks at now."""
+        view = self._views.get(client.client_id)
+        if view is not None and client.camera.image_height:
+            camera = camera_of(client.camera)
+            view.request((camera.key, self._changes), (camera, self.shown))
+
+    def _draw(self, client: Any, rasterizer: Rasterizer, job: tuple[Camera, Shown], reduction: int):
+        """Draws a picture and sends it. Raises Cancelled."""
+        camera, shown = job
+        exact, started = reduction == 1, time.perf_counter()
+        if not exact and self._seconds <= FAST:
+            return
+        if not exact:
+            camera = camera.fitted(max(camera.width, camera.height) // reduction)
+        try:
+            picture = drawn(rasterizer, shown, camera)
+        except NativeError as error:  # such as too many Gaussians in a view
+            client.add_notification("The picture cannot be drawn", str(error), color="red")
+            return
+        if exact:
+            self._seconds = time.perf_counter() - started
+        client.scene.set_background_image(picture, format="jpeg", jpeg_quality=QUALITY[exact])
+
+    def _add_frusta(self):
+        """Adds the cameras, with their photographs."""
+        source = self.source
+        self._show_frusta()
+        away = np.median([np.linalg.norm(camera.position - source.middle) for camera in source.cameras])
+        for index in evenly(range(len(source.cameras)), MOST_FRUSTA):
+            camera = source.cameras[index]
+            frustum = self.server.scene.add_camera_frustum(
+                f"{FRUSTA}/{index}",
+                fov=fov_of(camera),
+                aspect=camera.width / camera.height,
+                scale=FRUSTUM * float(away),
+                color=(255, 140, 40),
+                image=self._thumbnail(index),
+                wxyz=wxyz_of(camera),
+                position=tuple(camera.position),
+            )
+            frustum.on_click(partial(self._clicked, index))
+
+    def _thumbnail(self, index: int) -> np.ndarray | None:
+        if self.source.dataset is None:
+            return None
+        photo = self.source.dataset.image(index)
+        step = max(1, max(photo.shape[:2]) // THUMBNAIL)
+        return np.ascontiguousarray(photo[::step, ::step])
+
+    def _show_frusta(self):
+        self.server.scene.add_frame(FRUSTA, show_axes=False, visible=self._frusta_shown.value)
+
+    def _clicked(self, index: int, event: Any):
+        """A frustum was clicked. All are hidden then: its photograph would hide the picture."""
+        self._view.value, self._frusta_shown.value = index, False
+        self._visit(index, event)
+
+    def _visit(self, index: int, event: Any):
+        """Lets a browser look through a camera, and says how the scenes differ from its photograph."""
+        if event.client is None:  # the server has set the control
+            return
+        camera, looking = self.source.cameras[index], event.client.camera
+        looking.fov, looking.wxyz, looking.position = fov_of(camera), wxyz_of(camera), tuple(camera.position)
+        if self.source.dataset is not None:
+            with self._measuring:
+                self._figures.content = "  \n".join([f"**{camera.name}**", *self.quality(index)])
+
+
+def fov_of(camera: Camera) -> float:
+    """The vertical field of view, in radians."""
+    return 2 * math.atan(camera.height / 2 / camera.K[1, 1])
+
+
+def wxyz_of(camera: Camera) -> np.ndarray:
+    """The rotation from the camera's frame to the world, as a quaternion (4,)."""
+    return quats_from_matrices(camera.viewmat[None, :3, :3].swapaxes(1, 2))[0]
+
+
+def camera_of(looking: Any) -> Camera:
+    """The view of a browser, given as viser's camera, at most LARGEST pixels wide and high."""
+    width, height = looking.image_width, looking.image_height
+    focal = height / 2 / math.tan(looking.fov / 2)
+    viewmat = np.eye(4)
+    viewmat[:3, :3] = rotation_matrices(np.array([looking.wxyz]))[0].T
+    viewmat[:3, 3] = -viewmat[:3, :3] @ looking.position
+    K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
+    return Camera(viewmat, K, width, height).fitted(LARGEST)
