@@ -201,7 +201,7 @@ def test_every_command_that_is_not_run_exists():
     targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
     assert set(re.findall(r"(?<![\w.])make ([a-z-]+)", README)) <= set(targets)
     for line in NOT_RUN:
-        program, command = line.split()
+        program, command = line.split()[:2]
         assert (
             command in targets
             if program == "make"
