@@ -3,6 +3,7 @@
 import base64
 import sys
 import tempfile
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -13,7 +14,10 @@ from svrgs_addon.prune.report.line_chart import Series, line_chart
 from svrgs_addon.prune.report.page import Phase, Report, View, page, write_report
 from svrgs_addon.prune.report.pictures import data_uri, difference_image, mask_to_rgb, png_bytes
 from svrgs_addon.prune.report.svg_axes import nice_ticks, short_number
+from svrgs_addon.prune.report.swing import cameras as swing_cameras
+from svrgs_addon.prune.report.swing import swing
 from svrgs_addon.system.errors import SceneError
+from svrgs_bench.scenes import orbit_camera, room
 
 BEFORE = {
     "psnr": 27.41,
@@ -295,3 +299,38 @@ def test_ticks_are_round_and_within_the_axis(low, high):
 def test_tick_texts_are_short():
     texts = {0: "0", 0.05: "0.05", 9_999: "9999", 1e4: "10 k", 2.5e6: "2.5 M", 1e10: "1e10", -2e-7: "-2e-7"}
     assert {value: short_number(value) for value in texts} == texts
+
+
+def test_the_swing_turns_around_what_the_view_shows():
+    camera = orbit_camera(90, 60)
+    target = camera.position + 3.0 * camera.viewmat[2, :3]
+    views = swing_cameras(camera, 3.0)
+    angles = []
+    for view in views:
+        seen = view.viewmat[:3, :3] @ target + view.viewmat[:3, 3]
+        np.testing.assert_allclose(seen, (0, 0, 3), atol=1e-9)  # in the middle, as far away as before
+        np.testing.assert_allclose(view.viewmat[:3, :3] @ view.viewmat[:3, :3].T, np.eye(3), atol=1e-12)
+        side = camera.viewmat[:3, :3] @ (view.position - target)
+        assert abs(side[1]) < 1e-9  # at the height of the view
+        angles.append(np.degrees(np.arctan2(side[0], -side[2])))
+    assert len(views) == 16 and abs(abs(angles[0]) - 7) < 1e-6 and np.sign(angles[0]) == -np.sign(angles[-1])
+    np.testing.assert_allclose(angles, -np.array(angles[::-1]), atol=1e-6)
+
+
+def test_the_swing_shows_both_scenes_side_by_side_and_nothing_of_an_empty_view():
+    scene, camera = room(2_000), orbit_camera(90, 60)
+    pictures = swing((scene, scene), camera)
+    assert pictures.shape == (16, 60, 180, 3) and pictures.dtype == np.uint8
+    np.testing.assert_array_equal(pictures[:, :, :90], pictures[:, :, 90:])
+    assert (pictures[0] != pictures[-1]).any() and pictures.any()
+    faint = replace(scene, opacity_logits=np.full(scene.count, -20, np.float32))
+    assert swing((faint, scene), camera) is None
+
+
+def test_the_page_holds_the_swing_and_how_to_turn_the_scenes(tmp_path):
+    frames = np.zeros((16, 6, 20, 3), np.uint8)
+    found = written(tmp_path, replace(full_report(), swing=frames, files=("a b.ply", "c<d>.ply")))
+    style = next(attrs["style"] for attrs in found.attributes("div") if attrs.get("class") == "swing")
+    assert "aspect-ratio:20/6" in style and "1600% 100%" in style and "url(data:image/" in style
+    assert "svrgs view 'a b.ply' 'c<d>.ply'" in found.text
+    assert 'class="swing"' not in written(tmp_path, full_report()).raw

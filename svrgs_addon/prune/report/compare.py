@@ -22,6 +22,7 @@ from ..belonging import leave_out_empty_tests
 from .page import MASK_PERCENTILE, Report, View, write_report
 from .pictures import difference_image, mask_to_rgb, to_uint8
 from .prune_report import Opens, report_indices, report_pictures, report_views, timed_in_turn
+from .swing import swing
 
 
 def compare(
@@ -48,7 +49,7 @@ def compare(
         kept_photographs=dataset.memory_budget,
         lpips=lpips is not None,
     )
-    figures, renders, timing = list[dict](), [], list[str]()
+    figures, renders, timing, swung = list[dict](), [], list[str](), None
     with opened(a, "comparing", needed) as first, opened(b, "comparing", needed) as second:
         opened_scenes = ((a, *first), (b, *second))
         for path, scene, _ in opened_scenes:
@@ -67,13 +68,15 @@ def compare(
             figures.append({**quality, "bytes": size_on_disk(path)})
             renders.append(report_pictures(scene, dataset, rasterizer))
         if all(isinstance(rasterizer, Rasterizer) for _, _, rasterizer in opened_scenes):
-            figures, timing = timed_in_turn([scene for _, scene, _ in opened_scenes], figures, dataset)
+            scenes = [scene for _, scene, _ in opened_scenes]
+            figures, timing = timed_in_turn(scenes, figures, dataset)
+            swung = swing(scenes, shown[0], dataset.background)
         pictures = list(report_views(renders[0], renders[1], dataset))
     files = [_save(out, view) for view in pictures]
     page = Report(
         scene=f"{a.name} and {b.name}", before=figures[0], after=figures[1], names=(a.name, b.name),
         lpips_missing=missing, notes=[*notes, *timing], views=tuple(pictures),
-        versions={"SVR-GS": __version__},
+        versions={"SVR-GS": __version__}, swing=swung, files=(str(a), str(b)),
     )  # fmt: skip
     path = write_report(out, page)
     return {

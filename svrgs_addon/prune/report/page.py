@@ -8,6 +8,7 @@ does not have.
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from html import escape
@@ -73,6 +74,8 @@ class Report:
     versions: dict[str, str] = field(default_factory=dict)
     curves: tuple[Series, ...] = ()
     views: tuple[View, ...] = ()
+    swing: np.ndarray | None = None  # (frames, H, W, 3) uint8 (swing.py): before and after side by side
+    files: tuple[str, ...] = ()  # those of before and after, to be looked at with svrgs view
 
 
 def write_report(folder: str | Path, report: Report) -> Path:
@@ -88,7 +91,7 @@ def write_report(folder: str | Path, report: Report) -> Path:
 def page(report: Report) -> str:
     """The HTML page as text."""
     figures = f'<div class="columns">\n{_quality(report)}\n{_run(report)}\n</div>'
-    sections = (_head(report), figures, _curves(report), _views(report))
+    sections = (_head(report), figures, _swing(report), _curves(report), _views(report))
     policy = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
@@ -245,6 +248,24 @@ def _curves(report: Report) -> str:
 
 
 # --- views ---
+
+
+def _swing(report: Report) -> str:
+    """The swing as one picture of all its frames, which a style moves; and how to turn the scenes by hand."""
+    if report.swing is None:
+        return ""
+    frames, height, width, _ = report.swing.shape
+    strip = np.concatenate([*report.swing], axis=1)
+    before, after = (escape(name) for name in report.names)
+    style = f"aspect-ratio:{width}/{height};background:url({data_uri(strip)}) 0 0/{100 * frames}% 100%"
+    steps = f"animation-timing-function:steps({frames}, jump-none)"
+    command = escape(shlex.join(["svrgs", "view", *report.files]))
+    turn = f'\n<p class="soft">To turn them: <code>{command}</code></p>' if report.files else ""
+    seen = f'role="img" aria-label="{before} and {after}, seen from changing sides"'
+    return (
+        f'<h2>In space</h2>\n<figure class="card"><div class="swing" {seen} style="{style};{steps}"></div>'
+        f"<figcaption>{before}, {after}</figcaption>{turn}</figure>"
+    )
 
 
 def _views(report: Report) -> str:

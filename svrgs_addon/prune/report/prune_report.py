@@ -32,6 +32,7 @@ from ...views.dataset import Dataset
 from ...views.rendered import RenderedDataset
 from .line_chart import Series
 from .page import Phase, Report, View, write_report
+from .swing import swing
 
 REPORT_VIEWS = 3  # number of views with pictures
 Opens = Callable[[Path, str, Callable[[int], int]], AbstractContextManager[tuple[Renderable, Renderer]]]
@@ -53,6 +54,8 @@ def write_prune_report(
     scene differs most. Raises SceneError if it cannot be written."""
     source = load_scene(Path(result["scene"])).scene
     figures, notes = timed_in_turn((source, after), (result["before"], result["after"]), dataset)
+    seen_from = dataset.cameras[report_indices(dataset)[0]]
+    swung = swing((source, after), seen_from, dataset.background)
     del source
     views = [*report_views(before, report_pictures(after, dataset, Rasterizer()), dataset)]
     if worst is not None:
@@ -76,6 +79,8 @@ def write_prune_report(
         versions=_versions(),
         curves=_series(run),
         views=tuple(views),
+        swing=swung,
+        files=(str(result["scene"]), str(result["out"])),
     )
     write_report(folder, page)
 

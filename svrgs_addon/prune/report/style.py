@@ -44,6 +44,9 @@ svg .dot { fill: var(--accent); }
 .stack { background-size: 100% 100%; border-radius: 4px; overflow: hidden; touch-action: pan-y; }
 .stack.live { cursor: ew-resize; }
 figcaption { font-size: .88rem; padding-top: .3rem; }
+.swing { max-width: 56rem; border-radius: 4px; animation: swing 1.6s infinite alternate; }
+@keyframes swing { to { background-position-x: 100%; } }
+@media (prefers-reduced-motion: reduce) { .swing { animation: none; } }
 .bar { height: .55rem; border-radius: 3px; margin-top: .45rem; border: 1px solid var(--line); }
 .range { display: flex; font-size: .88rem; justify-content: space-between; font-variant-numeric: tabular-nums; }
 footer { margin-top: 2.5rem; font-size: .88rem; color: var(--soft); }
