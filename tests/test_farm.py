@@ -162,6 +162,8 @@ def test_the_report_has_all_tasks_and_means_over_the_scenes(job, capsys):
     page = (job / "report/index.html").read_text()
     assert "two-opacity-50" in page and "<svg" in page and page.count("<tr>") == 4
     rows = {row["name"]: row for row in facts["tasks"]}
+    scene, out = rows["one-removal-50"]["files"]
+    assert f"svrgs view {scene} {out}" in page and Path(out).is_file() and scene != out
     assert (
         rows["one-removal-50"]["kept"] == 0.5
         and rows["one-opacity-50"]["loss"] > rows["one-removal-50"]["loss"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections import defaultdict
 from collections.abc import Callable
 from html import escape
@@ -59,6 +60,7 @@ def _row(task: Task, result: dict[str, Any]) -> dict[str, Any]:
         "name": task.name,
         "scene": task.scene,
         "method": result["method"],
+        "files": [result["scene"], result["out"]],
         "seconds": result["seconds"],
     }
     return facts | {
@@ -129,10 +131,9 @@ def _markdown(rows: list[dict[str, Any]]) -> list[str]:
 
 
 def _page(rows: list[dict[str, Any]], means: list[dict[str, Any]], missing: list[str]) -> str:
-    cells = ["".join(f"<td>{escape(text(row))}</td>" for text in COLUMNS.values()) for row in rows]
+    body_rows = "".join(f"<tr>{_cells(row)}</tr>" for row in rows)
     head = "".join(f"<th>{escape(title)}</th>" for title in COLUMNS)
     lost = f'<p class="note">Not done: {escape(", ".join(missing))}</p>' if missing else ""
-    body_rows = "".join(f"<tr>{cell}</tr>" for cell in cells)
     table = f"<table><thead><tr>{head}</tr></thead><tbody>{body_rows}</tbody></table>"
     table = f'<div class="scroll">{table}</div>'
     body = (
@@ -146,6 +147,14 @@ def _page(rows: list[dict[str, Any]], means: list[dict[str, Any]], missing: list
         f" job</title><style>{CSS}</style></head><body>{body}<footer>SVR-GS"
         f" {__version__}</footer></body></html>"
     )
+
+
+def _cells(row: dict[str, Any]) -> str:
+    """The cells of a task. Its name opens to how both scenes are looked at."""
+    name, *others = (escape(text(row)) for text in COLUMNS.values())
+    command = escape(shlex.join(["svrgs", "view", *row["files"]]))
+    opens = f"<details><summary>{name}</summary><code>{command}</code></details>"
+    return "".join(f"<td>{cell}</td>" for cell in (opens, *others))
 
 
 def _write(path: Path, text: str):
