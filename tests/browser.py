@@ -40,7 +40,7 @@ class Browser:
         port = port_file.read_text().splitlines()[0]
         with urllib.request.urlopen(f"http://127.0.0.1:{port}/json/list") as answer:
             page = next(one for one in json.load(answer) if one["type"] == "page")
-        self._socket = connect(page["webSocketDebuggerUrl"], max_size=None)
+        self._socket = connect(page["webSocketDebuggerUrl"], max_size=None, ping_interval=None)
         for domain in ("Network", "Page", "Runtime"):
             self.call(f"{domain}.enable")
         self.call("Page.navigate", url=url)

@@ -41,7 +41,7 @@ def source_of(args: argparse.Namespace) -> Source:
         raise SceneError("at most two scenes are shown: the original and the pruned one")
     for path in args.scenes:
         check_readable(path)
-    dataset = dataset_of(options_from(DatasetOptions, args)) if args.data else None
+    dataset = dataset_of(options_from(DatasetOptions, args, image_memory=0.0)) if args.data else None
     cameras = dataset.cameras if dataset else load_cameras(args.cameras) if args.cameras else []
     scenes = []
     for path in args.scenes:

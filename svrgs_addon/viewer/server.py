@@ -81,13 +81,12 @@ class Viewer:
             self.server = viser.ViserServer(host=HOST, port=port, label="SVR-GS", verbose=False)
         self._views: dict[int, LiveView] = {}  # by the number of a client
         self._changes, self._seconds = 0, 0.0  # of what is shown; of the last exact picture
-        self._measuring = threading.Lock()
+        self._reading = threading.Lock()  # photographs
+        self._has_frusta = False
         self._look_from_a_camera()
         self._add_controls()
         self.server.on_client_connect(self._connected)
         self.server.on_client_disconnect(self._disconnected)
-        if source.cameras:
-            threading.Thread(target=self._add_frusta, name="svrgs-frusta", daemon=True).start()
 
     @property
     def url(self) -> str:
@@ -192,7 +191,7 @@ class Viewer:
             camera = camera.fitted(max(camera.width, camera.height) // reduction)
         try:
             picture = drawn(rasterizer, shown, camera)
-        except NativeError as error:  # such as too many Gaussians in a view
+        except (NativeError, MemoryError) as error:  # such as too many Gaussians in a view
             client.add_notification("The picture cannot be drawn", str(error), color="red")
             return
         if exact:
@@ -202,7 +201,6 @@ class Viewer:
     def _add_frusta(self):
         """Adds the cameras, with their photographs."""
         source = self.source
-        self._show_frusta()
         away = np.median([np.linalg.norm(camera.position - source.middle) for camera in source.cameras])
         for index in evenly(range(len(source.cameras)), MOST_FRUSTA):
             camera = source.cameras[index]
@@ -226,7 +224,12 @@ class Viewer:
         return np.ascontiguousarray(photo[::step, ::step])
 
     def _show_frusta(self):
-        self.server.scene.add_frame(FRUSTA, show_axes=False, visible=self._frusta_shown.value)
+        shown = self._frusta_shown.value
+        self.server.scene.add_frame(FRUSTA, show_axes=False, visible=shown)
+        with self._reading:
+            if shown and not self._has_frusta:
+                self._has_frusta = True
+                self._add_frusta()
 
     def _clicked(self, index: int, event: Any):
         """A frustum was clicked. All are hidden then: its photograph would hide the picture."""
@@ -240,7 +243,7 @@ class Viewer:
         camera, looking = self.source.cameras[index], event.client.camera
         looking.fov, looking.wxyz, looking.position = fov_of(camera), wxyz_of(camera), tuple(camera.position)
         if self.source.dataset is not None:
-            with self._measuring:
+            with self._reading:
                 self._figures.content = "  \n".join([f"**{camera.name}**", *self.quality(index)])
 
 
