@@ -142,7 +142,10 @@ class Viewport:
             self.shown, self.problem = [], str(error)
 
     def hide_lines(self, context: bpy.types.Context):
-        """After Blender has drawn its overlays: takes away those that Gaussians hide."""
+        """After Blender has drawn its overlays: takes away those that Gaussians hide. While an object is set In
+        Front, all stay: its lines cannot be told from others."""
+        if shows_in_front(context):
+            return
         lines = gpu_drawing.scene_depth(context.region.width, context.region.height)
         if lines is None:
             return
@@ -189,6 +192,12 @@ class Viewport:
         return (
             tr("{count:,} Gaussians, coarse") if picture.reduction > 1 else tr("{count:,} Gaussians")
         ).format(count=placed.scene.count)
+
+
+def shows_in_front(context: bpy.types.Context) -> bool:
+    """Whether the viewport shows an object that is set In Front."""
+    objects = (obj for obj in context.view_layer.objects if obj.show_in_front)
+    return any(obj.visible_get(viewport=context.space_data) for obj in objects)
 
 
 def redraw(shading: set[str]):

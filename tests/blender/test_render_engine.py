@@ -272,3 +272,17 @@ def test_viewports_show_splats_of_instanced_collections_as_renders_do(stage, bri
     assert places(in_view) == sorted([own, second])
     nested.hide_viewport = True
     assert places(in_view) == [own]
+
+
+def test_an_object_in_front_counts_while_it_is_shown(stage, room):
+    shows, view = part("operators.view.viewport").shows_in_front, types.SimpleNamespace(space_data=None)
+    view.view_layer = bpy.context.view_layer
+    assert not shows(view)
+    room.show_in_front = True
+    try:
+        assert shows(view)
+        room.hide_set(True)
+        assert not shows(view)
+    finally:
+        room.show_in_front = False
+        room.hide_set(False)
