@@ -142,8 +142,8 @@ class Viewport:
             self.shown, self.problem = [], str(error)
 
     def hide_lines(self, context: bpy.types.Context):
-        """After Blender has drawn its overlays: takes away those that Gaussians hide. While an object is set In
-        Front, all stay: its lines cannot be told from others."""
+        """After Blender has drawn its overlays: takes away those that Gaussians hide. While an object is set
+        In Front, all stay: its lines cannot be told from others."""
         if shows_in_front(context):
             return
         lines = gpu_drawing.scene_depth(context.region.width, context.region.height)
