@@ -35,15 +35,24 @@ class Browser:
              "about:blank"],
             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         )  # fmt: skip
+        try:
+            self._socket = connect(self.until(self._page), max_size=None, ping_interval=None)
+            for domain in ("Network", "Page", "Runtime"):
+                self.call(f"{domain}.enable")
+            self.call("Page.navigate", url=url)
+        except BaseException:
+            self._process.kill()
+            raise
+
+    def _page(self) -> str | None:
+        """The address of the page's protocol; None while there is none."""
         port_file = Path(self._folder.name) / "DevToolsActivePort"
-        self.until(lambda: port_file.exists() and port_file.read_text().count("\n"))
+        if not port_file.exists() or "\n" not in port_file.read_text():
+            return None
         port = port_file.read_text().splitlines()[0]
         with urllib.request.urlopen(f"http://127.0.0.1:{port}/json/list") as answer:
-            page = next(one for one in json.load(answer) if one["type"] == "page")
-        self._socket = connect(page["webSocketDebuggerUrl"], max_size=None, ping_interval=None)
-        for domain in ("Network", "Page", "Runtime"):
-            self.call(f"{domain}.enable")
-        self.call("Page.navigate", url=url)
+            pages = [one["webSocketDebuggerUrl"] for one in json.load(answer) if one["type"] == "page"]
+        return pages[0] if pages else None
 
     def __enter__(self) -> Browser:
         return self
@@ -81,9 +90,10 @@ class Browser:
 
     @staticmethod
     def until(done, seconds: float = 60):
-        """Waits until done() is true. Raises TimeoutError."""
+        """Waits until done() is true, and returns it. Raises TimeoutError."""
         end = time.monotonic() + seconds
-        while not done():
+        while not (found := done()):
             if time.monotonic() > end:
                 raise TimeoutError
             time.sleep(0.1)
+        return found

@@ -133,5 +133,10 @@ def test_the_command_refuses_what_cannot_be_written_or_measured(svrgs, tmp_path)
         "select", tmp_path / "s.ply", "--cameras", cameras, "--measure", "--out", tmp_path / "m.spz"
     )
     assert other.status != 0 and "only a PLY holds" in other.err and not (tmp_path / "m.spz").exists()
+    turned = svrgs("select", tmp_path / "s.ply", "--cameras", cameras, "--measure", "--invert")
+    assert turned.status == 2 and "--invert needs a criterion" in turned.err
+    write_ply(tmp_path / "bad.ply", replace(room(50), means=np.full((50, 3), np.nan, np.float32)))
+    bad = svrgs("select", tmp_path / "bad.ply", "--cameras", cameras, "--measure", "--force")
+    assert bad.status == 2 and "none can be measured" in bad.err
     none = svrgs("select", tmp_path / "s.ply", "--measure")
     assert none.status != 0 and "--data or --cameras" in none.err

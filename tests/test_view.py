@@ -19,12 +19,14 @@ import browser
 from scenes import random_scene
 from svrgs_addon.cli.view_scenes import source_of
 from svrgs_addon.files.ply import write_ply
+from svrgs_addon.files.registry import write_scene
 from svrgs_addon.native.rasterizer import Rasterizer
 from svrgs_addon.prune.report.pictures import mask_to_rgb, to_uint8
 from svrgs_addon.render.metrics.evaluate import evaluate, picture_options
+from svrgs_addon.scene.rotations import quats_from_matrices
 from svrgs_addon.system import packages
 from svrgs_addon.system.errors import SceneError
-from svrgs_addon.viewer.server import LARGEST, Source, Viewer, camera_of, fov_of, wxyz_of
+from svrgs_addon.viewer.server import LARGEST, Source, Viewer, camera_of, fov_of
 from svrgs_addon.viewer.shown import DIFFERENCE, MASK, Shown, drawn, first
 from svrgs_bench.scenes import orbit_camera, room
 
@@ -76,7 +78,11 @@ def test_the_first_gaussians_are_those_of_the_file_and_are_not_copied():
 
 def test_a_browser_sees_what_the_camera_sees():
     looking = SimpleNamespace(
-        wxyz=wxyz_of(CAMERA), position=CAMERA.position, fov=fov_of(CAMERA), image_width=120, image_height=80
+        wxyz=quats_from_matrices(CAMERA.viewmat[None, :3, :3].swapaxes(1, 2))[0],
+        position=CAMERA.position,
+        fov=fov_of(CAMERA),
+        image_width=120,
+        image_height=80,
     )
     found = camera_of(looking)
     np.testing.assert_allclose(found.viewmat, CAMERA.viewmat, atol=1e-12)
@@ -87,6 +93,7 @@ def test_a_browser_sees_what_the_camera_sees():
 
 def arguments(*scenes: Path, **others) -> argparse.Namespace:
     usual = {"data": None, "cameras": None, "force": False, "nested": False, "background": (0, 0, 0)}
+    usual |= {"port": 8080}
     return argparse.Namespace(scenes=list(scenes), **{**usual, **others})
 
 
@@ -97,6 +104,11 @@ def test_what_cannot_be_shown_is_one_sentence(tmp_path, svrgs, monkeypatch):
         source_of(arguments(*[tmp_path / "a.ply"] * 3))
     with pytest.raises(SceneError, match="leave one out"):
         source_of(arguments(tmp_path / "a.ply", data=tmp_path, cameras=tmp_path / "c.json"))
+    with pytest.raises(SceneError, match="at most 65000"):
+        source_of(arguments(tmp_path / "a.ply", port=70_000))
+    write_scene(tmp_path / "a.spz", ORIGINAL)
+    with pytest.raises(SceneError, match="holds no nested result"):
+        source_of(arguments(tmp_path / "a.spz", nested=True))
     assert "b.ply" in svrgs("view", tmp_path / "a.ply", tmp_path / "b.ply").err
 
     def missing(name, purpose):
@@ -133,7 +145,10 @@ def test_the_command_serves_this_machine_until_it_is_interrupted(tmp_path):
         with urllib.request.urlopen(url) as page:
             assert b"<html" in page.read(1_000)
         process.send_signal(signal.SIGINT)
-        assert process.wait(30) == 0
+        try:
+            assert process.wait(30) == 0
+        finally:
+            process.kill()
 
 
 @pytest.mark.slow
@@ -155,7 +170,8 @@ def test_a_browser_shows_the_pictures_of_the_native_renderer():
                 url for url in page.requests if not url.startswith((viewer.url, "data:", "blob:", "ws://127"))
             ]
             assert page.requests and not foreign
-            viewer._visit(2, SimpleNamespace(client=client))
+            viewer._view.value = 2
+            viewer._visit(SimpleNamespace(client=client))
             page.until(lambda: np.allclose(client.camera.position, cameras[2].position, atol=1e-3))
             page.until(alike)
     finally:
@@ -177,5 +193,25 @@ def test_the_figures_of_a_view_are_those_of_eval(data):
         assert viewer.quality(3) == [
             f"a.ply: PSNR {figures['psnr']:.2f} dB, SSIM {figures['ssim']:.3f}, FLIP {figures['flip']:.3f}"
         ]
+    finally:
+        viewer.close()
+
+
+@pytest.mark.slow
+def test_columns_of_both_scenes_have_the_same_colours_and_the_newest_control_counts():
+    pytest.importorskip("viser")
+    column = lambda scene, value: replace(
+        scene, attributes={"deciding_views": np.full(scene.count, value, np.float32)}
+    )
+    viewer = Viewer(Source(("a", "b"), (column(ORIGINAL, 2), column(PRUNED, 40)), []), 8080)
+    try:
+        viewer._colors.value = "Deciding views"
+        viewer._change()
+        few, many = (scene.sh[0, 0] for scene in viewer.shown.scenes)
+        assert viewer.shown.colors == "Colors" and not np.allclose(few, many)
+        viewer._colors.value = "Colors"
+        viewer._change()
+        np.testing.assert_array_equal(viewer.shown.scenes[0].sh, ORIGINAL.sh)
+        assert viewer.server.request_share_url() is None
     finally:
         viewer.close()

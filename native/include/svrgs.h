@@ -164,7 +164,7 @@ SVRGS_API void svrgs_context_destroy(svrgs_context* context);
 /* Renders one view. The scene's arrays must stay unchanged until svrgs_backward or svrgs_scores of this view is done. */
 SVRGS_API int32_t svrgs_forward(svrgs_context*, const svrgs_scene*, const svrgs_camera*, const svrgs_options*, const svrgs_images*);
 
-/* Gaussians of the last view that can touch a pixel that counts: *ids points into the context, valid until the next forward. */
+/* Gaussians of the last view that can touch the smallest rectangle that holds all pixels that count: *ids points into the context, valid until the next forward. */
 SVRGS_API int32_t svrgs_visible(svrgs_context*, const uint32_t** ids, int64_t* count);
 
 /* Work of the last view. With count_pixels its tile lists are walked again and all fields are filled; otherwise the first two. */

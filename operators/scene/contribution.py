@@ -39,6 +39,7 @@ class CamerasOperator(ReportingOperator):
     """An operator that measures the Gaussians of the active splat in the images of cameras."""
 
     cameras: cameras_property()
+    longest = LONGER_SIDE  # pixels of the longer side of the images
 
     @classmethod
     def problem(cls, context) -> str:
@@ -50,9 +51,8 @@ class CamerasOperator(ReportingOperator):
         library.set_threads(threads(context))
         obj = context.object
         placed = visible_splats.placed([(splat_object.scene_from_object(obj), obj.matrix_world.copy())])
-        return self.measure(
-            context, placed.scene, views(context, chosen_cameras(context, self.cameras), placed)
-        )
+        cameras = views(context, chosen_cameras(context, self.cameras), placed, self.longest)
+        return self.measure(context, placed.scene, cameras)
 
     def measure(self, context, scene: Scene, cameras: list[Camera]) -> str:
         """Stores what was measured with store(). Returns it in words. Raises SceneError."""
@@ -92,6 +92,8 @@ class SVRGS_OT_removal_error(CamerasOperator):
     )
     bl_options = {"REGISTER", "UNDO"}
 
+    longest = 2 * LONGER_SIDE  # they are halved, as pruning does
+
     def measure(self, context, scene, cameras):
         found = measured(scene, cameras, all_looks=False)
         self.store(context, found, RANK)
@@ -112,15 +114,15 @@ def chosen_cameras(context, which: str = "PHOTOGRAPHS") -> list[bpy.types.Object
     return imported if imported and which == "PHOTOGRAPHS" else cameras
 
 
-def views(context, cameras: list[bpy.types.Object], placed: visible_splats.PlacedScene) -> list[Camera]:
-    """The views of camera objects, reduced, in the coordinates of the scene. Raises SceneError, also if there
-    are none."""
+def views(
+    context, cameras: list[bpy.types.Object], placed: visible_splats.PlacedScene, longest: int = LONGER_SIDE
+) -> list[Camera]:
+    """The views of camera objects, reduced to about the longest side, in the coordinates of the scene. Raises
+    SceneError, also if there are none."""
     if not cameras:
         raise SceneError(tr("there is no such camera: import the cameras of the dataset, or choose others"))
     found = [camera_object.camera_from_object(obj, context.scene) for obj in cameras]
-    return [
-        placed.seen_by(view.reduced(max(1, max(view.width, view.height) // LONGER_SIDE))) for view in found
-    ]
+    return [placed.seen_by(view.reduced(max(1, max(view.width, view.height) // longest))) for view in found]
 
 
 CLASSES = (SVRGS_OT_contribution, SVRGS_OT_removal_error)

@@ -251,7 +251,7 @@ def _view(commands):
         metavar="SCENE",
         help="splat file; a second one is wiped against it",
     )
-    add_options(command, DatasetOptions, leave_out=("image_memory",), data=False)
+    add_options(command, DatasetOptions, leave_out=("image_memory", "lpips_weights"), data=False)
     command.add_argument(
         "--cameras",
         type=extended,

@@ -47,6 +47,8 @@ def select_gaussians(args: argparse.Namespace) -> dict:
     options = options_from(SelectOptions, args)
     if options.data and options.cameras:
         raise SceneError("--data and --cameras both name views; leave one out")
+    if options.invert and not options.given():
+        raise SceneError("--invert needs a criterion; choose at least one, such as an opacity or a box")
     if options.measure and options.out and "attributes" not in format_to_write(options.out).carries:
         raise SceneError(f"{options.out}: --measure writes columns, which only a PLY holds; name a .ply file")
     with outputs(args.scene, [options.out] if options.out else []):
@@ -122,6 +124,9 @@ def _measured(scene: Scene, cameras: list[Camera]) -> tuple[Scene, dict]:
     """The scene with the columns of prune/selection/measure.py, 0 for Gaussians that cannot be rendered; and
     their summary."""
     mask, usable = usable_part(scene)
+    if not usable.count:
+        raise SceneError("no Gaussian can be rendered, so none can be measured")
+    memory.refuse_excess("measuring the Gaussians", memory.ranking(usable.count, usable.sh.shape[1]))
     found = measured(usable, cameras)
     columns = {name: np.zeros(scene.count, values.dtype) for name, values in found.items()}
     for name, values in found.items():

@@ -7,20 +7,23 @@ import logging
 import threading
 import webbrowser
 
-from ..files.registry import check_readable, load_scene
+from ..files.registry import check_readable, format_to_read, load_scene
 from ..prune.belonging import check_explained
 from ..prune.options import DatasetOptions
 from ..prune.plans import dataset_of
 from ..render.metrics.evaluate import refuse_unseen
-from ..system import memory
+from ..system import memory, packages
 from ..system.errors import SceneError
 from ..viewer.server import LARGEST, Source, Viewer
 from ..views.camera_files import load_cameras
 from .option_parser import options_from
 
+LAST_PORT = 65_000  # others are left for those that are taken
+
 
 def view_scenes(args: argparse.Namespace):
     """Shows the scenes until Ctrl-C. Raises SplatError, as for views that are of another scene."""
+    packages.load("viser", "svrgs view")  # before anything is read
     viewer = Viewer(source_of(args), args.port)
     try:
         print(f"{viewer.url} shows {' and '.join(viewer.source.names)}; Ctrl-C ends it", flush=True)
@@ -39,6 +42,13 @@ def source_of(args: argparse.Namespace) -> Source:
         raise SceneError("--data and --cameras both name views; leave one out")
     if len(args.scenes) > 2:
         raise SceneError("at most two scenes are shown: the original and the pruned one")
+    if args.port > LAST_PORT:
+        raise SceneError(f"--port is at most {LAST_PORT}")
+    if args.nested and "order" not in format_to_read(args.scenes[-1]).carries:
+        raise SceneError(
+            f"{args.scenes[-1]}: this format has an order of its own, so it holds no nested result; name its"
+            " PLY"
+        )
     for path in args.scenes:
         check_readable(path)
     dataset = dataset_of(options_from(DatasetOptions, args, image_memory=0.0)) if args.data else None

@@ -136,7 +136,8 @@ class Rasterizer:
         return images
 
     def visible(self) -> np.ndarray:
-        """Row numbers of the V Gaussians that can reach a pixel that counts, (V,) uint32, ascending."""
+        """Row numbers of the V Gaussians that can reach the smallest rectangle that holds all
+        pixels that count, (V,) uint32, ascending."""
         ids, count = c.POINTER(c.c_uint32)(), c.c_int64()
         _call("svrgs_visible", self._context, c.byref(ids), c.byref(count))
         return np.ctypeslib.as_array(ids, (count.value,)).copy() if count.value else np.empty(0, np.uint32)

@@ -35,6 +35,7 @@ ADDED_COPIES = 2  # temporary copies of the values of a Gaussian that densificat
 PROJECTED = 150  # bytes per projected Gaussian
 STREAMED = 65  # bytes per Gaussian of a compressed file that is unpacked, without SH; an SPZ needs most
 TEXTURED = 150  # bytes per Gaussian that becomes pixels of a SOG
+RANKED = 400  # bytes per Gaussian while its rank is measured, without its values in float64
 DECIMATED = 500  # bytes per Gaussian while it is removed or merged, without its values
 RENDERED_PIXEL = 50  # bytes per pixel of a view: a picture
 KEPT_PIXEL = 50  # the same, for what gradients or statistics need in addition
@@ -109,6 +110,12 @@ def ordering(count: int, coefficients: int, cameras: Sequence[View]) -> int:
     return (DECIMATED + _trained_row(coefficients)[0]) * count + (RENDERED_PIXEL + KEPT_PIXEL) * _pixels(
         cameras
     )
+
+
+def ranking(count: int, coefficients: int) -> int:
+    """Bytes of memory needed to measure how sure the ranks of `count` Gaussians are, besides rendering: the
+    parameters as float64, and statistics. coefficients: SH coefficients per channel, K."""
+    return (RANKED + 8 * (11 + 3 * coefficients)) * count
 
 
 def measuring(count: int, cameras: Sequence[View], kept_photographs: int, lpips: bool) -> int:

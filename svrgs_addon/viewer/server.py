@@ -1,7 +1,8 @@
 """The page of `svrgs view`: viser's, with pictures of the native renderer behind its cameras and controls.
 
 viser serves the page and says where each browser looks. A thread for each draws that view, coarse at first
-where an exact picture takes long, and sends it as the background. Only this machine can connect.
+where an exact picture takes long, and sends it as the background. viser calls what is registered here from
+many threads at once: one lock keeps them apart. The server listens on this machine alone.
 """
 
 from __future__ import annotations
@@ -17,18 +18,18 @@ from typing import Any
 
 import numpy as np
 
-from ..files.images import to_float
 from ..native.rasterizer import Rasterizer
 from ..prune.selection.measure import BY_VIEWS, RANK, VIEWS
+from ..render.color_maps import colored
 from ..render.live_view import LiveView
-from ..render.metrics.evaluate import mean_figures, picture_options, rounded_to_8_bits
-from ..render.painting import painted
+from ..render.metrics.evaluate import evaluate
+from ..render.painting import TOP_PERCENTILE, recolored
 from ..scene.camera import Camera, evenly
 from ..scene.gaussians import Scene
 from ..scene.rotations import quats_from_matrices, rotation_matrices
 from ..scene.upright import up_direction
 from ..system import packages
-from ..system.errors import NativeError
+from ..system.errors import Cancelled, SceneError
 from ..views.dataset import Dataset
 from .shown import COLORS, DIFFERENCE, MASK, Shown, drawn, first
 
@@ -39,11 +40,11 @@ QUALITY = {True: 95, False: 70}  # of a JPEG: of an exact picture, and of a coar
 LARGEST = 2048  # pixels of the longer side of a picture
 MOST_FRUSTA, THUMBNAIL = 100, 96  # cameras that are drawn; pixels of the longer side of their photographs
 FRUSTUM = 0.06  # length of a frustum, of the distance between cameras and the median Gaussian
+FRUSTA = "/cameras"  # their node
 # columns of a measured file (prune/selection/measure.py) that colours can show
 COLUMNS = {"Removal error, as a rank": RANK, "Deciding views": VIEWS, "Rank spread over views": BY_VIEWS}
-FRUSTA = "/cameras"  # their node
-# without cameras, where the first view is from, in distances that hold 80 % of the means; and, with cameras,
-# how near to the camera it may turn about
+# without cameras, where the first view is from, in distances that hold 80 % of the means; and how near to a
+# camera what it turns about may be
 START, NEAREST = np.array([0.0, -0.8, -1.8]), 0.1
 
 
@@ -60,10 +61,10 @@ class Source:
     nested: bool = False
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
-    @property
     def middle(self) -> np.ndarray:
-        """(3,) the median Gaussian."""
-        return np.median(self.scenes[0].means[:: max(1, self.scenes[0].count // 10_000)], axis=0)
+        """(3,) float64, the median Gaussian."""
+        means = self.scenes[0].means
+        return np.median(means[:: max(1, len(means) // 10_000)], axis=0).astype(np.float64)
 
     def columns(self) -> dict[str, str]:
         """Of COLUMNS, those that every scene has."""
@@ -79,9 +80,13 @@ class Viewer:
         self.source, self.shown = source, Shown(source.scenes, background=source.background)
         with contextlib.redirect_stdout(io.StringIO()):  # viser prints its addresses
             self.server = viser.ViserServer(host=HOST, port=port, label="SVR-GS", verbose=False)
-        self._views: dict[int, LiveView] = {}  # by the number of a client
-        self._changes, self._seconds = 0, 0.0  # of what is shown; of the last exact picture
-        self._reading = threading.Lock()  # photographs
+        self.server.request_share_url = lambda *_: None  # a page may ask for it, and it would be public
+        self._lock = threading.RLock()
+        self._views: dict[int, LiveView] = {}  # by the number of a client, as the next two
+        self._seconds: dict[int, float] = {}  # of its last exact picture
+        self._problems: dict[int, str] = {}  # what it was told last
+        self._changes = 0  # of what is shown
+        self._measuring, self._measured = threading.Lock(), (-1, -1)  # camera and Gaussians of the figures
         self._has_frusta = False
         self._look_from_a_camera()
         self._add_controls()
@@ -98,33 +103,27 @@ class Viewer:
             view.close()
 
     def quality(self, index: int) -> list[str]:
-        """A sentence on each scene, as far as it is shown: how it differs from a photograph."""
-        source, dataset, rasterizer = self.source, self.source.dataset, Rasterizer()
-        assert dataset is not None
-        camera, photo, lines = dataset.cameras[index], to_float(dataset.image(index)), []
-        for name, scene in zip(source.names, self._kept(), strict=True):
-            image = rasterizer.forward(scene, camera, picture_options(scene, source.background))["rgb"]
-            found = mean_figures([(rounded_to_8_bits(image), photo, camera.valid)])
-            lines.append(
-                f"{name}: PSNR {found['psnr']:.2f} dB, SSIM {found['ssim']:.3f}, FLIP {found['flip']:.3f}"
-            )
+        """A sentence on each scene, as far as it is shown: how it differs from a photograph. Raises
+        SceneError, FormatError."""
+        assert self.source.dataset is not None
+        lines = []
+        for name, scene in zip(self.source.names, self._kept(), strict=True):
+            found = evaluate(scene, self.source.dataset, [index], Rasterizer())
+            figures = f"PSNR {found['psnr']:.2f} dB, SSIM {found['ssim']:.3f}, FLIP {found['flip']:.3f}"
+            lines.append(f"{name}: {figures}")
         return lines
 
     def _look_from_a_camera(self):
         """Where a browser looks from at first, and which way is up."""
-        source, start = self.source, self.server.initial_camera
-        middle = source.middle
+        source, start, middle = self.source, self.server.initial_camera, self.source.middle()
         up = up_direction(np.array([camera.viewmat[:3, :3] for camera in source.cameras]))
         self.server.scene.set_up_direction(tuple(UP if up is None else up))
         if source.cameras:
-            camera = source.cameras[0]
-            ahead = camera.viewmat[2, :3]
-            start.position, start.fov = tuple(camera.position), fov_of(camera)
-            distance = max(NEAREST, ahead @ (middle - camera.position))
-            start.look_at = tuple(camera.position + distance * ahead)
+            start.fov = fov_of(source.cameras[0])
+            start.position, start.look_at = pose_of(source.cameras[0], middle)
         else:
             reach = np.percentile(np.linalg.norm(source.scenes[0].means - middle, axis=1), 80)
-            start.position, start.look_at = tuple(middle + reach * START), tuple(middle)
+            start.position, start.look_at = tuple(middle + max(reach, NEAREST) * START), tuple(middle)
 
     def _add_controls(self):
         gui, source = self.server.gui, self.source
@@ -141,10 +140,10 @@ class Viewer:
             control.on_update(lambda _: self._change())
         cameras = len(source.cameras)
         self._view = gui.add_slider("Camera", 0, max(1, cameras - 1), 1, 0, visible=cameras > 1)
-        self._view.on_update(lambda event: self._visit(self._view.value, event))
+        self._view.on_update(self._visit)
         self._frusta_shown = gui.add_checkbox("Show Cameras", False, visible=cameras > 0)
         self._frusta_shown.on_update(lambda _: self._show_frusta())
-        self._figures = gui.add_markdown("", visible=cameras > 0)
+        self._figures = gui.add_markdown("", visible=source.dataset is not None)
 
     def _kept(self) -> tuple[Scene, ...]:
         """The scenes, the last one with as many Gaussians as are asked for."""
@@ -153,55 +152,79 @@ class Viewer:
 
     def _change(self):
         """A control was changed: every browser gets another picture."""
-        scenes, colors = self._kept(), self._colors.value
-        if column := self.source.columns().get(colors):
-            scenes = tuple(
-                first(painted(whole, [whole.attributes[column]]), scene.count)
-                for whole, scene in zip(self.source.scenes, scenes, strict=True)
-            )
-            colors = COLORS
-        self.shown = Shown(scenes, colors, self._share.value, self.source.background)
-        self._changes += 1
-        for client in self.server.get_clients().values():
-            self._request(client)
+        with self._lock:
+            colors = self._colors.value
+            if column := self.source.columns().get(colors):
+                scenes, colors = self._painted(column), COLORS
+            else:
+                scenes = self._kept()
+            self.shown = Shown(scenes, colors, self._share.value, self.source.background)
+            self._changes += 1
+            for client in self.server.get_clients().values():
+                self._request(client)
+        self._measure()
+
+    def _painted(self, column: str) -> tuple[Scene, ...]:
+        """What is kept of the scenes, in the colours of a column, the same for both."""
+        values = [scene.attributes[column] for scene in self.source.scenes]
+        top = float(np.percentile(np.concatenate(values), TOP_PERCENTILE))
+        kept = zip(self._kept(), values, strict=True)
+        return tuple(recolored(scene, colored(some[: scene.count], top)) for scene, some in kept)
 
     def _connected(self, client: Any):
-        self._views[client.client_id] = LiveView(partial(self._draw, client))
-        client.camera.on_update(lambda _: self._request(client))
-        self._request(client)
+        with self._lock:
+            self._views[client.client_id] = LiveView(partial(self._draw, client))
+            if client.client_id not in self.server.get_clients():  # it has gone already
+                return self._disconnected(client)
+            client.camera.on_update(lambda _: self._request(client))
+            self._request(client)
+        self._measure()
 
     def _disconnected(self, client: Any):
-        if view := self._views.pop(client.client_id, None):
+        with self._lock:
+            view = self._views.pop(client.client_id, None)
+        if view:
             view.close()
 
     def _request(self, client: Any):
         """Asks for the picture of what a browser looks at now."""
-        view = self._views.get(client.client_id)
-        if view is not None and client.camera.image_height:
-            camera = camera_of(client.camera)
-            view.request((camera.key, self._changes), (camera, self.shown))
+        with self._lock:
+            view = self._views.get(client.client_id)
+            if view is not None and client.camera.image_height:
+                camera = camera_of(client.camera)
+                view.request((camera.key, self._changes), (camera, self.shown))
 
     def _draw(self, client: Any, rasterizer: Rasterizer, job: tuple[Camera, Shown], reduction: int):
-        """Draws a picture and sends it. Raises Cancelled."""
+        """Draws a picture and sends it. Raises Cancelled, and what drawing raises: the browser is told."""
         camera, shown = job
         exact, started = reduction == 1, time.perf_counter()
-        if not exact and self._seconds <= FAST:
+        if not exact and self._seconds.get(client.client_id, math.inf) <= FAST:
             return
         if not exact:
             camera = camera.fitted(max(camera.width, camera.height) // reduction)
         try:
             picture = drawn(rasterizer, shown, camera)
-        except (NativeError, MemoryError) as error:  # such as too many Gaussians in a view
-            client.add_notification("The picture cannot be drawn", str(error), color="red")
-            return
-        if exact:
-            self._seconds = time.perf_counter() - started
-        client.scene.set_background_image(picture, format="jpeg", jpeg_quality=QUALITY[exact])
+            if exact:
+                self._seconds[client.client_id] = time.perf_counter() - started
+            client.scene.set_background_image(picture, format="jpeg", jpeg_quality=QUALITY[exact])
+        except Cancelled:
+            raise
+        except Exception as error:  # such as too many Gaussians in a view
+            if self._problems.get(client.client_id) != str(error):
+                self._problems[client.client_id] = str(error)
+                client.add_notification("The picture cannot be drawn", str(error), color="red")
+            raise
 
-    def _add_frusta(self):
-        """Adds the cameras, with their photographs."""
-        source = self.source
-        away = np.median([np.linalg.norm(camera.position - source.middle) for camera in source.cameras])
+    def _show_frusta(self):
+        """Shows or hides the cameras, with their photographs; the first time reads these."""
+        shown = self._frusta_shown.value
+        self.server.scene.add_frame(FRUSTA, show_axes=False, visible=shown)
+        with self._lock:
+            if not shown or self._has_frusta:
+                return
+            self._has_frusta = True
+        source, middle = self.source, self.source.middle()
+        away = np.median([np.linalg.norm(camera.position - middle) for camera in source.cameras])
         for index in evenly(range(len(source.cameras)), MOST_FRUSTA):
             camera = source.cameras[index]
             frustum = self.server.scene.add_camera_frustum(
@@ -211,40 +234,53 @@ class Viewer:
                 scale=FRUSTUM * float(away),
                 color=(255, 140, 40),
                 image=self._thumbnail(index),
-                wxyz=wxyz_of(camera),
+                wxyz=quats_from_matrices(camera.viewmat[None, :3, :3].swapaxes(1, 2))[0],
                 position=tuple(camera.position),
             )
             frustum.on_click(partial(self._clicked, index))
 
     def _thumbnail(self, index: int) -> np.ndarray | None:
+        """The photograph of a camera, small; None where it cannot be read."""
         if self.source.dataset is None:
             return None
-        photo = self.source.dataset.image(index)
+        try:
+            photo = self.source.dataset.image(index)
+        except SceneError:
+            return None
         step = max(1, max(photo.shape[:2]) // THUMBNAIL)
         return np.ascontiguousarray(photo[::step, ::step])
-
-    def _show_frusta(self):
-        shown = self._frusta_shown.value
-        self.server.scene.add_frame(FRUSTA, show_axes=False, visible=shown)
-        with self._reading:
-            if shown and not self._has_frusta:
-                self._has_frusta = True
-                self._add_frusta()
 
     def _clicked(self, index: int, event: Any):
         """A frustum was clicked. All are hidden then: its photograph would hide the picture."""
         self._view.value, self._frusta_shown.value = index, False
-        self._visit(index, event)
+        self._visit(event)
 
-    def _visit(self, index: int, event: Any):
-        """Lets a browser look through a camera, and says how the scenes differ from its photograph."""
+    def _visit(self, event: Any):
+        """Lets a browser look through the camera that is chosen."""
         if event.client is None:  # the server has set the control
             return
-        camera, looking = self.source.cameras[index], event.client.camera
-        looking.fov, looking.wxyz, looking.position = fov_of(camera), wxyz_of(camera), tuple(camera.position)
-        if self.source.dataset is not None:
-            with self._reading:
-                self._figures.content = "  \n".join([f"**{camera.name}**", *self.quality(index)])
+        with self._lock, event.client.atomic():
+            camera, looking = self.source.cameras[self._view.value], event.client.camera
+            looking.fov = fov_of(camera)
+            looking.position, looking.look_at = pose_of(camera, self.source.middle())
+            looking.up_direction = tuple(-camera.viewmat[1, :3])
+        self._measure()
+
+    def _measure(self):
+        """Says how the scenes differ from the photograph of the chosen camera. One thread at a time does it,
+        until its figures are those of the controls; the others need not wait."""
+        wanted = lambda: (self._view.value, self._count.value)
+        while self.source.dataset and wanted() != self._measured and self._measuring.acquire(blocking=False):
+            try:
+                index, _ = measured = wanted()
+                try:
+                    lines = self.quality(index)
+                except SceneError as error:
+                    lines = [str(error)]
+                self._figures.content = "  \n".join([f"**{self.source.cameras[index].name}**", *lines])
+                self._measured = measured
+            finally:
+                self._measuring.release()
 
 
 def fov_of(camera: Camera) -> float:
@@ -252,9 +288,12 @@ def fov_of(camera: Camera) -> float:
     return 2 * math.atan(camera.height / 2 / camera.K[1, 1])
 
 
-def wxyz_of(camera: Camera) -> np.ndarray:
-    """The rotation from the camera's frame to the world, as a quaternion (4,)."""
-    return quats_from_matrices(camera.viewmat[None, :3, :3].swapaxes(1, 2))[0]
+def pose_of(camera: Camera, middle: np.ndarray) -> tuple[tuple, tuple]:
+    """The position of a camera, and the point (3,) in the middle of its view that is as far away as the
+    median Gaussian."""
+    ahead = camera.viewmat[2, :3]
+    distance = max(NEAREST, ahead @ (middle - camera.position))
+    return tuple(camera.position), tuple(camera.position + distance * ahead)
 
 
 def camera_of(looking: Any) -> Camera:

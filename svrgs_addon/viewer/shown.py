@@ -19,7 +19,7 @@ COLORS, MASK, DIFFERENCE = "Colors", "Spatial mask F", "Difference × 4"
 class Shown:
     """One scene, or the original and the pruned one.
 
-    colors: COLORS, MASK, or DIFFERENCE of both. wipe: share of the width that shows the original. background:
+    colors: COLORS, MASK, or DIFFERENCE of both. share: of the width, which shows the original. background:
     display sRGB 0..1.
     """
 

@@ -39,7 +39,11 @@ def summarise(job: FarmJob) -> dict[str, Any]:
     """Writes report/index.html, table.md and table.json into the folder of the job. Returns the rows, those
     over all scenes, names of tasks that are not done, and the page. Raises SceneError if no task is done."""
     results = [(task, job.result(task)) for task in job.tasks]
-    rows = [_row(task, found["result"]) for task, found in results if found]
+    rows = [
+        _row(task, found["result"]) | {"files": [str(job.options(task).scene), str(job.out(task))]}
+        for task, found in results
+        if found
+    ]
     missing = [task.name for task, found in results if not found]
     if not rows:
         raise SceneError(
@@ -60,7 +64,6 @@ def _row(task: Task, result: dict[str, Any]) -> dict[str, Any]:
         "name": task.name,
         "scene": task.scene,
         "method": result["method"],
-        "files": [result["scene"], result["out"]],
         "seconds": result["seconds"],
     }
     return facts | {
