@@ -68,9 +68,8 @@ def compare(
             figures.append({**quality, "bytes": size_on_disk(path)})
             renders.append(report_pictures(scene, dataset, rasterizer))
         if all(isinstance(rasterizer, Rasterizer) for _, _, rasterizer in opened_scenes):
-            scenes = [scene for _, scene, _ in opened_scenes]
-            figures, timing = timed_in_turn(scenes, figures, dataset)
-            swung = swing(scenes, shown[0], dataset.background)
+            figures, timing = timed_in_turn((first[0], second[0]), figures, dataset)
+            swung = swing((first[0], second[0]), shown[0], dataset.background)
         pictures = list(report_views(renders[0], renders[1], dataset))
     files = [_save(out, view) for view in pictures]
     page = Report(
