@@ -135,13 +135,20 @@ def test_another_captures_photographs_are_refused(tmp_path, tiny):
 
 
 @pytest.mark.slow
-def test_the_command_serves_this_machine_until_it_is_interrupted(tmp_path):
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ((), r"(http://127\.0\.0\.1:\d+) shows a\.ply; Ctrl-C ends it"),
+        (("--json",), r'\{"url": "(http://127\.0\.0\.1:\d+)", "scenes": \["[^"]*a\.ply"\]\}$'),
+    ],
+)
+def test_the_command_serves_this_machine_until_it_is_interrupted(tmp_path, words, expected):
     pytest.importorskip("viser")
     write_ply(tmp_path / "a.ply", ORIGINAL)
-    command = [sys.executable, "-m", "svrgs_addon", "view", tmp_path / "a.ply", "--no-browser"]
+    command = [sys.executable, "-m", "svrgs_addon", "view", tmp_path / "a.ply", "--no-browser", *words]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         said = process.stdout.readline()
-        url = re.match(r"(http://127\.0\.0\.1:\d+) shows a\.ply; Ctrl-C ends it", said)[1]
+        url = re.match(expected, said)[1]
         with urllib.request.urlopen(url) as page:
             assert b"<html" in page.read(1_000)
         process.send_signal(signal.SIGINT)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import logging
 import threading
 import webbrowser
@@ -26,7 +27,9 @@ def view_scenes(args: argparse.Namespace):
     packages.load("viser", "svrgs view")  # before anything is read
     viewer = Viewer(source_of(args), args.port)
     try:
-        print(f"{viewer.url} shows {' and '.join(viewer.source.names)}; Ctrl-C ends it", flush=True)
+        facts = {"url": viewer.url, "scenes": [str(path) for path in args.scenes]}
+        text = f"{viewer.url} shows {' and '.join(viewer.source.names)}; Ctrl-C ends it"
+        print(json.dumps(facts) if args.json else text, flush=True)
         if not args.no_browser:
             webbrowser.open(viewer.url)
         threading.Event().wait()
