@@ -27,11 +27,11 @@ from svrgs_addon.scene.rotations import quats_from_matrices
 from svrgs_addon.system import packages
 from svrgs_addon.system.errors import SceneError
 from svrgs_addon.viewer.server import LARGEST, Source, Viewer, camera_of, fov_of
-from svrgs_addon.viewer.shown import DIFFERENCE, MASK, Shown, drawn, first
+from svrgs_addon.viewer.shown import DIFFERENCE, MASK, Shown, drawn
 from svrgs_bench.scenes import orbit_camera, room
 
 CAMERA = orbit_camera(120, 80)
-ORIGINAL, PRUNED = room(3_000), first(room(3_000), 700)
+ORIGINAL, PRUNED = room(3_000), room(3_000).select(slice(700))
 
 
 def whole(scene, camera=CAMERA, output="rgb") -> np.ndarray:
@@ -71,7 +71,7 @@ def test_one_scene_is_shown_whole_over_its_background():
 
 def test_the_first_gaussians_are_those_of_the_file_and_are_not_copied():
     scene = replace(ORIGINAL, attributes={"rank": np.arange(3_000, dtype=np.float32)})
-    part = first(scene, 10)
+    part = scene.select(slice(10))
     assert part.count == 10 and np.shares_memory(part.sh, scene.sh)
     np.testing.assert_array_equal(part.means, scene.means[:10])
 

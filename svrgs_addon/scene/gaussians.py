@@ -71,9 +71,9 @@ class Scene:
         """Degree of the spherical harmonics, 0 to 3."""
         return SH_COEFFICIENTS.index(self.sh.shape[1])
 
-    def select(self, index: np.ndarray) -> Scene:
+    def select(self, index: np.ndarray | slice) -> Scene:
         """Returns the scene with the Gaussians that a boolean mask (N,) marks, or that an integer array
-        lists, in this order."""
+        lists, in this order, or those of a slice; its first ones are not copied."""
         arrays: dict[str, Any] = {
             name: np.ascontiguousarray(getattr(self, name)[index]) for name in PARAMETERS
         }

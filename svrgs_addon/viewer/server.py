@@ -29,9 +29,9 @@ from ..scene.gaussians import Scene
 from ..scene.rotations import quats_from_matrices, rotation_matrices
 from ..scene.upright import up_direction
 from ..system import packages
-from ..system.errors import Cancelled, SceneError
+from ..system.errors import Cancelled, SplatError
 from ..views.dataset import Dataset
-from .shown import COLORS, DIFFERENCE, MASK, Shown, drawn, first
+from .shown import COLORS, DIFFERENCE, MASK, Shown, drawn
 
 HOST = "127.0.0.1"
 UP = np.array([0.0, -1.0, 0.0])  # of a splat without cameras, as in most files
@@ -148,7 +148,7 @@ class Viewer:
     def _kept(self) -> tuple[Scene, ...]:
         """The scenes, the last one with as many Gaussians as are asked for."""
         *others, last = self.source.scenes
-        return (*others, last if self._count.value == last.count else first(last, self._count.value))
+        return (*others, last.select(slice(self._count.value)))
 
     def _change(self):
         """A control was changed: every browser gets another picture."""
@@ -168,8 +168,7 @@ class Viewer:
         """What is kept of the scenes, in the colours of a column, the same for both."""
         values = [scene.attributes[column] for scene in self.source.scenes]
         top = float(np.percentile(np.concatenate(values), TOP_PERCENTILE))
-        kept = zip(self._kept(), values, strict=True)
-        return tuple(recolored(scene, colored(some[: scene.count], top)) for scene, some in kept)
+        return tuple(recolored(scene, colored(scene.attributes[column], top)) for scene in self._kept())
 
     def _connected(self, client: Any):
         with self._lock:
@@ -245,7 +244,7 @@ class Viewer:
             return None
         try:
             photo = self.source.dataset.image(index)
-        except SceneError:
+        except SplatError:
             return None
         step = max(1, max(photo.shape[:2]) // THUMBNAIL)
         return np.ascontiguousarray(photo[::step, ::step])
@@ -267,7 +266,7 @@ class Viewer:
         self._measure()
 
     def _measure(self):
-        """Says how the scenes differ from the photograph of the chosen camera. One thread at a time does it,
+        """Shows how the scenes differ from the photograph of the chosen camera. One thread at a time does it,
         until its figures are those of the controls; the others need not wait."""
         wanted = lambda: (self._view.value, self._count.value)
         while self.source.dataset and wanted() != self._measured and self._measuring.acquire(blocking=False):
@@ -275,7 +274,7 @@ class Viewer:
                 index, _ = measured = wanted()
                 try:
                     lines = self.quality(index)
-                except SceneError as error:
+                except SplatError as error:
                     lines = [str(error)]
                 self._figures.content = "  \n".join([f"**{self.source.cameras[index].name}**", *lines])
                 self._measured = measured

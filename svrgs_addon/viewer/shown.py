@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from ..native.rasterizer import Rasterizer
 from ..prune.report.pictures import difference_image, mask_to_rgb, to_uint8, wipe
 from ..render.metrics.evaluate import picture_options
 from ..scene.camera import Camera
-from ..scene.gaussians import PARAMETERS, Scene
+from ..scene.gaussians import Scene
 
 COLORS, MASK, DIFFERENCE = "Colors", "Spatial mask F", "Difference × 4"
 
@@ -27,11 +27,6 @@ class Shown:
     colors: str = COLORS
     share: float = 0.5
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
-
-
-def first(scene: Scene, count: int) -> Scene:
-    """The first Gaussians of a scene, without copying them: of a nested result, a smaller one."""
-    return replace(scene, **{name: getattr(scene, name)[:count] for name in PARAMETERS}, attributes={})
 
 
 def drawn(rasterizer: Rasterizer, shown: Shown, camera: Camera) -> np.ndarray:
