@@ -81,6 +81,8 @@ def test_broken_cameras_are_refused(change):
         ({"sh_degree": -1}, NativeError),
         ({"mask_kind": "a", "eps_a": 0.0}, NativeError),
         ({"mask_kind": "a", "eps_a": np.nan}, NativeError),
+        ({"stop": 1.5}, NativeError),
+        ({"stop": np.nan}, NativeError),
         ({"mask_kind": "nonsense"}, (KeyError, ValueError)),
     ],
 )

@@ -92,6 +92,24 @@ def test_pictures_do_not_change_without_what_no_open_ray_hits(level, name):
 
 
 @pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("name", SCORED)
+def test_rays_that_end_earlier_have_the_same_maxima_from_there_on(level, name):
+    scene, masks, _ = scored(name)
+    camera, stop = SCORED[name][1][0], 0.3
+    views = []
+    for least in (0.0, stop):
+        alpha = render(level, scene, camera, masks, outputs=("alpha",), full=False, stop=least)["alpha"]
+        largest, reached = np.zeros(scene.count, np.float32), np.zeros(scene.count, np.uint8)
+        rasterizer(level).add_scores(max_=largest, reached=reached)
+        views.append((alpha, largest, reached.sum()))
+    (exact, maxima, all_reached), (shorter, largest, fewer) = views
+    shown = maxima >= stop
+    assert shown.any() and (fewer < all_reached or name == "open")
+    np.testing.assert_array_equal(largest[shown], maxima[shown])
+    assert (largest <= maxima).all() and (shorter <= exact).all() and (exact - shorter <= stop).all()
+
+
+@pytest.mark.parametrize("level", LEVELS)
 def test_a_gaussian_that_stops_all_its_rays_is_reached_though_it_is_blended_nowhere(level):
     # T: 5e-2, 2.5e-3, 1.25e-4, then it would be below 1e-4; only the last one would not stop the rays
     alphas = np.array([0.95, 0.95, 0.95, 0.95, 0.1])

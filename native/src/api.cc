@@ -95,6 +95,7 @@ void check(const svrgs_options& o, const svrgs_scene& s) {
   require(o.sh_degree >= 0 && o.sh_degree <= 3 && (o.sh_degree + 1) * (o.sh_degree + 1) <= s.sh_coefficients, "sh_degree is not stored in the scene");
   require(o.mask_kind >= 0 && o.mask_kind < SVRGS_MASK_KINDS, "mask_kind is unknown");
   require(o.mask_kind != SVRGS_MASK_A || o.eps_a > 0, "eps_a must be positive");
+  require(o.stop >= 0 && o.stop <= 1, "stop must be between 0 and 1");
 }
 
 void check(const svrgs_triangles& t) {

@@ -53,7 +53,7 @@ void Context::set_frame(const svrgs_scene& s, const svrgs_camera& c, const svrgs
   f.fx = c.fx, f.fy = c.fy, f.cx = c.cx, f.cy = c.cy;
   f.orthographic = c.orthographic;
   f.width = c.width, f.height = c.height;
-  f.antialiased = o.antialiased, f.mask_kind = o.mask_kind, f.eps_a = o.eps_a, f.disabled_skips = o.disabled_skips;
+  f.antialiased = o.antialiased, f.mask_kind = o.mask_kind, f.eps_a = o.eps_a, f.stop = std::max(o.stop, kStop), f.disabled_skips = o.disabled_skips;
   f.depth_limit = o.depth_limit, f.valid = o.valid, f.window = window_of(o.valid, c.width, c.height);
   f.picture_only = o.picture_only || o.depth_limit;
   f.full = o.full && o.mask_kind != SVRGS_MASK_NONE;
@@ -231,7 +231,7 @@ void Context::leave_out(const uint8_t* frozen) {
 }
 
 void Context::scores(const Scores& out) {
-  char* slots = out.sums() ? slots_.reserve<char>(pairs_ * kSlotWidth * kernels_.real_size) : nullptr;
+  char* slots = out.sums() ? slots_.reserve<char>(pairs_ * kScoreValues * kernels_.real_size) : nullptr;
   if (slots) for_each_tile([&](int64_t tile) { kernels_.scores_tile(frame_, tile, slots); });
   parallel_blocks(frame_.visible_count, kVisibleGrain, [&](int64_t begin, int64_t end) { kernels_.scores_range(frame_, slots, begin, end, out); });
 }

@@ -59,7 +59,8 @@ enum Field { kRed, kGreen, kBlue, kDepth, kFinalT, kFullT, kCount, kDropped, kSu
 
 constexpr int64_t kTileState = kBlocks * kFields * kBlockPixels;  // reals of a tile
 
-constexpr int kSlotWidth = 12;  // reals per (Gaussian, tile) slot of the backward pass
+constexpr int kScoreValues = 4;  // reals per (Gaussian, tile) slot of the scores
+constexpr int kSlotWidth = 12;   // reals per (Gaussian, tile) slot of the backward pass
 // Sums over pixels: of g = alpha dL/dalpha and its moments in u, v (bounded within the ellipse, however thin it is), of
 // dL/dcolour, of dL/dM from the colours, of dL/d(view depth), of dL/dM from F.
 enum Slot { kG, kGu, kGv, kGuu, kGuv, kGvv, kSlotRed, kSlotGreen, kSlotBlue, kSlotMask, kSlotDepth, kSlotSpatial };
@@ -91,7 +92,7 @@ struct Frame {
   // options
   bool antialiased, full, want_depth, picture_only;
   int mask_kind, disabled_skips;
-  double eps_a;
+  double eps_a, stop;
   const void* depth_limit;  // R[height][width], optional
   const uint8_t* valid;     // [height][width], optional: 0 where a pixel shows nothing
   PixelWindow window;       // the smallest that holds all pixels that show something; what does not reach it is skipped

@@ -96,6 +96,7 @@ OptionsStruct = _struct(
     (_reals, "depth_limit"),
     (_int, "picture_only"),
     (_pointer, "valid"),
+    (_double, "stop"),
 )
 ImagesStruct = _struct("ImagesStruct", (_reals, " ".join(OUTPUTS)))
 ImageGradsStruct = _struct("ImageGradsStruct", (_reals, " ".join(LOSS_IMAGES)))

@@ -63,6 +63,9 @@ class RenderOptions:
     # colour behind all Gaussians, display sRGB
     background: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))
     picture_only: bool = False  # the view is not kept for gradients and statistics: less time and memory
+    # a ray ends where it and its neighbours let less than this through: less time; values of alpha T from
+    # this on are the same. At least that of 3DGS, 1e-4
+    stop: float = 0.0
 
 
 class Rasterizer:
@@ -128,6 +131,7 @@ class Rasterizer:
             limit,
             options.picture_only,
             None if (valid := camera.valid) is None else check(valid, "valid", size, np.uint8),
+            options.stop,
         )
         self._valid = valid
         self._shape = (*size, arrays.sh_coefficients)

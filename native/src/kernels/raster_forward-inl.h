@@ -83,9 +83,9 @@ template <WalkOptions walk>
   return any(e.hit());
 }
 
-[[gnu::always_inline]] inline bool any_open(const PixelState* p) {
-  M open = p[0].open();
-  for (int h = 1; h < kVectorsPerBlock; ++h) open = either(open, p[h].open());
+[[gnu::always_inline]] inline bool any_reaches(V stop, const PixelState* p) {
+  M open = at_least(p[0].T, stop);
+  for (int h = 1; h < kVectorsPerBlock; ++h) open = either(open, at_least(p[h].T, stop));
   return any(open);
 }
 
@@ -95,6 +95,7 @@ template <WalkOptions walk>
 [[gnu::always_inline]] inline bool blend_list(const Frame& f, Chunk& c, int listed, int block, const BlockPixels& pixels, PixelState* p) {
   const uint8_t *at = c.list, *const end = at + listed;
   const bool to_end = f.disabled_skips & SVRGS_TERMINATION;
+  const V stop = broadcast(static_cast<R>(f.stop));
   Entry* next = &c.entry[*at];
   BlockHits next_hits = evaluate_before<walk>(pixels, next->local);
   const auto walk_on = [&](auto&& on, auto&& take) __attribute__((always_inline)) {
@@ -108,8 +109,8 @@ template <WalkOptions walk>
       entry.visit |= block_bit(block, hit);
     }
   };
-  walk_on([&] { return any_open(p) || to_end; }, [&](const LocalGaussian& l, const Hit& e, PixelState& some) { return blend<walk>(f, l, e, some); });
-  const bool goes_on = any_open(p);
+  walk_on([&] { return any_reaches(stop, p) || to_end; }, [&](const LocalGaussian& l, const Hit& e, PixelState& some) { return blend<walk>(f, l, e, some); });
+  const bool goes_on = any_reaches(stop, p);
   if constexpr (walk.full)
     walk_on([] { return true; }, [&](const LocalGaussian& l, const Hit& e, PixelState& some) { return count_behind<walk>(f, l, e, some); });
   return goes_on;

@@ -57,7 +57,7 @@ void scores_tile(const Frame& f, int64_t tile, void* slots) {
         pixels = add_if(w.live, pixels, broadcast(1));
         transmittance += w.transmittance;
       }
-    R* slot = static_cast<R*>(slots) + static_cast<int64_t>(entry.slot) * kSlotWidth;
+    R* slot = static_cast<R*>(slots) + static_cast<int64_t>(entry.slot) * kScoreValues;
     slot[0] = sum(total), slot[1] = largest(best), slot[2] = sum(pixels), slot[3] = sum(transmittance);
   });
 }
@@ -71,7 +71,7 @@ void scores_range(const Frame& f, const void* slots, int64_t begin, int64_t end,
       if (!f.hits[t.slot + k]) continue;
       if (out.reached) out.reached[id] = 1;
       if (!slots) break;
-      const R* slot = static_cast<const R*>(slots) + static_cast<int64_t>(t.slot + k) * kSlotWidth;
+      const R* slot = static_cast<const R*>(slots) + static_cast<int64_t>(t.slot + k) * kScoreValues;
       if (out.sum) out.sum[id] += static_cast<double>(slot[0]);
       if (out.max) out.max[id] = std::max(out.max[id], static_cast<float>(slot[1]));
       if (out.hits) out.hits[id] += static_cast<int64_t>(slot[2]);

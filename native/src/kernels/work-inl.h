@@ -16,7 +16,7 @@ void count_tile(const Frame& f, int64_t tile, svrgs_work& work) {
         int hit = 0;
         bool computed = false;
         for (int h = 0; h < kVectorsPerBlock; ++h) {
-          const bool open = any(at_least(t.T[b][h], broadcast(R(kStop))));
+          const bool open = any(at_least(t.T[b][h], broadcast(static_cast<R>(f.stop))));
           if (!f.full && !open && !(f.disabled_skips & SVRGS_TERMINATION)) continue;
           const M inside = less(broadcast(0), t.T[b][h]);  // it starts at 0 outside the image
           computed = true;

@@ -19,14 +19,14 @@ SHOWN = 0.1  # alpha T in a pixel, from which on the pixel shows the Gaussian
 def polygon(points: np.ndarray, width: int, height: int) -> np.ndarray:
     """(H, W) bool: the pixels whose centres are inside a polygon with these corners (P, 2) in pixels, x to
     the right and y down; where it overlaps itself, by the even-odd rule."""
-    crossings = np.zeros((height, width + 1), np.int32)
+    crossings = np.zeros((height, width + 1), np.uint8)  # their parity
     for (x0, y0), (x1, y1) in zip(points, np.roll(points, -1, axis=0), strict=True):
         first, last = (int(np.clip(np.ceil(y - 0.5), 0, height)) for y in sorted((y0, y1)))
         if first < last:
             rows = np.arange(first, last)
             x = x0 + (rows + 0.5 - y0) * (x1 - x0) / (y1 - y0)
-            crossings[rows, np.clip(np.ceil(x - 0.5), 0, width).astype(int)] += 1
-    return (np.cumsum(crossings[:, :-1], axis=1) % 2).astype(bool)
+            crossings[rows, np.clip(np.ceil(x - 0.5), 0, width).astype(int)] ^= 1
+    return np.bitwise_xor.accumulate(crossings[:, :-1], axis=1).astype(bool)
 
 
 def brush(path: np.ndarray, radius: float, width: int, height: int) -> np.ndarray:
@@ -71,7 +71,8 @@ def shown_in(scene: Scene, camera: Camera, pixels: np.ndarray) -> np.ndarray:
     if not pixels.any():
         return np.zeros(scene.count, bool)
     rasterizer, largest = _rasterizer(), np.zeros(scene.count, np.float32)
-    rasterizer.forward(scene, camera.masked(pixels), replace(render_options(scene), sh_degree=0), outputs=())
+    options = replace(render_options(scene), sh_degree=0, stop=SHOWN)
+    rasterizer.forward(scene, camera.masked(pixels), options, outputs=())
     rasterizer.add_scores(max_=largest)
     return largest >= SHOWN
 
