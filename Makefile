@@ -24,7 +24,7 @@ $(VENV)/.ready: requirements.txt requirements-dev.txt pyproject.toml tools/setup
 native: $(VENV)/.ready
 	@tools/build_native.sh $(VENV)
 wheels: $(VENV)/.ready
-	@$(PY) tools/fetch_wheels.py
+	@$(PY) tools/fetch_wheels.py && $(PY) tools/fetch_web_modules.py
 
 demo: setup
 	@$(PY) -m tests.demo_scene $(DEMO)/scene

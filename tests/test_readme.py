@@ -86,6 +86,7 @@ NOT_RUN = {
     "make demo": "renders and trains for minutes, and downloads packages",
     "make test": "runs this test",
     "svrgs view trained.ply pruned.ply --data DATASET": "serves until it is interrupted: tests/test_view.py",
+    "svrgs view trained.ply pruned.ply --data DATASET --export page": "needs modules: tests/test_web_page.py",
     "svrgs bench": "measures for minutes; tests/test_bench.py runs it on small cases",
 }
 

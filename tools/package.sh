@@ -6,6 +6,7 @@ python=$1/bin/python
 "$python" -m pip install -qq --disable-pip-version-check -r requirements-package.txt
 rm -rf dist
 "$python" tools/fetch_wheels.py --all
+"$python" tools/fetch_web_modules.py
 "$python" tools/build_wheels.py
 "$python" tools/check_libraries.py
 "$python" tools/build_extension.py --all

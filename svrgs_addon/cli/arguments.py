@@ -274,6 +274,12 @@ def _view(commands):
         help="port, or the next free one (default: 8080)",
     )
     command.add_argument("--no-browser", action="store_true", help="only say the address")
+    command.add_argument(
+        "--export",
+        type=extended,
+        metavar="DIR",
+        help="instead, write a page into this folder that any web server shows",
+    )
 
 
 def _methods(commands):

@@ -1,4 +1,4 @@
-"""`svrgs view`: one scene, or the original and the pruned one, in the browser."""
+"""`svrgs view`: one scene, or the original and the pruned one, in the browser, or as a web page."""
 
 from __future__ import annotations
 
@@ -15,7 +15,9 @@ from ..prune.plans import dataset_of
 from ..render.metrics.evaluate import refuse_unseen
 from ..system import memory, packages
 from ..system.errors import SceneError
-from ..viewer.server import LARGEST, Source, Viewer
+from ..viewer.server import LARGEST, Viewer
+from ..viewer.source import Source
+from ..viewer.web_page import export, program_bytes
 from ..views.camera_files import load_cameras
 from .option_parser import options_from
 
@@ -23,7 +25,10 @@ LAST_PORT = 65_000  # others are left for those that are taken
 
 
 def view_scenes(args: argparse.Namespace):
-    """Shows the scenes until Ctrl-C. Raises SplatError, as for views that are of another scene."""
+    """Shows the scenes until Ctrl-C, or writes their page. Raises SplatError, as for views that are of
+    another scene."""
+    if args.export:
+        return export_page(args)
     packages.load("viser", "svrgs view")  # before anything is read
     viewer = Viewer(source_of(args), args.port)
     try:
@@ -37,6 +42,21 @@ def view_scenes(args: argparse.Namespace):
         pass
     finally:
         viewer.close()
+
+
+def export_page(args: argparse.Namespace):
+    """Writes the page into a folder, and says what it holds. Raises SplatError."""
+    if args.nested:
+        raise SceneError("a page has no slider for a nested result: leave --nested out")
+    scenes, program = export(source_of(args), args.export), program_bytes()
+    if args.json:
+        print(json.dumps({"folder": str(args.export), "program_bytes": program, "scenes": scenes}))
+        return
+    held = " and ".join(f"{one['file']} ({one['bytes'] / 1e6:.2f} MB)" for one in scenes)
+    print(
+        f"{args.export} holds {held}, and a program of {program / 1e6:.1f} MB. Any web server shows it, such"
+        f" as: python -m http.server --directory {args.export}"
+    )
 
 
 def source_of(args: argparse.Namespace) -> Source:

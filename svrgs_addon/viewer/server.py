@@ -12,14 +12,12 @@ import io
 import math
 import threading
 import time
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import numpy as np
 
 from ..native.rasterizer import Rasterizer
-from ..prune.selection.measure import BY_VIEWS, RANK, VIEWS
 from ..render.color_maps import colored
 from ..render.live_view import LiveView
 from ..render.metrics.evaluate import evaluate
@@ -27,49 +25,18 @@ from ..render.painting import TOP_PERCENTILE, recolored
 from ..scene.camera import Camera, evenly
 from ..scene.gaussians import Scene
 from ..scene.rotations import quats_from_matrices, rotation_matrices
-from ..scene.upright import up_direction
 from ..system import packages
 from ..system.errors import Cancelled, SplatError
-from ..views.dataset import Dataset
 from .shown import COLORS, DIFFERENCE, MASK, Shown, drawn
+from .source import Source, fov_of
 
 HOST = "127.0.0.1"
-UP = np.array([0.0, -1.0, 0.0])  # of a splat without cameras, as in most files
 FAST = 0.02  # seconds of an exact picture, up to which no coarse one is drawn before it
 QUALITY = {True: 95, False: 70}  # of a JPEG: of an exact picture, and of a coarse one
 LARGEST = 2048  # pixels of the longer side of a picture
 MOST_FRUSTA, THUMBNAIL = 100, 96  # cameras that are drawn; pixels of the longer side of their photographs
 FRUSTUM = 0.06  # length of a frustum, of the distance between cameras and the median Gaussian
 FRUSTA = "/cameras"  # their node
-# columns of a measured file (prune/selection/measure.py) that colours can show
-COLUMNS = {"Removal error, as a rank": RANK, "Deciding views": VIEWS, "Rank spread over views": BY_VIEWS}
-# without cameras, where the first view is from, in distances that hold 80 % of the means; and how near to a
-# camera what it turns about may be
-START, NEAREST = np.array([0.0, -0.8, -1.8]), 0.1
-
-
-@dataclass(frozen=True)
-class Source:
-    """What is looked at. names, scenes: one splat, or the original and the pruned one. cameras: where it is
-    looked at from at first, and drawn as frusta; may be empty. dataset: their photographs. nested: the rows
-    of the last scene are in the order of a nested result."""
-
-    names: tuple[str, ...]
-    scenes: tuple[Scene, ...]
-    cameras: list[Camera]
-    dataset: Dataset | None = None
-    nested: bool = False
-    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
-
-    def middle(self) -> np.ndarray:
-        """(3,) float64, the median Gaussian."""
-        means = self.scenes[0].means
-        return np.median(means[:: max(1, len(means) // 10_000)], axis=0).astype(np.float64)
-
-    def columns(self) -> dict[str, str]:
-        """Of COLUMNS, those that every scene has."""
-        there = lambda name: all(name in scene.attributes for scene in self.scenes)
-        return {label: name for label, name in COLUMNS.items() if there(name)}
 
 
 class Viewer:
@@ -115,15 +82,9 @@ class Viewer:
 
     def _look_from_a_camera(self):
         """Where a browser looks from at first, and which way is up."""
-        source, start, middle = self.source, self.server.initial_camera, self.source.middle()
-        up = up_direction(np.array([camera.viewmat[:3, :3] for camera in source.cameras]))
-        self.server.scene.set_up_direction(tuple(UP if up is None else up))
-        if source.cameras:
-            start.fov = fov_of(source.cameras[0])
-            start.position, start.look_at = pose_of(source.cameras[0], middle)
-        else:
-            reach = np.percentile(np.linalg.norm(source.scenes[0].means - middle, axis=1), 80)
-            start.position, start.look_at = tuple(middle + max(reach, NEAREST) * START), tuple(middle)
+        view, start = self.source.start(), self.server.initial_camera
+        self.server.scene.set_up_direction(tuple(self.source.up()))
+        start.fov, start.position, start.look_at = view.fov, tuple(view.position), tuple(view.target)
 
     def _add_controls(self):
         gui, source = self.server.gui, self.source
@@ -259,10 +220,9 @@ class Viewer:
         if event.client is None:  # the server has set the control
             return
         with self._lock, event.client.atomic():
-            camera, looking = self.source.cameras[self._view.value], event.client.camera
-            looking.fov = fov_of(camera)
-            looking.position, looking.look_at = pose_of(camera, self.source.middle())
-            looking.up_direction = tuple(-camera.viewmat[1, :3])
+            view, looking = self.source.view_of(self.source.cameras[self._view.value]), event.client.camera
+            looking.fov, looking.up_direction = view.fov, tuple(view.up)
+            looking.position, looking.look_at = tuple(view.position), tuple(view.target)
         self._measure()
 
     def _measure(self):
@@ -280,19 +240,6 @@ class Viewer:
                 self._measured = measured
             finally:
                 self._measuring.release()
-
-
-def fov_of(camera: Camera) -> float:
-    """The vertical field of view, in radians."""
-    return 2 * math.atan(camera.height / 2 / camera.K[1, 1])
-
-
-def pose_of(camera: Camera, middle: np.ndarray) -> tuple[tuple, tuple]:
-    """The position of a camera, and the point (3,) in the middle of its view that is as far away as the
-    median Gaussian."""
-    ahead = camera.viewmat[2, :3]
-    distance = max(NEAREST, ahead @ (middle - camera.position))
-    return tuple(camera.position), tuple(camera.position + distance * ahead)
 
 
 def camera_of(looking: Any) -> Camera:
