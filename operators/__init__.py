@@ -20,6 +20,7 @@ MODULES = [
         "io.export_ply",
         "io.export_farm",
         "io.export_levels",
+        "io.export_page",
         "io.usd_stage",
         "jobs.prune",
         "jobs.prune_settings",

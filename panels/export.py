@@ -29,6 +29,7 @@ def draw(layout, context):
         )
     layout.operator("svrgs.export_ply", icon="EXPORT")
     layout.operator("svrgs.export_levels", icon="MOD_DECIM")
+    layout.operator("svrgs.export_page", icon="WORLD")
     layout.operator("svrgs.export_farm_job", icon="NETWORK_DRIVE")
     for line in (*export_levels.lines(), *export_farm.lines()):
         wrapped_label(layout, line)

@@ -28,6 +28,7 @@ import pytest
 
 import build_extension
 import platforms
+from svrgs_addon.viewer.web_page import MODULES
 
 ROOT = Path(__file__).resolve().parents[1]
 MANIFEST = tomllib.loads((ROOT / "blender_manifest.toml").read_text(encoding="utf-8"))
@@ -165,7 +166,8 @@ def test_the_zip_holds_the_product_and_nothing_else(extension_zip):
         "svrgs_addon",
         "wheels",
     }
-    assert "operators/data/splat_object.py" in names
+    assert "operators/data/splat_object.py" in names and "Spark" in licences
+    assert {f"svrgs_addon/viewer/web/modules/{name}.bin" for name in MODULES} <= {*names}
     assert not any(name.endswith((".so", ".dll", ".dylib", ".pyc")) for name in names), "nothing is compiled"
     assert sorted(name for name in names if name.startswith("wheels/")) == sorted(
         wheel[2:] for wheel in manifest["wheels"]

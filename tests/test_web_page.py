@@ -217,14 +217,20 @@ def test_a_drag_turns_about_the_middle_and_the_wheel_zooms(opened, tmp_path):
     with opened(source) as page:
         page.until(lambda: page.run("svrgs.seconds"))
         held, start = load_scene(tmp_path / "scene.spz").scene, source.start()
-        mouse = functools.partial(page.call, "Input.dispatchMouseEvent", y=200, button="left", clickCount=1)
-        for kind, x in (("mousePressed", 300), ("mouseMoved", 380), ("mouseReleased", 380)):
-            mouse(type=kind, x=x, buttons=1)
-        angle = -math.pi * 80 / page.run("innerHeight")  # about up, which is -y
-        turn = np.array([
-            [math.cos(angle), 0, -math.sin(angle)], [0, 1, 0], [math.sin(angle), 0, math.cos(angle)]
-        ])  # fmt: skip
-        offset = turn @ (start.position - start.target)
-        wait_for(page, held, replace(start, position=start.target + offset))
-        mouse(type="mouseWheel", x=300, deltaX=0, deltaY=-400)
-        wait_for(page, held, replace(start, position=start.target + math.exp(-0.4) * offset))
+        mouse = functools.partial(page.call, "Input.dispatchMouseEvent", button="left", clickCount=1)
+        for kind, x, y in (("mousePressed", 300, 200), ("mouseMoved", 380, 230), ("mouseReleased", 380, 230)):
+            mouse(type=kind, x=x, y=y, buttons=1)
+        angle = math.pi / page.run("innerHeight")  # of a pixel
+        offset, up = start.position - start.target, start.up
+        offset = turned(offset, up, -80 * angle)
+        right = np.cross(-offset, up) / np.linalg.norm(np.cross(offset, up))
+        offset, up = (turned(vector, right, 30 * angle) for vector in (offset, up))
+        wait_for(page, held, replace(start, position=start.target + offset, up=up))
+        mouse(type="mouseWheel", x=300, y=200, deltaX=0, deltaY=-400)
+        wait_for(page, held, replace(start, position=start.target + math.exp(-0.4) * offset, up=up))
+
+
+def turned(vector: np.ndarray, axis: np.ndarray, angle: float) -> np.ndarray:
+    """A vector turned about an axis, a unit vector (Rodrigues)."""
+    cos, sin = math.cos(angle), math.sin(angle)
+    return cos * vector + sin * np.cross(axis, vector) + (1 - cos) * (axis @ vector) * axis

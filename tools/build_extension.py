@@ -69,9 +69,10 @@ def stage(variant: Variant, library: Path, folder: Path) -> None:
 
 
 def licences(wheels: list[Path]) -> str:
-    """The licence texts of what the zip holds of others: its wheels, and the scripts and styles of the
-    manual."""
-    texts = []
+    """The licence texts of what the zip holds of others: its wheels, the modules of web pages, and the
+    scripts and styles of the manual."""
+    web = Path("svrgs_addon/viewer/web/LICENSES.txt")
+    texts = [(str(web), (ROOT / web).read_text(encoding="utf-8"))]
     for wheel in wheels:
         with zipfile.ZipFile(wheel) as files:
             texts += [(name, files.read(name).decode()) for name in files.namelist() if LICENCE.search(name)]

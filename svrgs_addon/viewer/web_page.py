@@ -111,6 +111,7 @@ def _page(source: Source, facts: list[dict]) -> dict:
         "blur": thresholds().blur,
         "near": thresholds().near,
         "start": _facts(source.start()),
+        "up": list(map(float, source.up())),
         "cameras": [{"name": camera.name} | _facts(source.view_of(camera)) for camera in chosen],
         "scenes": [one | {"text": _text(one)} for one in facts],
         "notes": notes,

@@ -45,6 +45,7 @@ const renderer = (() => {
 renderer.setClearColor(new Color().setRGB(...page.background, "srgb"));
 const camera = new PerspectiveCamera(50, 1, page.near, 1e6 * page.near);
 const view = { position: vector(page.start.position), target: vector(page.start.target), up: vector(page.start.up), fov: page.start.fov };
+const up = vector(page.up);
 const shown = []; // by the number of their scene
 window.svrgs = { look, draws: 0, seconds: 0 }; // for scripts: until the scene was loaded
 
@@ -98,11 +99,13 @@ function right() {
   return new Vector3().subVectors(view.target, view.position).cross(view.up).normalize();
 }
 
+// About what is up in the world, and then about what is right; a camera that was tilted stays so. x, y: radians.
 function turn(x, y) {
-  const offset = new Vector3().subVectors(view.position, view.target).applyAxisAngle(view.up, -x);
-  const tilt = offset.angleTo(view.up), wanted = Math.min(Math.PI - 0.05, Math.max(0.05, tilt - y));
+  const offset = new Vector3().subVectors(view.position, view.target), tilt = offset.angleTo(up);
+  const least = Math.min(tilt, 0.05), wanted = Math.min(Math.max(tilt, Math.PI - 0.05), Math.max(least, tilt - y));
+  for (const [axis, angle] of [[up, -x], [right().applyAxisAngle(up, -x), tilt - wanted]])
+    offset.applyAxisAngle(axis, angle), view.up.applyAxisAngle(axis, angle);
   view.position.copy(view.target).add(offset);
-  view.position.copy(view.target).add(offset.applyAxisAngle(right(), tilt - wanted));
 }
 
 // x, y: in heights of the picture.

@@ -1,0 +1,83 @@
+"""Export Web Page: a folder that any web server shows, with the active splat as it is seen, and the original
+to compare it with."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+from bpy.app.translations import pgettext_iface as tr
+from bpy.props import BoolProperty, StringProperty
+
+from ...svrgs_addon.scene.camera import Camera
+from ...svrgs_addon.viewer.source import Source
+from ...svrgs_addon.viewer.web_page import export, program_bytes
+from ..data import pairs, splat_object
+from ..data.camera_object import camera_from_object
+from ..data.native_check import native_problem
+from ..data.reporting import ReportingOperator
+from .export_space import ExportSpace
+
+
+class SVRGS_OT_export_page(ReportingOperator, ExportSpace):
+    bl_idname = "svrgs.export_page"
+    bl_label = "Export Web Page"
+    bl_description = (
+        "Write a folder that any web server shows: the active splat to be turned with mouse or finger, first"
+        " seen from the scene's camera"
+    )
+    bl_options = {"REGISTER", "PRESET"}
+
+    directory: StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE"})
+    filter_folder: BoolProperty(default=True, options={"HIDDEN"})
+    with_original: BoolProperty(
+        name="Original",
+        default=True,
+        description=(
+            "Also write the splat that this one was pruned from: a button loads it and wipes between both"
+        ),
+    )
+
+    @classmethod
+    def problem(cls, context) -> str:
+        if not splat_object.is_splat(context.object):
+            return tr("Select a Gaussian splat first")
+        return native_problem()
+
+    def invoke(self, context, event):
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def draw(self, context):
+        self.layout.use_property_split = True
+        self.layout.prop(self, "what")
+        if pairs.original_of(context.object):
+            self.layout.prop(self, "with_original")
+
+    def work(self, context) -> str:
+        obj = context.object
+        folder = Path(bpy.path.abspath(self.directory)) / bpy.path.clean_name(obj.name)
+        self.space, self.y_down = "WORLD", True
+        original = pairs.original_of(obj) if self.with_original else None
+        shown = [one for one in (original, obj) if one is not None]
+        scenes, dropped = zip(*(self.chosen(context, one) for one in shown), strict=True)
+        names, background = tuple(one.name for one in shown), tuple(context.scene.svrgs_view.background)
+        written = export(Source(names, scenes, cameras(context.scene), background=background), folder)
+        size = sum(one["bytes"] for one in written) + program_bytes()
+        text = tr("Exported a page to {folder}, {size:.1f} MB").format(folder=folder, size=size / 1e6)
+        return "; ".join([text, *self.left_out(obj, dropped[-1])])
+
+
+def cameras(scene: bpy.types.Scene) -> list[Camera]:
+    """The scene's camera, with y down; none where it is missing or orthographic."""
+    if scene.camera is None or scene.camera.type != "CAMERA" or scene.camera.data.type != "PERSP":
+        return []
+    return [camera_from_object(scene.camera, scene).moved(splat_object.AXES)]
+
+
+def menu(self, context):
+    self.layout.operator(SVRGS_OT_export_page.bl_idname, text="Splat Web Page (folder)")
+
+
+CLASSES = (SVRGS_OT_export_page,)
+MENUS = {"TOPBAR_MT_file_export": menu}
