@@ -15,15 +15,16 @@ from . import glb, spz, zstd
 from .atomic import atomic_write, check_space
 from .axes import turned_around, turned_over
 from .glb_container import glb_of
+from .sh_rounding import SeenFrom
 from .splat_format import SplatFormat
 
 VERSION = 2  # of the SPZ
 
 
-def write(path: str | os.PathLike, scene: Scene, quantise: float = 1.0):
-    """Writes the scene atomically, with its Gaussians in Morton order. quantise: factor on the steps of SH.
-    Raises SceneError."""
-    data = spz.content(path, scene, VERSION, quantise, lambda part: turned_around(turned_over(part)))
+def write(path: str | os.PathLike, scene: Scene, quantise: float = 1.0, seen: SeenFrom | None = None):
+    """Writes the scene atomically, with its Gaussians in Morton order. quantise, seen: as of an SPZ. Raises
+    SceneError."""
+    data = spz.content(path, scene, VERSION, quantise, lambda part: turned_around(turned_over(part)), seen)
     contents = glb.contents(scene)
     for accessor in contents["accessors"]:
         del accessor["bufferView"]

@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -25,6 +26,7 @@ from . import compressed_ply, dot_splat, glb, glb_spz, ksplat, ply, sog, spz, st
 from .atomic import checked
 from .reading import MAX_IN_PARTS
 from .repair import bake_filter, clamp_extremes, drop_nonfinite, unusable
+from .sh_rounding import SeenFrom
 from .splat_format import SplatFormat
 
 FORMATS: tuple[SplatFormat, ...] = (  # the first one is written where no format is named
@@ -220,11 +222,17 @@ def _log_repairs(path: str | Path, dropped: int, clamped: int, filtered: bool):
         )
 
 
-def write_scene(path: str | Path, scene: Scene, version: int = 0, quantise: float = 1.0):
+def write_scene(
+    path: str | Path,
+    scene: Scene,
+    version: int = 0,
+    quantise: float = 1.0,
+    seen: SeenFrom | None = None,
+):
     """Writes the scene atomically, in the format of the suffix of `path`. What the format cannot hold is
     logged. version: of the format; 0: that which it chooses. quantise: factor on the error in SH that a
-    format may make which chooses it. Raises SceneError; also if the file cannot be read again, or, but for a
-    PLY, without a Gaussian."""
+    format may make which chooses it. seen: from where, so that it makes less error there. Raises SceneError;
+    also if the file cannot be read again, or, but for a PLY, without a Gaussian."""
     splat_format = format_to_write(path)
     assert splat_format.write is not None
     splat_format.check_packages(Path(path))
@@ -237,8 +245,9 @@ def write_scene(path: str | Path, scene: Scene, version: int = 0, quantise: floa
             f"{path}: the format {splat_format.label} has no choice of how exactly it stores spherical"
             " harmonics: leave --quantise out"
         )
-    choices: dict[str, float] = {"version": version} if version else {}
+    choices: dict[str, Any] = {"version": version} if version else {}
     choices |= {"quantise": quantise} if quantise != 1 else {}
+    choices |= {"seen": seen} if seen and splat_format.quantises else {}
     target, several = extended(path), extended(path).name == splat_format.index
     check = partial(_check_written, path)
     with contextlib.nullcontext() if several else checked(target, check):

@@ -12,6 +12,7 @@ import secrets
 import tempfile
 import zipfile
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ from .atomic import atomic_path, atomic_write, check_space
 from .images import write_texture
 from .palette import nearest, palette, table
 from .quantised import alphas_of, picture_weights, small_scale, three_of_quats, to_uint8
+from .sh_rounding import SeenFrom, rounded
 from .sog_layout import (
     HIGHEST,
     LARGEST_QUAT,
@@ -45,23 +47,30 @@ MIN_ENTRIES = 1024
 FARTHEST = 1e30  # positions beyond are written as if they were there
 COARSE = 2  # steps of a position in the scale of a small Gaussian, at least: beyond, a sentence says so
 BYTES = 40  # free space per Gaussian that is asked for
+PART = 1 << 14  # Gaussians that are corrected together
 FIRST_DATE = (1980, 1, 1, 0, 0, 0)  # of the files in a bundle: the same scene gives the same bytes
 
+Higher = tuple[dict[str, Any], np.ndarray, np.ndarray]  # as _higher_bands() returns it
 
-def write(path: str | os.PathLike, scene: Scene, quantise: float = 1.0):
+
+def write(path: str | os.PathLike, scene: Scene, quantise: float = 1.0, seen: SeenFrom | None = None):
     """Writes the scene with its Gaussians in Morton order, as a bundle, or, if the name is meta.json, as the
-    files of a folder, this one last. quantise: factor on SMALL_ERROR's root. Raises SceneError."""
-    write_in_order(path, scene.select(morton_order(scene.means)), quantise)
+    files of a folder, this one last. quantise: factor on SMALL_ERROR's root. seen: from where, if it is
+    known: colours then take up the error of the palette. Raises SceneError."""
+    order = morton_order(scene.means)
+    write_in_order(path, scene.select(order), quantise, seen.select(order) if seen else None)
 
 
-def write_in_order(path: str | os.PathLike, scene: Scene, quantise: float = 1.0):
+def write_in_order(
+    path: str | os.PathLike, scene: Scene, quantise: float = 1.0, seen: SeenFrom | None = None
+):
     """As write(), with the Gaussians in the order of the scene."""
     check_space(path, BYTES * scene.count)
     if sentence := memory.shortage(
         f"{path}: writing so many Gaussians into one SOG", memory.texturing(scene.count, scene.sh.shape[1])
     ):
         raise SceneError(sentence)
-    meta, textures = encoded(scene, quantise)
+    meta, textures = encoded(scene, quantise, seen)
     if Path(path).name == META:
         _write_folder(Path(path), meta, textures)
     else:
@@ -83,15 +92,20 @@ def limits(scene: Scene) -> list[str]:
     ]
 
 
-def encoded(scene: Scene, quantise: float = 1.0) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+def encoded(
+    scene: Scene, quantise: float = 1.0, seen: SeenFrom | None = None
+) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """meta.json and the textures by name, (H, W, 3 or 4) uint8."""
-    weights = picture_weights(scene)
+    weights, higher, base = picture_weights(scene), None, scene.sh[:, 0]
+    if scene.sh_degree:
+        higher = _higher_bands(scene, weights, quantise)
+        base = _corrected(scene, higher, seen) if seen else base
     means, ranges = _means(scene)
     three, largest = three_of_quats(scene.quats)
     three = to_uint8((three / ROOT2 + np.float32(0.5)) * 255)
     quats = np.column_stack([three, (LARGEST_QUAT + largest).astype(np.uint8)])
     logs, scales = _by_table(scene.log_scales, weights)
-    colors, sh0 = _by_table(scene.sh[:, 0], weights)
+    colors, sh0 = _by_table(base, weights)
     pixels = {
         "means_l": means & 255,
         "means_u": means >> 8,
@@ -110,8 +124,8 @@ def encoded(scene: Scene, quantise: float = 1.0) -> tuple[dict[str, Any], dict[s
         "sh0": {"codebook": colors, "files": ["sh0.webp"]},
     }
     textures = {}
-    if scene.sh_degree:
-        meta["shN"], textures["shN_centroids"], pixels["shN_labels"] = _higher_bands(scene, weights, quantise)
+    if higher:
+        meta["shN"], textures["shN_centroids"], pixels["shN_labels"] = higher
     textures.update({name: _texture(rows.astype(np.uint8)) for name, rows in pixels.items()})
     return meta, textures
 
@@ -140,9 +154,7 @@ def _by_table(values: np.ndarray, weights: np.ndarray) -> tuple[list[float], np.
     return levels.tolist(), nearest(values, levels)
 
 
-def _higher_bands(
-    scene: Scene, weights: np.ndarray, quantise: float
-) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
+def _higher_bands(scene: Scene, weights: np.ndarray, quantise: float) -> Higher:
     """shN of meta.json, the texture of the palette, and the label of each Gaussian, (N, 3)."""
     coefficients = scene.sh.shape[1] - 1
     rows = np.nan_to_num(scene.sh[:, 1:].reshape(scene.count, -1), posinf=1, neginf=-1)
@@ -161,6 +173,27 @@ def _higher_bands(
     }
     pixels = np.column_stack([labels & 255, labels >> 8, np.zeros_like(labels)])
     return meta, image.reshape(heights, -1, 3), pixels
+
+
+def _corrected(scene: Scene, higher: Higher, seen: SeenFrom) -> np.ndarray:
+    """SH of degree 0 (N, 3) that take up what the palette changes in the directions from which Gaussians are
+    seen."""
+    meta, image, pixels = higher
+    coefficients, levels = scene.sh.shape[1] - 1, np.array(meta["codebook"], np.float32)
+    stored = levels[image.reshape(-1, 3)[: meta["count"] * coefficients]]
+    entries = stored.reshape(meta["count"], coefficients, 3)
+    labels, base = pixels[:, 0] + 256 * pixels[:, 1], np.empty_like(scene.sh[:, 0])
+    for start in range(0, scene.count, PART):
+        part = slice(start, start + PART)
+        held = entries[labels[part]]
+        moments = seen.select(part).moments(scene.means[part], coefficients + 1)
+        base[part] = rounded(scene.sh[part], moments, partial(_fixed, held))[:, 0]
+    return base
+
+
+def _fixed(held: np.ndarray, k: int, values: np.ndarray) -> np.ndarray:
+    """What is stored of coefficient k: of the first one all values, of others those that are held."""
+    return held[:, k - 1] if k else values
 
 
 def _share(rows: np.ndarray, weights: np.ndarray, quantise: float) -> int:

@@ -29,10 +29,11 @@ class SplatFormat:
     read_parts: Callable[..., Iterator[Scene]]
     # the same as one scene, if each part overwrites the arrays of the previous one
     read: Callable[[Path], Scene] | None = None
-    # of path, scene and, by name, what there is of version and quantise; atomic. None: read only
+    # of path, scene and, by name, what there is of version, quantise and seen; atomic. None: read only
     write: Callable[..., None] | None = None
     versions: tuple[int, ...] = ()  # that are written, if there are several
-    # whether write takes quantise: a factor on the error that it may make in SH, 1 is the usual one
+    # whether write takes quantise, a factor on the error that it may make in SH, 1 is the usual one; and from
+    # where the scene is seen (sh_rounding.py)
     quantises: bool = False
     # size in bytes of the file that write would make; None: it depends on the values
     size: Callable[[Scene], int] | None = None

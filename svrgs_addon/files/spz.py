@@ -19,6 +19,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 
@@ -39,6 +40,7 @@ from .quantised import (
     widest_logs,
 )
 from .reading import MAX_COUNT, open_splat
+from .sh_rounding import SeenFrom, rounded
 from .splat_format import SplatFormat, by_parts
 from .spz_container import GZIP, MAGIC, NEWEST, SMALLEST_THREE, Header, packed, streams
 
@@ -54,6 +56,7 @@ COLOR, SCALE_STEPS, SMALLEST_SCALE = 0.15, 16, -10
 # of 256, between values of SH of a Gaussian with weight 1 (picture_weights) that are written
 # (docs/formats.md)
 SH_STEP = 3
+SEEN = 2  # times as large where it is known from where a Gaussian is seen (sh_rounding.py)
 FINEST_SH, COARSEST_SH = 1, 128  # the same of any Gaussian
 SQRT_HALF = np.float32(0.5**0.5)
 
@@ -74,12 +77,19 @@ def parts_of(data: bytes, max_count: int = MAX_COUNT) -> Iterator[Scene]:
     )
 
 
-def write(path: str | os.PathLike, scene: Scene, version: int = 0, quantise: float = 1.0):
+def write(
+    path: str | os.PathLike,
+    scene: Scene,
+    version: int = 0,
+    quantise: float = 1.0,
+    seen: SeenFrom | None = None,
+):
     """Writes the scene atomically, with its Gaussians in Morton order, as this version of the format. 0: the
     newest, but 3 for a scene without SH, which is as small, and which Blender 5.3 does not read as version 4.
-    quantise: factor on the steps of SH. Raises SceneError."""
+    quantise: factor on the steps of SH. seen: from where, if it is known: steps are SEEN times as large, and
+    cause less error. Raises SceneError."""
     newest = NEWEST if scene.sh_degree else SMALLEST_THREE
-    data = content(path, scene, version or newest, quantise)
+    data = content(path, scene, version or newest, quantise, seen=seen)
     check_space(path, len(data))
     with atomic_write(path) as file:
         file.write(data)
@@ -91,20 +101,27 @@ def content(
     version: int,
     quantise: float = 1.0,
     turned: Callable[[Scene], Scene] = turned_over,
+    seen: SeenFrom | None = None,
 ) -> bytes:
     """The bytes that write() would write. path: of errors, and beside it lies what does not fit into memory.
     turned: to the axes of the file. Raises SceneError."""
+    if not scene.sh_degree:
+        seen = None
     header = Header(version, scene.count, scene.sh_degree, fraction_bits(*_extent(scene)), scene.antialiased)
     stored = {
         name: array_for((scene.count, width), np.uint8, path) for name, width in header.widths().items()
     }
     with ThreadPoolExecutor(os.cpu_count()) as threads:
         ordered = threads.submit(morton_order, scene.means)
-        steps, order = sh_steps(picture_weights(scene), quantise), ordered.result()
+        steps = sh_steps(picture_weights(scene), quantise * (SEEN if seen else 1))
+        order = ordered.result()
 
         def convert(start: int):
             some = order[start : start + PART]
-            for name, rows in _rows(header, turned(scene.select(some)), steps[some]).items():
+            part = scene.select(some)
+            if seen:
+                part = replace(part, sh=_rounded(part, steps[some], seen.select(some)))
+            for name, rows in _rows(header, turned(part), steps[some]).items():
                 stored[name][start : start + PART] = rows
 
         list(threads.map(convert, range(0, scene.count, PART)))
@@ -152,7 +169,7 @@ def _scene(header: Header, stored: dict[str, np.ndarray]) -> Scene:
     """The Gaussians of some rows of the streams."""
     count = len(stored["alphas"])
     sh = np.empty((count, header.coefficients, 3), np.float32)
-    sh[:, 0] = (stored["colors"].astype(np.float32) / 255 - np.float32(0.5)) / np.float32(COLOR)
+    sh[:, 0] = _sh_of_colors(stored["colors"])
     rest = stored["sh"].reshape(count, stored["sh"].shape[1] // 3, 3)[:, : header.coefficients - 1]
     sh[:, 1:] = (rest.astype(np.float32) - 128) / 128
     logs = stored["scales"].astype(np.float32) / SCALE_STEPS + SMALLEST_SCALE
@@ -192,7 +209,7 @@ def _rows(header: Header, scene: Scene, steps: np.ndarray) -> dict[str, np.ndarr
     return {
         "positions": whole.view(np.uint8).reshape(-1, 3, 4)[:, :, :3].reshape(-1, 9),
         "alphas": alphas_of(scene.opacity_logits)[:, None],
-        "colors": to_uint8(scene.sh[:, 0] * np.float32(COLOR * 255) + np.float32(127.5)),
+        "colors": _colors(scene.sh[:, 0]),
         "scales": to_uint8((scene.log_scales - SMALLEST_SCALE) * SCALE_STEPS),
         "rotations": _rotations(header, scene.quats),
         "sh": _sh(scene.sh, steps),
@@ -230,6 +247,27 @@ def _sh(sh: np.ndarray, steps: np.ndarray) -> np.ndarray:
     values *= steps
     values += 128
     return np.clip(values, 0, 255, out=values).astype(np.uint8).reshape(len(sh), -1)
+
+
+def _colors(sh: np.ndarray) -> np.ndarray:
+    """8 bits of SH of degree 0 (N, 3)."""
+    return to_uint8(sh * np.float32(COLOR * 255) + np.float32(127.5))
+
+
+def _sh_of_colors(stored: np.ndarray) -> np.ndarray:
+    return (stored.astype(np.float32) / 255 - np.float32(0.5)) / np.float32(COLOR)
+
+
+def _rounded(scene: Scene, steps: np.ndarray, seen: SeenFrom) -> np.ndarray:
+    """SH (N, K, 3) in values that the file holds, those with the least error where they are seen from."""
+
+    def stored(k: int, values: np.ndarray) -> np.ndarray:
+        if k == 0:
+            return _sh_of_colors(_colors(values))
+        whole = np.rint(values * (128 / steps[:, None])) * steps[:, None]
+        return np.clip(whole, -127, 127) / 128
+
+    return rounded(scene.sh, seen.moments(scene.means, scene.sh.shape[1]), stored)
 
 
 FORMAT = SplatFormat(

@@ -31,6 +31,7 @@ from ..system.foreign import inside, own
 from . import images, sog
 from .atomic import atomic_write, check_space
 from .reading import MAX_COUNT, MAX_IN_PARTS, json_object, open_splat, refuse_many
+from .sh_rounding import SeenFrom
 from .sog_layout import META, files_of
 from .sog_writer import BYTES, limits, write_in_order
 from .splat_format import SplatFormat
@@ -91,15 +92,20 @@ def level_bytes(path: Path, level: int) -> int:
     return sum(file.stat().st_size for unit in units for file in files_of(path.parent / unit))
 
 
-def write(path: str | os.PathLike, scene: Scene, quantise: float = 1.0):
+def write(path: str | os.PathLike, scene: Scene, quantise: float = 1.0, seen: SeenFrom | None = None):
     """Writes the scene as the only level of detail. Raises SceneError."""
-    write_levels(path, [scene], quantise)
+    write_levels(path, [scene], quantise, [seen])
 
 
-def write_levels(path: str | os.PathLike, scenes: Sequence[Scene], quantise: float = 1.0):
+def write_levels(
+    path: str | os.PathLike,
+    scenes: Sequence[Scene],
+    quantise: float = 1.0,
+    seen: Sequence[SeenFrom | None] = (),
+):
     """Writes levels of detail, the finest one first: the SOGs, then lod-meta.json. Until then, an older one
     and its files stay as they are; at the end, those of its files are removed that have names as they are
-    given here. quantise: as of a SOG. Raises SceneError."""
+    given here. quantise, seen (of each level, or empty): as of a SOG. Raises SceneError."""
     path = Path(path)
     check_space(path, BYTES * sum(scene.count for scene in scenes))
     old, taken = _own_files(path), path.exists() or any(path.parent.glob("[0-9]*_[0-9]*"))
@@ -114,7 +120,10 @@ def write_levels(path: str | os.PathLike, scenes: Sequence[Scene], quantise: flo
         "lodLevels": len(scenes),
     }
     for name, (level, rows) in cut.files.items():
-        write_in_order(path.parent / name, scenes[level].select(np.concatenate(rows)), quantise)
+        some, view = np.concatenate(rows), seen[level] if seen else None
+        write_in_order(
+            path.parent / name, scenes[level].select(some), quantise, view.select(some) if view else None
+        )
     with atomic_write(path) as file:
         file.write(json.dumps(meta | {"filenames": list(cut.files), "tree": tree}).encode())
     for one in old:

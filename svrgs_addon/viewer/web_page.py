@@ -20,6 +20,7 @@ from ..files.atomic import atomic_write
 from ..files.registry import load_scene
 from ..native.library import thresholds
 from ..native.rasterizer import Rasterizer
+from ..prune.seen import seen_from
 from ..render.metrics.evaluate import evaluate
 from ..scene.camera import evenly
 from ..system.errors import SceneError
@@ -89,7 +90,7 @@ def _written(source: Source, k: int, folder: Path) -> dict:
     file = folder / NAMES[len(source.scenes)][k]
     for sentence in spz.limits(scene):
         logging.warning("%s: %s", name, sentence)
-    spz.write(file, replace(scene, attributes={}), VERSION)
+    spz.write(file, replace(scene, attributes={}), VERSION, seen=seen_from(scene, source.cameras, file))
     facts = {"file": file.name, "name": name, "count": scene.count, "bytes": os.path.getsize(file)}
     facts["antialiased"] = scene.antialiased
     if source.dataset is not None and source.dataset.test_indices:

@@ -64,6 +64,7 @@ from ..photographs import in_its_colours, prepared
 from ..planning import pruning_within
 from ..report.pictures import to_uint8
 from ..report.prune_report import report_pictures, write_prune_report
+from ..seen import seen_from
 
 CANNOT_REACH = "method '{}' cannot reach a target without iterations in which it prunes"
 
@@ -120,7 +121,8 @@ class Tuned:
     def write(self):
         self.room.release()
         with self.clock.phase("write"):
-            write_scene(self.job.out, self.scene)
+            seen = seen_from(self.scene, self.run.training_cameras, self.job.out)
+            write_scene(self.job.out, self.scene, seen=seen)
             self.write_fitted()
         checkpoint.delete_all(self.job.folder)
 
@@ -315,7 +317,7 @@ class FineTuned(Tuned):
         with self.clock.phase("evaluate after"):
             for share, path in self.job.level_files.items():
                 level = self.scene.select(np.arange(max(1, round(share * self.scene.count))))
-                write_scene(path, level)
+                write_scene(path, level, seen=seen_from(level, self.run.training_cameras, path))
                 self.levels.append(
                     {"share": share, "out": str(path), **self.measured(read_back(path, level), path)}
                 )

@@ -1,0 +1,70 @@
+"""Rounds spherical harmonics to what a format can store, by the error that this causes in pictures.
+
+Coefficients are rounded from the last one to the first. After each, those that are still free move so that
+the colours in the directions from which the Gaussian is seen change least: error feedback, as GPTQ (arXiv
+2210.17323) rounds weights. Colours, which are stored finely, take what is left. A Gaussian that is seen from
+nowhere is rounded as usual.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..scene.sh_rotation import band
+
+DEGREE_0 = 0.28209479177387814
+ELSEWHERE = 0.1  # how much the mean direction counts beside those from which a Gaussian is seen
+
+
+@dataclass(frozen=True)
+class SeenFrom:
+    """From where Gaussians are seen. positions: (V, 3) float32, camera centres in the coordinates of the
+    scene. weights: (V, N) float16, how much each view shows of each Gaussian: its sum of alpha T over
+    pixels."""
+
+    positions: np.ndarray
+    weights: np.ndarray
+
+    def select(self, rows: np.ndarray | slice) -> SeenFrom:
+        return SeenFrom(self.positions, self.weights[:, rows])
+
+    def moments(self, means: np.ndarray, coefficients: int) -> np.ndarray:
+        """(N, K, K) float32: the weighted mean of Y Yᵀ over the directions from which Gaussians at means
+        (N, 3) are seen, plus ELSEWHERE times that over all directions."""
+        found = np.zeros((len(means), coefficients, coefficients), np.float32)
+        for position, weights in zip(self.positions, self.weights.astype(np.float32), strict=True):
+            rows = np.flatnonzero(weights)
+            Y = basis(means[rows] - position, coefficients)
+            found[rows] += weights[rows, None, None] * Y[:, :, None] * Y[:, None, :]
+        total = self.weights.sum(axis=0, dtype=np.float32)
+        found /= np.maximum(total, np.float32(1e-30))[:, None, None]
+        return found + np.eye(coefficients, dtype=np.float32) * (ELSEWHERE * DEGREE_0**2)
+
+
+def basis(offsets: np.ndarray, coefficients: int) -> np.ndarray:
+    """(N, K) float32: the first K basis functions of 3DGS in the directions of offsets (N, 3)."""
+    lengths = np.linalg.norm(offsets, axis=1, keepdims=True)
+    directions = offsets / np.maximum(lengths, np.float32(1e-30))
+    bands = [band(degree, directions) for degree in range(1, round(coefficients**0.5))]
+    first = np.full((len(offsets), 1), DEGREE_0)
+    return np.concatenate([first, *bands], axis=1).astype(np.float32)
+
+
+def rounded(
+    sh: np.ndarray, moments: np.ndarray, stored: Callable[[int, np.ndarray], np.ndarray]
+) -> np.ndarray:
+    """SH (N, K, 3) float32 in values that are stored. moments: (N, K, K), see SeenFrom. stored(k, values):
+    what the file holds of values (N, 3) of coefficient k."""
+    free, found = sh.copy(), np.empty_like(sh)
+    factors = np.linalg.cholesky(moments)
+    inverses = np.linalg.inv(factors)
+    for k in reversed(range(sh.shape[1])):
+        found[:, k] = stored(k, free[:, k])
+        error = found[:, k] - free[:, k]
+        # -A_rr^-1 A_rk e with A = L Lᵀ and r the coefficients before k: a row of L^-1
+        moves = factors[:, k, k, None] * inverses[:, k, :k]
+        free[:, :k] += moves[:, :, None] * error[:, None, :]
+    return found

@@ -1,0 +1,32 @@
+"""From where the Gaussians of a scene are seen, for formats that round by it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ..files.registry import format_to_write
+from ..files.sh_rounding import SeenFrom
+from ..native.rasterizer import Rasterizer
+from ..render.metrics.evaluate import render_options
+from ..scene.camera import Camera, evenly
+from ..scene.gaussians import Scene
+
+MOST_VIEWS = 64
+
+
+def seen_from(scene: Scene, cameras: Sequence[Camera], out: Path) -> SeenFrom | None:
+    """What at most MOST_VIEWS of the views show of each Gaussian. None where the format of `out` does not
+    round by it, or nothing depends on the view."""
+    if not (cameras and scene.sh_degree and format_to_write(out).quantises):
+        return None
+    chosen, rasterizer = evenly(cameras, MOST_VIEWS), Rasterizer()
+    weights = np.zeros((len(chosen), scene.count), np.float16)
+    for row, camera in zip(weights, chosen, strict=True):
+        sums = np.zeros(scene.count)
+        rasterizer.forward(scene, camera, render_options(scene), outputs=())
+        rasterizer.add_scores(sums)
+        row[:] = np.minimum(sums, np.finfo(np.float16).max)
+    return SeenFrom(np.stack([camera.position for camera in chosen]).astype(np.float32), weights)
