@@ -1,10 +1,12 @@
 """How large and how exact each format is: bytes, quality against the original, seconds to write and to read.
 
-python benchmarks/formats.py SPLAT... [--against ORIGINAL] [--quantise FACTOR...] [--out TABLE.md]
+python benchmarks/formats.py SPLAT... [--against ORIGINAL] [--quantise FACTOR...] [--data DATASET] [--out TABLE.md]
 
 PSNR in dB, SSIM and FLIP are means of the 50 views of no_photographs.py, against the splat itself or, of one
 that was pruned, its original. Seconds: medians of REPEATS, of the scene in memory to the file and back. With
---quantise, only formats that take it, newest versions.
+--quantise, only formats that take it, newest versions. With --data, figures are those of its test views against
+the photographs, LPIPS (make lpips) instead of FLIP; formats that round by where a splat is seen from are
+written as `svrgs prune` does, by the training views, and as `svrgs convert` does, without.
 """
 
 from __future__ import annotations
@@ -25,7 +27,7 @@ from svrgs_addon.scene.gaussians import Scene
 
 REPEATS = 5
 HEAD = (
-    "| file | bytes per Gaussian | MB | PSNR, dB | SSIM | FLIP | write, s | read, s"
+    "| file | bytes per Gaussian | MB | PSNR, dB | SSIM | {} | write, s | read, s"
     " |\n|---|---:|---:|---:|---:|---:|---:|---:|"
 )
 

@@ -1,7 +1,7 @@
 """Rounds spherical harmonics to what a format can store, by the error that this causes in pictures.
 
-Coefficients are rounded from the last one to the first. After each, those that are still free move so that
-the colours in the directions from which the Gaussian is seen change least: error feedback, as GPTQ (arXiv
+Coefficients are rounded from the last one to the first. Each takes up what those before it have changed in
+the directions from which the Gaussian is seen: the nearest plane algorithm of Babai, as GPTQ (arXiv
 2210.17323) rounds weights. Colours, which are stored finely, take what is left. A Gaussian that is seen from
 nowhere is rounded as usual.
 """
@@ -16,6 +16,7 @@ import numpy as np
 from ..scene.sh_rotation import band
 
 DEGREE_0 = 0.28209479177387814
+BLOCK = 1 << 8  # Gaussians whose directions are in memory together
 ELSEWHERE = 0.1  # how much the mean direction counts beside those from which a Gaussian is seen
 
 
@@ -34,13 +35,15 @@ class SeenFrom:
     def moments(self, means: np.ndarray, coefficients: int) -> np.ndarray:
         """(N, K, K) float32: the weighted mean of Y Yᵀ over the directions from which Gaussians at means
         (N, 3) are seen, plus ELSEWHERE times that over all directions."""
-        found = np.zeros((len(means), coefficients, coefficients), np.float32)
-        for position, weights in zip(self.positions, self.weights.astype(np.float32), strict=True):
-            rows = np.flatnonzero(weights)
-            Y = basis(means[rows] - position, coefficients)
-            found[rows] += weights[rows, None, None] * Y[:, :, None] * Y[:, None, :]
-        total = self.weights.sum(axis=0, dtype=np.float32)
-        found /= np.maximum(total, np.float32(1e-30))[:, None, None]
+        found = np.empty((len(means), coefficients, coefficients), np.float32)
+        for start in range(0, len(means), BLOCK):
+            block = slice(start, start + BLOCK)
+            weights = self.weights[:, block].T.astype(np.float32)
+            weights /= np.maximum(weights.sum(axis=1, keepdims=True), np.float32(1e-30))
+            offsets = means[block, None] - self.positions
+            Y = basis(offsets.reshape(-1, 3), coefficients).reshape(*weights.shape, coefficients)
+            Y *= np.sqrt(weights)[:, :, None]
+            found[block] = Y.swapaxes(1, 2) @ Y
         return found + np.eye(coefficients, dtype=np.float32) * (ELSEWHERE * DEGREE_0**2)
 
 
@@ -58,13 +61,11 @@ def rounded(
 ) -> np.ndarray:
     """SH (N, K, 3) float32 in values that are stored. moments: (N, K, K), see SeenFrom. stored(k, values):
     what the file holds of values (N, 3) of coefficient k."""
-    free, found = sh.copy(), np.empty_like(sh)
+    found, error = np.empty_like(sh), np.zeros_like(sh)
     factors = np.linalg.cholesky(moments)
-    inverses = np.linalg.inv(factors)
     for k in reversed(range(sh.shape[1])):
-        found[:, k] = stored(k, free[:, k])
-        error = found[:, k] - free[:, k]
-        # -A_rr^-1 A_rk e with A = L Lᵀ and r the coefficients before k: a row of L^-1
-        moves = factors[:, k, k, None] * inverses[:, k, :k]
-        free[:, :k] += moves[:, :, None] * error[:, None, :]
+        # the least error, as those before k are still free: row k of Lᵀ e is 0
+        caused = np.einsum("nj,njc->nc", factors[:, k + 1 :, k], error[:, k + 1 :])
+        found[:, k] = stored(k, sh[:, k] - caused / factors[:, k, k, None])
+        error[:, k] = found[:, k] - sh[:, k]
     return found
