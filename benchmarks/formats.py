@@ -1,12 +1,13 @@
 """How large and how exact each format is: bytes, quality against the original, seconds to write and to read.
 
-python benchmarks/formats.py SPLAT... [--against ORIGINAL] [--quantise FACTOR...] [--data DATASET] [--out TABLE.md]
+python benchmarks/formats.py SPLAT... [--against ORIGINAL] [--quantise FACTOR...] [--data DATASET]
+    [--out TABLE.md]
 
 PSNR in dB, SSIM and FLIP are means of the 50 views of no_photographs.py, against the splat itself or, of one
 that was pruned, its original. Seconds: medians of REPEATS, of the scene in memory to the file and back. With
---quantise, only formats that take it, newest versions. With --data, figures are those of its test views against
-the photographs, LPIPS (make lpips) instead of FLIP; formats that round by where a splat is seen from are
-written as `svrgs prune` does, by the training views, and as `svrgs convert` does, without.
+--quantise, only formats that take it, newest versions. With --data, figures are those of its test views
+against the photographs, LPIPS (make lpips) instead of FLIP; formats that round by where a splat is seen from
+are written without that, as by `svrgs convert`, and with the training views, as by `svrgs prune`.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
 
@@ -23,7 +25,15 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from no_photographs import measures, views_from_above
 from svrgs_addon.files.registry import FORMATS, load_scene, write_scene
+from svrgs_addon.native.rasterizer import Rasterizer
+from svrgs_addon.prune.options import DatasetOptions
+from svrgs_addon.prune.plans import dataset_of
+from svrgs_addon.prune.seen import seen_from
+from svrgs_addon.render.metrics.evaluate import evaluate
+from svrgs_addon.render.metrics.lpips import default_lpips
+from svrgs_addon.scene.camera import Camera
 from svrgs_addon.scene.gaussians import Scene
+from svrgs_addon.views.dataset import Dataset
 
 REPEATS = 5
 HEAD = (
@@ -41,29 +51,66 @@ def seconds(work: Callable[[], object]) -> float:
     return median(times)
 
 
-def kinds(factors: list[float]) -> list[tuple[str, int, float]]:
-    """(suffix, version, quantise) of all formats that are written; of those that take quantise, if factors
-    are given."""
-    written = [one for one in FORMATS if one.write and one.suffixes]
-    if factors:
-        return [(one.suffixes[0], 0, factor) for one in written if one.quantises for factor in factors]
-    return [(one.suffixes[0], version, 1.0) for one in written for version in one.versions or (0,)]
+@dataclass(frozen=True)
+class Kind:
+    """A way to write a file. by_views: rounded by where the splat is seen from."""
+
+    suffix: str
+    version: int = 0
+    quantise: float = 1.0
+    by_views: bool = False
+
+    @property
+    def name(self) -> str:
+        words = [self.suffix, f"version {self.version}" if self.version else ""]
+        words += [f"--quantise {self.quantise:g}" if self.quantise != 1 else "", "by views" * self.by_views]
+        return " ".join(filter(None, words))
 
 
-def rows(scene: Scene, original: Scene, folder: Path, factors: list[float]) -> list[str]:
-    cameras, lines = views_from_above(original), []
-    for suffix, version, factor in kinds(factors):
-        path = folder / f"scene{suffix}"
-        writing = seconds(
-            lambda path=path, version=version, factor=factor: write_scene(path, scene, version, factor)
-        )
+def kinds(factors: list[float], with_views: bool) -> list[Kind]:
+    """All formats that are written; those that take quantise, if factors are given."""
+    written = [one for one in FORMATS if one.write and one.suffixes and (one.quantises or not factors)]
+    by_views = (False, True) if with_views else (False,)
+    return [
+        Kind(one.suffixes[0], version, factor, view)
+        for one in written
+        for version in ((0,) if factors or with_views else one.versions or (0,))
+        for factor in factors or [1.0]
+        for view in (by_views if one.quantises else (False,))
+    ]
+
+
+Measure = Callable[[Scene], tuple[float, float, float]]
+
+
+def against_scene(original: Scene) -> Measure:
+    cameras = views_from_above(original)
+    return lambda scene: measures(scene, original, cameras)
+
+
+def against_photographs(dataset: Dataset) -> Measure:
+    lpips = default_lpips()
+
+    def measure(scene: Scene) -> tuple[float, float, float]:
+        found = evaluate(scene, dataset, dataset.test_indices, Rasterizer(), lpips)
+        return found["psnr"], found["ssim"], found["lpips"]
+
+    return measure
+
+
+def rows(
+    scene: Scene, measure: Measure, wanted: list[Kind], cameras: list[Camera], folder: Path
+) -> list[str]:
+    lines = []
+    for kind in wanted:
+        path = folder / f"scene{kind.suffix}"
+        seen = seen_from(scene, cameras, path) if kind.by_views else None
+        writing = seconds(lambda: write_scene(path, scene, kind.version, kind.quantise, seen))  # noqa: B023
         reading = seconds(lambda path=path: load_scene(path))
-        found, size = measures(load_scene(path).scene, original, cameras), path.stat().st_size
+        found, size = measure(load_scene(path).scene), path.stat().st_size
         quality = f"{found[0]:.2f} | {found[1]:.4f} | {found[2]:.4f}" if found[0] < 100 else "equal | 1 | 0"
-        name = suffix + (f" version {version}" if version else "")
-        name += f" --quantise {factor:g}" if factors else ""
         lines.append(
-            f"| {name} | {size / scene.count:.1f} | {size / 1e6:.2f} | {quality} | {writing:.2f} |"
+            f"| {kind.name} | {size / scene.count:.1f} | {size / 1e6:.2f} | {quality} | {writing:.2f} |"
             f" {reading:.2f} |"
         )
         print(lines[-1], flush=True)
@@ -78,16 +125,23 @@ def main() -> int:
         "--quantise", type=float, nargs="+", default=[], help="factors of svrgs convert --quantise"
     )
     parser.add_argument("--out", type=Path, help="file to append the tables to")
+    parser.add_argument("--data", type=Path, help="dataset whose photographs judge")
     words = parser.parse_args()
+    dataset = dataset_of(DatasetOptions(data=words.data)) if words.data else None
+    cameras = [dataset.cameras[i] for i in dataset.train_indices] if dataset else []
+    wanted = kinds(words.quantise, bool(cameras))
     for path in words.splats:
         scene = load_scene(path).scene
-        original = load_scene(words.against).scene if words.against else scene
+        if dataset:
+            measure = against_photographs(dataset)
+        else:
+            measure = against_scene(load_scene(words.against).scene if words.against else scene)
         with tempfile.TemporaryDirectory() as folder:
             table = "\n".join(
                 [
                     f"\n### {path.stem}, {scene.count:,} Gaussians, SH degree {scene.sh_degree}\n",
-                    HEAD,
-                    *rows(scene, original, Path(folder), words.quantise),
+                    HEAD.format("LPIPS" if dataset else "FLIP"),
+                    *rows(scene, measure, wanted, cameras, Path(folder)),
                 ]
             )
         if words.out:
