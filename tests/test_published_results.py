@@ -2,27 +2,13 @@
 (benchmarks/methods.py)."""
 
 import json
-import re
 from collections import defaultdict
-from pathlib import Path
 from statistics import fmean
 
 import numpy as np
 import pytest
 
-ROWS = Path(__file__).resolve().parents[1] / "docs" / "results" / "rows.jsonl"
-
-
-def rows_of(**case) -> list[dict]:
-    """The rows that have these values."""
-    return [row for row in map(json.loads, ROWS.read_text().splitlines()) if case.items() <= row.items()]
-
-
-def by_run(**case) -> dict[str, dict]:
-    """The one row of each run."""
-    found = rows_of(**case)
-    assert len(found) == len({row["run"] for row in found})
-    return {row["run"]: row for row in found}
+from published_rows import DOCS, ROWS, by_run, gains_by_seed, means_by_run, rows_of, said
 
 
 def test_every_row_has_lpips_and_pixels():
@@ -32,8 +18,6 @@ def test_every_row_has_lpips_and_pixels():
 
 # --- sentences with a figure
 
-DOCS = ROWS.parents[1]
-
 
 def means(schedule: float, *studies: str) -> dict[tuple[str, int, str, str], tuple[float, float]]:
     """Mean count and PSNR by (scene, size of the photographs, study, run)."""
@@ -42,30 +26,6 @@ def means(schedule: float, *studies: str) -> dict[tuple[str, int, str, str], tup
         if row["study"] in studies and row["schedule"] == schedule and "error" not in row:
             found[row["scene"], row["shrink"], row["study"], row["run"]].append((row["count"], row["psnr"]))
     return {key: tuple(map(fmean, zip(*those, strict=True))) for key, those in found.items()}
-
-
-def said(page: str, sentence: str) -> list[float]:
-    """The figures of a sentence of a page, in which # stands for each."""
-    pattern = re.escape(sentence).replace(r"\ ", r"\s+").replace(r"\#", r"(\d[\d ]*(?:\.\d+)?)")
-    (found,) = re.finditer(pattern, (DOCS / page).read_text())
-    return [float(figure.replace(" ", "")) for figure in found.groups()]
-
-
-def means_by_run(**case) -> dict[str, tuple[float, float]]:
-    """Mean PSNR and LPIPS of the three seeds of each run."""
-    found: dict[str, list] = defaultdict(list)
-    for row in rows_of(**case):
-        found[row["run"]].append((row["psnr"], row["lpips"]))
-    assert all(len(some) == 3 for some in found.values())
-    return {run: tuple(map(fmean, zip(*some, strict=True))) for run, some in found.items()}
-
-
-def gains_by_seed(one: str, other: str, **case) -> list[tuple[float, float]]:
-    """How far a run is ahead of another one with each seed: in PSNR, and in LPIPS, where less is better."""
-    runs = [{row["seed"]: row for row in rows_of(**case, run=run)} for run in (one, other)]
-    assert runs[0].keys() == runs[1].keys() and len(runs[0]) == 3
-    pairs = [(runs[0][seed], runs[1][seed]) for seed in runs[0]]
-    return [(ours["psnr"] - other["psnr"], other["lpips"] - ours["lpips"]) for ours, other in pairs]
 
 
 def test_sentences_on_longer_runs_are_those_of_the_rows():
@@ -110,20 +70,48 @@ def test_sentences_on_longer_runs_are_those_of_the_rows():
 
 
 def test_sentences_on_passes_with_the_recovery_of_rivals_are_those_of_the_rows():
-    found = by_run(study="published")
-    passes = {n: found[f"removal by 3DGS's rates, {n} 0.1"] for n in ("5 k", "5 k + 5 k")}
-    pairs = (("gaussianpop", "5 k"), ("speedy", "5 k"), ("maskgs", "5 k + 5 k"))
-    rivals = [(passes[n], found[f"{name}, {n} 0.1"]) for name, n in pairs]
-    psnr = [round(ours["psnr"] - other["psnr"], 2) for ours, other in rivals]
-    sentence = "−# dB against `gaussianpop` and +# against `speedy` with 5,000 steps, −# against `maskgs`"
-    assert said("results.md", sentence) == [-psnr[0], psnr[1], -psnr[2]]
-    lpips = [round(other["lpips"] - ours["lpips"], 3) for ours, other in rivals]
-    assert said("results.md", "they are ahead by #, # and #. The rest") == lpips
-    rest = [(found[f"removal, {n} 0.1"], passes[n]) for n in passes]
-    assert said("results.md", "adds # and # dB, but no LPIPS") == [
-        round(ours["psnr"] - other["psnr"], 2) for ours, other in rest
-    ]
-    assert all(abs(ours["lpips"] - other["lpips"]) < 0.004 for ours, other in rest)
+    case = {"study": "published"}
+    rivals = {"gaussianpop": "5 k", "speedy": "5 k", "lightgaussian": "5 k", "maskgs": "5 k + 5 k"}
+
+    def gains(ours: str, name: str, share: str) -> tuple[list, tuple[float, float]]:
+        steps = f", {rivals[name]} {share}"
+        found = gains_by_seed(f"{ours}{steps}", f"{name}{steps}", **case)
+        return found, (round(fmean(one[0] for one in found), 2), round(fmean(one[1] for one in found), 3))
+
+    whole = {share: [gains("removal", name, share) for name in rivals] for share in ("0.1", "0.25")}
+    sentence = (
+        "with a tenth by # dB and # LPIPS (`gaussianpop`), # and # (`speedy`), # and # (`lightgaussian`)"
+    )
+    assert said("results.md", sentence) == [figure for _, mean in whole["0.1"][:3] for figure in mean]
+    assert said("results.md", ", # and # (`maskgs`); with a quarter") == [*whole["0.1"][3][1]]
+    sentence = "with a quarter by # and #, # and #, # and #, # and #. In LPIPS"
+    assert said("results.md", sentence) == [figure for _, mean in whole["0.25"] for figure in mean]
+    seeds = [gain for found in whole.values() for some, _ in found for gain in some]
+    behind = [psnr for psnr, _ in seeds if psnr < 0]
+    assert all(lpips > 0 for _, lpips in seeds) and len(behind) == 2
+    assert said("results.md", "have up to # dB more.\n") == [round(-min(behind), 2)]
+    passes = "removal by 3DGS's rates"
+    tenth = [gains(passes, name, "0.1") for name in ("gaussianpop", "speedy", "maskgs")]
+    sentence = (
+        "by # dB (`gaussianpop`), # (`speedy`) and # (`maskgs`) in the mean, and in LPIPS with every seed"
+    )
+    assert said("results.md", sentence) == [mean[0] for _, mean in tenth]
+    assert all(lpips > 0 for found, _ in tenth for _, lpips in found)
+    quarter = gains(passes, "gaussianpop", "0.25")[1]
+    assert said("results.md", "level with `gaussianpop` (+# dB, −# LPIPS)") == [quarter[0], -quarter[1]]
+    rest = {
+        share: [
+            gains_by_seed(f"removal, {n} {share}", f"{passes}, {n} {share}", **case)
+            for n in ("5 k", "5 k + 5 k")
+        ]
+        for share in whole
+    }
+    mean = lambda some, k: round(fmean(gain[k] for gain in some), 2 + k)
+    assert said("results.md", "adds # and # dB with a tenth") == [mean(some, 0) for some in rest["0.1"]]
+    assert all({gain[0] > 0 for gain in some} == {True, False} for some in rest["0.1"])
+    assert all(abs(mean(some, 1)) < 0.003 for some in rest["0.1"])
+    found = [mean(some, k) for k in (0, 1) for some in rest["0.25"]]
+    assert said("results.md", "with a quarter # and # dB, # and # LPIPS") == found
 
 
 def test_sentences_on_scenes_trained_with_all_steps_are_those_of_the_rows():
