@@ -12,6 +12,9 @@ from svrgs_addon.files.registry import load_scene, read_back, write_scene
 from svrgs_addon.files.sh_rounding import ELSEWHERE, SeenFrom, basis, rounded
 from svrgs_addon.files.spz import SEEN
 from svrgs_addon.native.rasterizer import Rasterizer
+from svrgs_addon.prune.options import PruneOptions
+from svrgs_addon.prune.pipeline import prune_scene
+from svrgs_addon.prune.recipes import fine_tuned
 from svrgs_addon.prune.seen import MOST_VIEWS, seen_from
 from svrgs_addon.render.metrics.evaluate import picture_options
 from svrgs_bench.scenes import orbit_camera
@@ -151,3 +154,19 @@ def test_a_streamed_sog_of_one_level_rounds_by_views_too(tmp_path):
         write_scene(path, scene, seen=seen)
         found.append(psnr(scene, read_back(path, scene), cameras))
     assert found[1] > found[0] + 0.5
+
+
+def test_a_job_writes_its_result_rounded_by_the_views_that_it_trained_on(tmp_path, monkeypatch, small_rig):
+    write_scene(tmp_path / "a.ply", random_scene(300, 2))
+    given, write = {}, fine_tuned.write_scene
+
+    def spy(path, scene, **choices):
+        given[path.name] = choices.get("seen")
+        write(path, scene, **choices)
+
+    monkeypatch.setattr(fine_tuned, "write_scene", spy)
+    for name in ("b.spz", "b.ply"):
+        options = {"scene": tmp_path / "a.ply", "out": tmp_path / name, "target": 0.5, "quiet": True}
+        prune_scene(PruneOptions(**options, iterations=4, recovery=4))
+    assert given["b.ply"] is None and given["b.spz"].weights.shape[1] == 150
+    assert (given["b.spz"].weights > 0).any(axis=0).mean() > 0.5
