@@ -240,13 +240,16 @@ def sh_steps(weights: np.ndarray, quantise: float = 1.0) -> np.ndarray:
 
 
 def _sh(sh: np.ndarray, steps: np.ndarray) -> np.ndarray:
-    """(N, 3 (K - 1)) uint8: rounded to multiples of the steps (N,) around 128, which is 0."""
-    steps = steps[:, None, None]
-    values = sh[:, 1:] * (128 / steps)
+    """(N, 3 (K - 1)) uint8: multiples of the steps (N,) around 128, which is 0."""
+    return (128 + _in_steps(sh[:, 1:], steps[:, None, None])).astype(np.uint8).reshape(len(sh), -1)
+
+
+def _in_steps(sh: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    """128 times SH, rounded to multiples of the steps, from -128 to 127."""
+    values = sh * (128 / steps)
     np.rint(values, out=values)
     values *= steps
-    values += 128
-    return np.clip(values, 0, 255, out=values).astype(np.uint8).reshape(len(sh), -1)
+    return np.clip(values, -128, 127, out=values)
 
 
 def _colors(sh: np.ndarray) -> np.ndarray:
@@ -264,8 +267,7 @@ def _rounded(scene: Scene, steps: np.ndarray, seen: SeenFrom) -> np.ndarray:
     def stored(k: int, values: np.ndarray) -> np.ndarray:
         if k == 0:
             return _sh_of_colors(_colors(values))
-        whole = np.rint(values * (128 / steps[:, None])) * steps[:, None]
-        return np.clip(whole, -127, 127) / 128
+        return _in_steps(values, steps[:, None]) / 128
 
     return rounded(scene.sh, seen.moments(scene.means, scene.sh.shape[1]), stored)
 

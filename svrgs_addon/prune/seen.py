@@ -14,13 +14,13 @@ from ..render.metrics.evaluate import render_options
 from ..scene.camera import Camera, evenly
 from ..scene.gaussians import Scene
 
-MOST_VIEWS = 64
+FEWEST_VIEWS, MOST_VIEWS = 8, 64
 
 
 def seen_from(scene: Scene, cameras: Sequence[Camera], out: Path) -> SeenFrom | None:
     """What at most MOST_VIEWS of the views show of each Gaussian. None where the format of `out` does not
-    round by it, or nothing depends on the view."""
-    if not (cameras and scene.sh_degree and format_to_write(out).quantises):
+    round by it, nothing depends on the view, or views are too few to say where one will look from."""
+    if not (len(cameras) >= FEWEST_VIEWS and scene.sh_degree and format_to_write(out).quantises):
         return None
     chosen, rasterizer = evenly(cameras, MOST_VIEWS), Rasterizer()
     weights = np.zeros((len(chosen), scene.count), np.float16)
