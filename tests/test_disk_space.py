@@ -93,9 +93,9 @@ def test_a_background_job_is_refused_before_its_folder_is_made(tiny, tmp_path, l
 def test_the_room_is_held_until_it_is_used_and_then_free_again(tiny, data, tmp_path, monkeypatch, command):
     seen, write = [], fine_tuned.write_scene
 
-    def last(path, scene):
+    def last(path, scene, **choices):
         seen.append(held_in(tmp_path))
-        write(path, scene)
+        write(path, scene, **choices)
 
     monkeypatch.setattr(fine_tuned, "write_scene", last)
     monkeypatch.setattr(loop, "CHECKPOINT_SECONDS", 0)

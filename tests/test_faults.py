@@ -176,10 +176,10 @@ def test_a_full_disk_at_the_end_leaves_the_last_checkpoint(tiny, data, tmp_path,
     monkeypatch.setattr(loop, "CHECKPOINT_SECONDS", 0)
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
 
-    def write(path, scene):
+    def write(path, scene, **choices):
         resource.setrlimit(resource.RLIMIT_FSIZE, (2000, hard))
         try:
-            original(path, scene)
+            original(path, scene, **choices)
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
