@@ -1,5 +1,5 @@
-"""What docs/results.md says of runs on equal terms, and of rivals with their published recoveries, is what the
-rows hold."""
+"""What docs/results.md says of runs on equal terms, and of rivals with their published recoveries, is what
+the rows hold."""
 
 from statistics import fmean
 
