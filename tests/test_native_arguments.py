@@ -83,6 +83,7 @@ def test_broken_cameras_are_refused(change):
         ({"mask_kind": "a", "eps_a": np.nan}, NativeError),
         ({"stop": 1.5}, NativeError),
         ({"stop": np.nan}, NativeError),
+        ({"stop": 0.5, "mask_kind": "svr"}, NativeError),
         ({"mask_kind": "nonsense"}, (KeyError, ValueError)),
     ],
 )

@@ -98,7 +98,7 @@ def test_rays_that_end_earlier_have_the_same_maxima_from_there_on(level, name):
     camera, stop = SCORED[name][1][0], 0.3
     views = []
     for least in (0.0, stop):
-        alpha = render(level, scene, camera, masks, outputs=("alpha",), full=False, stop=least)["alpha"]
+        alpha = render(level, scene, camera, masks, outputs=("alpha",), mask_kind="none", stop=least)["alpha"]
         largest, reached = np.zeros(scene.count, np.float32), np.zeros(scene.count, np.uint8)
         rasterizer(level).add_scores(max_=largest, reached=reached)
         views.append((alpha, largest, reached.sum()))

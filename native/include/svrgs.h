@@ -96,7 +96,7 @@ typedef struct {
   const uint8_t* valid;    /* (H, W), optional: pixels with 0 show nothing: rgb, F, N and K are 0, alpha is 1, and neither gradients nor statistics count them.
                               It must stay unchanged as the scene must */
   double stop;             /* a ray ends no later than the block of 4x4 pixels around it, once all of these have a transmittance below this: the picture
-                              lacks at most this share of what is behind, and maxima of alpha T from this on are exact. Below SVRGS_STOP: SVRGS_STOP */
+                              lacks at most this share of what is behind, and maxima of alpha T from this on are exact. Below SVRGS_STOP: SVRGS_STOP. Only without a mask */
 } svrgs_options;
 
 typedef struct {       /* all optional */

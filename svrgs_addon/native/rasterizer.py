@@ -64,7 +64,7 @@ class RenderOptions:
     background: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))
     picture_only: bool = False  # the view is not kept for gradients and statistics: less time and memory
     # a ray ends where it and its neighbours let less than this through: less time; values of alpha T from
-    # this on are the same. At least that of 3DGS, 1e-4
+    # this on are the same. At least that of 3DGS, 1e-4; only without a mask_kind
     stop: float = 0.0
 
 

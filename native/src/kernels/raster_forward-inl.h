@@ -2,9 +2,9 @@
 // reach, and each block walks its own list with its 16 pixels in registers. Colours stop at the first hit that would take the
 // transmittance T below 1e-4. F walks on to the end of the ray if Frame::full is set.
 
-// Which values are computed besides colours, and whether pixels have depth limits; known at compile time.
+// Which values are computed besides colours, whether pixels have depth limits, and whether rays end before kStop; known at compile time.
 struct WalkOptions {
-  bool count, full, scenario, limited;
+  bool count, full, scenario, limited, early;
 };
 
 // Running values of W pixels; between chunks they are stored in Frame::state.
@@ -95,7 +95,7 @@ template <WalkOptions walk>
 [[gnu::always_inline]] inline bool blend_list(const Frame& f, Chunk& c, int listed, int block, const BlockPixels& pixels, PixelState* p) {
   const uint8_t *at = c.list, *const end = at + listed;
   const bool to_end = f.disabled_skips & SVRGS_TERMINATION;
-  const V stop = broadcast(static_cast<R>(f.stop));
+  const V stop = broadcast(walk.early ? static_cast<R>(f.stop) : R(kStop));
   Entry* next = &c.entry[*at];
   BlockHits next_hits = evaluate_before<walk>(pixels, next->local);
   const auto walk_on = [&](auto&& on, auto&& take) __attribute__((always_inline)) {
@@ -222,12 +222,15 @@ void forward_tile_as(const Frame& f, int64_t tile) {
 template <bool limited>
 void forward_tile_with(const Frame& f, int64_t tile) {
   const bool scenario = f.mask_kind == SVRGS_MASK_A || f.mask_kind == SVRGS_MASK_B;
-  if (f.mask_kind == SVRGS_MASK_NONE)
-    forward_tile_as<WalkOptions{false, false, false, limited}>(f, tile);
+  if (f.mask_kind == SVRGS_MASK_NONE && f.stop > kStop)
+    forward_tile_as<WalkOptions{false, false, false, limited, true}>(f, tile);
+  else if (f.mask_kind == SVRGS_MASK_NONE)
+    forward_tile_as<WalkOptions{false, false, false, limited, false}>(f, tile);
   else if (scenario)
-    f.full ? forward_tile_as<WalkOptions{true, true, true, limited}>(f, tile) : forward_tile_as<WalkOptions{true, false, true, limited}>(f, tile);
+    f.full ? forward_tile_as<WalkOptions{true, true, true, limited, false}>(f, tile) : forward_tile_as<WalkOptions{true, false, true, limited, false}>(f, tile);
   else
-    f.full ? forward_tile_as<WalkOptions{true, true, false, limited}>(f, tile) : forward_tile_as<WalkOptions{true, false, false, limited}>(f, tile);
+    f.full ? forward_tile_as<WalkOptions{true, true, false, limited, false}>(f, tile)
+           : forward_tile_as<WalkOptions{true, false, false, limited, false}>(f, tile);
 }
 
 void forward_tile(const Frame& f, int64_t tile) { f.depth_limit ? forward_tile_with<true>(f, tile) : forward_tile_with<false>(f, tile); }
