@@ -105,6 +105,30 @@ def test_figures_are_those_of_what_the_file_holds(data, tmp_path):
     assert f"{facts['psnr']:.2f} dB" in page_of(tmp_path)["scenes"][0]["text"]
 
 
+@needs_modules
+def test_files_are_rounded_by_training_views_alone(data, tmp_path, monkeypatch):
+    """Figures are those of the test views, which must decide nothing."""
+    given = []
+    monkeypatch.setattr(web_page, "seen_from", lambda scene, cameras, out: given.append(cameras))
+    web_page.export(Source(("a",), (PRUNED,), data.cameras, data), tmp_path)
+    assert data.test_indices and given == [[data.cameras[i] for i in data.train_indices]]
+
+
+@needs_modules
+def test_files_of_an_older_page_do_not_stay(tmp_path):
+    web_page.export(Source(("a", "b"), (ORIGINAL, PRUNED), []), tmp_path)
+    web_page.export(Source(("b",), (PRUNED,), []), tmp_path)
+    assert [path.name for path in tmp_path.glob("*.spz")] == ["scene.spz"]
+
+
+@needs_modules
+def test_what_an_spz_cannot_hold_is_said(tmp_path, svrgs, caplog):
+    far = replace(PRUNED, means=np.concatenate([PRUNED.means[:-1], np.float32([[3e6, 0, 0]])]))
+    write_ply(tmp_path / "a.ply", far)
+    told = svrgs("view", tmp_path / "a.ply", "--export", tmp_path / "p", "--json").json["scenes"][0]
+    assert "remove those far away first" in caplog.text and told["limits"][0] in caplog.text
+
+
 def camera_of(view: View, width: int, height: int) -> Camera:
     """The camera of a view of the page."""
     ahead = (view.target - view.position) / np.linalg.norm(view.target - view.position)

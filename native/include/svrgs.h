@@ -95,8 +95,8 @@ typedef struct {
   int32_t picture_only;    /* 0 or 1: nothing is kept for gradients and statistics, for less time and memory */
   const uint8_t* valid;    /* (H, W), optional: pixels with 0 show nothing: rgb, F, N and K are 0, alpha is 1, and neither gradients nor statistics count them.
                               It must stay unchanged as the scene must */
-  double stop;             /* a ray ends no later than the block of 4x4 pixels around it, once all of these have a transmittance below this: the picture
-                              lacks at most this share of what is behind, and maxima of alpha T from this on are exact. Below SVRGS_STOP: SVRGS_STOP. Only without a mask */
+  double stop;             /* a block of 4x4 pixels ends once the transmittance of all its pixels is below this. The picture lacks at most this share of
+                              what is behind; maxima of alpha T that are not below this are exact. 0: SVRGS_STOP, the least. Only without a mask_kind */
 } svrgs_options;
 
 typedef struct {       /* all optional */

@@ -65,7 +65,11 @@ class SVRGS_OT_export_page(ReportingOperator, ExportSpace):
         written = export(Source(names, scenes, cameras(context.scene), background=background), folder)
         size = sum(one["bytes"] for one in written) + program_bytes()
         text = tr("Exported a page to {folder}, {size:.1f} MB").format(folder=folder, size=size / 1e6)
-        return "; ".join([text, *self.left_out(obj, dropped[-1])])
+        limits = [f"{one['name']}: {sentence}" for one in written for sentence in one["limits"]]
+        self.report(
+            {"WARNING" if limits else "INFO"}, "; ".join([text, *self.left_out(obj, dropped[-1]), *limits])
+        )
+        return ""
 
 
 def cameras(scene: bpy.types.Scene) -> list[Camera]:

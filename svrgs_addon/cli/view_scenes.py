@@ -45,10 +45,13 @@ def view_scenes(args: argparse.Namespace):
 
 
 def export_page(args: argparse.Namespace):
-    """Writes the page into a folder, and says what it holds. Raises SplatError."""
+    """Writes the page into a folder, and prints what it holds. Raises SplatError."""
     if args.nested:
         raise SceneError("a page has no slider for a nested result: leave --nested out")
     scenes, program = export(source_of(args), args.export), program_bytes()
+    for one in scenes:
+        for sentence in one["limits"]:
+            logging.warning("%s: %s", one["name"], sentence)
     if args.json:
         print(json.dumps({"folder": str(args.export), "program_bytes": program, "scenes": scenes}))
         return

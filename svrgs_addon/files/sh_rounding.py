@@ -2,8 +2,8 @@
 
 Coefficients are rounded from the last one to the first. Each takes up what those before it have changed in
 the directions from which the Gaussian is seen: the nearest plane algorithm of Babai, as GPTQ (arXiv
-2210.17323) rounds weights. Colours, which are stored finely, take what is left. A Gaussian that is seen from
-nowhere is rounded as usual.
+2210.17323) rounds weights. Coefficient 0, the colour, comes last: it has the finest steps. A Gaussian that is
+not seen is rounded as usual.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..scene.gaussians import SH_C0
 from ..scene.sh_rotation import band
 
-DEGREE_0 = 0.28209479177387814
 BLOCK = 1 << 8  # Gaussians whose directions are in memory together
-ELSEWHERE = 0.1  # how much the mean direction counts beside those from which a Gaussian is seen
+ELSEWHERE = 0.1  # weight of all directions together; those from which a Gaussian is seen have 1
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class SeenFrom:
             Y = basis(offsets.reshape(-1, 3), coefficients).reshape(*weights.shape, coefficients)
             Y *= np.sqrt(weights)[:, :, None]
             found[block] = Y.swapaxes(1, 2) @ Y
-        return found + np.eye(coefficients, dtype=np.float32) * (ELSEWHERE * DEGREE_0**2)
+        return found + np.eye(coefficients, dtype=np.float32) * (ELSEWHERE * SH_C0**2)
 
 
 def basis(offsets: np.ndarray, coefficients: int) -> np.ndarray:
@@ -52,7 +52,7 @@ def basis(offsets: np.ndarray, coefficients: int) -> np.ndarray:
     lengths = np.linalg.norm(offsets, axis=1, keepdims=True)
     directions = offsets / np.maximum(lengths, np.float32(1e-30))
     bands = [band(degree, directions) for degree in range(1, round(coefficients**0.5))]
-    first = np.full((len(offsets), 1), DEGREE_0)
+    first = np.full((len(offsets), 1), SH_C0)
     return np.concatenate([first, *bands], axis=1).astype(np.float32)
 
 

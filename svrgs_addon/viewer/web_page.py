@@ -7,8 +7,8 @@ a server without compression would send 5.8 MB; the page unpacks them.
 from __future__ import annotations
 
 import html
+import itertools
 import json
-import logging
 import math
 import os
 from dataclasses import replace
@@ -27,7 +27,7 @@ from ..system.errors import SceneError
 from .source import Source, View
 
 WEB = Path(__file__).parent / "web"
-# tools/fetch_web_modules.py fetches them. Each imports only those before it; page.js knows what they export
+# tools/fetch_web_modules.py fetches them. Each imports only those before it
 MODULES = (
     "rolldown-runtime-DAXXjFlN.js",
     "three.core-BZvQH57C.js",
@@ -46,8 +46,9 @@ def packed_module(name: str) -> Path:
 
 def export(source: Source, folder: Path) -> list[dict]:
     """Writes the page into a folder, index.html last. Returns the facts of each scene: file, name, count,
-    bytes, and with a dataset the figures of its test views, measured on what the file holds. Raises
-    SceneError, as where the folder holds another page."""
+    bytes, antialiased, limits (sentences on what an SPZ cannot hold of it), and with a dataset the figures
+    of its test views, measured on what the file holds. Raises SceneError, as where the folder holds another
+    page."""
     _check(folder)
     (folder / "modules").mkdir(parents=True, exist_ok=True)
     for name in MODULES:
@@ -62,6 +63,8 @@ def export(source: Source, folder: Path) -> list[dict]:
     text = template.substitute(title=html.escape(title), background=background, page=page)
     with atomic_write(folder / "index.html") as file:
         file.write(text.encode())
+    for name in {*itertools.chain(*NAMES.values())} - {one["file"] for one in facts}:
+        (folder / name).unlink(missing_ok=True)  # of an older page in this folder
     return facts
 
 
@@ -85,17 +88,15 @@ def _copy(source: Path, target: Path):
 
 
 def _written(source: Source, k: int, folder: Path) -> dict:
-    """Writes a scene. Returns its facts."""
-    name, scene = source.names[k], source.scenes[k]
+    """Writes a scene, rounded by the training views: figures are those of other ones. Returns its facts."""
+    name, scene, dataset = source.names[k], source.scenes[k], source.dataset
     file = folder / NAMES[len(source.scenes)][k]
-    for sentence in spz.limits(scene):
-        logging.warning("%s: %s", name, sentence)
-    spz.write(file, replace(scene, attributes={}), VERSION, seen=seen_from(scene, source.cameras, file))
+    cameras = [dataset.cameras[i] for i in dataset.train_indices] if dataset else source.cameras
+    spz.write(file, replace(scene, attributes={}), VERSION, seen=seen_from(scene, cameras, file))
     facts = {"file": file.name, "name": name, "count": scene.count, "bytes": os.path.getsize(file)}
-    facts["antialiased"] = scene.antialiased
-    if source.dataset is not None and source.dataset.test_indices:
-        held = load_scene(file).scene
-        found = evaluate(held, source.dataset, source.dataset.test_indices, Rasterizer())
+    facts |= {"antialiased": scene.antialiased, "limits": spz.limits(scene)}
+    if dataset is not None and dataset.test_indices:
+        found = evaluate(load_scene(file).scene, dataset, dataset.test_indices, Rasterizer())
         facts |= {name: found[name] for name in ("psnr", "ssim", "flip")}
     return facts
 

@@ -14,7 +14,7 @@ async function unpacked(name) {
   return new Response(answer.body.pipeThrough(new DecompressionStream("gzip"))).text();
 }
 
-// Unpacks the modules, each of which may import those before it. Returns them by name.
+// Unpacks and imports modules, each of which may import those before it. Returns them in this order.
 async function imported(names) {
   const texts = await Promise.all(names.map(unpacked));
   const addresses = {};
@@ -31,10 +31,11 @@ const [, core, gl, spark] = await imported(page.modules).catch((error) => {
   say([`This page cannot start: ${error.message}`]);
   throw error;
 });
+// the names that these minified modules export
 const { Qi: Scene, Or: PerspectiveCamera, eo: Vector3, U: Color } = core;
 const vector = (values) => new Vector3(...values);
 
-const renderer = (() => {
+const renderer = (() => { // gl.o is WebGLRenderer
   try {
     return new gl.o({ canvas: part("canvas"), antialias: false });
   } catch (error) {
@@ -47,7 +48,7 @@ const camera = new PerspectiveCamera(50, 1, page.near, 1e6 * page.near);
 const view = { position: vector(page.start.position), target: vector(page.start.target), up: vector(page.start.up), fov: page.start.fov };
 const up = vector(page.up);
 const shown = []; // by the number of their scene
-window.svrgs = { look, draws: 0, seconds: 0 }; // for scripts: until the scene was loaded
+window.svrgs = { look, draws: 0, seconds: 0 }; // for scripts: pictures drawn, and seconds until the scene was loaded
 
 // Loads a scene and shows it.
 async function load(k) {
