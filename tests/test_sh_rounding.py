@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from scenes import random_scene
+from svrgs_addon.files import sog_writer
+from svrgs_addon.files.palette import palette, refined
 from svrgs_addon.files.registry import load_scene, read_back, write_scene
-from svrgs_addon.files.sh_rounding import ELSEWHERE, SeenFrom, basis, rounded
+from svrgs_addon.files.sh_rounding import ELSEWHERE, SeenFrom, basis, higher_factors, rounded
 from svrgs_addon.files.spz import SEEN
 from svrgs_addon.native.rasterizer import Rasterizer
 from svrgs_addon.prune.options import PruneOptions
@@ -119,11 +121,52 @@ def test_an_spz_loses_less_with_the_same_steps_and_is_smaller_with_its_own(suffi
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3])
-def test_the_colours_of_a_sog_take_up_the_error_of_its_palette(degree, tmp_path):
+def test_a_sog_loses_less_with_a_palette_of_the_least_error_that_is_seen(degree, tmp_path, monkeypatch):
+    monkeypatch.setattr(sog_writer, "SHARES_SEEN", sog_writer.SHARES)
+    monkeypatch.setattr(sog_writer, "SMALL_SEEN_ERROR", 0)  # as many entries
     scene = random_scene(3_000, 5, degree)
     plain, size = written(tmp_path, ".sog", scene)
     found, other = written(tmp_path, ".sog", scene, seen=seen_from(scene, CAMERAS[::2], tmp_path / "a.sog"))
-    assert found > plain + 1 and other < 1.02 * size
+    assert found > plain + 2 and other < 1.02 * size
+
+
+@pytest.mark.parametrize("coefficients", COEFFICIENTS)
+def test_a_palette_with_a_metric_for_each_row_has_less_error(coefficients):
+    sh, moments = narrow(2_000, coefficients)
+    factors, rows = higher_factors(moments), sh[:, 1:]
+    entries, labels = palette(rows.reshape(len(rows), -1), np.ones(len(rows), np.float32), 100, 0)
+    entries = entries.reshape(-1, *rows.shape[1:])
+    found, its = refined(rows, entries, labels, lambda part: factors[part])
+
+    def wrong(entries: np.ndarray, labels: np.ndarray) -> float:
+        return float(np.square(factors @ (rows - entries[labels])).sum())
+
+    assert found.shape == entries.shape and its.min() >= 0 and its.max() < len(found)
+    assert wrong(found, its) < 0.9 * wrong(entries, labels)
+    # F is that of the error which is left when the first coefficient takes up what it can
+    off = (rows - found[its]).astype(np.float64)
+    first = -np.einsum("nk,nkc->nc", moments[:, 0, 1:], off) / moments[:, :1, 0]
+    whole = np.concatenate([first[:, None], off], axis=1)
+    left = np.einsum("nkc,nkl,nlc->", whole, moments.astype(np.float64), whole)
+    assert left == pytest.approx(wrong(found, its), rel=1e-3)
+
+
+def test_a_palette_whose_rows_hardly_count_stays_finite():
+    sh, moments = narrow(300, 16)
+    factors = higher_factors(moments) * np.geomspace(1e-19, 1, 300, dtype=np.float32)[:, None, None]
+    factors[:50] = 0
+    rows = sh[:, 1:]
+    entries, labels = rows[:40], np.arange(300) % 40
+    found, its = refined(rows, entries, labels, lambda part: factors[part])
+    assert np.isfinite(found).all() and its.max() < 40
+
+
+def test_a_sog_keeps_the_palette_that_a_scene_comes_out_of_with_views_too(tmp_path):
+    scene = random_scene(3_000, 5, 2)
+    scene.sh[:, 1:] = scene.sh[np.arange(3_000) % 200, 1:]
+    found, _ = written(tmp_path, ".sog", scene, seen=seen_from(scene, CAMERAS, tmp_path / "a.sog"))
+    stored = load_scene(tmp_path / "scene.sog").scene.sh[:, 1:]
+    assert len(np.unique(stored.reshape(3_000, -1), axis=0)) == 200 and found > 40
 
 
 def test_views_that_are_not_known_are_not_given_up(tmp_path):

@@ -47,6 +47,14 @@ class SeenFrom:
         return found + np.eye(coefficients, dtype=np.float32) * (ELSEWHERE * SH_C0**2)
 
 
+def higher_factors(moments: np.ndarray) -> np.ndarray:
+    """(N, K-1, K-1): F of the error |F e|^2 that a change e of the coefficients after the first one
+    causes, if the first one takes up what it can. moments: (N, K, K), see SeenFrom."""
+    across = moments[:, 1:, 0] / np.sqrt(moments[:, :1, 0])
+    left = moments[:, 1:, 1:] - across[:, :, None] * across[:, None]
+    return np.linalg.cholesky(left).swapaxes(1, 2)
+
+
 def basis(offsets: np.ndarray, coefficients: int) -> np.ndarray:
     """(N, K) float32: the first K basis functions of 3DGS in the directions of offsets (N, 3)."""
     lengths = np.linalg.norm(offsets, axis=1, keepdims=True)

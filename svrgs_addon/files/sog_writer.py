@@ -11,6 +11,7 @@ import os
 import secrets
 import tempfile
 import zipfile
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
@@ -25,9 +26,9 @@ from ..system import memory
 from ..system.errors import SceneError
 from .atomic import atomic_path, atomic_write, check_space
 from .images import write_texture
-from .palette import nearest, palette, table
+from .palette import nearest, palette, refined, table
 from .quantised import alphas_of, picture_weights, small_scale, three_of_quats, to_uint8
-from .sh_rounding import SeenFrom, rounded
+from .sh_rounding import SeenFrom, higher_factors, rounded
 from .sog_layout import (
     HIGHEST,
     LARGEST_QUAT,
@@ -42,6 +43,7 @@ from .sog_layout import (
 
 SHARES = (64, 16, 4)  # Gaussians for each entry of the palette: the first one whose error is small enough
 SMALL_ERROR = 2.5e-3  # weighted mean of the squared errors of all coefficients: about 50 dB in a picture
+SHARES_SEEN, SMALL_SEEN_ERROR = (64, 16, 8, 4, 3), 1.4e-4  # in the directions from which Gaussians are seen
 SAMPLE = 1 << 15  # Gaussians by which it is chosen
 MIN_ENTRIES = 1024
 FARTHEST = 1e30  # positions beyond are written as if they were there
@@ -50,13 +52,15 @@ BYTES = 40  # free space per Gaussian that is asked for
 PART = 1 << 14  # Gaussians that are corrected together
 FIRST_DATE = (1980, 1, 1, 0, 0, 0)  # of the files in a bundle: the same scene gives the same bytes
 
+Factors = Callable[[slice | np.ndarray], np.ndarray]  # of some rows: see palette.refined
 Higher = tuple[dict[str, Any], np.ndarray, np.ndarray]  # as _higher_bands() returns it
 
 
 def write(path: str | os.PathLike, scene: Scene, quantise: float = 1.0, seen: SeenFrom | None = None):
     """Writes the scene with its Gaussians in Morton order, as a bundle, or, if the name is meta.json, as the
     files of a folder, this one last. quantise: factor on SMALL_ERROR's root. seen: from where, if it is
-    known: colours then take up the error of the palette. Raises SceneError."""
+    known: the palette is then that of the least error there, and colours take up the rest. Raises
+    SceneError."""
     order = morton_order(scene.means)
     write_in_order(path, scene.select(order), quantise, seen.select(order) if seen else None)
 
@@ -98,7 +102,7 @@ def encoded(
     """meta.json and the textures by name, (H, W, 3 or 4) uint8."""
     weights, higher, base = picture_weights(scene), None, scene.sh[:, 0]
     if scene.sh_degree:
-        higher = _higher_bands(scene, weights, quantise)
+        higher = _higher_bands(scene, weights, quantise, seen)
         base = _corrected(scene, higher, seen) if seen else base
     means, ranges = _means(scene)
     three, largest = three_of_quats(scene.quats)
@@ -154,12 +158,16 @@ def _by_table(values: np.ndarray, weights: np.ndarray) -> tuple[list[float], np.
     return levels.tolist(), nearest(values, levels)
 
 
-def _higher_bands(scene: Scene, weights: np.ndarray, quantise: float) -> Higher:
+def _higher_bands(scene: Scene, weights: np.ndarray, quantise: float, seen: SeenFrom | None) -> Higher:
     """shN of meta.json, the texture of the palette, and the label of each Gaussian, (N, 3)."""
     coefficients = scene.sh.shape[1] - 1
     rows = np.nan_to_num(scene.sh[:, 1:].reshape(scene.count, -1), posinf=1, neginf=-1)
-    size = min(MAX_ENTRIES, max(MIN_ENTRIES, scene.count // _share(rows, weights, quantise)))
+    factors = partial(_factors, scene, weights, seen) if seen else None
+    size = min(MAX_ENTRIES, max(MIN_ENTRIES, scene.count // _share(rows, weights, quantise, factors)))
     entries, labels = palette(rows, weights, size, MAX_ENTRIES)
+    if factors and not np.array_equal(entries[labels], rows):  # it came out of a palette
+        shape = (-1, coefficients, 3)
+        entries, labels = refined(rows.reshape(shape), entries.reshape(shape), labels, factors)
     heights = -(-max(len(entries), 1) // PALETTE_ROW)
     used = np.bincount(labels, weights, len(entries)).astype(np.float32)
     levels, stored = _by_table(entries.reshape(-1, 3), np.repeat(used, coefficients))
@@ -191,21 +199,30 @@ def _corrected(scene: Scene, higher: Higher, seen: SeenFrom) -> np.ndarray:
     return base
 
 
+def _factors(scene: Scene, weights: np.ndarray, seen: SeenFrom, some: slice | np.ndarray) -> np.ndarray:
+    """(n, K-1, K-1): what errors of SH above degree 0 count, of some Gaussians: see palette.refined."""
+    moments = seen.select(some).moments(scene.means[some], scene.sh.shape[1])
+    return higher_factors(moments) * np.sqrt(weights[some])[:, None, None]
+
+
 def _fixed(held: np.ndarray, k: int, values: np.ndarray) -> np.ndarray:
     """What is stored of coefficient k: of the first one all values, of others those that are held."""
     return held[:, k - 1] if k else values
 
 
-def _share(rows: np.ndarray, weights: np.ndarray, quantise: float) -> int:
-    """One of SHARES, by a part of the rows."""
+def _share(rows: np.ndarray, weights: np.ndarray, quantise: float, factors: Factors | None) -> int:
+    """One of SHARES, or of SHARES_SEEN if factors are given, by a part of the rows."""
     some = np.random.default_rng(0).permutation(len(rows))[:SAMPLE]
     part, mass = rows[some], weights[some]
-    for share in SHARES[:-1]:
+    shares, small = (SHARES_SEEN, SMALL_SEEN_ERROR) if factors else (SHARES, SMALL_ERROR)
+    F = factors(some) if factors else np.sqrt(mass)[:, None, None]
+    for share in shares[:-1]:
         entries, labels = palette(part, mass, max(1, len(some) // share), 0)
-        error = (mass * np.square(part - entries[labels]).sum(axis=1)).sum()
-        if error <= SMALL_ERROR * quantise**2 * mass.sum():
+        wrong = (part - entries[labels]).reshape(len(some), -1, 3)
+        error = np.square(F @ wrong if factors else F * wrong).sum()
+        if error <= small * quantise**2 * mass.sum():
             return share
-    return SHARES[-1]
+    return shares[-1]
 
 
 def _texture(rows: np.ndarray) -> np.ndarray:
