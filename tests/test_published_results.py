@@ -37,6 +37,11 @@ def test_sentences_on_scenes_trained_with_all_steps_are_those_of_the_rows():
     quarter = [lpips for _, lpips in gains_by_seed("maskgs 0.25", "removal 0.25", **case)]
     assert min(quarter) > 0
     assert f"`maskgs` is ahead by {fmean(quarter):.3f} with a quarter, with every seed" in page
+    assert (
+        f"with 25 % `maskgs` has {fmean(quarter):.3f} LPIPS less" in (DOCS.parent / "README.md").read_text()
+    )
+    before = {row["seed"]: row["before"]["psnr"] for row in rows_of(**case, run="removal 0.25")}
+    assert "had {:.1f}, {:.1f} and {:.1f} dB before".format(*(before[seed] for seed in range(3))) in page
     tenth = [lpips for _, lpips in gains_by_seed("maskgs 0.1", "removal 0.1", **case)]
     assert f"level** ({min(tenth):.3f} to {max(tenth):.3f} by seed)" in page
     rises = [row["lpips"] - row["before"]["lpips"] for row in rows_of(**case) if row["run"].endswith(" 0.25")]

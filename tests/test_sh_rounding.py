@@ -143,7 +143,7 @@ def test_a_palette_with_a_metric_for_each_row_has_less_error(coefficients):
 
     assert found.shape == entries.shape and its.min() >= 0 and its.max() < len(found)
     assert wrong(found, its) < 0.9 * wrong(entries, labels)
-    # F is that of the error which is left when the first coefficient takes up what it can
+    # |F e|^2 is the whole error, with the best first coefficient
     off = (rows - found[its]).astype(np.float64)
     first = -np.einsum("nk,nkc->nc", moments[:, 0, 1:], off) / moments[:, :1, 0]
     whole = np.concatenate([first[:, None], off], axis=1)
@@ -159,6 +159,24 @@ def test_a_palette_whose_rows_hardly_count_stays_finite():
     entries, labels = rows[:40], np.arange(300) % 40
     found, its = refined(rows, entries, labels, lambda part: factors[part])
     assert np.isfinite(found).all() and its.max() < 40
+
+
+def test_a_sog_with_views_has_more_entries_where_less_error_is_asked_for(tmp_path, monkeypatch):
+    monkeypatch.setattr(sog_writer, "MIN_ENTRIES", 16)
+    scene = random_scene(3_000, 5, 2)
+    seen = seen_from(scene, CAMERAS, tmp_path / "a.sog")
+    found = [written(tmp_path, ".sog", scene, quantise=factor, seen=seen) for factor in (8, 5, 1)]
+    assert found[0][0] < found[1][0] < found[2][0] and found[0][1] < found[1][1] < found[2][1]
+
+
+def test_a_sog_of_extreme_scales_is_written_with_views(tmp_path):
+    scene = random_scene(500, 5, 3)
+    scene.log_scales[:50], scene.log_scales[50:100] = 80, -80
+    scene.opacity_logits[100:200], scene.sh[200:220] = -30, 1e6
+    write_scene(
+        tmp_path / "a.sog", scene, seen=SeenFrom(np.zeros((9, 3), np.float32), np.ones((9, 500), "f2"))
+    )
+    assert np.isfinite(load_scene(tmp_path / "a.sog").scene.sh).all()
 
 
 def test_a_sog_keeps_the_palette_that_a_scene_comes_out_of_with_views_too(tmp_path):

@@ -96,7 +96,7 @@ typedef struct {
   const uint8_t* valid;    /* (H, W), optional: pixels with 0 show nothing: rgb, F, N and K are 0, alpha is 1, and neither gradients nor statistics count them.
                               It must stay unchanged as the scene must */
   double stop;             /* a block of 4x4 pixels ends once the transmittance of all its pixels is below this. The picture lacks at most this share of
-                              what is behind; maxima of alpha T that are not below this are exact. 0: SVRGS_STOP, the least. Only without a mask_kind */
+                              what is behind it; maxima of alpha T of this size or more are exact. 0 means SVRGS_STOP, the smallest. Needs SVRGS_MASK_NONE */
 } svrgs_options;
 
 typedef struct {       /* all optional */

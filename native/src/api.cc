@@ -96,7 +96,7 @@ void check(const svrgs_options& o, const svrgs_scene& s) {
   require(o.mask_kind >= 0 && o.mask_kind < SVRGS_MASK_KINDS, "mask_kind is unknown");
   require(o.mask_kind != SVRGS_MASK_A || o.eps_a > 0, "eps_a must be positive");
   require(o.stop >= 0 && o.stop <= 1, "stop must be between 0 and 1");
-  require(o.stop <= svrgs::kStop || o.mask_kind == SVRGS_MASK_NONE, "rays that end early have no spatial mask");
+  require(o.stop <= svrgs::kStop || o.mask_kind == SVRGS_MASK_NONE, "stop needs mask_kind none");
 }
 
 void check(const svrgs_triangles& t) {

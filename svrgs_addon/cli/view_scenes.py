@@ -45,7 +45,7 @@ def view_scenes(args: argparse.Namespace):
 
 
 def export_page(args: argparse.Namespace):
-    """Writes the page into a folder, and prints what it holds. Raises SplatError."""
+    """Writes the page into a folder, and prints its files, their sizes and figures. Raises SplatError."""
     if args.nested:
         raise SceneError("a page has no slider for a nested result: leave --nested out")
     scenes, program = export(source_of(args), args.export), program_bytes()

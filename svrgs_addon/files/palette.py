@@ -89,9 +89,13 @@ def refined(
     labels: np.ndarray,
     factors: Callable[[slice], np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(entries, labels) with less error, where each row has a metric of its own: rows (N, K, 3), entries
-    (E, K, 3), labels (N,), factors(part): (n, K, K), F of the error |F (row - entry)|^2 of these rows. Each
-    step gives a row the best of NEAR entries around its own, and an entry the least squares of its rows."""
+    """(entries, labels) with less error, where each row has a metric of its own: k-means with the Hessian of
+    each row, as in GPTVQ (arXiv 2402.15319).
+
+    rows: (N, K, 3) float32. entries: (E, K, 3) float32, in the order of palette(). labels: (N,) int64.
+    factors(part): (n, K, K), F of these rows; their error is |F (row - entry)|^2. Each of METRIC_STEPS gives
+    every row the best of NEAR entries around its own, then solves for the entry of least error of its rows.
+    """
     near = _neighbours(entries.reshape(len(entries), -1), min(NEAR, len(entries)))
     for _ in range(METRIC_STEPS):
         labels, size = labels.copy(), entries.shape[1]
@@ -116,8 +120,8 @@ def refined(
 
 
 def _neighbours(entries: np.ndarray, count: int) -> np.ndarray:
-    """(E, count) int64: entries that are near to each one, itself among them, found among those of similar
-    numbers: palette() gives neighbours such."""
+    """(E, count) int64: entries that are near to each one, itself among them. Only those of similar numbers
+    are compared: palette() sorts its entries so that near ones have them."""
     half, found = np.square(entries).sum(axis=1) / 2, []
     for start in range(0, len(entries), WINDOW):
         low = max(0, min(start - WINDOW // 2, len(entries) - 2 * WINDOW))

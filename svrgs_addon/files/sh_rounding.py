@@ -48,8 +48,9 @@ class SeenFrom:
 
 
 def higher_factors(moments: np.ndarray) -> np.ndarray:
-    """(N, K-1, K-1): F of the error |F e|^2 that a change e of the coefficients after the first one
-    causes, if the first one takes up what it can. moments: (N, K, K), see SeenFrom."""
+    """(N, K-1, K-1) float32: F, so that |F e|^2 is the squared error in a picture if all coefficients but the
+    first one change by e, and the first one changes so that the error is least (Schur complement).
+    moments: (N, K, K), see SeenFrom."""
     across = moments[:, 1:, 0] / np.sqrt(moments[:, :1, 0])
     left = moments[:, 1:, 1:] - across[:, :, None] * across[:, None]
     return np.linalg.cholesky(left).swapaxes(1, 2)

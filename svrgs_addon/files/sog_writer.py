@@ -43,7 +43,7 @@ from .sog_layout import (
 
 SHARES = (64, 16, 4)  # Gaussians for each entry of the palette: the first one whose error is small enough
 SMALL_ERROR = 2.5e-3  # weighted mean of the squared errors of all coefficients: about 50 dB in a picture
-SHARES_SEEN, SMALL_SEEN_ERROR = (64, 16, 8, 4, 3), 1.4e-4  # in the directions from which Gaussians are seen
+SHARES_SEEN, SMALL_SEEN_ERROR = (64, 16, 8, 4, 3), 1.4e-4  # the same for the error that views see
 SAMPLE = 1 << 15  # Gaussians by which it is chosen
 MIN_ENTRIES = 1024
 FARTHEST = 1e30  # positions beyond are written as if they were there
@@ -200,7 +200,7 @@ def _corrected(scene: Scene, higher: Higher, seen: SeenFrom) -> np.ndarray:
 
 
 def _factors(scene: Scene, weights: np.ndarray, seen: SeenFrom, some: slice | np.ndarray) -> np.ndarray:
-    """(n, K-1, K-1): what errors of SH above degree 0 count, of some Gaussians: see palette.refined."""
+    """(n, K-1, K-1): F of some Gaussians for palette.refined, which weighs their errors as pictures do."""
     moments = seen.select(some).moments(scene.means[some], scene.sh.shape[1])
     return higher_factors(moments) * np.sqrt(weights[some])[:, None, None]
 

@@ -2,7 +2,7 @@
 // reach, and each block walks its own list with its 16 pixels in registers. Colours stop at the first hit that would take the
 // transmittance T below 1e-4. F walks on to the end of the ray if Frame::full is set.
 
-// Which values are computed besides colours, whether pixels have depth limits, and whether rays end before kStop; known at compile time.
+// Known at compile time: which values are computed besides colours, whether pixels have depth limits, and whether rays end at f.stop (early), not at kStop.
 struct WalkOptions {
   bool count, full, scenario, limited, early;
 };
