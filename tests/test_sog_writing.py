@@ -92,6 +92,18 @@ def test_values_that_weigh_are_exact(tmp_path):
     assert set(meta["shN"]) == {"count", "bands", "codebook", "files"} and meta["shN"]["count"] <= 65_536
 
 
+def test_the_few_large_gaussians_of_a_sky_keep_their_scales(tmp_path, rng):
+    scene = like_trained(0, 20_000)
+    scene.log_scales[:] = rng.normal(-5, 1.2, scene.log_scales.shape)
+    sky = np.arange(100)
+    scene.log_scales[sky], scene.opacity_logits[sky] = rng.uniform(0, 5, (100, 3)), 2.0
+    scene = scene.select(morton_order(scene.means))
+    write_scene(tmp_path / "a.sog", scene)
+    wrong = np.abs(read_scene(tmp_path / "a.sog").log_scales - scene.log_scales)
+    large = (scene.log_scales > 0).all(axis=1)
+    assert large.sum() == 100 and wrong[large].max() < 0.1 and wrong[~large].mean() < 0.03
+
+
 def test_the_same_scene_gives_the_same_bytes(tmp_path):
     scene = like_trained(1, 3000)
     for name in ("a.sog", "b.sog"):

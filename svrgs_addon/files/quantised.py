@@ -91,14 +91,14 @@ def three_of_quats(quats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return three, largest
 
 
-def picture_weights(scene: Scene) -> np.ndarray:
+def picture_weights(scene: Scene, largest_share: float = LARGEST_SHARE) -> np.ndarray:
     """How much a squared error in the values of each Gaussian counts in pictures, (N,) float32 of mean 1: its
     squared opacity times the product of its two largest scales, which is in proportion to the sum of alpha^2
-    over its pixels; at least MIN_WEIGHT. What hides it is not known here."""
+    over its pixels; at least MIN_WEIGHT. What hides it is not known here. largest_share: as LARGEST_SHARE."""
     if not scene.count:
         return np.ones(0, np.float32)
     weights = in_blocks(_alpha_areas, scene)
-    weights = np.minimum(weights, np.quantile(weights, 1 - LARGEST_SHARE))
+    weights = np.minimum(weights, np.quantile(weights, 1 - largest_share))
     return np.maximum(weights / weights.mean(), MIN_WEIGHT).astype(np.float32)
 
 

@@ -44,6 +44,7 @@ from .sog_layout import (
 SHARES = (64, 16, 4)  # Gaussians for each entry of the palette: the first one whose error is small enough
 SMALL_ERROR = 2.5e-3  # weighted mean of the squared errors of all coefficients: about 50 dB in a picture
 SHARES_SEEN, SMALL_SEEN_ERROR = (64, 16, 8, 4, 3), 1.4e-4  # the same for the error that views see
+LARGEST_SCALES = 1e-4  # share as of picture_weights, for scales: those of the sky show in every picture
 SAMPLE = 1 << 15  # Gaussians by which it is chosen
 MIN_ENTRIES = 1024
 FARTHEST = 1e30  # positions beyond are written as if they were there
@@ -108,7 +109,7 @@ def encoded(
     three, largest = three_of_quats(scene.quats)
     three = to_uint8((three / ROOT2 + np.float32(0.5)) * 255)
     quats = np.column_stack([three, (LARGEST_QUAT + largest).astype(np.uint8)])
-    logs, scales = _by_table(scene.log_scales, weights)
+    logs, scales = _by_table(scene.log_scales, picture_weights(scene, LARGEST_SCALES))
     colors, sh0 = _by_table(base, weights)
     pixels = {
         "means_l": means & 255,
