@@ -20,7 +20,7 @@ pytest.importorskip("OpenImageIO")
 
 from svrgs_addon.cli.batch_list import Item, expand
 from svrgs_addon.files.ply import read_ply
-from svrgs_addon.files.registry import read_scene
+from svrgs_addon.files.registry import read_scene, write_scene
 from svrgs_addon.jobs import worker
 from svrgs_addon.prune.options import PruneOptions
 from svrgs_addon.system.errors import SceneError
@@ -71,10 +71,10 @@ def check_batch(python: list, scenes: Path):
     )
     for line in (a, c):
         assert (
-            line["count"] == line["after"]["count"] == 125 == read_ply(line["out"]).count
+            line["count"] == line["after"]["count"] == 125 == read_scene(line["out"]).count
             and "error" not in line
         )
-    assert sorted(path.name for path in (scenes / "out").iterdir()) == ["a.ply", "c.ply"]
+    assert sorted(path.name for path in (scenes / "out").iterdir()) == ["a.spz", "c.spz"]
     again = run(*command)
     skipped = [line.get("skipped") for line in lines(again)]
     assert (
@@ -111,14 +111,17 @@ def test_a_batch_without_failures_exits_0_and_overwrites_when_told(tiny, tmp_pat
     first, second, third = run(*command), run(*command), run(*command, "--overwrite")
     for done in (first, second, third):
         assert done.returncode == 0 and done.stderr == "" and done.stdout.count("\n") == 1
-    assert lines(first)[0]["out"] == str(scene.parent / "scene_pruned.ply")
+    assert lines(first)[0]["out"] == str(scene.parent / "scene_pruned.spz")
     assert lines(second)[0].keys() == {"scene", "out", "skipped"}
     assert lines(third)[0]["count"] == lines(first)[0]["count"]
 
 
 @pytest.mark.slow
 def test_a_batch_into_the_folder_of_its_scenes_keeps_them_and_says_so(tiny, tmp_path):
-    scenes = [add_scene(tiny, tmp_path / name).rename(tmp_path / f"{name}.ply") for name in ("a", "b")]
+    scenes = [tmp_path / f"{name}.spz" for name in ("a", "b")]
+    for scene in scenes:
+        write_scene(scene, read_ply(tiny.splat))
+    before = [scene.read_bytes() for scene in scenes]
     done = run(
         sys.executable,
         "-m",
@@ -135,7 +138,7 @@ def test_a_batch_into_the_folder_of_its_scenes_keeps_them_and_says_so(tiny, tmp_
         True,
         True,
     ]
-    assert all(scene.read_bytes() == tiny.splat.read_bytes() for scene in scenes)
+    assert [scene.read_bytes() for scene in scenes] == before
 
 
 def test_a_scene_that_does_not_exist_is_named(tmp_path):
@@ -221,7 +224,7 @@ def test_a_stopped_batch_can_be_resumed(tiny, tmp_path, number, entry, everyone)
     assert (
         json.loads(line)["scene"] == str(tmp_path / "a/scene.ply") and "stopped" in json.loads(line)["error"]
     )
-    assert sorted(path.name for path in tmp_path.glob("*/*pruned*")) == ["scene_pruned.ply.job"]
+    assert sorted(path.name for path in tmp_path.glob("*/*pruned*")) == ["scene_pruned.spz.job"]
     assert len(list(tmp_path.glob("a/*.job/*/manifest.json"))) == 1, "the next scene must not have begun"
 
 
@@ -264,33 +267,33 @@ def touch(*paths: Path):
 def test_a_file_is_a_scene_by_itself(tmp_path):
     touch(tmp_path / "x.ply")
     assert expand([tmp_path / "x.ply"], None, None) == [
-        Item("x", tmp_path / "x.ply", None, tmp_path / "x_pruned.ply")
+        Item("x", tmp_path / "x.ply", None, tmp_path / "x_pruned.spz")
     ]
     assert expand([tmp_path / "x.ply"], Path("data"), tmp_path / "y.ply")[0].out == tmp_path / "y.ply"
-    assert expand([tmp_path / "x.ply"], None, tmp_path / "new")[0].out == tmp_path / "new/x.ply"
+    assert expand([tmp_path / "x.ply"], None, tmp_path / "new")[0].out == tmp_path / "new/x.spz"
     assert expand([tmp_path / "x.ply"], Path("data"), tmp_path)[0] == Item(
-        "x", tmp_path / "x.ply", Path("data"), tmp_path / "x.ply"
+        "x", tmp_path / "x.ply", Path("data"), tmp_path / "x.spz"
     )
 
 
 def test_folders_of_scenes_and_their_datasets(tmp_path):
     touch(
         tmp_path / "a/scene.ply",
-        tmp_path / "a/scene_pruned.ply",
+        tmp_path / "a/scene_pruned.spz",
         tmp_path / "a/.svrgs-1.ply",
         tmp_path / "a/sparse/0/x",
     )
     touch(tmp_path / "b/out.ply", tmp_path / "b/cameras.bin", tmp_path / "notes/readme.txt")
     a, b = expand([tmp_path], None, tmp_path / "out")
-    assert a == Item("a", tmp_path / "a/scene.ply", tmp_path / "a", tmp_path / "out/a.ply")
-    assert b == Item("b", tmp_path / "b/out.ply", tmp_path / "b", tmp_path / "out/b.ply")
+    assert a == Item("a", tmp_path / "a/scene.ply", tmp_path / "a", tmp_path / "out/a.spz")
+    assert b == Item("b", tmp_path / "b/out.ply", tmp_path / "b", tmp_path / "out/b.spz")
 
 
 def test_the_last_iteration_of_a_3dgs_run(tmp_path):
     names = [f"run/point_cloud/iteration_{number}/point_cloud.ply" for number in ("7000", "30000", "best")]
     touch(tmp_path / "run/input.ply", *(tmp_path / name for name in names))
     (item,) = expand([tmp_path / "run"], None, tmp_path / "out")
-    assert (item.name, item.scene, item.out) == ("run", tmp_path / names[1], tmp_path / "out/run.ply")
+    assert (item.name, item.scene, item.out) == ("run", tmp_path / names[1], tmp_path / "out/run.spz")
 
 
 def test_an_output_file_is_for_one_scene(tmp_path):
@@ -305,34 +308,34 @@ def test_no_scene_of_a_batch_is_the_output_of_another(tmp_path):
     read."""
     touch(
         tmp_path / "a.ply",
-        tmp_path / "a_pruned.ply",
-        tmp_path / "run/point_cloud/iteration_7/point_cloud.ply",
-        tmp_path / "x/point_cloud.ply",
+        tmp_path / "a_pruned.spz",
+        tmp_path / "run/point_cloud/iteration_7/point_cloud.spz",
+        tmp_path / "x/point_cloud.spz",
     )
-    with pytest.raises(SceneError, match=r"a_pruned.ply: is both a scene to prune and an output of .*a.ply"):
-        expand([tmp_path / "a.ply", tmp_path / "a_pruned.ply"], None, None)
+    with pytest.raises(SceneError, match=r"a_pruned.spz: is both a scene to prune and an output of .*a.ply"):
+        expand([tmp_path / "a.ply", tmp_path / "a_pruned.spz"], None, None)
     with pytest.raises(
         SceneError,
-        match=r"iteration_7/point_cloud.ply: is both a scene to prune and an output of .*x/point_cloud.ply",
+        match=r"iteration_7/point_cloud.spz: is both a scene to prune and an output of .*x/point_cloud.spz",
     ):
         expand(
-            [tmp_path / "run", tmp_path / "x/point_cloud.ply"], None, tmp_path / "run/point_cloud/iteration_7"
+            [tmp_path / "run", tmp_path / "x/point_cloud.spz"], None, tmp_path / "run/point_cloud/iteration_7"
         )
-    (tmp_path / "link.ply").symlink_to(tmp_path / "a_pruned.ply")
+    (tmp_path / "link.ply").symlink_to(tmp_path / "a_pruned.spz")
     with pytest.raises(SceneError, match="is both a scene to prune"):
         expand([tmp_path / "a.ply", tmp_path / "link.ply"], None, None)
 
 
 def test_a_default_output_that_is_a_link_is_refused(tmp_path):
     touch(tmp_path / "data/scene.ply")
-    (tmp_path / "data/scene_pruned.ply").symlink_to(tmp_path / "elsewhere.ply")
+    (tmp_path / "data/scene_pruned.spz").symlink_to(tmp_path / "elsewhere.ply")
     with pytest.raises(
-        SceneError, match="scene_pruned.ply: is a link to .*elsewhere.ply; name the output with --out"
+        SceneError, match="scene_pruned.spz: is a link to .*elsewhere.ply; name the output with --out"
     ):
         expand([tmp_path / "data/scene.ply"], None, None)
     assert (
-        expand([tmp_path / "data/scene.ply"], None, tmp_path / "data/scene_pruned.ply")[0].out
-        == tmp_path / "data/scene_pruned.ply"
+        expand([tmp_path / "data/scene.ply"], None, tmp_path / "data/scene_pruned.spz")[0].out
+        == tmp_path / "data/scene_pruned.spz"
     )
 
 
@@ -354,13 +357,13 @@ def test_scenes_of_one_name_must_not_overwrite_each_other(tmp_path, where):
 
 
 def test_outputs_are_not_taken_for_scenes(tmp_path):
-    touch(tmp_path / "a/scene.ply", tmp_path / "out/a.ply")
+    touch(tmp_path / "a/scene.ply", tmp_path / "out/a.spz")
     assert [item.name for item in expand([tmp_path], None, tmp_path / "out")] == ["a"]
     with pytest.raises(SceneError, match="choose another folder for the outputs"):
         expand([tmp_path], None, tmp_path)
 
 
 def test_a_folder_without_scenes(tmp_path):
-    touch(tmp_path / "a/scene_pruned.ply", tmp_path / "b/c/deep.ply")
+    touch(tmp_path / "a/scene_pruned.spz", tmp_path / "b/c/deep.ply")
     with pytest.raises(SceneError, match="holds no splat"):
         expand([tmp_path], None, None)

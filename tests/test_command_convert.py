@@ -10,11 +10,15 @@ import pytest
 
 from svrgs_addon.cli import convert_scenes
 from svrgs_addon.cli.main import main
-from svrgs_addon.files import memory_mapped
+from svrgs_addon.files import memory_mapped, registry
 from svrgs_addon.files.registry import describe, read_scene, write_scene
 from svrgs_addon.files.streamed_sog import read_level
+from svrgs_addon.prune.seen import seen_from
 from svrgs_addon.scene.morton_order import morton_order
+from svrgs_addon.views.dataset import HOLDOUT
 from test_formats import differences, like_trained
+from tiny_dataset import views as cameras_of
+from tiny_dataset import write_tiny
 
 
 @pytest.fixture
@@ -99,6 +103,39 @@ def test_crop_scale_rotation_and_move_come_in_this_order(splat, tmp_path, capsys
     assert line["count"] == inside.sum() and line["sh_degree"] == found.sh_degree == 1
     assert found.means == pytest.approx(np.column_stack([x, y, z + 5]), abs=1e-5)
     assert found.log_scales == pytest.approx(scene.log_scales[inside] + np.log(2), abs=1e-5)
+
+
+def test_with_a_dataset_it_is_rounded_by_the_views_also_where_it_is_moved(
+    tiny, tmp_path, capsys, monkeypatch
+):
+    scene = read_scene(tiny.splat)
+    seen = seen_from(
+        scene, [camera for i, camera in enumerate(tiny.cameras) if i % HOLDOUT], tmp_path / "a.spz"
+    )
+    write_scene(tmp_path / "a.spz", scene, seen=seen)
+    convert(capsys, tiny.splat, tmp_path / "b.spz", "--data", tiny.folder)
+    assert (tmp_path / "b.spz").read_bytes() == (tmp_path / "a.spz").read_bytes()
+    convert(capsys, tiny.splat, tmp_path / "c.spz")
+    assert (tmp_path / "c.spz").read_bytes() != (tmp_path / "a.spz").read_bytes()
+    given = []
+    monkeypatch.setattr(
+        registry, "write_scene", lambda path, scene, version, quantise, seen: given.append(seen)
+    )
+    moves = "--scale", "2", "--rotate", "0,90,0", "--move", "0,0,5"
+    main(["convert", str(tiny.splat), str(tmp_path / "d.spz"), "--data", str(tiny.folder), *moves])
+    (moved,) = given
+    x, y, z = 2 * seen.positions.T
+    assert moved.positions == pytest.approx(np.column_stack([z, y, -x + 5]), abs=1e-5)
+    assert moved.weights == pytest.approx(seen.weights, rel=2e-3, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    "out, views, said", [("b.ply", 24, "only an SPZ or a SOG"), ("b.spz", 4, "3 training views")]
+)
+def test_a_dataset_that_is_of_no_use_is_said(tmp_path, capsys, out, views, said):
+    tiny = write_tiny(tmp_path / "tiny", cameras=cameras_of(views))
+    assert main(["convert", str(tiny.splat), str(tmp_path / out), "--data", str(tiny.folder)]) == 2
+    assert said in capsys.readouterr().err and not (tmp_path / out).exists()
 
 
 @pytest.mark.parametrize("version", (2, 3, 4))

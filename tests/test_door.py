@@ -17,7 +17,7 @@ import tiny_dataset
 from svrgs_addon.files.atomic import reserved
 from svrgs_addon.files.images import read_image, to_float, write_image
 from svrgs_addon.files.ply import read_ply, write_ply
-from svrgs_addon.files.registry import write_scene
+from svrgs_addon.files.registry import read_scene, write_scene
 from svrgs_addon.files.splat_format import SplatFormat
 from svrgs_addon.prune import pipeline
 from svrgs_addon.system.errors import MemoryShort, SceneError
@@ -67,7 +67,9 @@ def inputs(tiny, tmp_path) -> Inputs:
 
 
 def out_of(way: str, inputs: Inputs) -> Path:
-    return inputs.job / "results/scene-50.ply" if way == "farm" else inputs.out
+    if way == "farm":
+        return inputs.job / "results/scene-50.spz"
+    return inputs.folder / "scene.spz" if way == "batch" else inputs.out
 
 
 def prepare(svrgs, way: str, inputs: Inputs):
@@ -207,7 +209,9 @@ def test_the_output_is_that_of_another_job(svrgs, way, inputs):
 
 def test_the_output_is_the_input(svrgs, way, inputs):
     leave_out(way, "trained", "divided", "farm")
-    same = replace(inputs, out=inputs.scene, folder=inputs.scene.parent)
+    scene = inputs.folder / "scene.spz"  # as an output of a batch is named
+    write_scene(scene, read_scene(inputs.scene))
+    same = replace(inputs, scene=scene, out=scene)
     assert "is the input itself" in refusal(svrgs, way, same, "--overwrite" if way == "batch" else "")
 
 

@@ -44,7 +44,7 @@ def job(captures, tmp_path, capsys):
 
 
 def digests(folder: Path) -> dict[str, str]:
-    return {path.name: run_tasks.sha256(path) for path in sorted((folder / "results").glob("*.ply"))}
+    return {path.name: run_tasks.sha256(path) for path in sorted((folder / "results").glob("*.spz"))}
 
 
 @pytest.fixture
@@ -130,7 +130,7 @@ def test_the_folder_that_was_given_is_that_of_the_captures_even_of_one(captures,
     assert contents["root"] == str(captures) and contents["tasks"][0]["scene"] == "one/scene.ply"
 
 
-@pytest.mark.parametrize("link", ["results", "results/one-removal-50.ply", "report", "report/table.md"])
+@pytest.mark.parametrize("link", ["results", "results/one-removal-50.spz", "report", "report/table.md"])
 def test_nothing_is_written_through_links_of_a_job_folder(job, tmp_path, capsys, link):
     victim = tmp_path / "victim"
     if link in ("results", "report"):
@@ -344,7 +344,7 @@ def test_a_failed_task_is_told_to_the_engine(job, captures, capsys):
     assert (
         "openjd_fail: task two-removal-50: " in told.out
         and "two/scene.ply" in told.err
-        and not list((job / "results").glob("*.ply"))
+        and not list((job / "results").glob("*.spz"))
     )
 
 

@@ -39,6 +39,18 @@ def test_a_quick_job_goes_from_one_format_to_another(tmp_path, out):
     assert result["before"]["bytes"] == path.stat().st_size
 
 
+def test_what_the_format_costs_is_measured_and_said(tiny, tmp_path):
+    options = {"data": tiny.folder, "iterations": 20, "recovery": 20}
+    exact, stored = (
+        prune(tmp_path / "x", name, scene=tiny.splat, **options) for name in ("small.ply", "small.spz")
+    )
+    said = [note for note in stored["notes"] if note.startswith("SPZ stores values in few bits")]
+    assert said == [
+        f"SPZ stores values in few bits: {stored['psnr'] - exact['psnr']:+.2f} dB; a .ply keeps every value"
+    ]
+    assert stored["psnr"] < exact["psnr"] - 0.01 and not any("few bits" in note for note in exact["notes"])
+
+
 def test_a_folder_of_textures_is_pruned_and_converted(tmp_path, capsys):
     (tmp_path / "a").mkdir()
     write_scene(tmp_path / "a.ply", ball(1_000))
@@ -55,7 +67,7 @@ def test_a_folder_of_textures_is_pruned_and_converted(tmp_path, capsys):
     )
     assert (
         main(["prune", str(tmp_path / "a"), "--quick", "--target", "0.5"]) == 0
-        and read_scene(tmp_path / "a_pruned.ply").count == 500
+        and read_scene(tmp_path / "a_pruned.spz").count == 500
     )
 
 

@@ -234,12 +234,12 @@ def test_a_finished_scene_without_its_levels_is_not_passed_over_in_silence(tiny,
 
 
 def test_a_level_never_replaces_a_scene(tmp_path):
-    for name in ("a.ply", "a_pruned_50.ply", "a_50.ply"):
+    for name in ("a.ply", "a_pruned_50.spz", "a_50.spz"):
         (tmp_path / name).touch()
-    a, level, other = (tmp_path / name for name in ("a.ply", "a_pruned_50.ply", "a_50.ply"))
-    with pytest.raises(SceneError, match="a_pruned_50.ply: is both a scene to prune and an output of"):
+    a, level, other = (tmp_path / name for name in ("a.ply", "a_pruned_50.spz", "a_50.spz"))
+    with pytest.raises(SceneError, match="a_pruned_50.spz: is both a scene to prune and an output of"):
         expand([a, level], None, None, levels=(0.5,))
-    with pytest.raises(SceneError, match="a_50.ply: would be an output of both"):
+    with pytest.raises(SceneError, match="a_50.spz: would be an output of both"):
         expand([a, other], None, tmp_path / "out", levels=(0.5,))
     assert len(expand([a, other], None, tmp_path / "out", levels=(0.25,))) == 2
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from scenes import ball
+from svrgs_addon.files import level_files, registry
 from svrgs_addon.files.ply import read_ply, write_ply
 from svrgs_addon.files.registry import read_scene
 from svrgs_addon.files.streamed_sog import read_level
@@ -22,6 +23,7 @@ from svrgs_addon.prune.options import PruneOptions
 from svrgs_addon.prune.recipes.quick import Quick
 from svrgs_addon.render.metrics.evaluate import render_options
 from svrgs_addon.render.metrics.measures import psnr
+from svrgs_addon.scene.affine import scaled
 from svrgs_addon.scene.gaussians import Scene
 from svrgs_addon.system.errors import Cancelled, SceneError
 from svrgs_addon.views.rig.around import cameras_around, middle_and_radius
@@ -244,6 +246,24 @@ def test_a_full_disk_costs_the_order_and_not_the_result(splat, monkeypatch, tmp_
     options = PruneOptions(scene=splat, out=out, target=0.5, quick=True)
     result = pipeline.prune_scene(options, lambda job: replace(job, order=tmp_path))
     assert read_ply(out).count == result["count"] == 1_000 and "the disk is full" in result["notes"][-1]
+
+
+@pytest.mark.parametrize("size", [1.0, 1e-3])
+def test_a_file_is_rounded_by_the_views_that_decide(tmp_path, monkeypatch, size):
+    scene, given = scaled(ball(), size), []
+    write_ply(tmp_path / "ball.ply", scene)
+    written = registry.write_scene
+    monkeypatch.setattr(
+        level_files,
+        "write_scene",
+        lambda *words, **choices: given.append(choices) or written(*words, **choices),
+    )
+    run(tmp_path / "ball.ply", out=tmp_path / "small.spz", levels=(0.5,))
+    one, level = (choices["seen"] for choices in given)
+    middle, radius = middle_and_radius(scene)
+    distances = np.linalg.norm(one.positions - middle, axis=1) / radius
+    assert len(distances) == 32 and 1 < distances.min() and distances.max() < 10
+    assert one.weights.shape[1] == 2 * level.weights.shape[1]
 
 
 def test_the_input_is_never_replaced(splat):

@@ -66,8 +66,8 @@ RUNS: dict[str, tuple[str, ...]] = {  # command: what it writes
     (
         "blender -b FILE.blend --python-expr"
         """ "import bpy; bpy.ops.svrgs.prune(data='DATASET', target=0.25)\""""
-    ): ("scene_pruned.ply",),
-    "blender -b --python svrgs_addon/batch.py -- prune FOLDER --out PRUNED": ("PRUNED/one.ply",),
+    ): ("scene_pruned.spz",),
+    "blender -b --python svrgs_addon/batch.py -- prune FOLDER --out PRUNED": ("PRUNED/one.spz",),
 }
 STEPS = "--iterations 100 --recovery 100"
 SHORTER = {  # added, since the steps of each take longer than all that this is about

@@ -14,7 +14,7 @@ from bpy.app.translations import pgettext_iface as tr
 from bpy.props import BoolProperty, EnumProperty, StringProperty
 
 from ...svrgs_addon.files.level_files import level_files
-from ...svrgs_addon.files.registry import FORMATS, size_on_disk, write_scene
+from ...svrgs_addon.files.registry import FORMATS, USUAL, size_on_disk, write_scene
 from ...svrgs_addon.system import subprocess_python
 from ...svrgs_addon.system.errors import SceneError, SplatError
 from ...svrgs_addon.system.memory import size_text
@@ -51,6 +51,7 @@ class SVRGS_OT_export_levels(ReportingOperator, ExportSpace):
         name="Format",
         description="Format of the files",
         items=[*KINDS, (STREAMED.name, STREAMED.label, WHAT_FOR[STREAMED.name])],
+        default=USUAL.name,
     )
     shares: StringProperty(
         name="Levels, %",

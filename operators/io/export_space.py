@@ -6,27 +6,37 @@ from __future__ import annotations
 import bpy
 from bpy.app.translations import pgettext_iface as tr
 from bpy.props import BoolProperty, EnumProperty
+from mathutils import Matrix
 
 from ...svrgs_addon.files.registry import FORMATS
 from ...svrgs_addon.files.repair import drop_nonfinite
 from ...svrgs_addon.scene.affine import UNIFORM, stretch, transformed
+from ...svrgs_addon.scene.camera import Camera
 from ...svrgs_addon.scene.concatenate import concatenated
 from ...svrgs_addon.scene.gaussians import Scene
 from ...svrgs_addon.system.errors import SceneError
-from ..data import grading, splat_object, visible_splats
+from ...svrgs_addon.views.dataset import HOLDOUT
+from ..data import camera_object, grading, splat_object, visible_splats
 from ..scene.splat_transforms import stretch_warning
 from ..translation import OWN
 
+LONGER_SIDE = 640  # pixels of the longer side of the views by which a file is rounded, at most
 WHAT_FOR = {  # by the names of the formats
     "ply": "Every value as it is. All programs read it",
-    "compressed-ply": "A quarter of the size. Read by SuperSplat, PlayCanvas and Brush",
-    "spz": "A tenth of the size. Read by many programs and by web viewers",
+    "compressed-ply": "A quarter of the size, for about 0.1 dB. Read by SuperSplat, PlayCanvas and Brush",
+    "spz": (
+        "A tenth of the size, for less than 0.1 dB where cameras are imported. Read by many programs and"
+        " by web viewers"
+    ),
     "glb": "Every value as it is, in a scene file. Read by glTF programs that know splats",
-    "glb-spz": "A tenth of the size, in a scene file. A draft of a standard, which few programs read yet",
+    "glb-spz": "The values of an SPZ, in a scene file. A draft of a standard, which few programs read yet",
     "usd": (
         "Every value as it is, in a stage. Read by Blender 5.3, Omniverse and other programs that know splats"
     ),
-    "sog": "A fifteenth of the size. Read by SuperSplat and PlayCanvas",
+    "sog": (
+        "An eighth to a fifteenth of the size, for about 0.1 dB where cameras are imported. Read by"
+        " SuperSplat and PlayCanvas"
+    ),
     "streamed-sog": "A folder for each splat with all levels, which web viewers load as they need them",
     "splat": "Colours that do not depend on the view. Read by web viewers",
 }
@@ -103,6 +113,11 @@ class ExportSpace:
             return splat_object.to_world(matrix, self.y_down)
         return splat_object.in_local(obj, matrix)
 
+    def in_space(self, obj: bpy.types.Object, cameras: list[Camera]) -> list[Camera]:
+        """Views in Blender's world, in the coordinates of the file."""
+        to_world = Matrix(self.to_space(obj, Matrix())).inverted()
+        return [camera.moved(to_world) for camera in cameras]
+
     def left_out(self, obj: bpy.types.Object, dropped: int) -> list[str]:
         """What the file does not hold, in words."""
         hidden = visible_splats.marked_count(obj) if self.what == "SEEN" else 0
@@ -110,6 +125,16 @@ class ExportSpace:
         if dropped:
             return [*texts, tr("without {count:,} with values that are not finite").format(count=dropped)]
         return texts
+
+
+def imported_cameras(context) -> list[Camera]:
+    """The views of the imported cameras but those that are held out for tests, in Blender's world, reduced:
+    they say from where Gaussians are seen."""
+    scene = context.scene
+    cameras = [one for one in scene.objects if one.type == "CAMERA" and camera_object.SIZE in one.data]
+    views = [camera_object.camera_from_object(one, scene).fitted(LONGER_SIDE) for one in cameras]
+    views.sort(key=lambda view: view.name)
+    return [view for i, view in enumerate(views) if i % HOLDOUT]
 
 
 def gaussians(context, obj: bpy.types.Object, seen: bool) -> list:

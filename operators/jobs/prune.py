@@ -72,7 +72,7 @@ class SVRGS_OT_prune(ReportingOperator):
         subtype="FILE_PATH",
         options=RELATIVE,
         description=(
-            "File for the pruned splat, which is also added to the scene. Empty: no file, or NAME_pruned.ply"
+            "File for the pruned splat, which is also added to the scene. Empty: no file, or NAME_pruned.spz"
             " in background mode"
         ),
     )

@@ -114,7 +114,7 @@ def _prune(commands):
         "--out",
         type=extended,
         metavar="FILE|DIR",
-        help="file for one scene, folder for several (default: SCENE_pruned.ply)",
+        help="file for one scene, folder for several (default: SCENE_pruned.spz; a .ply keeps every value)",
     )
     command.place(OUTPUT).add_argument(
         "--report",

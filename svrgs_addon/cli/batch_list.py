@@ -173,13 +173,13 @@ def _dataset(scene: Path) -> Path | None:
 
 
 def _output(name: str, scene: Path, folder: Path | None) -> Path:
-    return default_output(scene) if folder is None else folder / f"{name}{registry.suffixes(written=True)[0]}"
+    return default_output(scene) if folder is None else folder / f"{name}{registry.USUAL.suffixes[0]}"
 
 
 def default_output(scene: Path, option: str = "--out") -> Path:
-    """SCENE_pruned.ply beside the scene. Raises SceneError if that is a link. option: what names another
+    """SCENE_pruned.spz beside the scene. Raises SceneError if that is a link. option: what names another
     output, for the sentence."""
-    out = scene.with_name(f"{registry.split_name(scene)[0]}{PRUNED}{registry.suffixes(written=True)[0]}")
+    out = scene.with_name(f"{registry.split_name(scene)[0]}{PRUNED}{registry.USUAL.suffixes[0]}")
     if out.is_symlink():  # a downloaded dataset must not lead outputs to another place
         raise SceneError(f"{out}: is a link to {out.readlink()}; name the output with {option}")
     return out

@@ -4,12 +4,14 @@ file."""
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 from ..system.option_kinds import (
     ANGLES,
     BOX,
     FLAG,
     NUMBER,
+    PATH,
     POINT,
     POSITIVE_FLOAT,
     SH_DEGREE,
@@ -43,6 +45,13 @@ class ConvertOptions:
         1.0,
         "factor on the error that an SPZ or SOG may make in spherical harmonics: above 1 for smaller files",
         metavar="FACTOR",
+    )
+    data: Path | None = option(
+        PATH,
+        None,
+        "dataset of the splat, of which cameras are read: an SPZ or SOG is rounded by where they see each"
+        " Gaussian from, and loses less",
+        metavar="DIR",
     )
     box: tuple | None = option(
         BOX,

@@ -15,8 +15,10 @@ import numpy as np
 from ..files import registry
 from ..files.level_files import holds_levels
 from ..files.memory_mapped import mapped_scene
+from ..files.sh_rounding import SeenFrom
 from ..files.streamed_sog import write_levels
-from ..prune.door import check_files, outputs
+from ..prune.door import check_files, check_views, outputs
+from ..prune.seen import FEWEST_VIEWS, seen_from
 from ..prune.selection.criteria import in_box
 from ..scene.affine import scaled, transformed
 from ..scene.gaussians import SH_COEFFICIENTS, Scene
@@ -24,6 +26,7 @@ from ..scene.grade import Grade, graded
 from ..system import memory
 from ..system.errors import MemoryShort, SceneError, SplatError, TooMany
 from ..system.file_names import extended, real
+from ..views.dataset import load_dataset
 from .convert_options import ConvertOptions
 from .option_parser import options_from
 
@@ -68,7 +71,8 @@ def _convert(path: Path, out: Path, options: ConvertOptions) -> dict:
     with outputs(path, [out]), _loaded(path, out, options) as scene:
         if not scene.count:
             raise SceneError(f"{path}: no Gaussian is inside the box, so no file was written")
-        registry.write_scene(out, scene, options.spz_version or 0, options.quantise)
+        seen = _seen(scene, path, out, options)
+        registry.write_scene(out, scene, options.spz_version or 0, options.quantise, seen)
         facts = {"count": scene.count, "sh_degree": min(scene.sh_degree, splat_format.most_degree)}
     return facts | {"bytes_before": registry.size_on_disk(path), "bytes": registry.size_on_disk(out)}
 
@@ -86,7 +90,7 @@ def _convert_levels(paths: list[Path], out: Path, options: ConvertOptions) -> di
             raise SceneError(
                 f"{out}: no Gaussian of one of the levels is inside the box, so no file was written"
             )
-        write_levels(out, scenes, options.quantise)
+        write_levels(out, scenes, options.quantise, [_seen(one, out, out, options) for one in scenes])
     facts = {
         "scene": ", ".join(map(str, paths)),
         "out": str(out),
@@ -118,6 +122,28 @@ def _whole(path: Path) -> Scene | None:
         return None
 
 
+def _seen(scene: Scene, path: Path, out: Path, options: ConvertOptions) -> SeenFrom | None:
+    """From where the training views of --data see the changed scene; None without --data. Raises
+    SceneError, FormatError."""
+    if options.data is None:
+        return None
+    if not registry.format_to_write(out).quantises:
+        raise SceneError(f"{out}: only an SPZ or a SOG is rounded by views: leave --data out")
+    dataset = load_dataset(options.data, cameras_only=True)
+    cameras = [dataset.cameras[i].moved(_to_original(options)) for i in dataset.train_indices]
+    check_views(scene, cameras, cameras, str(path))
+    largest = max(cameras, key=lambda camera: camera.width * camera.height)
+    memory.refuse_excess(
+        f"{path}: rendering it", memory.rendering(scene.count, largest.width, largest.height)
+    )
+    if (seen := seen_from(scene, cameras, out)) is None and scene.sh_degree:
+        raise SceneError(
+            f"{options.data}: has {len(cameras)} training views, and rounding by views needs"
+            f" {FEWEST_VIEWS}: leave --data out"
+        )
+    return seen
+
+
 def _changed(scene: Scene, options: ConvertOptions) -> Scene:
     """The scene after crop, scale, rotation, move, with other colours and with fewer bands."""
     if options.box:
@@ -127,6 +153,11 @@ def _changed(scene: Scene, options: ConvertOptions) -> Scene:
     scene = graded(scene, Grade(**{name: getattr(options, name) for name in names}))
     most = SH_COEFFICIENTS[3 if options.sh_degree is None else options.sh_degree]
     return replace(scene, sh=np.ascontiguousarray(scene.sh[:, :most])) if scene.sh.shape[1] > most else scene
+
+
+def _to_original(options: ConvertOptions) -> np.ndarray:
+    """(4, 4) from the changed scene to the original."""
+    return np.diag([1 / options.scale] * 3 + [1.0]) @ np.linalg.inv(_matrix(options))
 
 
 def _matrix(options: ConvertOptions) -> np.ndarray:

@@ -110,9 +110,9 @@ def _export(actions):
     )
     export.place(OUTPUT).add_argument(
         "--to",
-        default=".ply",
+        default=".spz",
         metavar="SUFFIX",
-        help="suffix of the results, which says their format (default: .ply)",
+        help="suffix of the results, which says their format (default: .spz)",
     )
     export.place(INPUT).add_argument(
         "--no-photographs",

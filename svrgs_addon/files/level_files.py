@@ -10,6 +10,7 @@ from ..scene.concatenate import concatenated
 from ..scene.gaussians import Scene
 from . import streamed_sog
 from .registry import read_back, size_on_disk, split_name, write_scene
+from .sh_rounding import SeenFrom
 
 
 def level_files(out: Path, shares: Iterable[float]) -> dict[float, Path]:
@@ -35,12 +36,16 @@ class StoredScene:
 
 
 def write_with_levels(
-    out: Path, shares: Sequence[float], scenes: Sequence[Scene], quantise: float
+    out: Path,
+    shares: Sequence[float],
+    scenes: Sequence[Scene],
+    quantise: float,
+    seen: Sequence[SeenFrom | None],
 ) -> list[StoredScene]:
-    """Writes the result, scenes[0], and its levels of detail. quantise: as of write_scene(). Raises
-    SceneError, FormatError."""
+    """Writes the result, scenes[0], and its levels of detail. quantise, seen (of each scene): as of
+    write_scene(). Raises SceneError, FormatError."""
     if holds_levels(out):
-        streamed_sog.write_levels(out, scenes, quantise)
+        streamed_sog.write_levels(out, scenes, quantise, seen)
         return [
             StoredScene(
                 out,
@@ -50,7 +55,7 @@ def write_with_levels(
             for level in range(len(scenes))
         ]
     written = []
-    for path, scene in zip([out, *level_files(out, shares).values()], scenes, strict=True):
-        write_scene(path, scene, quantise=quantise)
+    for path, scene, views in zip([out, *level_files(out, shares).values()], scenes, seen, strict=True):
+        write_scene(path, scene, quantise=quantise, seen=views)
         written.append(StoredScene(path, size_on_disk(path), read_back(path, scene)))
     return written

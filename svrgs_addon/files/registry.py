@@ -29,7 +29,7 @@ from .repair import bake_filter, clamp_extremes, drop_nonfinite, unusable
 from .sh_rounding import SeenFrom
 from .splat_format import SplatFormat
 
-FORMATS: tuple[SplatFormat, ...] = (  # the first one is written where no format is named
+FORMATS: tuple[SplatFormat, ...] = (  # the first one is that of 3DGS
     ply.FORMAT,
     compressed_ply.FORMAT,
     spz.FORMAT,
@@ -41,6 +41,7 @@ FORMATS: tuple[SplatFormat, ...] = (  # the first one is written where no format
     dot_splat.FORMAT,
     ksplat.FORMAT,
 )
+USUAL = spz.FORMAT  # written where no format is named: the least loss for its size (docs/formats.md)
 INDEXES = tuple(one.index for one in FORMATS if one.index)
 SAMPLE, CHUNKED = 16_384, 256  # Gaussians of which sizes of files are foreseen
 SNIFFED_BYTES = 65_536  # bytes at the start of a file that decide between formats with the same suffix
@@ -245,9 +246,7 @@ def write_scene(
             f"{path}: the format {splat_format.label} has no choice of how exactly it stores spherical"
             " harmonics: leave --quantise out"
         )
-    choices: dict[str, Any] = {"version": version} if version else {}
-    choices |= {"quantise": quantise} if quantise != 1 else {}
-    choices |= {"seen": seen} if seen and splat_format.quantises else {}
+    choices = ({"version": version} if version else {}) | _rounding(splat_format, quantise, seen)
     target, several = extended(path), extended(path).name == splat_format.index
     check = partial(_check_written, path)
     with contextlib.nullcontext() if several else checked(target, check):
@@ -256,6 +255,12 @@ def write_scene(
         check(target)
     for sentence in left_out(scene, splat_format):
         logging.warning("%s: %s", path, sentence)
+
+
+def _rounding(splat_format: SplatFormat, quantise: float, seen: SeenFrom | None) -> dict[str, Any]:
+    """What a format is told on how to round."""
+    told: dict[str, Any] = {"quantise": quantise} if quantise != 1 else {}
+    return told | ({"seen": seen} if seen and splat_format.quantises else {})
 
 
 def _check_written(path: str | Path, written: Path):
@@ -277,18 +282,21 @@ def read_back(path: str | Path, scene: Scene) -> Scene:
     return scene if format_to_write(path).lossless else read_scene(path)
 
 
-def as_stored(scene: Scene, splat_format: SplatFormat) -> Scene:
-    """The scene as a file of the format would hold it. Raises SceneError, FormatError."""
-    return scene if splat_format.lossless else round_trip(scene, splat_format)[0]
-
-
-def round_trip(scene: Scene, splat_format: SplatFormat, quantise: float = 1.0) -> tuple[Scene, int]:
-    """The scene as a file of the format would hold it, and the size in bytes. Raises SceneError,
+def as_stored(scene: Scene, splat_format: SplatFormat, seen: SeenFrom | None = None) -> Scene:
+    """The scene as a file of the format would hold it. seen: as of write_scene(). Raises SceneError,
     FormatError."""
+    return scene if splat_format.lossless else round_trip(scene, splat_format, seen=seen)[0]
+
+
+def round_trip(
+    scene: Scene, splat_format: SplatFormat, quantise: float = 1.0, seen: SeenFrom | None = None
+) -> tuple[Scene, int]:
+    """The scene as a file of the format would hold it, and the size in bytes. quantise, seen: as of
+    write_scene(). Raises SceneError, FormatError."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / (splat_format.index or f"scene{splat_format.suffixes[0]}")
         assert splat_format.write is not None
-        splat_format.write(path, scene, **({"quantise": quantise} if quantise != 1 else {}))
+        splat_format.write(path, scene, **_rounding(splat_format, quantise, seen))
         return splat_format.whole(path), size_on_disk(path)
 
 

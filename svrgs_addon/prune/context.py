@@ -3,6 +3,7 @@ computes."""
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -75,3 +76,22 @@ class JobContext:
     def folder(self) -> Path:
         """The folder of the checkpoints, until the job is finished."""
         return self.out.with_name(self.out.name + ".job")
+
+
+class Clock:
+    """Seconds of each phase, in order."""
+
+    def __init__(self):
+        self.started = time.perf_counter()
+        self.earlier = 0.0  # seconds before the job was resumed
+        self.phases: dict[str, float] = {}
+
+    @contextlib.contextmanager
+    def phase(self, name: str):
+        begun = time.perf_counter()
+        yield
+        self.phases[name] = self.phases.get(name, 0.0) + time.perf_counter() - begun
+
+    @property
+    def total(self) -> float:
+        return self.earlier + time.perf_counter() - self.started

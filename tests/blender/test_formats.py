@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import bpy
 import numpy as np
 import pytest
-from extension import part
+from extension import DATA, part
 from job_helpers import drawn
 
 WRITTEN = (".ply", ".compressed.ply", ".spz", ".glb", ".usd", ".sog", ".splat")
@@ -76,9 +76,9 @@ def test_blenders_own_reader_of_gltf_takes_a_splat_for_points(splat, bridge, tmp
     assert np.sort(points, axis=0) == pytest.approx(np.sort(means, axis=0), abs=1e-4)
 
 
-def test_a_splat_is_exported_as_it_came_unless_another_format_is_chosen(splat, tmp_path):
+def test_a_splat_is_exported_as_spz_unless_it_came_in_another_format_than_ply(splat, tmp_path):
     export = part("operators.io.export_ply")
-    assert export.default_path(splat).name == "scene.ply" and "as PLY" in drawn("export")
+    assert export.default_path(splat).name == "scene.spz" and "as PLY" in drawn("export")
     assert "Imported from" not in drawn("export")
     bpy.ops.svrgs.export_ply(filepath=str(tmp_path / "toy.spz"))
     bpy.ops.svrgs.import_ply(filepath=str(tmp_path / "toy.spz"))
@@ -86,7 +86,27 @@ def test_a_splat_is_exported_as_it_came_unless_another_format_is_chosen(splat, t
     assert export.default_kind(toy) == "spz" and export.default_path(toy).name == "toy.spz"
     assert f"Imported from SPZ, {size / 1e3:.1f} kB" in drawn("export")
     toy["svrgs_format"] = 7  # a property that anybody may set
-    assert export.default_kind(toy) == "ply" and "Imported from" not in drawn("export")
+    assert export.default_kind(toy) == "spz" and "Imported from" not in drawn("export")
+
+
+def test_an_spz_is_rounded_by_the_imported_cameras(splat, formats, tmp_path, monkeypatch):
+    bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
+    bpy.context.view_layer.objects.active = splat
+    cameras = part("svrgs_addon.views.dataset").load_dataset(DATA / "tiny").cameras
+    places = np.stack([camera.position for i, camera in enumerate(cameras) if i % 8])
+    splat.location = (1, 2, 3)  # below the root, whose axes are those of the file
+    bpy.context.view_layer.update()
+    export, given = part("operators.io.export_ply"), []
+    seen_from = export.seen_from
+    monkeypatch.setattr(export, "seen_from", lambda *words: given.append(words) or seen_from(*words))
+    for space, offset in (("FILE", 0), ("LOCAL", np.array(splat.matrix_local.translation))):
+        bpy.ops.svrgs.export_ply(filepath=str(tmp_path / "a.spz"), space=space)
+        scene, views, _ = given.pop()
+        assert np.stack([view.position for view in views]) == pytest.approx(places - offset, abs=1e-4)
+        assert formats.read_scene(tmp_path / "a.spz").count == scene.count == 250
+    bpy.ops.svrgs.export_ply(filepath=str(tmp_path / "plain.spz"), space="LOCAL", by_views=False)
+    assert given.pop()[1] == []
+    assert (tmp_path / "plain.spz").read_bytes() != (tmp_path / "a.spz").read_bytes()
 
 
 def test_a_folder_that_is_not_there_is_not_made(splat, tmp_path, capfd):

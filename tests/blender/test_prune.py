@@ -23,7 +23,10 @@ def json_lines(text: str) -> list[dict]:
 
 @pytest.fixture(scope="module")
 def from_a_shell(tmp_path_factory) -> tuple[dict, bytes]:
-    out = tmp_path_factory.mktemp("shell") / "pruned.ply"
+    return by_a_shell(tmp_path_factory.mktemp("shell") / "pruned.ply")
+
+
+def by_a_shell(out: Path) -> tuple[dict, bytes]:
     child = part("svrgs_addon.system.subprocess_python")
     words = [f"--{name}={value}" for name, value in SHORT.items()]
     command = [
@@ -137,25 +140,26 @@ def unsaved():
 
 
 @pytest.mark.filterwarnings("error")  # Blender warns of a property that is not made for paths with //
-def test_in_background_the_result_lies_beside_the_blend(from_a_shell, saved, capfd):
+def test_in_background_the_result_lies_beside_the_blend(saved, tmp_path, capfd):
     bpy.ops.svrgs.prune(data="//data", report_folder="//report", **SHORT)
     (result,) = json_lines(capfd.readouterr().out)
-    assert result["out"] == str(saved / "tiny_001_pruned.ply") and result["scene"] == str(
+    assert result["out"] == str(saved / "tiny_001_pruned.spz") and result["scene"] == str(
         saved / "work.blend"
     )
-    assert Path(result["out"]).read_bytes() == from_a_shell[1] and (saved / "report/index.html").exists()
+    assert Path(result["out"]).read_bytes() == by_a_shell(tmp_path / "shell.spz")[1]
+    assert (saved / "report/index.html").exists()
 
 
-def test_in_background_the_result_of_a_file_lies_beside_it(from_a_shell, unsaved, tmp_path, capfd):
+def test_in_background_the_result_of_a_file_lies_beside_it(unsaved, tmp_path, capfd):
     scene = shutil.copy(DATA / "tiny/scene.ply", tmp_path / "a.ply")
     bpy.ops.svrgs.prune(scene=str(scene), data=str(DATA / "tiny"), **SHORT)
     (result,) = json_lines(capfd.readouterr().out)
-    assert (result["scene"], result["out"]) == (str(scene), str(tmp_path / "a_pruned.ply"))
-    assert (tmp_path / "a_pruned.ply").read_bytes() == from_a_shell[1]
+    assert (result["scene"], result["out"]) == (str(scene), str(tmp_path / "a_pruned.spz"))
+    assert (tmp_path / "a_pruned.spz").read_bytes() == by_a_shell(tmp_path / "shell.spz")[1]
 
 
 def test_an_existing_file_is_only_replaced_when_told(saved):
-    for name, more in (("tiny_001_pruned.ply", {}), ("mine.ply", {"out": "//mine.ply"})):
+    for name, more in (("tiny_001_pruned.spz", {}), ("mine.ply", {"out": "//mine.ply"})):
         (saved / name).write_text("a day's work")
         with pytest.raises(
             RuntimeError,
@@ -169,14 +173,14 @@ def test_an_existing_file_is_only_replaced_when_told(saved):
 
 @pytest.mark.skipif(sys.platform == "win32", reason="only some users of Windows make links")
 def test_a_link_is_only_written_through_when_it_is_named(saved):
-    (saved / "tiny_001_pruned.ply").symlink_to(saved / "elsewhere.ply")
+    (saved / "tiny_001_pruned.spz").symlink_to(saved / "elsewhere.spz")
     with pytest.raises(
-        RuntimeError, match=r"tiny_001_pruned.ply: is a link to .*elsewhere.ply; name the output with out="
+        RuntimeError, match=r"tiny_001_pruned.spz: is a link to .*elsewhere.spz; name the output with out="
     ):
         bpy.ops.svrgs.prune(data="//data", overwrite=True, **SHORT)
-    assert not (saved / "elsewhere.ply").exists()
-    bpy.ops.svrgs.prune(data="//data", out="//tiny_001_pruned.ply", **SHORT)
-    assert (saved / "elsewhere.ply").exists() and (saved / "tiny_001_pruned.ply").is_symlink()
+    assert not (saved / "elsewhere.spz").exists()
+    bpy.ops.svrgs.prune(data="//data", out="//tiny_001_pruned.spz", **SHORT)
+    assert (saved / "elsewhere.spz").exists() and (saved / "tiny_001_pruned.spz").is_symlink()
 
 
 @pytest.mark.parametrize(

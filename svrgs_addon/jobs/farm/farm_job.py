@@ -3,7 +3,7 @@ needs to know is in job.json.
 
     job.json             schema, version, root, to, and the tasks: name, scene, and the options of `svrgs
                          prune`
-    results/NAME.ply     what a task wrote, in the format of `to`; results/NAME.json, its result, is written
+    results/NAME.spz     what a task wrote, in the format of `to`; results/NAME.json, its result, is written
                          last
     prune/report/              table and chart over all tasks (summary.py)
     captures/            the splats of a job that Blender made
@@ -30,7 +30,7 @@ from typing import Any
 from ... import __version__
 from ...files.atomic import atomic_write
 from ...files.reading import json_object
-from ...files.registry import suffixes
+from ...files.registry import USUAL, suffixes
 from ...prune.options import PruneOptions
 from ...system.errors import FormatError, SceneError
 from ...system.file_names import extended, real
@@ -63,7 +63,7 @@ class FarmJob:
     folder: Path
     root: Path
     tasks: tuple[Task, ...]
-    to: str = ".ply"
+    to: str = USUAL.suffixes[0]
 
     @classmethod
     def read(cls, folder: str | Path, root: str | Path | None = None) -> FarmJob:

@@ -3,9 +3,7 @@ photographs or on the splat's own pictures."""
 
 from __future__ import annotations
 
-import contextlib
 import logging
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -33,7 +31,7 @@ from ...finetune.plan import Plan
 from ...finetune.quality import NOT_APART, hold_apart, quality_views
 from ...finetune.run import Run
 from ...native.rasterizer import Rasterizer, RenderOptions
-from ...render.metrics.allowed_loss import MEASURES, format_loss, missed_loss
+from ...render.metrics.allowed_loss import MEASURES, format_loss, missed_loss, rounding_note
 from ...render.metrics.evaluate import (
     evaluate,
     mean_quality,
@@ -55,7 +53,7 @@ from ...views.rendered import RenderedDataset
 from .. import distractors
 from ..belonging import check_dataset
 from ..blocks.folder import remove_blocks
-from ..context import JobContext
+from ..context import Clock, JobContext
 from ..disk_room import ROW, DiskRoom
 from ..door import check_training, check_views, check_visible
 from ..first_cut import first_cut
@@ -159,6 +157,19 @@ class Tuned:
         fitted = self.plan.exposure == "on", self.plan.refine_poses == "on"
         figures = evaluate(scene, self.dataset, self.measuring, Rasterizer(), self.job.lpips, *fitted)
         return {**figures, "bytes": size_on_disk(path)}
+
+    def rounding_notes(self, stored: float | None) -> list[str]:
+        """What the format of the output costs, measured on photographs. stored: PSNR in dB of what the file
+        holds; None: of equal pictures, or without views."""
+        if (
+            stored is None
+            or isinstance(self.dataset, RenderedDataset)
+            or format_to_write(self.job.out).lossless
+        ):
+            return []
+        options = render_options(self.scene, self.dataset.background)
+        psnr = mean_quality(self.scene, self.dataset, self.measuring, Rasterizer(), options)
+        return [rounding_note(self.job.out, psnr, stored)]
 
     def all_notes(self) -> list[str]:
         return [*self.dataset.notes, *self.notes]
@@ -350,6 +361,7 @@ class FineTuned(Tuned):
             scene = read_back(job.out, self.scene)
             after, worst = self.measured(scene, job.out), self.worst(scene)
             self.run.drop = self.lost(after) if self.allowed else None
+            self.notes += self.rounding_notes(after["psnr"])
             self.notes += missed_loss(self.run.drop, self.allowed, self.plan.measure)
         result = {
             **after,
@@ -370,25 +382,6 @@ class FineTuned(Tuned):
                 job.lpips_missing, worst,
             )  # fmt: skip
         return self.timed(result)
-
-
-class Clock:
-    """Seconds of each phase, in order."""
-
-    def __init__(self):
-        self.started = time.perf_counter()
-        self.earlier = 0.0  # seconds before the job was resumed
-        self.phases: dict[str, float] = {}
-
-    @contextlib.contextmanager
-    def phase(self, name: str):
-        begun = time.perf_counter()
-        yield
-        self.phases[name] = self.phases.get(name, 0.0) + time.perf_counter() - begun
-
-    @property
-    def total(self) -> float:
-        return self.earlier + time.perf_counter() - self.started
 
 
 def check_request(dataset: Dataset, plan: Plan):
@@ -458,7 +451,8 @@ def without_format_loss(scene: Scene, dataset: Dataset, plan: Plan, out: Path) -
     if not plan.max_loss:
         return plan
     quality = lambda some: quality_of(some, dataset, plan)
-    lost = format_loss(out, scene, quality, plan.max_loss, plan.measure)
+    seen = seen_from(scene, [dataset.cameras[i] for i in dataset.train_indices], out)
+    lost = format_loss(out, scene, quality, plan.max_loss, plan.measure, seen)
     return replace(plan, max_loss=plan.max_loss - lost)
 
 

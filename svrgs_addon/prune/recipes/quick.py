@@ -47,6 +47,7 @@ from ..disk_room import ROW
 from ..door import allowed_loss, check_options, check_visible
 from ..likeness import Likeness, assumed_drop, assumed_psnr
 from ..options import PruneOptions
+from ..seen import seen_from
 from ..smallest_file import smallest_file
 
 DECIDING = 6  # views in which an allowed drop is held, apart from those in which the result is measured
@@ -161,7 +162,9 @@ class Quick:
 
     def write(self):
         scenes = [scaled(scene, 1 / self.factor) for scene in self.scenes]
-        self.written = write_with_levels(self.job.out, self.options.levels, scenes, self.quantise)
+        views = [seen_from(scene, self.cameras, self.job.out) for scene in self.scenes]
+        seen = [one and one.scaled(1 / self.factor) for one in views]
+        self.written = write_with_levels(self.job.out, self.options.levels, scenes, self.quantise, seen)
         if self.job.order:
             self.notes += _kept(self.job.order, self.order, self.visible, self.source.count, 1 / self.factor)
 

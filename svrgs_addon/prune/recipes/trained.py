@@ -74,6 +74,7 @@ class Trained(Tuned):
     def measure(self) -> dict[str, Any]:
         with self.clock.phase("evaluate"):
             after = self.measured(read_back(self.job.out, self.scene), self.job.out)
+            self.notes += self.rounding_notes(after["psnr"])
         return self.timed({**after, **self.facts()})
 
 

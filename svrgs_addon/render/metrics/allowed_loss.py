@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ...files.registry import as_stored, format_to_write
+from ...files.sh_rounding import SeenFrom
 from ...scene.gaussians import Scene
 from ...system.errors import SceneError
 from ...views.rendered import PHOTOGRAPHED
@@ -39,14 +40,20 @@ ASSUMED = with_error(math.inf, PHOTOGRAPHED)
 
 
 def format_loss(
-    out: Path, scene: Scene, quality_of: Callable[[Scene], float], allowed: float, measure: str
+    out: Path,
+    scene: Scene,
+    quality_of: Callable[[Scene], float],
+    allowed: float,
+    measure: str,
+    seen: SeenFrom | None = None,
 ) -> float:
     """What the scene loses in the format of the output; 0 if every value is stored as it is. quality_of: of a
-    scene. Raises SceneError if that alone is not less than what is allowed."""
+    scene. seen: from where, for formats that round by it. Raises SceneError if that alone is not less than
+    what is allowed."""
     splat_format = format_to_write(out)
     if splat_format.lossless:
         return 0.0
-    loss = max(0.0, quality_of(scene) - quality_of(as_stored(scene, splat_format)))
+    loss = max(0.0, quality_of(scene) - quality_of(as_stored(scene, splat_format, seen)))
     refuse_loss(out, loss, allowed, measure)
     return loss
 
@@ -75,6 +82,13 @@ def loss_notes(values: float, stored: float) -> list[str]:
         f"the format of the output loses more than pruning: {values:.1f} dB before it was written,"
         f" {stored:.1f} dB after; another one may lose less"
     ]
+
+
+def rounding_note(out: Path, psnr: float, stored: float) -> str:
+    """A sentence on what the format of the output costs. psnr, stored: in dB against photographs, before and
+    after the result was written."""
+    label = format_to_write(out).label
+    return f"{label} stores values in few bits: {stored - psnr:+.2f} dB; a .ply keeps every value"
 
 
 def missed_loss(lost: float | None, allowed: float, measure: str = "psnr") -> list[str]:
