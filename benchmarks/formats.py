@@ -1,13 +1,14 @@
 """How large and how exact each format is: bytes, quality against the original, seconds to write and to read.
 
 python benchmarks/formats.py SPLAT... [--against ORIGINAL] [--quantise FACTOR...] [--data DATASET]
-    [--out TABLE.md]
+    [--others] [--out TABLE.md]
 
 PSNR in dB, SSIM and FLIP are means of the 50 views of no_photographs.py, against the splat itself or, of one
 that was pruned, its original. Seconds: medians of REPEATS, of the scene in memory to the file and back. With
 --quantise, only formats that take it, newest versions. With --data, figures are those of its test views
 against the photographs, LPIPS (make lpips) instead of FLIP; formats that round by where a splat is seen from
-are written without that, as by `svrgs convert`, and with the training views, as by `svrgs prune`.
+are written without that and with the training views, as by `svrgs prune`. With --others, files of the same
+splats by gaussforge and gsply, too, each written once: the SOG of gaussforge takes minutes.
 """
 
 from __future__ import annotations
@@ -18,13 +19,16 @@ import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from statistics import median
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from no_photographs import measures, views_from_above
+from other_writers import OTHERS
 from svrgs_addon.files.registry import FORMATS, load_scene, write_scene
+from svrgs_addon.files.sh_rounding import SeenFrom
 from svrgs_addon.native.rasterizer import Rasterizer
 from svrgs_addon.prune.options import DatasetOptions
 from svrgs_addon.prune.plans import dataset_of
@@ -42,9 +46,9 @@ HEAD = (
 )
 
 
-def seconds(work: Callable[[], object]) -> float:
+def seconds(work: Callable[[], object], repeats: int = REPEATS) -> float:
     times = []
-    for _ in range(REPEATS):
+    for _ in range(repeats):
         started = time.perf_counter()
         work()
         times.append(time.perf_counter() - started)
@@ -59,12 +63,20 @@ class Kind:
     version: int = 0
     quantise: float = 1.0
     by_views: bool = False
+    program: str = ""  # another one that writes it
 
     @property
     def name(self) -> str:
         words = [self.suffix, f"version {self.version}" if self.version else ""]
         words += [f"--quantise {self.quantise:g}" if self.quantise != 1 else "", "by views" * self.by_views]
+        words += [f"by {self.program}" if self.program else ""]
         return " ".join(filter(None, words))
+
+    def write(self, path: Path, scene: Scene, seen: SeenFrom | None):
+        if self.program:
+            OTHERS[self.program, self.suffix](path, scene)
+        else:
+            write_scene(path, scene, self.version, self.quantise, seen)
 
 
 def kinds(factors: list[float], with_views: bool) -> list[Kind]:
@@ -105,7 +117,7 @@ def rows(
     for kind in wanted:
         path = folder / f"scene{kind.suffix}"
         seen = seen_from(scene, cameras, path) if kind.by_views else None
-        writing = seconds(lambda: write_scene(path, scene, kind.version, kind.quantise, seen))  # noqa: B023
+        writing = seconds(partial(kind.write, path, scene, seen), 1 if kind.program else REPEATS)
         reading = seconds(lambda path=path: load_scene(path))
         found, size = measure(load_scene(path).scene), path.stat().st_size
         quality = f"{found[0]:.2f} | {found[1]:.4f} | {found[2]:.4f}" if found[0] < 100 else "equal | 1 | 0"
@@ -124,12 +136,14 @@ def main() -> int:
     parser.add_argument(
         "--quantise", type=float, nargs="+", default=[], help="factors of svrgs convert --quantise"
     )
+    parser.add_argument("--others", action="store_true", help="files by other programs, too")
     parser.add_argument("--out", type=Path, help="file to append the tables to")
     parser.add_argument("--data", type=Path, help="dataset whose photographs judge")
     words = parser.parse_args()
     dataset = dataset_of(DatasetOptions(data=words.data)) if words.data else None
     cameras = [dataset.cameras[i] for i in dataset.train_indices] if dataset else []
     wanted = kinds(words.quantise, bool(cameras))
+    wanted += [Kind(suffix, program=program) for program, suffix in OTHERS if words.others]
     for path in words.splats:
         scene = load_scene(path).scene
         if dataset:

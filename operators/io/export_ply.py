@@ -69,7 +69,7 @@ class SVRGS_OT_export_ply(ReportingOperator, ExportHelper, ExportSpace):
         default=True,
         description=(
             "Round spherical harmonics by where the imported cameras see each Gaussian from: a smaller file"
-            " that loses less. Takes a few seconds for each million Gaussians"
+            " that loses less. Takes some seconds for each million Gaussians"
         ),
     )
     filter_glob: StringProperty(
