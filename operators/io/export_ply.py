@@ -18,14 +18,21 @@ from ...svrgs_addon.files.registry import (
     format_to_write,
     left_out,
     menu_label,
+    read_back,
     split_name,
     suffixes,
     write_scene,
 )
 from ...svrgs_addon.files.splat_format import SplatFormat
+from ...svrgs_addon.native import library
+from ...svrgs_addon.native.rasterizer import Rasterizer
+from ...svrgs_addon.prune.likeness import Likeness
 from ...svrgs_addon.prune.seen import seen_from
+from ...svrgs_addon.scene.camera import Camera
 from ...svrgs_addon.system.errors import SceneError
 from ..data import splat_object, visible_splats
+from ..data.native_check import native_problem
+from ..data.preferences import threads
 from ..data.reporting import ReportingOperator
 from ..data.splat_size import size_in
 from .export_space import KINDS, ExportSpace, imported_cameras
@@ -108,7 +115,7 @@ class SVRGS_OT_export_ply(ReportingOperator, ExportHelper, ExportSpace):
             self.layout.prop(self, "version")
         if splat_format.quantises and splat_object.sh_degree(obj):
             self.layout.prop(self, "quantise")
-            if imported_cameras(context):
+            if any(imported_cameras(context)):
                 self.layout.prop(self, "by_views")
         if foreseen := size_in(obj, splat_object.count(obj) - hidden, self.kind, self.quantise):
             self.layout.label(text=foreseen)
@@ -121,15 +128,29 @@ class SVRGS_OT_export_ply(ReportingOperator, ExportHelper, ExportSpace):
         scene, dropped = self.chosen(context, obj)
         splat_format = format_to_write(path)
         version = int(self.version) if splat_format.versions else 0
-        cameras = self.in_space(obj, imported_cameras(context)) if self.by_views else []
-        seen = seen_from(scene, cameras, path)
+        deciding, held_out = self.views(context, obj)
+        seen = seen_from(scene, deciding, path)
         write_scene(path, scene, version, self.quantise if splat_format.quantises else 1.0, seen)
         text = tr("Exported {count:,} Gaussians to {file}, {size:.1f} MB").format(
             count=scene.count, file=path, size=path.stat().st_size / 1e6
         )
+        likeness = Likeness(scene, held_out, Rasterizer)
+        if held_out and not splat_format.lossless and likeness.views:
+            text = tr("{text}, PSNR {psnr:.1f} dB against the splat").format(
+                text=text, psnr=likeness.psnr(read_back(path, scene))
+            )
         lost = left_out(scene, splat_format)
         self.report({"WARNING" if lost else "INFO"}, "; ".join([text, *self.left_out(obj, dropped), *lost]))
         return ""
+
+    def views(self, context, obj: bpy.types.Object) -> tuple[list[Camera], list[Camera]]:
+        """Those by which the file is rounded, and those in which it is compared with the splat, in its
+        coordinates."""
+        if native_problem():
+            return [], []
+        library.set_threads(threads(context))
+        deciding, held_out = imported_cameras(context)
+        return self.in_space(obj, deciding if self.by_views else []), self.in_space(obj, held_out)
 
 
 def default_kind(obj: bpy.types.Object) -> str:

@@ -127,14 +127,14 @@ class ExportSpace:
         return texts
 
 
-def imported_cameras(context) -> list[Camera]:
-    """The views of the imported cameras but those that are held out for tests, in Blender's world, reduced:
-    they say from where Gaussians are seen."""
+def imported_cameras(context) -> tuple[list[Camera], list[Camera]]:
+    """The views of the imported cameras, in Blender's world, reduced: those that say from where Gaussians are
+    seen, and those held out, in which it can be measured what a file loses."""
     scene = context.scene
     cameras = [one for one in scene.objects if one.type == "CAMERA" and camera_object.SIZE in one.data]
     views = [camera_object.camera_from_object(one, scene).fitted(LONGER_SIDE) for one in cameras]
     views.sort(key=lambda view: view.name)
-    return [view for i, view in enumerate(views) if i % HOLDOUT]
+    return [view for i, view in enumerate(views) if i % HOLDOUT], views[::HOLDOUT]
 
 
 def gaussians(context, obj: bpy.types.Object, seen: bool) -> list:

@@ -3,6 +3,7 @@ name."""
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -89,7 +90,7 @@ def test_a_splat_is_exported_as_spz_unless_it_came_in_another_format_than_ply(sp
     assert export.default_kind(toy) == "spz" and "Imported from" not in drawn("export")
 
 
-def test_an_spz_is_rounded_by_the_imported_cameras(splat, formats, tmp_path, monkeypatch):
+def test_an_spz_is_rounded_by_the_imported_cameras(splat, formats, tmp_path, monkeypatch, capfd):
     bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
     bpy.context.view_layer.objects.active = splat
     cameras = part("svrgs_addon.views.dataset").load_dataset(DATA / "tiny").cameras
@@ -104,6 +105,10 @@ def test_an_spz_is_rounded_by_the_imported_cameras(splat, formats, tmp_path, mon
         scene, views, _ = given.pop()
         assert np.stack([view.position for view in views]) == pytest.approx(places - offset, abs=1e-4)
         assert formats.read_scene(tmp_path / "a.spz").count == scene.count == 250
+        said = "".join(capfd.readouterr())
+        assert float(re.search(r"PSNR ([0-9.]+) dB against the splat", said)[1]) > 35
+    bpy.ops.svrgs.export_ply(filepath=str(tmp_path / "a.ply"))
+    assert "against the splat" not in "".join(capfd.readouterr()) and given.pop()
     bpy.ops.svrgs.export_ply(filepath=str(tmp_path / "plain.spz"), space="LOCAL", by_views=False)
     assert given.pop()[1] == []
     assert (tmp_path / "plain.spz").read_bytes() != (tmp_path / "a.spz").read_bytes()
