@@ -4,6 +4,7 @@ plan."""
 from __future__ import annotations
 
 import json
+import time
 from dataclasses import replace
 
 import pytest
@@ -382,6 +383,20 @@ def test_speeds_are_measured_and_the_scene_stays_as_it_was(tiny, data):
     assert before == {name: getattr(scene, name).tobytes() for name in before}
     assert pace_of(scene, replace(data, memory_budget=0), whole("opacity")).uncached == 1
     assert pace_of(scene, data, whole("maskgs")).ranking == 0, "it ranks nothing between the steps"
+
+
+def test_writing_is_foreseen_where_it_takes_time(tiny, data, monkeypatch, tmp_path):
+    scene, given = read_ply(tiny.splat), []
+
+    def slow_trip(part, splat_format, seen):
+        given.append((part.count, splat_format.name, seen is not None))
+        time.sleep(0.05)
+
+    monkeypatch.setattr(planning, "round_trip", slow_trip)
+    monkeypatch.setattr(planning, "PART", 50)
+    assert planning._rounding(scene, data, 200, tmp_path / "a.ply") == 0 and not given
+    assert planning._rounding(scene, data, 200, tmp_path / "a.spz") >= 4 * 0.05
+    assert given == [(50, "spz", True)]
 
 
 @pytest.mark.parametrize(("measured", "power"), [(0.7, 0.4), (0.0, 0.1), (1.0, 0.6)])

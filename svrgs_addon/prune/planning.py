@@ -3,8 +3,13 @@ that fits (time_plan.py)."""
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
+from pathlib import Path
 
+import numpy as np
+
+from ..files.registry import format_to_write, round_trip
 from ..finetune.model import scene_from_points
 from ..finetune.plan import Plan, at_schedule
 from ..finetune.settings import Densify
@@ -15,7 +20,10 @@ from .duration import pace_of
 from .expected_count import expected_count, expected_order, seen_by_some
 from .quality_forecast import forecast, is_foreseen
 from .report.prune_report import REPORT_VIEWS
+from .seen import seen_from
 from .time_plan import TRAINING_MARGIN, TimePlan, fitted, of_checkpoint
+
+PART = 8192  # Gaussians by which it is foreseen how long writing takes
 
 
 def pruning_within(
@@ -28,8 +36,9 @@ def pruning_within(
         return _with(found, plan, job, "the job goes on as it was planned")
     pace = pace_of(scene, dataset, plan, job.lpips)
     kept = plan.target or expected_count(plan, scene, dataset, seen_by_some(scene, dataset, plan))
-    # writing takes about as long as reading
-    others = read + (2 * REPORT_VIEWS * pace.measured if job.report else 0.0)
+    # writing a file with all values takes about as long as reading
+    others = read + _rounding(scene, dataset, kept, job.out)
+    others += 2 * REPORT_VIEWS * pace.measured if job.report else 0.0
     fit = lambda: fitted(
         seconds,
         plan,
@@ -48,6 +57,18 @@ def pruning_within(
         found = fit()  # the forecast has taken some of the time
     psnr = f"PSNR about {quality.after:.1f} dB or more (now {quality.before:.1f} dB)" if quality else ""
     return _with(found, plan, job, f"about {kept:,} of {scene.count:,} Gaussians stay", psnr)
+
+
+def _rounding(scene: Scene, dataset: Dataset, kept: int, out: Path) -> float:
+    """Seconds of writing the result in a format that rounds, by those of a part of the splat. Raises
+    SceneError, FormatError."""
+    if (splat_format := format_to_write(out)).lossless:
+        return 0.0
+    part = scene.select(np.linspace(0, scene.count - 1, min(kept, PART)).astype(int))
+    started = time.perf_counter()
+    seen = seen_from(part, [dataset.cameras[i] for i in dataset.train_indices], out)
+    round_trip(part, splat_format, seen=seen)
+    return (time.perf_counter() - started) * kept / part.count
 
 
 def training_within(

@@ -13,8 +13,10 @@ from ..native.rasterizer import Rasterizer
 from ..render.metrics.evaluate import render_options
 from ..scene.camera import Camera, evenly
 from ..scene.gaussians import Scene
+from ..views.reduced_photos import reduction_to
 
 FEWEST_VIEWS, MOST_VIEWS = 8, 64
+LARGEST = 640  # pixels of the longer side of a view; larger ones are reduced
 
 
 def seen_from(scene: Scene, cameras: Sequence[Camera], out: Path) -> SeenFrom | None:
@@ -26,7 +28,8 @@ def seen_from(scene: Scene, cameras: Sequence[Camera], out: Path) -> SeenFrom | 
     weights = np.zeros((len(chosen), scene.count), np.float16)
     for row, camera in zip(weights, chosen, strict=True):
         sums = np.zeros(scene.count)
-        rasterizer.forward(scene, camera, render_options(scene), outputs=())
+        small = camera.reduced(reduction_to(LARGEST, camera))
+        rasterizer.forward(scene, small, render_options(scene), outputs=())
         rasterizer.add_scores(sums)
         row[:] = np.minimum(sums, np.finfo(np.float16).max)
     return SeenFrom(np.stack([camera.position for camera in chosen]).astype(np.float32), weights)
