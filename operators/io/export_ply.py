@@ -115,7 +115,7 @@ class SVRGS_OT_export_ply(ReportingOperator, ExportHelper, ExportSpace):
             self.layout.prop(self, "version")
         if splat_format.quantises and splat_object.sh_degree(obj):
             self.layout.prop(self, "quantise")
-            if any(imported_cameras(context)):
+            if any(imported_cameras(context, obj)):
                 self.layout.prop(self, "by_views")
         if foreseen := size_in(obj, splat_object.count(obj) - hidden, self.kind, self.quantise):
             self.layout.label(text=foreseen)
@@ -149,7 +149,7 @@ class SVRGS_OT_export_ply(ReportingOperator, ExportHelper, ExportSpace):
         if native_problem():
             return [], []
         library.set_threads(threads(context))
-        deciding, held_out = imported_cameras(context)
+        deciding, held_out = imported_cameras(context, obj)
         return self.in_space(obj, deciding if self.by_views else []), self.in_space(obj, held_out)
 
 

@@ -127,11 +127,13 @@ class ExportSpace:
         return texts
 
 
-def imported_cameras(context) -> tuple[list[Camera], list[Camera]]:
-    """The views of the imported cameras, in Blender's world, reduced: those that say from where Gaussians are
-    seen, and those held out, in which it can be measured what a file loses."""
-    scene = context.scene
-    cameras = [one for one in scene.objects if one.type == "CAMERA" and camera_object.SIZE in one.data]
+def imported_cameras(context, obj: bpy.types.Object) -> tuple[list[Camera], list[Camera]]:
+    """The views of the imported cameras of a splat (all that are imported, if it is joined to none), in
+    Blender's world, reduced: those that say from where Gaussians are seen, and those held out, in which it
+    can be measured what a file loses."""
+    scene, root = context.scene, splat_object.root_of(obj)
+    pool = scene.objects if root is None else root.children_recursive
+    cameras = [one for one in pool if one.type == "CAMERA" and camera_object.SIZE in one.data]
     views = [camera_object.camera_from_object(one, scene).fitted(LONGER_SIDE) for one in cameras]
     views.sort(key=lambda view: view.name)
     return [view for i, view in enumerate(views) if i % HOLDOUT], views[::HOLDOUT]

@@ -18,7 +18,7 @@ from ..files.memory_mapped import mapped_scene
 from ..files.sh_rounding import SeenFrom
 from ..files.streamed_sog import write_levels
 from ..prune.door import check_files, check_views, outputs
-from ..prune.seen import FEWEST_VIEWS, seen_from
+from ..prune.seen import FEWEST_VIEWS, bytes_of, seen_from
 from ..prune.selection.criteria import in_box
 from ..scene.affine import scaled, transformed
 from ..scene.gaussians import SH_COEFFICIENTS, Scene
@@ -133,9 +133,8 @@ def _seen(scene: Scene, path: Path, out: Path, options: ConvertOptions) -> SeenF
     cameras = [dataset.cameras[i].moved(_to_original(options)) for i in dataset.train_indices]
     check_views(scene, cameras, cameras, str(path))
     largest = max(cameras, key=lambda camera: camera.width * camera.height)
-    memory.refuse_excess(
-        f"{path}: rendering it", memory.rendering(scene.count, largest.width, largest.height)
-    )
+    needed = memory.rendering(scene.count, largest.width, largest.height) + bytes_of(scene.count, cameras)
+    memory.refuse_excess(f"{path}: rendering it", needed)
     if (seen := seen_from(scene, cameras, out)) is None and scene.sh_degree:
         raise SceneError(
             f"{options.data}: has {len(cameras)} training views, and rounding by views needs"

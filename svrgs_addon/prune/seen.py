@@ -33,3 +33,8 @@ def seen_from(scene: Scene, cameras: Sequence[Camera], out: Path) -> SeenFrom | 
         rasterizer.add_scores(sums)
         row[:] = np.minimum(sums, np.finfo(np.float16).max)
     return SeenFrom(np.stack([camera.position for camera in chosen]).astype(np.float32), weights)
+
+
+def bytes_of(count: int, cameras: Sequence[Camera]) -> int:
+    """What seen_from() holds of so many Gaussians."""
+    return np.dtype(np.float16).itemsize * count * min(len(cameras), MOST_VIEWS)
