@@ -224,7 +224,7 @@ def test_an_engine_runs_the_whole_job(job, alone):
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="a script of sh")
 def test_a_task_that_is_killed_and_tried_again_ends_with_the_same_bytes(captures, tmp_path):
-    words = ["--out", str(tmp_path / "job"), "--targets", "0.5", "--iterations", "2400", "--recovery", "100"]
+    words = ["--out", str(tmp_path / "job"), "--targets", "0.5", "--iterations", "6000", "--recovery", "100"]
     assert main(["farm", "export", str(captures / "one"), *words]) == 0
     job = tmp_path / "job"
     assert main(["farm", "run", str(job)]) == 0

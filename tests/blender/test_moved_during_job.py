@@ -102,6 +102,6 @@ def test_splats_of_an_undecided_result_are_not_transformed(pruned):
 def test_the_default_name_is_that_of_the_splat(splat, tmp_path):
     operator = part("operators.io.export_ply")
     assert splat.name == "scene" and (DATA / "tiny").exists()
-    assert operator.default_path(splat).name == "scene.ply"
+    assert operator.default_path(splat).name == "scene.spz"
     splat.name = "a/b:c"
-    assert "/" not in operator.default_path(splat).name and operator.default_path(splat).suffix == ".ply"
+    assert "/" not in operator.default_path(splat).name and operator.default_path(splat).suffix == ".spz"

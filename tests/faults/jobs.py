@@ -102,7 +102,7 @@ def _quick(splat: Path, dataset: Path, folder: Path) -> Job:
 def _farm(splat: Path, dataset: Path, folder: Path) -> Job:
     words = "farm", "export", dataset, "--methods", "removal,opacity", "--targets", 0.5, *METHOD
     done(_command(*words, "--out", folder / "job"))
-    outs = [f"job/results/{dataset.name}-{method}-50.ply" for method in ("removal", "opacity")]
+    outs = [f"job/results/{dataset.name}-{method}-50.spz" for method in ("removal", "opacity")]
     return Job(folder, splat, _command("farm", "run", folder / "job"), outs, "job/results/*", ["job/results"])
 
 
