@@ -104,7 +104,7 @@ def test_the_list_of_photographs_shows_what_was_found_and_looks_through_their_ca
 
 
 def test_it_is_stopped_and_resumed_like_any_job(root, watch, bridge):
-    bpy.context.scene.svrgs_train.iterations = 500
+    bpy.context.scene.svrgs_train.iterations = 2000
     bpy.ops.svrgs.train()
     (job,) = watch.jobs.values()
     follow(watch, lambda: job.facts.get("iteration", 0) > 5)
