@@ -107,3 +107,17 @@ def test_levels_are_written_in_the_format_of_the_output_and_a_nested_result_need
         prune(path, "d.spz", target=0.5, recovery=20, nested=0.25)
     assert prune(path, "d.splat", target=0.5, recovery=20, nested=0.25)["count"] == 500
     assert np.isfinite(result["psnr"])
+
+
+def test_a_format_that_loses_most_is_told_without_photographs_too(tmp_path):
+    write_scene(tmp_path / "a.ply", scene := ball(1_000))
+    assert scene.sh_degree, "a .splat has no colours that depend on the view"
+    short = {"iterations": 20, "recovery": 20, "target": 0.98}
+    told = {
+        suffix: prune(tmp_path / "a.ply", f"o{suffix}", **short)["notes"] for suffix in (".ply", ".splat")
+    }
+    found = {
+        suffix: any("the format of the output loses" in note for note in notes)
+        for suffix, notes in told.items()
+    }
+    assert found == {".ply": False, ".splat": True}

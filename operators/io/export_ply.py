@@ -35,7 +35,7 @@ from ..data.native_check import native_problem
 from ..data.preferences import threads
 from ..data.reporting import ReportingOperator
 from ..data.splat_size import size_in
-from .export_space import KINDS, ExportSpace, imported_cameras
+from .export_space import KINDS, ExportSpace, camera_objects, imported_cameras
 
 
 class SVRGS_OT_export_ply(ReportingOperator, ExportHelper, ExportSpace):
@@ -115,7 +115,7 @@ class SVRGS_OT_export_ply(ReportingOperator, ExportHelper, ExportSpace):
             self.layout.prop(self, "version")
         if splat_format.quantises and splat_object.sh_degree(obj):
             self.layout.prop(self, "quantise")
-            if any(imported_cameras(context, obj)):
+            if camera_objects(context, obj):
                 self.layout.prop(self, "by_views")
         if foreseen := size_in(obj, splat_object.count(obj) - hidden, self.kind, self.quantise):
             self.layout.label(text=foreseen)

@@ -10,6 +10,7 @@ from mathutils import Matrix
 
 from ...svrgs_addon.files.registry import FORMATS
 from ...svrgs_addon.files.repair import drop_nonfinite
+from ...svrgs_addon.prune.seen import LARGEST
 from ...svrgs_addon.scene.affine import UNIFORM, stretch, transformed
 from ...svrgs_addon.scene.camera import Camera
 from ...svrgs_addon.scene.concatenate import concatenated
@@ -20,7 +21,6 @@ from ..data import camera_object, grading, splat_object, visible_splats
 from ..scene.splat_transforms import stretch_warning
 from ..translation import OWN
 
-LONGER_SIDE = 640  # pixels of the longer side of the views by which a file is rounded, at most
 WHAT_FOR = {  # by the names of the formats
     "ply": "Every value as it is. All programs read it",
     "compressed-ply": "A quarter of the size, for about 0.1 dB. Read by SuperSplat, PlayCanvas and Brush",
@@ -127,15 +127,22 @@ class ExportSpace:
         return texts
 
 
+def camera_objects(context, obj: bpy.types.Object) -> list[bpy.types.Object]:
+    """The imported cameras of a splat; all that are imported, if it is joined to none."""
+    root = splat_object.root_of(obj)
+    pool = context.scene.objects if root is None else root.children_recursive
+    return [
+        one
+        for one in pool
+        if one.type == "CAMERA" and one.data.type == "PERSP" and camera_object.SIZE in one.data
+    ]
+
+
 def imported_cameras(context, obj: bpy.types.Object) -> tuple[list[Camera], list[Camera]]:
-    """The views of the imported cameras of a splat (all that are imported, if it is joined to none), in
-    Blender's world, reduced: those that say from where Gaussians are seen, and those held out, in which it
-    can be measured what a file loses."""
-    scene, root = context.scene, splat_object.root_of(obj)
-    pool = scene.objects if root is None else root.children_recursive
-    cameras = [one for one in pool if one.type == "CAMERA" and camera_object.SIZE in one.data]
-    views = [camera_object.camera_from_object(one, scene).fitted(LONGER_SIDE) for one in cameras]
-    views.sort(key=lambda view: view.name)
+    """The views of camera_objects() in Blender's world, reduced: those that say from where Gaussians are
+    seen, and those held out, in which it can be measured what a file loses."""
+    found = (camera_object.camera_from_object(one, context.scene) for one in camera_objects(context, obj))
+    views = sorted((view.fitted(LARGEST) for view in found), key=lambda view: view.name)
     return [view for i, view in enumerate(views) if i % HOLDOUT], views[::HOLDOUT]
 
 

@@ -8,6 +8,7 @@ import contextlib
 import glob
 from collections.abc import Iterator
 from dataclasses import fields, replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ from ..prune.door import check_files, check_views, outputs
 from ..prune.seen import FEWEST_VIEWS, bytes_of, seen_from
 from ..prune.selection.criteria import in_box
 from ..scene.affine import scaled, transformed
+from ..scene.camera import Camera
 from ..scene.gaussians import SH_COEFFICIENTS, Scene
 from ..scene.grade import Grade, graded
 from ..system import memory
@@ -129,8 +131,7 @@ def _seen(scene: Scene, path: Path, out: Path, options: ConvertOptions) -> SeenF
         return None
     if not registry.format_to_write(out).quantises:
         raise SceneError(f"{out}: only an SPZ or a SOG is rounded by views: leave --data out")
-    dataset = load_dataset(options.data, cameras_only=True)
-    cameras = [dataset.cameras[i].moved(_to_original(options)) for i in dataset.train_indices]
+    cameras = [camera.moved(_to_original(options)) for camera in _training_cameras(options.data)]
     check_views(scene, cameras, cameras, str(path))
     largest = max(cameras, key=lambda camera: camera.width * camera.height)
     needed = memory.rendering(scene.count, largest.width, largest.height) + bytes_of(scene.count, cameras)
@@ -152,6 +153,13 @@ def _changed(scene: Scene, options: ConvertOptions) -> Scene:
     scene = graded(scene, Grade(**{name: getattr(options, name) for name in names}))
     most = SH_COEFFICIENTS[3 if options.sh_degree is None else options.sh_degree]
     return replace(scene, sh=np.ascontiguousarray(scene.sh[:, :most])) if scene.sh.shape[1] > most else scene
+
+
+@cache
+def _training_cameras(data: Path) -> list[Camera]:
+    """Of the dataset, which is read once for all inputs. Raises SceneError, FormatError."""
+    dataset = load_dataset(data, cameras_only=True)
+    return [dataset.cameras[i] for i in dataset.train_indices]
 
 
 def _to_original(options: ConvertOptions) -> np.ndarray:

@@ -107,6 +107,12 @@ def test_an_spz_is_rounded_by_the_imported_cameras(splat, formats, tmp_path, mon
         assert formats.read_scene(tmp_path / "a.spz").count == scene.count == 250
         said = "".join(capfd.readouterr())
         assert float(re.search(r"PSNR ([0-9.]+) dB against the splat", said)[1]) > 35
+    camera = next(obj for obj in bpy.data.objects if obj.type == "CAMERA" and "svrgs_size" in obj.data)
+    splat.scale, camera.data.type = (1, 2, 3), "PANO"  # neither hinders an export
+    bpy.ops.svrgs.export_ply(filepath=str(tmp_path / "b.spz"), space="LOCAL")
+    assert len(given.pop()[1]) == 9 and formats.read_scene(tmp_path / "b.spz").count == 250
+    splat.scale, camera.data.type = (1, 1, 1), "PERSP"
+    capfd.readouterr()
     bpy.ops.svrgs.export_ply(filepath=str(tmp_path / "a.ply"))
     assert "against the splat" not in "".join(capfd.readouterr()) and given.pop()
     bpy.ops.svrgs.export_ply(filepath=str(tmp_path / "plain.spz"), space="LOCAL", by_views=False)

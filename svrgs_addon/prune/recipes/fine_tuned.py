@@ -31,7 +31,7 @@ from ...finetune.plan import Plan
 from ...finetune.quality import NOT_APART, hold_apart, quality_views
 from ...finetune.run import Run
 from ...native.rasterizer import Rasterizer, RenderOptions
-from ...render.metrics.allowed_loss import MEASURES, format_loss, missed_loss, rounding_note
+from ...render.metrics.allowed_loss import MEASURES, format_loss, loss_notes, missed_loss, rounding_note
 from ...render.metrics.evaluate import (
     evaluate,
     mean_quality,
@@ -159,16 +159,14 @@ class Tuned:
         return {**figures, "bytes": size_on_disk(path)}
 
     def rounding_notes(self, stored: float | None) -> list[str]:
-        """What the format of the output costs, measured on photographs. stored: PSNR in dB of what the file
-        holds; None: of equal pictures, or without views."""
-        if (
-            stored is None
-            or isinstance(self.dataset, RenderedDataset)
-            or format_to_write(self.job.out).lossless
-        ):
+        """What the format of the output costs. stored: PSNR in dB of what the file holds; None: of equal
+        pictures, or without views."""
+        if stored is None or format_to_write(self.job.out).lossless:
             return []
         options = render_options(self.scene, self.dataset.background)
         psnr = mean_quality(self.scene, self.dataset, self.measuring, Rasterizer(), options)
+        if isinstance(self.dataset, RenderedDataset):
+            return loss_notes(psnr, stored)
         return [rounding_note(self.job.out, psnr, stored)]
 
     def all_notes(self) -> list[str]:
