@@ -201,6 +201,7 @@ CALLS = {  # call: {argument: (a right value, written to, may be None)}
         "hits": (np.zeros(7, np.int64), True, True),
         "transmittance": (np.zeros(7), True, True),
         "reached": (np.zeros(7, np.uint8), True, True),
+        "pixels": (np.zeros((5, 6), np.uint8), False, True),
     },
     Rasterizer.loss: {"image": (real(5, 6, 3), False, False), "target": (real(5, 6, 3), False, False)},
     call_adam: {

@@ -110,6 +110,29 @@ def test_rays_that_end_earlier_have_the_same_maxima_from_there_on(level, name):
 
 
 @pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("name", SCORED)
+@pytest.mark.parametrize("known", [False, True])  # the scores of all pixels
+def test_scores_over_some_pixels_are_those_of_a_view_in_which_only_they_count(level, name, known):
+    scene, masks, _ = scored(name)
+    camera, rng = SCORED[name][1][0], np.random.default_rng(0)
+    for share in (0.0, 0.2, 0.8):
+        pixels = (rng.random((camera.height, camera.width)) < share).astype(np.uint8)
+        pixels[:, camera.width // 3 : camera.width // 2] = 0  # whole tiles, too
+        pixels[:, camera.width // 2 :] = share > 0
+        scores = []
+        for view, counting in ((camera, pixels), (camera.masked(pixels), None)):
+            n = scene.count
+            scores.append((np.zeros(n), np.zeros(n, np.float32), np.zeros(n, np.int64), np.zeros(n)))
+            render(level, scene, view, masks, full=False)
+            if known:
+                rasterizer(level).add_scores(np.zeros(n))
+            rasterizer(level).add_scores(*scores[-1], pixels=counting)
+        for some, expected in zip(*scores, strict=True):
+            np.testing.assert_array_equal(some, expected)
+        assert scores[0][0].any() == bool(share)
+
+
+@pytest.mark.parametrize("level", LEVELS)
 def test_a_gaussian_that_stops_all_its_rays_is_reached_though_it_is_blended_nowhere(level):
     # T: 5e-2, 2.5e-3, 1.25e-4, then it would be below 1e-4; only the last one would not stop the rays
     alphas = np.array([0.95, 0.95, 0.95, 0.95, 0.1])

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from svrgs_addon.native.rasterizer import Rasterizer
-from svrgs_addon.prune.selection.outline import SHOWN, brush, centres_in, polygon, shown_in
+from svrgs_addon.prune.selection.outline import SHOWN, Look, _thread, brush, centres_in, polygon
 from svrgs_addon.render.metrics.evaluate import render_options
 from svrgs_bench.scenes import orbit_camera, room
 
@@ -68,7 +69,7 @@ def test_what_is_in_the_outline_is_selected_and_what_is_hidden_is_not_shown(orth
     stored = (scene.means - turned[:3, 3]) @ np.linalg.inv(turned[:3, :3]).T
     moved = centres_in(stored, camera, inside, turned)
     assert (moved != expected).sum() <= 2
-    shown, options = shown_in(scene, camera, inside), render_options(scene)
+    shown, options = Look(scene, camera).shown_in(inside), render_options(scene)
     assert 0 < shown.sum() < scene.count
     rasterizer, peaks = Rasterizer(), np.zeros(scene.count)
     for row, column in np.argwhere(inside):  # the largest alpha T in a pixel, one pixel at a time
@@ -97,4 +98,22 @@ def test_an_empty_outline_holds_nothing():
     scene, camera = room(100), orbit_camera(WIDTH, HEIGHT)
     nothing = polygon(np.array([(5.0, 5.0), (5.0, 5.0)]), WIDTH, HEIGHT)
     assert not nothing.any()
-    assert not centres_in(scene.means, camera, nothing).any() and not shown_in(scene, camera, nothing).any()
+    assert (
+        not centres_in(scene.means, camera, nothing).any() and not Look(scene, camera).shown_in(nothing).any()
+    )
+
+
+def test_looks_that_are_done_cut_short_or_replaced_show_the_same():
+    scene, camera = room(2_000), orbit_camera(WIDTH, HEIGHT)
+    left, everything = np.zeros((HEIGHT, WIDTH), bool), np.ones((HEIGHT, WIDTH), bool)
+    left[:, : WIDTH // 2] = True
+    done = Look(scene, camera)
+    done._begun.result()
+    shown = done.shown_in(left)
+    assert 0 < shown.sum() < done.shown_in(everything).sum()
+    _thread().submit(time.sleep, 0.2)  # the next look is still waiting when it is asked
+    np.testing.assert_array_equal(Look(scene, camera).shown_in(left), shown)
+    other = Look(scene.select(np.arange(0, 2_000, 3)), camera)
+    assert 0 < other.shown_in(left).sum() and len(other.shown_in(left)) == 667
+    np.testing.assert_array_equal(done.shown_in(left), shown)
+    np.testing.assert_array_equal(Look(scene, camera.masked(left)).shown_in(left), shown)

@@ -248,12 +248,12 @@ int32_t svrgs_backward_update(svrgs_context* c, const svrgs_image_grads* in, con
   });
 }
 
-int32_t svrgs_scores(svrgs_context* c, double* sum, float* max, int64_t* hits, double* transmittance, uint8_t* reached) {
+int32_t svrgs_scores(svrgs_context* c, const uint8_t* valid, double* sum, float* max, int64_t* hits, double* transmittance, uint8_t* reached) {
   return guarded([&] {
     require(c, "an argument is missing");
     require(c->context.holds_view(), "there is no rendered view to score: call svrgs_forward first");
     check_whole(c->context);
-    c->context.scores({sum, max, hits, transmittance, reached});
+    c->context.scores(valid, {sum, max, hits, transmittance, reached});
   });
 }
 

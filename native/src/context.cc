@@ -195,7 +195,7 @@ void Context::timed(svrgs_stage stage, F&& run) {
 }
 
 void Context::forward(const svrgs_scene& s, const svrgs_camera& c, const svrgs_options& o, const svrgs_images& images) {
-  holds_view_ = false;
+  holds_view_ = scored_ = false;
   set_frame(s, c, o, images);
   cancel_ = o.cancel;
   timed(SVRGS_PROJECT, [&] { project(); });
@@ -205,8 +205,14 @@ void Context::forward(const svrgs_scene& s, const svrgs_camera& c, const svrgs_o
   holds_view_ = !o.picture_only;
 }
 
+// Memory for so many values of each (Gaussian, tile) pair; what it held is lost, but for Context::scores.
+char* Context::slots_of(int values) {
+  scored_ = false;
+  return slots_.reserve<char>(pairs_ * values * kernels_.real_size);
+}
+
 int64_t Context::backward(const svrgs_image_grads& in, const svrgs_grads& out, const svrgs_update* update) {
-  char* slots = slots_.reserve<char>(pairs_ * kSlotWidth * kernels_.real_size);
+  char* const slots = slots_of(kSlotWidth);
   timed(SVRGS_RASTER_GRADS, [&] { for_each_tile([&](int64_t tile) { kernels_.backward_tile(frame_, in, out, update, tile, slots); }); });
   std::atomic<int64_t> nonfinite{0};
   timed(SVRGS_PARAMETER_GRADS, [&] {
@@ -230,20 +236,24 @@ void Context::leave_out(const uint8_t* frozen) {
   frame_.visible_count = left;
 }
 
-void Context::scores(const Scores& out) {
-  char* slots = out.sums() ? slots_.reserve<char>(pairs_ * kScoreValues * kernels_.real_size) : nullptr;
-  if (slots) for_each_tile([&](int64_t tile) { kernels_.scores_tile(frame_, tile, slots); });
-  parallel_blocks(frame_.visible_count, kVisibleGrain, [&](int64_t begin, int64_t end) { kernels_.scores_range(frame_, slots, begin, end, out); });
+void Context::scores(const uint8_t* valid, const Scores& out) {
+  const bool known = scored_;
+  char* const slots = out.sums() ? slots_of(kScoreValues) : nullptr;
+  Frame f = frame_;
+  if (valid) f.valid = valid;
+  if (slots) for_each_tile([&](int64_t tile) { kernels_.scores_tile(f, tile, known, slots); });
+  scored_ = slots && !f.valid && !cancelled();
+  parallel_blocks(f.visible_count, kVisibleGrain, [&](int64_t begin, int64_t end) { kernels_.scores_range(f, slots, begin, end, out); });
 }
 
 void Context::moments(double* rows) {
-  char* slots = slots_.reserve<char>(pairs_ * SVRGS_MOMENTS * kernels_.real_size);
+  char* const slots = slots_of(SVRGS_MOMENTS);
   for_each_tile([&](int64_t tile) { kernels_.moments_tile(frame_, tile, slots); });
   parallel_blocks(frame_.visible_count, kVisibleGrain, [&](int64_t begin, int64_t end) { kernels_.moments_range(frame_, slots, begin, end, rows); });
 }
 
 void Context::visibility(double* sums) {
-  char* slots = slots_.reserve<char>(pairs_ * kSlotWidth * kernels_.real_size);
+  char* const slots = slots_of(kSlotWidth);
   for_each_tile([&](int64_t tile) { kernels_.visibility_tile(frame_, tile, slots); });
   parallel_blocks(frame_.visible_count, kVisibleGrain, [&](int64_t begin, int64_t end) { kernels_.visibility_range(frame_, slots, begin, end, sums); });
 }
@@ -251,7 +261,7 @@ void Context::visibility(double* sums) {
 // Adds one number per pair, which run(tile, slots) writes, to out (N,).
 template <class F>
 void Context::add_sums(double* out, F&& run) {
-  char* slots = slots_.reserve<char>(pairs_ * kernels_.real_size);
+  char* const slots = slots_of(1);
   for_each_tile([&](int64_t tile) { run(tile, slots); });
   parallel_blocks(frame_.visible_count, kVisibleGrain, [&](int64_t begin, int64_t end) { kernels_.sums_range(frame_, slots, begin, end, out); });
 }

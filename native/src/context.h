@@ -46,7 +46,7 @@ class Context {
   void forward(const svrgs_scene&, const svrgs_camera&, const svrgs_options&, const svrgs_images&);
   // Writes gradients to `out` and, if there is an update, makes an Adam step. Returns the rows that the step left alone.
   int64_t backward(const svrgs_image_grads&, const svrgs_grads& out, const svrgs_update*);
-  void scores(const Scores&);
+  void scores(const uint8_t* valid, const Scores&);  // valid: optional, the pixels that count instead of those of the view
   void moments(double* rows);
   void removal(const void* residuals, double* cost);
   void visibility(double* sums);
@@ -73,6 +73,7 @@ class Context {
   void leave_out(const uint8_t* frozen);
   void list_and_blend(const svrgs_images&);
   bool cancelled() const;
+  char* slots_of(int values);
   int64_t sum_before(int64_t ProjectionCounts::* what);
   void loss_tiles(const void* image, const void* target, int height, int width, double l1_weight, double ssim_weight, void* grad, double values[2]);
   template <class F>
@@ -90,6 +91,7 @@ class Context {
   std::vector<BinPart> parts_;                           // likewise
   TileLists lists_ = {};
   bool holds_view_ = false;
+  bool scored_ = false;  // slots_ hold the scores of all pixels of the view
   double seconds_[SVRGS_STAGES] = {};
   Buffer gaussians_, rects_, tiles_, spans_, ids_, depth_keys_, visible_, places_, bin_begin_, tile_begin_, entries_, counts_, listed_, hits_, state_;
   Buffer slots_;  // of the pixels' sums; before, where tiles are listed

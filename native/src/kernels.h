@@ -28,7 +28,7 @@ struct Kernels {
   void (*write_tile)(const Frame&, int64_t tile, const svrgs_images&);
   void (*backward_tile)(const Frame&, const svrgs_image_grads&, const svrgs_grads&, const svrgs_update*, int64_t tile, void* slots);
   int64_t (*gradients_range)(const Frame&, const svrgs_image_grads&, const svrgs_grads&, const svrgs_update*, const void* slots, int64_t begin, int64_t end);
-  void (*scores_tile)(const Frame&, int64_t tile, void* slots);
+  void (*scores_tile)(const Frame&, int64_t tile, bool known, void* slots);
   void (*scores_range)(const Frame&, const void* slots, int64_t begin, int64_t end, const Scores&);
   void (*moments_tile)(const Frame&, int64_t tile, void* slots);
   void (*moments_range)(const Frame&, const void* slots, int64_t begin, int64_t end, double* rows);

@@ -7,6 +7,8 @@ next press of the mouse, Ctrl and the right mouse button a lasso, as in Blender.
 
 from __future__ import annotations
 
+import contextlib
+
 import bpy
 import gpu
 from bpy.app.translations import pgettext_iface as tr
@@ -14,8 +16,8 @@ from bpy.props import BoolProperty, CollectionProperty, EnumProperty
 from gpu_extras.batch import batch_for_shader
 
 from ...svrgs_addon.native import library
-from ...svrgs_addon.system.errors import SceneError
-from ..data import select_in_view, splat_object
+from ...svrgs_addon.system.errors import SceneError, SplatError
+from ..data import select_in_view, splat_object, visible_splats
 from ..data.preferences import threads
 from ..scene.select_gaussians import MODES, SplatOperator, changed
 from ..translation import OWN
@@ -49,20 +51,16 @@ class SVRGS_OT_select_region(SplatOperator):
     )
     path: CollectionProperty(type=bpy.types.OperatorMousePath, options={"HIDDEN", "SKIP_SAVE"})
     wait: BoolProperty(options={"HIDDEN", "SKIP_SAVE"})  # begin at the next press of the mouse
+    sight = None  # what the viewport showed when the mouse was pressed
 
     def work(self, context) -> str:
-        obj, region, view = context.object, context.region, context.region_data
-        if region is None or view is None:
-            raise SceneError(tr("Gaussians are selected in a 3D viewport: use the tool there"))
-        library.set_threads(threads(context))
-        settings = context.scene.svrgs_view
+        settings, obj = context.scene.svrgs_view, context.object
         outline = select_in_view.Outline(
             self.shape, [tuple(point.loc) for point in self.path], settings.select_radius
         )
-        scene, rows = scene_cache.read_own(obj)
-        inside = select_in_view.gaussians_in(
-            scene, obj.matrix_world, region, view, outline, settings.select_through
-        )
+        scene, matrix, camera, rows = _seen(context)
+        through = settings.select_through
+        inside = select_in_view.gaussians_in(scene, matrix, camera, outline, through, self.sight)
         mask = splat_object.mask_of(obj, rows[inside])
         return changed(context, obj, mask, self.mode)
 
@@ -73,15 +71,18 @@ class SVRGS_OT_select_region(SplatOperator):
         self.button, self.region = "", context.region.as_pointer()
         self.mouse = event.mouse_region_x, event.mouse_region_y
         if not self.wait:
-            self.begin(event)
+            self.begin(context, event)
         _drawn[:] = [self]
         context.window_manager.modal_handler_add(self)
         context.region.tag_redraw()
         return {"RUNNING_MODAL"}
 
-    def begin(self, event):
+    def begin(self, context, event):
         """The mouse was pressed: its button draws until it is released. A tool's drag begins where it was
         pressed."""
+        if not context.scene.svrgs_view.select_through:
+            with contextlib.suppress(SplatError):  # work() says it
+                self.sight = select_in_view.Sight(*_seen(context)[:3])
         self.button = event.type if event.type in ("LEFTMOUSE", "RIGHTMOUSE") else "LEFTMOUSE"
         self.add(*self.mouse)
 
@@ -102,7 +103,7 @@ class SVRGS_OT_select_region(SplatOperator):
         if not self.button and event.type == "LEFTMOUSE" and event.value == "PRESS":
             if event.shift or event.ctrl:
                 self.mode = "EXTEND" if event.shift else "SUBTRACT"
-            self.begin(event)
+            self.begin(context, event)
         elif self.button and event.type in ("MOUSEMOVE", "INBETWEEN_MOUSEMOVE"):
             last = self.path[-1].loc
             if self.shape == "BOX" or abs(x - last[0]) + abs(y - last[1]) >= NEAREST:
@@ -118,6 +119,17 @@ class SVRGS_OT_select_region(SplatOperator):
 
     def cancel(self, context):
         _drawn.clear()
+
+
+def _seen(context) -> tuple:
+    """What the viewport shows of the active splat: its scene, its matrix, the camera; and the rows of the
+    scene's Gaussians in the object. Raises SplatError."""
+    if context.region is None or context.region_data is None:
+        raise SceneError(tr("Gaussians are selected in a 3D viewport: use the tool there"))
+    library.set_threads(threads(context))
+    scene, rows = scene_cache.read_own(context.object)
+    camera = visible_splats.region_camera(context.region, context.region_data)
+    return scene, context.object.matrix_world, camera, rows
 
 
 def _draw():

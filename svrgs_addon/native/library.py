@@ -21,7 +21,7 @@ from ..system.structs import fields
 from .library_path import library_path
 from .outputs import OUTPUTS
 
-INTERFACE_VERSION = 24
+INTERFACE_VERSION = 25
 GRADS = (*PARAMETERS, "masks", "means2d", "camera")
 # images whose gradients backward() accepts
 LOSS_IMAGES = tuple(output.name for output in OUTPUTS.values() if output.differentiable)
@@ -44,7 +44,7 @@ ARGUMENTS = {
     "svrgs_stage_seconds": "pp",
     "svrgs_measure_machine": "ip",
     "svrgs_backward": "ppp",
-    "svrgs_scores": "pppppp",
+    "svrgs_scores": "ppppppp",
     "svrgs_moments": "pp",
     "svrgs_removal": "ppp",
     "svrgs_visibility": "pp",

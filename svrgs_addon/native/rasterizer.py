@@ -221,11 +221,13 @@ class Rasterizer:
         hits: Maybe = None,
         transmittance: Maybe = None,
         reached: Maybe = None,
+        pixels: Maybe = None,
     ):
         """Adds the last view to those statistics (N,) of each Gaussian that are given, over the pixels in
         which it is blended: sum of alpha T float64, maximum of alpha T float32, number of pixels int64, sum
         of T float64. Marks with 1 in `reached`, uint8, those that hit a ray before it stops (or, if F was
-        rendered to the end of rays, any ray); colours are the same without the others."""
+        rendered to the end of rays, any ray); colours are the same without the others. pixels: (H, W) uint8,
+        only those that are not 0 count, but for `reached`; None: those that count in the view."""
         given = {"sum": (sum_, np.float64), "max": (max_, np.float32), "hits": (hits, np.int64)}
         given |= {"transmittance": (transmittance, np.float64), "reached": (reached, np.uint8)}
         shape = (self._count("score"),)
@@ -233,7 +235,8 @@ class Rasterizer:
             None if array is None else check_out(array, name, shape, dtype)
             for name, (array, dtype) in given.items()
         )
-        _call("svrgs_scores", self._context, *outs)
+        counting = None if pixels is None else check(pixels, "pixels", self._shape[:2], np.uint8)
+        _call("svrgs_scores", self._context, counting, *outs)
 
     def moments(self) -> np.ndarray:
         """Moments of each visible Gaussian of the last view, (V, 12) float64: sums over pixels of w u^a v^b

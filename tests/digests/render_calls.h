@@ -52,7 +52,7 @@ class View {
     std::vector<float> most(kCount);
     std::vector<int64_t> blended(kCount);
     std::vector<uint8_t> reached(kCount);
-    require(svrgs_scores(context, sum.data(), most.data(), blended.data(), transmittance.data(), reached.data()), "scores");
+    require(svrgs_scores(context, nullptr, sum.data(), most.data(), blended.data(), transmittance.data(), reached.data()), "scores");
     add("scores", digest().add(sum).add(most).add(blended).add(transmittance).add(reached));
     require(svrgs_moments(context, moments.data()), "moments");
     add("moments", digest().add(moments));
@@ -165,7 +165,7 @@ void refusals(Lines& lines, int32_t level) {
   refused("coefficients", SVRGS_INVALID, [](View<T>& v) { v.scene.coefficients = 5; });
   View<T> v(lines, "no_view", level, 4);
   std::vector<double> sums(SVRGS_MOMENTS * kCount);
-  lines.refuse("scores_without_view", svrgs_scores(v.context, sums.data(), nullptr, nullptr, nullptr, nullptr), SVRGS_INVALID);
+  lines.refuse("scores_without_view", svrgs_scores(v.context, nullptr, sums.data(), nullptr, nullptr, nullptr, nullptr), SVRGS_INVALID);
   lines.refuse("moments_without_view", svrgs_moments(v.context, sums.data()), SVRGS_INVALID);
   lines.refuse("visibility_without_view", svrgs_visibility(v.context, sums.data()), SVRGS_INVALID);
   const svrgs_image_grads none = {};

@@ -136,7 +136,7 @@ struct Run {
     std::vector<double> sum(count), transmittance(count), moments(SVRGS_MOMENTS * rows);
     std::vector<float> most(count);
     std::vector<int64_t> hits(count);
-    measure("scores", [&] { return svrgs_scores(context, sum.data(), most.data(), hits.data(), transmittance.data(), nullptr); });
+    measure("scores", [&] { return svrgs_scores(context, nullptr, sum.data(), most.data(), hits.data(), transmittance.data(), nullptr); });
     measure("moments", [&] { return svrgs_moments(context, moments.data()); });
   }
 

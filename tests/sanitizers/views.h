@@ -157,7 +157,7 @@ class View {
     std::vector<float> most(c.count);
     std::vector<int64_t> blended(c.count);
     std::vector<uint8_t> reached(c.count);
-    require(svrgs_scores(context, sum.data(), most.data(), blended.data(), transmittance.data(), reached.data()) == SVRGS_OK, "scores");
+    require(svrgs_scores(context, nullptr, sum.data(), most.data(), blended.data(), transmittance.data(), reached.data()) == SVRGS_OK, "scores");
     require(svrgs_moments(context, moments.data()) == SVRGS_OK, "moments");
     require(svrgs_removal(context, d_rgb.data(), cost.data()) == SVRGS_OK, "costs of removal");
     require(svrgs_slopes(context, cost.data()) == SVRGS_OK && svrgs_dominance(context, cost.data()) == SVRGS_OK, "slopes and dominance");

@@ -7,6 +7,13 @@ struct Transmittance {
     for (int b = 0; b < kBlocks; ++b)
       for (int h = 0; h < kVectorsPerBlock; ++h) T[b][h] = keep(in_image(f, o, all_lanes().block[b], h), broadcast(1));
   }
+  // The pixels that count.
+  int64_t pixels() const {
+    int64_t counting = 0;
+    for (const auto& block : T)
+      for (const V t : block) counting += __builtin_popcount(bits(less(broadcast(0), t)));
+    return counting;
+  }
 };
 
 // One Gaussian at W pixels of a block: its hits and its weights; T is updated.
@@ -43,10 +50,18 @@ template <class F>
   }
 }
 
-// Writes to the slot of each (Gaussian, tile) pair: the sum of alpha T, its maximum, the pixels blended, and the sum of T.
-void scores_tile(const Frame& f, int64_t tile, void* slots) {
+// Writes to the slot of each (Gaussian, tile) pair: the sum of alpha T, its maximum, the pixels blended, and the sum of T. known: the slots
+// hold those of all pixels.
+void scores_tile(const Frame& f, int64_t tile, bool known, void* slots) {
   const TileOrigin o = f.tile_origin(tile);
   Transmittance t(f, o);
+  const int64_t counting = t.pixels(), all = std::min<int64_t>(kTile, f.width - o.x * kTile) * std::min<int64_t>(kTile, f.height - o.y * kTile);
+  if (known && counting == all) return;
+  if (counting == 0) {
+    for (int64_t e = f.tile_begin[tile]; e < f.tile_begin[tile + 1]; ++e)
+      std::fill_n(static_cast<R*>(slots) + static_cast<int64_t>(f.entries[e].slot) * kScoreValues, kScoreValues, R(0));
+    return;
+  }
   for_hit_entries(f, tile, o, [&](const TileEntry& entry, BlockMask blocks, const LocalGaussian& l) {
     V total = broadcast(0), best = broadcast(0), pixels = broadcast(0), transmittance = broadcast(0);
     for (BlockMask left = blocks; left; left &= left - 1)

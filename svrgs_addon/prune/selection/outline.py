@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import replace
 from functools import cache
 
@@ -12,6 +14,7 @@ from ...native.rasterizer import Rasterizer
 from ...render.metrics.evaluate import render_options
 from ...scene.camera import Camera
 from ...scene.gaussians import Scene
+from ...system.errors import Cancelled
 
 SHOWN = 0.1  # alpha T in a pixel, from which on the pixel shows the Gaussian
 
@@ -66,18 +69,52 @@ def centres_in(means: np.ndarray, camera: Camera, pixels: np.ndarray, matrix=np.
     return inside
 
 
-def shown_in(scene: Scene, camera: Camera, pixels: np.ndarray) -> np.ndarray:
-    """(N,) bool: the Gaussians that one of the pixels (H, W) bool of the camera shows."""
-    if not pixels.any():
-        return np.zeros(scene.count, bool)
-    rasterizer, largest = _rasterizer(), np.zeros(scene.count, np.float32)
-    options = replace(render_options(scene), sh_degree=0, stop=SHOWN)
-    rasterizer.forward(scene, camera.masked(pixels), options, outputs=())
-    rasterizer.add_scores(max_=largest)
-    return largest >= SHOWN
+class Look:
+    """What the pixels of a view show. The view is rendered by a thread, while its outline is still drawn."""
+
+    def __init__(self, scene: Scene, camera: Camera):
+        """The scene must stay unchanged until shown_in()."""
+        self._scene, self._camera = scene, camera
+        self._begun = _thread().submit(self._render)
+
+    def shown_in(self, pixels: np.ndarray) -> np.ndarray:
+        """(N,) bool: the Gaussians that one of the pixels (H, W) bool of the camera shows. Raises
+        SplatError."""
+        if not self._begun.done():  # the view of these pixels is less work than what is left of the whole one
+            _rasterizer().cancel[0] = 1
+        with suppress(Cancelled):
+            self._begun.result()
+        _rasterizer().cancel[0] = 0
+        return _thread().submit(self._shown, pixels).result()
+
+    def _render(self):
+        self._forward(self._camera)
+        _rasterizer().add_scores(max_=np.zeros(self._scene.count, np.float32))  # then it knows those of tiles
+        _last[:] = [self]
+
+    def _forward(self, camera: Camera):
+        _last.clear()
+        options = replace(render_options(self._scene), sh_degree=0, stop=SHOWN)
+        _rasterizer().forward(self._scene, camera, options, outputs=())
+
+    def _shown(self, pixels: np.ndarray) -> np.ndarray:
+        if _last != [self]:
+            self._forward(self._camera.masked(pixels))
+        largest = np.zeros(self._scene.count, np.float32)
+        _rasterizer().add_scores(max_=largest, pixels=pixels.astype(np.uint8))
+        return largest >= SHOWN
 
 
 @cache
 def _rasterizer() -> Rasterizer:
-    """One for all strokes: to get its memory takes as long as the picture."""
+    """One for all looks: to get its memory takes as long as the picture."""
     return Rasterizer()
+
+
+@cache
+def _thread() -> ThreadPoolExecutor:
+    """That of _rasterizer(), which only one may use at a time."""
+    return ThreadPoolExecutor(1, "svrgs-look")
+
+
+_last: list[Look] = []  # whose whole view was rendered last
