@@ -107,13 +107,17 @@ def test_looks_that_are_done_cut_short_or_replaced_show_the_same():
     scene, camera = room(2_000), orbit_camera(WIDTH, HEIGHT)
     left, everything = np.zeros((HEIGHT, WIDTH), bool), np.ones((HEIGHT, WIDTH), bool)
     left[:, : WIDTH // 2] = True
-    done = Look(scene, camera)
+    shown = Look(scene, camera).shown_in(left)
+    done, waiting = Look(scene, camera), Look(scene, camera)
+    done.begin()
     done._begun.result()
-    shown = done.shown_in(left)
+    np.testing.assert_array_equal(done.shown_in(left), shown)
     assert 0 < shown.sum() < done.shown_in(everything).sum()
-    _thread().submit(time.sleep, 0.2)  # the next look is still waiting when it is asked
-    np.testing.assert_array_equal(Look(scene, camera).shown_in(left), shown)
+    _thread().submit(time.sleep, 0.2)
+    waiting.begin()
+    np.testing.assert_array_equal(waiting.shown_in(left), shown)
     other = Look(scene.select(np.arange(0, 2_000, 3)), camera)
+    other.begin()
     assert 0 < other.shown_in(left).sum() and len(other.shown_in(left)) == 667
     np.testing.assert_array_equal(done.shown_in(left), shown)
     np.testing.assert_array_equal(Look(scene, camera.masked(left)).shown_in(left), shown)

@@ -53,13 +53,16 @@ def _corners(path: np.ndarray) -> np.ndarray:
 
 
 class Sight:
-    """A scene, placed in Blender's world by a matrix, as a viewport shows it. A thread looks at it from now
-    on, so less is left to do once an outline has been drawn."""
+    """A scene, placed in Blender's world by a matrix, as a viewport shows it."""
 
     def __init__(self, scene: Scene, matrix: Matrix, camera: Camera):
         self._scene, self._matrix, self._camera = scene, matrix.copy(), camera
         placed = visible_splats.placed([(scene, matrix)])
         self._look = Look(placed.scene, placed.seen_by(camera))
+
+    def begin(self):
+        """Looks in a thread, while an outline is still drawn. Less is left to do then."""
+        self._look.begin()
 
     def shows(self, scene: Scene, matrix: Matrix, camera: Camera) -> bool:
         """Whether it is what Sight(scene, matrix, camera) would be."""

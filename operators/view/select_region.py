@@ -51,7 +51,7 @@ class SVRGS_OT_select_region(SplatOperator):
     )
     path: CollectionProperty(type=bpy.types.OperatorMousePath, options={"HIDDEN", "SKIP_SAVE"})
     wait: BoolProperty(options={"HIDDEN", "SKIP_SAVE"})  # begin at the next press of the mouse
-    sight = None  # what the viewport showed when the mouse was pressed
+    sight = None  # what the viewport shows, if the mouse has moved since it was pressed
 
     def work(self, context) -> str:
         settings, obj = context.scene.svrgs_view, context.object
@@ -71,18 +71,15 @@ class SVRGS_OT_select_region(SplatOperator):
         self.button, self.region = "", context.region.as_pointer()
         self.mouse = event.mouse_region_x, event.mouse_region_y
         if not self.wait:
-            self.begin(context, event)
+            self.begin(event)
         _drawn[:] = [self]
         context.window_manager.modal_handler_add(self)
         context.region.tag_redraw()
         return {"RUNNING_MODAL"}
 
-    def begin(self, context, event):
+    def begin(self, event):
         """The mouse was pressed: its button draws until it is released. A tool's drag begins where it was
         pressed."""
-        if not context.scene.svrgs_view.select_through:
-            with contextlib.suppress(SplatError):  # work() says it
-                self.sight = select_in_view.Sight(*_seen(context)[:3])
         self.button = event.type if event.type in ("LEFTMOUSE", "RIGHTMOUSE") else "LEFTMOUSE"
         self.add(*self.mouse)
 
@@ -103,8 +100,12 @@ class SVRGS_OT_select_region(SplatOperator):
         if not self.button and event.type == "LEFTMOUSE" and event.value == "PRESS":
             if event.shift or event.ctrl:
                 self.mode = "EXTEND" if event.shift else "SUBTRACT"
-            self.begin(context, event)
+            self.begin(event)
         elif self.button and event.type in ("MOUSEMOVE", "INBETWEEN_MOUSEMOVE"):
+            if self.sight is None and not settings.select_through:  # not at a mere click, which is quick
+                with contextlib.suppress(SplatError):  # work() says it
+                    self.sight = select_in_view.Sight(*_seen(context)[:3])
+                    self.sight.begin()
             last = self.path[-1].loc
             if self.shape == "BOX" or abs(x - last[0]) + abs(y - last[1]) >= NEAREST:
                 self.add(x, y)

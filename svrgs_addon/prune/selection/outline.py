@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
 from functools import cache
@@ -70,21 +70,26 @@ def centres_in(means: np.ndarray, camera: Camera, pixels: np.ndarray, matrix=np.
 
 
 class Look:
-    """What the pixels of a view show. The view is rendered by a thread, while its outline is still drawn."""
+    """What the pixels of a view show."""
 
     def __init__(self, scene: Scene, camera: Camera):
-        """The scene must stay unchanged until shown_in()."""
         self._scene, self._camera = scene, camera
+        self._begun: Future | None = None
+
+    def begin(self):
+        """Renders the view in a thread, while an outline is still drawn. The scene must stay unchanged until
+        shown_in(), which then takes less time."""
         self._begun = _thread().submit(self._render)
 
     def shown_in(self, pixels: np.ndarray) -> np.ndarray:
         """(N,) bool: the Gaussians that one of the pixels (H, W) bool of the camera shows. Raises
         SplatError."""
-        if not self._begun.done():  # the view of these pixels is less work than what is left of the whole one
-            _rasterizer().cancel[0] = 1
-        with suppress(Cancelled):
-            self._begun.result()
-        _rasterizer().cancel[0] = 0
+        if self._begun:
+            if not self._begun.done():  # these pixels alone are less work than what is left
+                _rasterizer().cancel[0] = 1
+            with suppress(Cancelled):
+                self._begun.result()
+            _rasterizer().cancel[0] = 0
         return _thread().submit(self._shown, pixels).result()
 
     def _render(self):
