@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
@@ -16,6 +17,7 @@ from ...scene.camera import Camera
 from ...scene.gaussians import Scene
 from ...system.errors import Cancelled
 
+CHUNK = 1 << 14  # centres that a thread judges at a time
 SHOWN = 0.1  # alpha T in a pixel, from which on the pixel shows the Gaussian
 
 
@@ -54,18 +56,23 @@ def centres_in(means: np.ndarray, camera: Camera, pixels: np.ndarray, matrix=np.
     matrix: (4, 4), from the coordinates of the means to those of the camera.
     """
     # in float32, from a point near the camera (at it, unless the matrix is flat): half the time of float64
-    moved, K = camera.viewmat @ matrix, camera.K.astype(np.float32)
+    moved = camera.viewmat @ matrix
     moved[:2] = camera.K[:2, :2] @ moved[:2]
     origin = np.linalg.lstsq(moved[:3, :3], -moved[:3, 3], rcond=None)[0].astype(np.float32)
-    seen = moved[:3, :3].astype(np.float32) @ (means - origin).T
-    seen += (moved[:3] @ (*origin, 1)).astype(np.float32)[:, None]
-    x, y, z = seen
-    inside = z > thresholds().near
-    share = np.float32(1) if camera.orthographic else 1 / z[inside]
-    columns, rows = np.floor(x[inside] * share + K[0, 2]), np.floor(y[inside] * share + K[1, 2])
-    within = (columns >= 0) & (columns < camera.width) & (rows >= 0) & (rows < camera.height)
-    within[within] = pixels[rows[within].astype(np.int32), columns[within].astype(np.int32)]
-    inside[inside] = within
+    turned, shift = moved[:3, :3].astype(np.float32), (moved[:3] @ (*origin, 1)).astype(np.float32)
+    centre, inside = camera.K[:2, 2].astype(np.float32), np.empty(len(means), bool)
+
+    def judge(rows: slice):
+        x, y, z = turned @ (means[rows] - origin).T + shift[:, None]
+        front = z > thresholds().near
+        share = 1.0 if camera.orthographic else 1 / np.where(front, z, 1)
+        column, row = (np.floor(value * share + c) for value, c in zip((x, y), centre, strict=True))
+        seen = front & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
+        row, column = (np.where(seen, place, 0).astype(np.int32) for place in (row, column))
+        inside[rows] = seen & pixels[row, column]
+
+    with ThreadPoolExecutor(os.cpu_count()) as threads:
+        list(threads.map(judge, (slice(k, k + CHUNK) for k in range(0, len(means), CHUNK))))
     return inside
 
 
