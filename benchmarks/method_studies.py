@@ -115,6 +115,16 @@ def published() -> dict[str, list[str]]:
     return runs
 
 
+# what else steps could learn from, so that few keep the texture (texture.py)
+TEXTURE = {
+    "removal": "",
+    "more SSIM": "from svrgs_addon.finetune.methods import METHODS; "
+    "METHODS['removal'].image_weights = (0.2, 0.8)",
+    "teacher": "from texture import add_teacher; add_teacher()",
+} | {
+    name: f"from texture import add_term; add_term({name!r})"
+    for name in ("gradients", "SSIM of smaller sizes", "local contrast", "LPIPS")
+}
 LEVELS = {
     level: f"from svrgs_addon.native import rasterizer; rasterizer.best_level = lambda: {level!r}"
     for level in ("scalar", "baseline", "avx2", "avx512")
@@ -145,6 +155,11 @@ STUDIES = {
         for label in ABLATION
     },
     "published": published(),
+    "texture": {
+        f"{name} {target}": ["--method", "removal", "--target", target]
+        for target in ("1", "0.1")
+        for name in (TEXTURE if target != "1" else ["removal"])
+    },
     "skips": {name: [*TABLE["3DGS"], *flags] for name, flags in SKIPS.items()},
     "levels": {level: TABLE["3DGS"] for level in LEVELS},
     "scenarios": SCENARIOS,
@@ -155,12 +170,18 @@ STUDIES = {
     },
 }
 # these prune the scene of a run of `table`
-PRUNED = ("equal", "looks", "pareto", "published", "ablation", "time")
+PRUNED = ("equal", "looks", "pareto", "published", "ablation", "texture", "time")
 
 
 def change_of(study: str, run: str) -> str:
     """The Python code that changes the program before a run."""
-    changes = {"ablation": ABLATION, "equal": RANKINGS, "looks": LOOKING, "levels": LEVELS}
+    changes = {
+        "ablation": ABLATION,
+        "equal": RANKINGS,
+        "looks": LOOKING,
+        "levels": LEVELS,
+        "texture": TEXTURE,
+    }
     changes |= {"pareto": PARTS, "published": PARTS}
     name = (run.rpartition(" ")[0] or run).partition(", 5 k")[0]
     return PRINTED if study == "printed" else changes.get(study, {}).get(name, "")
