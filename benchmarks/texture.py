@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, conv2d, max_pool2d, relu
 
-from svrgs_addon.finetune import engine
+from svrgs_addon.finetune import engine, run
 from svrgs_addon.finetune.torch_engine import ssim
 from svrgs_addon.native.rasterizer import Rasterizer
 from svrgs_addon.render.metrics import lpips
@@ -119,20 +119,24 @@ def add_term(name: str):
 def add_teacher():
     """Every second step of this process sees a view halfway between a camera and its nearest neighbour, and
     learns from the picture that the scene had there before the first step."""
-    own, seen, rasterizer, original = engine.NativeEngine.step, {}, Rasterizer(), []
+    step, advance = engine.NativeEngine.step, run.Run.advance
+    seen, rasterizer, original = {}, Rasterizer(), []
 
-    def step(self, model, given):
+    def advancing(self):
         if not original:
-            arrays = {name: getattr(model, name).copy() for name in PARAMETERS}
-            original.append(SimpleNamespace(**arrays, count=model.count))
+            arrays = {name: getattr(self.model, name).copy() for name in PARAMETERS}
+            original.append(SimpleNamespace(**arrays, count=self.model.count))
+        advance(self)
+
+    def stepping(self, model, given):
         seen[given.camera.name] = given.camera
         if given.number % 2 and len(seen) > 1:
             camera = halfway(given.camera, list(seen.values()))
-            picture = rasterizer.forward(original[0], camera, given.options)["rgb"].copy()
+            picture = rasterizer.forward(original[0], camera, given.options)["rgb"]
             given = replace(given, camera=camera, target=np.clip(picture, 0, 1))
-        return own(self, model, given)
+        return step(self, model, given)
 
-    engine.NativeEngine.step = step
+    engine.NativeEngine.step, run.Run.advance = stepping, advancing
 
 
 def halfway(camera: Camera, others: list[Camera]) -> Camera:

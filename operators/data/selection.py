@@ -24,8 +24,7 @@ SELECTED = "svrgs:selected"  # attribute: marks the selected Gaussians
 NEIGHBOURS = 8  # by which a selection grows or shrinks
 EDIT_MODE = ".selection"  # Blender's attribute of a point cloud in Edit Mode
 UNIT_BOX, UNIT_SPHERE = (-1.0, -1.0, -1.0, 1.0, 1.0, 1.0), (0.0, 0.0, 0.0, 1.0)
-COMBINED = {
-    "SET": lambda before, mask: mask,
+COMBINED = {  # SET takes the mask alone
     "EXTEND": lambda before, mask: before | mask,
     "SUBTRACT": lambda before, mask: before & ~mask,
     "INTERSECT": lambda before, mask: before & mask,
@@ -79,7 +78,7 @@ def change(obj: bpy.types.Object, mask: np.ndarray, mode: str, invert: bool = Fa
         shown = np.zeros(len(mask), bool)
         shown[visible_splats.visible_rows(obj)] = True
         mask = shown & ~mask
-    mask = COMBINED[mode](read(obj), mask)
+    mask = mask if mode == "SET" else COMBINED[mode](read(obj), mask)
     with known.only_marks(obj):
         splat_object.set_values(obj, SELECTED, "BOOLEAN", mask)
         if obj.type == "MESH":

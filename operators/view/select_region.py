@@ -70,6 +70,9 @@ class SVRGS_OT_select_region(SplatOperator):
         self.path.clear()
         self.button, self.region = "", context.region.as_pointer()
         self.mouse = event.mouse_region_x, event.mouse_region_y
+        if event.value == "CLICK_DRAG":  # it comes once the mouse has moved
+            place = context.region.x, context.region.y
+            self.mouse = event.mouse_prev_press_x - place[0], event.mouse_prev_press_y - place[1]
         if not self.wait:
             self.begin(event)
         _drawn[:] = [self]

@@ -103,3 +103,8 @@ def test_its_tools_are_in_the_toolbar():
         if hasattr(tool, "idname")
     }
     assert {tool.bl_idname for tool in tools} <= names
+
+
+def test_a_drag_knows_where_the_mouse_was_pressed():
+    """The operator's first corner: the event of a drag comes once the mouse has moved."""
+    assert {"mouse_prev_press_x", "mouse_prev_press_y"} <= {*bpy.types.Event.bl_rna.properties.keys()}

@@ -59,17 +59,18 @@ def centres_in(means: np.ndarray, camera: Camera, pixels: np.ndarray, matrix=np.
     moved = camera.viewmat @ matrix
     moved[:2] = camera.K[:2, :2] @ moved[:2]
     origin = np.linalg.lstsq(moved[:3, :3], -moved[:3, 3], rcond=None)[0].astype(np.float32)
-    turned, shift = moved[:3, :3].astype(np.float32), (moved[:3] @ (*origin, 1)).astype(np.float32)
-    centre, inside = camera.K[:2, 2].astype(np.float32), np.empty(len(means), bool)
+    turned, shift = moved[:3, :3].astype(np.float32), (moved[:3] @ (*origin, 1)).astype(np.float32)[:, None]
+    centre, inside, shown = camera.K[:2, 2:].astype(np.float32), np.empty(len(means), bool), pixels.ravel()
 
     def judge(rows: slice):
-        x, y, z = turned @ (means[rows] - origin).T + shift[:, None]
-        front = z > thresholds().near
-        share = 1.0 if camera.orthographic else 1 / np.where(front, z, 1)
-        column, row = (np.floor(value * share + c) for value, c in zip((x, y), centre, strict=True))
-        seen = front & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
-        row, column = (np.where(seen, place, 0).astype(np.int32) for place in (row, column))
-        inside[rows] = seen & pixels[row, column]
+        places = turned @ (means[rows] - origin).T + shift
+        front = places[2] > thresholds().near
+        with np.errstate(all="ignore"):  # of those that are not in front
+            places = places[:2] if camera.orthographic else places[:2] / places[2]
+            # of negative numbers, too large ones are made, as of those that are too large
+            column, row = np.floor(places + centre).astype(np.int32).view(np.uint32)
+        front &= (column < camera.width) & (row < camera.height)
+        inside[rows] = front & shown.take(row * np.uint32(camera.width) + column, mode="clip")
 
     with ThreadPoolExecutor(os.cpu_count()) as threads:
         list(threads.map(judge, (slice(k, k + CHUNK) for k in range(0, len(means), CHUNK))))
