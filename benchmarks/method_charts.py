@@ -22,23 +22,30 @@ MARKERS = "osD^v<>PX*hd"
 
 def pareto_chart(curves: dict[str, list[tuple[int, float, float]]], title: str, path: Path):
     """PSNR and LPIPS over the number of Gaussians. curves: points (Gaussians, dB, LPIPS) of each method, by
-    rising count. `removal` is black."""
-    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.5))
-    for k, (method, points) in enumerate(sorted(curves.items())):
-        style = {"color": "black", "linewidth": 2} if method == "removal" else {"color": plt.cm.tab20(k % 20)}
-        counts, psnr, lpips = zip(*points, strict=True)
-        for axes, values in ((left, psnr), (right, lpips)):
-            axes.plot(counts, values, MARKERS[k % len(MARKERS)] + "-", markersize=4, label=method, **style)
-    for axes, name in ((left, "PSNR, dB"), (right, "LPIPS")):
-        axes.set_xscale("log")
+    rising count."""
+    figure, (left, right) = _psnr_and_lpips(curves, "Gaussians left")
+    for axes in (left, right):
         axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
         axes.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
         axes.xaxis.set_minor_formatter(NullFormatter())
-        axes.set_xlabel("Gaussians left")
-        axes.set_ylabel(f"{name}, test views")
-    right.legend(fontsize=8, loc="center left", bbox_to_anchor=(1, 0.5))
     figure.suptitle(title)
     _save(figure, path)
+
+
+def _psnr_and_lpips(curves: dict[str, list[tuple[float, float, float]]], over: str):
+    """A figure and its two axes: PSNR and LPIPS over the first value of each point. `removal` is black."""
+    figure, both = plt.subplots(1, 2, figsize=(11, 4.5))
+    for k, (method, points) in enumerate(sorted(curves.items())):
+        style = {"color": "black", "linewidth": 2} if method == "removal" else {"color": plt.cm.tab20(k % 20)}
+        first, *values = zip(*points, strict=True)
+        for axes, those in zip(both, values, strict=True):
+            axes.plot(first, those, MARKERS[k % len(MARKERS)] + "-", markersize=4, label=method, **style)
+    for axes, name in zip(both, ("PSNR, dB", "LPIPS"), strict=True):
+        axes.set_xscale("log")
+        axes.set_xlabel(over)
+        axes.set_ylabel(f"{name}, test views")
+    both[1].legend(fontsize=8, loc="center left", bbox_to_anchor=(1, 0.5))
+    return figure, both
 
 
 def curve_chart(runs: list[tuple[str, dict]], title: str, path: Path):
@@ -77,25 +84,13 @@ def looks_chart(points: dict[str, dict[str, tuple[float, float]]], path: Path):
     _save(figure, path)
 
 
-def time_chart(curves: dict[str, list[tuple[float, float]]], before: float, title: str, path: Path):
-    """PSNR over the seconds that jobs took. curves: points (seconds, dB) of each method, by rising time;
-    before: dB of the scene that was pruned."""
-    figure, axes = plt.subplots(figsize=(8.5, 5))
-    for k, (method, points) in enumerate(sorted(curves.items())):
-        style = (
-            {"color": "black", "linewidth": 2}
-            if method == "removal"
-            else {"color": plt.cm.tab10(k % 10), "linewidth": 1}
-        )
-        axes.plot(
-            *zip(*points, strict=True), MARKERS[k % len(MARKERS)] + "-", markersize=4, label=method, **style
-        )
-    axes.axhline(before, color="black", linewidth=1, linestyle=":", label="before")
-    axes.set_xscale("log")
-    axes.set_xlabel("seconds of the whole job")
-    axes.set_ylabel("PSNR of the test views, dB")
-    axes.set_title(title)
-    axes.legend(fontsize=8)
+def time_chart(curves: dict[str, list[tuple[float, float, float]]], before: float, title: str, path: Path):
+    """PSNR and LPIPS over the seconds that jobs took. curves: points (seconds, dB, LPIPS) of each method, by
+    rising time; before: dB of the scene that was pruned."""
+    figure, (left, _) = _psnr_and_lpips(curves, "seconds of the whole job")
+    left.axhline(before, color="black", linewidth=1, linestyle=":", label="before")
+    left.legend(fontsize=8, handles=left.lines[-1:])
+    figure.suptitle(title)
     _save(figure, path)
 
 

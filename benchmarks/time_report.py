@@ -28,7 +28,9 @@ def of_scene(scene: str, rows: list[dict], charts: Path) -> list[str]:
         sorted({row["time"]["asked"] for row in rows}),
     )
     curves = {
-        name: sorted((row["time"]["used"], row["psnr"]) for row in rows if row["method"] == name)
+        name: sorted(
+            (row["time"]["used"], row["psnr"], row["lpips"]) for row in rows if row["method"] == name
+        )
         for name in methods
     }
     before = rows[0]["before"]
@@ -39,7 +41,7 @@ def of_scene(scene: str, rows: list[dict], charts: Path) -> list[str]:
         charts / f"time-{scene}.svg",
     )
     lines = [
-        f"![PSNR over seconds](results/time-{scene}.svg)",
+        f"![PSNR and LPIPS over seconds](results/time-{scene}.svg)",
         "",
         f"| {scene} (PSNR before {before['psnr']:.2f}) | {' | '.join(methods)} |",
     ]
