@@ -115,15 +115,20 @@ def published() -> dict[str, list[str]]:
     return runs
 
 
-# what else steps could learn from, so that few keep the texture (texture.py)
+# what else steps could learn from, so that few keep the texture (texture.py): the weights of L1 and SSIM, and
+# of a term that is added, with which it is about as large as they are
+WEIGHTS = "from svrgs_addon.finetune.methods import METHODS; METHODS['removal'].image_weights = {}; "
+TERM = "from texture import add_term; add_term({!r}, {})"
+BOTH = "gradients 1.5, SSIM 0.5"
 TEXTURE = {
     "removal": "",
-    "more SSIM": "from svrgs_addon.finetune.methods import METHODS; "
-    "METHODS['removal'].image_weights = (0.2, 0.8)",
+    "L1 0.2, SSIM 0.8": WEIGHTS.format((0.2, 0.8)),
+    "gradients 0.5": TERM.format("gradients", 0.5),
+    BOTH: WEIGHTS.format((0.8, 0.5)) + TERM.format("gradients", 1.5),
+    "SSIM of smaller sizes 0.2": TERM.format("SSIM of smaller sizes", 0.2),
+    "local contrast 1": TERM.format("local contrast", 1.0),
+    "LPIPS 0.1": TERM.format("LPIPS", 0.1),
     "teacher": "from texture import add_teacher; add_teacher()",
-} | {
-    name: f"from texture import add_term; add_term({name!r})"
-    for name in ("gradients", "SSIM of smaller sizes", "local contrast", "LPIPS")
 }
 LEVELS = {
     level: f"from svrgs_addon.native import rasterizer; rasterizer.best_level = lambda: {level!r}"
@@ -158,7 +163,7 @@ STUDIES = {
     "texture": {
         f"{name} {target}": ["--method", "removal", "--target", target]
         for target in ("1", "0.1")
-        for name in (TEXTURE if target != "1" else ["removal"])
+        for name in (TEXTURE if target != "1" else ["removal", BOTH])
     },
     "skips": {name: [*TABLE["3DGS"], *flags] for name, flags in SKIPS.items()},
     "levels": {level: TABLE["3DGS"] for level in LEVELS},

@@ -20,7 +20,7 @@ from svrgs_addon.scene.camera import Camera
 from svrgs_addon.scene.gaussians import PARAMETERS
 
 SIZES = 3  # full, half and a quarter
-SQUARE = 128  # side of the square of a picture that the network sees in a step, in pixels
+SQUARE = 96  # side of the square of a picture that the network sees in a step, in pixels
 
 
 def sizes(picture: Tensor, photo: Tensor) -> list[tuple[Tensor, Tensor]]:
@@ -90,19 +90,17 @@ class Network:
         return ((a - b) ** 2 * self._weights[f"lin{k}.model.1.weight"].reshape(1, -1, 1, 1)).sum(1).mean()
 
 
-# name of the run: the term that is added to the loss, and its weight; both together are about as large as it
-TERMS: dict[str, tuple[Callable[[], Callable[[Tensor, Tensor], Tensor]], float]] = {
-    "gradients": (lambda: gradients, 0.5),
-    "SSIM of smaller sizes": (lambda: scales, 0.2),
-    "local contrast": (lambda: contrast, 1.0),
-    "LPIPS": (Network, 0.1),
+TERMS: dict[str, Callable[[], Callable[[Tensor, Tensor], Tensor]]] = {
+    "gradients": lambda: gradients,
+    "SSIM of smaller sizes": lambda: scales,
+    "local contrast": lambda: contrast,
+    "LPIPS": Network,
 }
 
 
-def add_term(name: str):
-    """Every step of this process also learns from a term of TERMS."""
-    make, weight = TERMS[name]
-    term, own = make(), engine.NativeEngine._image_loss
+def add_term(name: str, weight: float):
+    """Every step of this process also learns from a term of TERMS, which is added to the loss."""
+    term, own = TERMS[name](), engine.NativeEngine._image_loss
 
     def image_loss(self, step, rgb):
         l1, similarity, grad = own(self, step, rgb)
