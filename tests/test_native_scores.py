@@ -19,6 +19,7 @@ from native_helpers import (
 )
 from reference import rasterize as ref
 from svrgs_addon.scene.gaussians import Scene
+from svrgs_addon.system.errors import NativeError
 
 
 def reference_weights(scene, masks, camera) -> np.ndarray:
@@ -130,6 +131,8 @@ def test_scores_over_some_pixels_are_those_of_a_view_in_which_only_they_count(le
         for some, expected in zip(*scores, strict=True):
             np.testing.assert_array_equal(some, expected)
         assert scores[0][0].any() == bool(share)
+        with pytest.raises(NativeError, match="other pixels"):  # of a camera that has some
+            rasterizer(level).add_scores(*scores[-1], pixels=pixels)
 
 
 @pytest.mark.parametrize("level", LEVELS)

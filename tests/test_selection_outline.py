@@ -120,4 +120,3 @@ def test_looks_that_are_done_cut_short_or_replaced_show_the_same():
     other.begin()
     assert 0 < other.shown_in(left).sum() and len(other.shown_in(left)) == 667
     np.testing.assert_array_equal(done.shown_in(left), shown)
-    np.testing.assert_array_equal(Look(scene, camera.masked(left)).shown_in(left), shown)

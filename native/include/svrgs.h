@@ -194,7 +194,7 @@ SVRGS_API int32_t svrgs_backward(svrgs_context*, const svrgs_image_grads*, const
 /* Adds the last view to per-Gaussian statistics, each (N,) and optional: sum of alpha_i T_i over pixels, its maximum,
    the number of pixels blended, and the sum of T_i over them. Marks with 1 in `reached` those that hit a ray before it stops, or,
    with options.full, any ray; colours are the same without the others.
-   valid: (H, W), optional: pixels with 0 do not count, as in svrgs_options; others than those of the view may. `reached` is of all pixels of the view. */
+   valid: (H, W), optional: pixels with 0 do not count, as in svrgs_options, which then has none. `reached` is of all pixels of the view. */
 SVRGS_API int32_t svrgs_scores(svrgs_context*, const uint8_t* valid, double* sum, float* max, int64_t* hits, double* transmittance, uint8_t* reached);
 
 /* How much the last view's colours would change if a Gaussian's shape on the screen did: sums over pixels of w u^a v^b, with

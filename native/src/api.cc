@@ -253,6 +253,7 @@ int32_t svrgs_scores(svrgs_context* c, const uint8_t* valid, double* sum, float*
     require(c, "an argument is missing");
     require(c->context.holds_view(), "there is no rendered view to score: call svrgs_forward first");
     check_whole(c->context);
+    require(!valid || !c->context.holds_valid(), "the view has been rendered with other pixels that count");
     c->context.scores(valid, {sum, max, hits, transmittance, reached});
   });
 }

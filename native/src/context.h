@@ -46,7 +46,7 @@ class Context {
   void forward(const svrgs_scene&, const svrgs_camera&, const svrgs_options&, const svrgs_images&);
   // Writes gradients to `out` and, if there is an update, makes an Adam step. Returns the rows that the step left alone.
   int64_t backward(const svrgs_image_grads&, const svrgs_grads& out, const svrgs_update*);
-  void scores(const uint8_t* valid, const Scores&);  // valid: optional, the pixels that count instead of those of the view
+  void scores(const uint8_t* valid, const Scores&);  // valid: optional, the pixels that count; not in a view that has such pixels
   void moments(double* rows);
   void removal(const void* residuals, double* cost);
   void visibility(double* sums);
@@ -63,6 +63,7 @@ class Context {
   bool holds_view() const { return holds_view_; }
   bool holds_depth() const { return frame_.want_depth; }
   bool holds_limit() const { return frame_.depth_limit; }
+  bool holds_valid() const { return frame_.valid; }
 
  private:
   void set_frame(const svrgs_scene&, const svrgs_camera&, const svrgs_options&, const svrgs_images&);

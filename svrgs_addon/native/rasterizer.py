@@ -227,7 +227,7 @@ class Rasterizer:
         which it is blended: sum of alpha T float64, maximum of alpha T float32, number of pixels int64, sum
         of T float64. Marks with 1 in `reached`, uint8, those that hit a ray before it stops (or, if F was
         rendered to the end of rays, any ray); colours are the same without the others. pixels: (H, W) uint8,
-        only those that are not 0 count, but for `reached`; None: those that count in the view."""
+        only those that are not 0 count, but for `reached`, and not in a view whose camera has others."""
         given = {"sum": (sum_, np.float64), "max": (max_, np.float32), "hits": (hits, np.int64)}
         given |= {"transmittance": (transmittance, np.float64), "reached": (reached, np.uint8)}
         shape = (self._count("score"),)

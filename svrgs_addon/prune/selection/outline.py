@@ -111,10 +111,12 @@ class Look:
         _rasterizer().forward(self._scene, camera, options, outputs=())
 
     def _shown(self, pixels: np.ndarray) -> np.ndarray:
-        if _last != [self]:
-            self._forward(self._camera.masked(pixels))
         largest = np.zeros(self._scene.count, np.float32)
-        _rasterizer().add_scores(max_=largest, pixels=pixels.astype(np.uint8))
+        if _last == [self]:
+            _rasterizer().add_scores(max_=largest, pixels=pixels.astype(np.uint8))
+        else:
+            self._forward(self._camera.masked(pixels))
+            _rasterizer().add_scores(max_=largest)
         return largest >= SHOWN
 
 
