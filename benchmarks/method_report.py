@@ -275,13 +275,7 @@ def texture(rows: list[dict], charts: Path) -> str:
     """The default with nothing removed, and with a tenth that learns from something else, too."""
     lines = []
     for row in sorted(pruned(rows, "texture"), key=lambda row: (row["scene"], -row["share"])):
-        what = (
-            "nothing removed"
-            if row["share"] == 1
-            else "as it is"
-            if row["method"] == DEFAULT
-            else row["method"]
-        )
+        what = "as it is" if row["method"] == DEFAULT else row["method"]
         lines.append([case(row), f"{100 * row['share']:g} %", what, *four_figures(row)])
     return table(["scene", "kept", "steps learn from", *FOUR], lines)
 

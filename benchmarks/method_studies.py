@@ -115,20 +115,20 @@ def published() -> dict[str, list[str]]:
     return runs
 
 
-# what steps learn from, so that few keep the texture (texture.py): the weights of L1, SSIM and gradients, and
+# what else steps could learn from, so that few keep the texture (texture.py): the weights of L1 and SSIM, and
 # of a term that is added, with which it is about as large as they are
-WEIGHTS = "from svrgs_addon.finetune.methods import removal; removal.WEIGHTS = {}; "
-PLAIN = WEIGHTS.format((0.8, 0.2, 0.0))  # of all other studies: the same loss for all methods
-TERM = PLAIN + "from texture import add_term; add_term({!r}, {})"
+WEIGHTS = "from svrgs_addon.finetune.methods import METHODS; METHODS['removal'].image_weights = {}; "
+TERM = "from texture import add_term; add_term({!r}, {})"
+BOTH = "gradients 1.5, SSIM 0.5"
 TEXTURE = {
     "removal": "",
-    "L1 and SSIM": PLAIN,
-    "L1 0.2, SSIM 0.8": WEIGHTS.format((0.2, 0.8, 0.0)),
-    "gradients 0.5": WEIGHTS.format((0.8, 0.2, 0.5)),
+    "L1 0.2, SSIM 0.8": WEIGHTS.format((0.2, 0.8)),
+    "gradients 0.5": TERM.format("gradients", 0.5),
+    BOTH: WEIGHTS.format((0.8, 0.5)) + TERM.format("gradients", 1.5),
     "SSIM of smaller sizes 0.2": TERM.format("SSIM of smaller sizes", 0.2),
     "local contrast 1": TERM.format("local contrast", 1.0),
     "LPIPS 0.1": TERM.format("LPIPS", 0.1),
-    "teacher": PLAIN + "from texture import add_teacher; add_teacher()",
+    "teacher": "from texture import add_teacher; add_teacher()",
 }
 LEVELS = {
     level: f"from svrgs_addon.native import rasterizer; rasterizer.best_level = lambda: {level!r}"
@@ -163,7 +163,7 @@ STUDIES = {
     "texture": {
         f"{name} {target}": ["--method", "removal", "--target", target]
         for target in ("1", "0.1")
-        for name in (TEXTURE if target != "1" else ["removal", "L1 and SSIM"])
+        for name in (TEXTURE if target != "1" else ["removal", BOTH])
     },
     "skips": {name: [*TABLE["3DGS"], *flags] for name, flags in SKIPS.items()},
     "levels": {level: TABLE["3DGS"] for level in LEVELS},
@@ -189,5 +189,4 @@ def change_of(study: str, run: str) -> str:
     }
     changes |= {"pareto": PARTS, "published": PARTS}
     name = (run.rpartition(" ")[0] or run).partition(", 5 k")[0]
-    own = PRINTED if study == "printed" else changes.get(study, {}).get(name, "")
-    return own if study == "texture" else PLAIN + own
+    return PRINTED if study == "printed" else changes.get(study, {}).get(name, "")

@@ -28,6 +28,15 @@ def sizes(picture: Tensor, photo: Tensor) -> list[tuple[Tensor, Tensor]]:
     return [(avg_pool2d(picture, 2**k), avg_pool2d(photo, 2**k)) for k in range(SIZES)]
 
 
+def gradients(picture: Tensor, photo: Tensor) -> Tensor:
+    """Mean absolute difference of the horizontal and the vertical gradients, over all sizes."""
+    errors = [a - b for a, b in sizes(picture, photo)]
+    return (
+        sum((e.diff(dim=2).abs().mean() + e.diff(dim=3).abs().mean() for e in errors), torch.zeros(()))
+        / SIZES
+    )
+
+
 def scales(picture: Tensor, photo: Tensor) -> Tensor:
     """1 - SSIM in half the size and a quarter."""
     smaller = [[x[0].permute(1, 2, 0) for x in pair] for pair in sizes(picture, photo)[1:]]
@@ -82,6 +91,7 @@ class Network:
 
 
 TERMS: dict[str, Callable[[], Callable[[Tensor, Tensor], Tensor]]] = {
+    "gradients": lambda: gradients,
     "SSIM of smaller sizes": lambda: scales,
     "local contrast": lambda: contrast,
     "LPIPS": Network,

@@ -170,12 +170,11 @@ OPTIONS = {
 
 @pytest.mark.parametrize("options", OPTIONS.values(), ids=OPTIONS)
 def test_render_options_reach_both_engines(options):
-    run_both(F64, "svr", 3, resynchronise=False, options=options, image_weights=(1.0, 0.5, 0.7))
+    run_both(F64, "svr", 3, resynchronise=False, options=options, l1_weight=1.0, ssim_weight=0.5)
 
 
 def test_a_window_of_the_view_is_the_same_in_both_engines():
-    window, weights = (slice(3, 30), slice(9, 41)), (0.8, 0.5, 1.5)
-    run_both(F64, "svr", 3, resynchronise=False, window=window, image_weights=weights)
+    run_both(F64, "svr", 3, resynchronise=False, window=(slice(3, 30), slice(9, 41)))
 
 
 @pytest.mark.parametrize("case", ["svr", "both", "masks_alone"])

@@ -71,7 +71,7 @@ def test_the_gates_gradient_is_that_of_opacity_and_scale():
         changed.opacity_logits[i] = math.log(o / (1 - o))
         changed.log_scales[i] += math.log(gate)
         l1, ssim, _ = r.loss(r.forward(changed, view, step.options)["rgb"], target, want_grad=False)
-        return step.image_weights.l1 * l1 + step.image_weights.ssim * (1 - ssim)
+        return step.l1_weight * l1 + step.ssim_weight * (1 - ssim)
 
     numeric = np.array([(loss(1 + 1e-6, i) - loss(1 - 1e-6, i)) / 2e-6 for i in range(model.count)])
     image = r.forward(model, view, step.options, step.masks)["rgb"]

@@ -64,11 +64,15 @@ def test_paper_chooses_the_printed_settings_to_the_letter():
     paper = paper_method()
     assert (paper.mask_kind, paper.lambda_f, paper.first_cut) == ("svr", 1e-4, False)
     plan = train_settings("svr-paper", 30_000, 5_000)
-    assert plan.image_weights == (1.0, 1.0, 0.0)
+    assert (plan.l1_weight, plan.ssim_weight) == (1.0, 1.0)
     assert (plan.lambda_f, plan.full, plan.mask_init, plan.draws) == (1e-4, True, 9.0, 10)
     assert plan.phases[0].prune_every == 1_000 and plan.phases[1].steps == 5_000
     svr = train_settings("svr", 30_000, 5_000)
-    assert svr.image_weights == (0.8, 0.2, 0.0) and svr.method.first_cut and svr.phases == plan.phases
+    assert (svr.l1_weight, svr.ssim_weight, svr.method.first_cut) == (
+        0.8,
+        0.2,
+        True,
+    ) and svr.phases == plan.phases
 
 
 def test_names_and_menu_numbers_are_each_one_method_s():

@@ -422,3 +422,27 @@ def test_the_recipe_adds_what_is_said_to_its_passes(left_out):
         assert 0.05 < fmean(gains(left_out, share, OWN_RATES, "psnr")) < most
     lpips = [-fmean(gains(left_out, share, OWN_RATES, "lpips")) for share in ("0.5", "0.25", "0.1", "0.05")]
     assert [round(value, 3) for value in (lpips[0], min(lpips[1:]), max(lpips[1:]))] == [-0.005, 0.003, 0.012]
+
+
+def test_sentences_on_other_losses_are_those_of_the_rows():
+    runs = {(r["scene"], r["run"], r["seed"]): r for r in rows_of(study="texture")}
+    scenes, both = ("snowmiku", "south_building"), "gradients 1.5, SSIM 0.5"
+    change = lambda scene, seed, name: (
+        runs[scene, f"{both} 0.1", seed][name] - runs[scene, "removal 0.1", seed][name]
+    )
+    gained = [round(change("snowmiku", seed, "psnr"), 2) for seed in (0, 1)]
+    assert said("results.md", "they gain # and # dB on snowmiku") == gained
+    lost = [-round(change(scenes[1], 1, "psnr"), 2), round(change(scenes[1], 1, "lpips"), 3)]
+    assert said("results.md", "they lose # dB and # LPIPS") == lost
+    network = [runs[scene, "LPIPS 0.1 0.1", 0]["lpips"] for scene in scenes]
+    whole = [runs[scene, "removal 1", 0]["lpips"] for scene in scenes]
+    above = [one - other for one, other in zip(network, whole, strict=True)]
+    assert said("results.md", "gives a tenth # and # LPIPS: still # and # above") == [
+        round(value, 3) for value in (*network, *above)
+    ]
+    for scene in scenes:
+        for (where, run, _), row in runs.items():
+            if where == scene and not run.endswith(" 1"):
+                start = runs[scene, "removal 1", 0]
+                kept = row["lpips"] - start["lpips"] <= 0.01 and start["ssim"] - row["ssim"] <= 0.002
+                assert not (kept and start["psnr"] - row["psnr"] <= 0.2)

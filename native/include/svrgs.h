@@ -229,11 +229,6 @@ SVRGS_API int32_t svrgs_dominance(svrgs_context*, double* pixels);
 SVRGS_API int32_t svrgs_loss(svrgs_context*, const real* image, const real* target, int32_t height, int32_t width, double l1_weight, double ssim_weight,
                              real* grad, double values[2]);
 
-/* G, in *value: mean absolute difference of the horizontal gradients of image and target, (H, W, 3), and of the vertical ones, over three sizes: full, and
-   means of 2x2 and 4x4 pixels. Adds weight times dG/dimage to grad (H, W, 3), as svrgs_loss writes it. A gradient is the difference of two neighbours. */
-SVRGS_API int32_t svrgs_gradient_loss(svrgs_context*, const real* image, const real* target, int32_t height, int32_t width, double weight, real* grad,
-                                      double* value);
-
 /* L_F = mean F^2 over `count` pixels (SVR-GS Eq. 10), in *value. grad (count,) receives `weight` times its gradient, 2 weight F / count. */
 SVRGS_API int32_t svrgs_mask_loss(svrgs_context*, const real* mask, int64_t count, double weight, real* grad, double* value);
 

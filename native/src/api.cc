@@ -312,14 +312,6 @@ int32_t svrgs_loss(svrgs_context* c, const real* image, const real* target, int3
   });
 }
 
-int32_t svrgs_gradient_loss(svrgs_context* c, const real* image, const real* target, int32_t height, int32_t width, double weight, real* grad, double* value) {
-  return guarded([&] {
-    require(c && image && target && grad && value, "an argument is missing");
-    require(height > 0 && width > 0 && height <= svrgs::kMaxSide && width <= svrgs::kMaxSide, "image sides must be 1 to 32768 pixels");
-    *value = c->context.gradient_loss(image, target, height, width, weight, grad);
-  });
-}
-
 int32_t svrgs_mask_loss(svrgs_context* c, const real* mask, int64_t count, double weight, real* grad, double* value) {
   return guarded([&] {
     require(c && mask && grad && value, "an argument is missing");

@@ -5,7 +5,6 @@
 #include <chrono>
 #include <cstring>
 #include <numeric>
-#include <utility>
 
 #include "pool.h"
 
@@ -15,7 +14,6 @@ namespace {
 constexpr int64_t kProjectGrain = 2048;  // Gaussians per projection chunk
 constexpr int64_t kVisibleGrain = 1024;
 constexpr int64_t kMaskLossGrain = 16384;  // pixels
-constexpr int64_t kGradientRows = 16;      // of the loss of gradients, that a thread takes at a time
 constexpr int64_t kMostBinPairs = 65536;   // (Gaussian, tile) pairs of a bin, on average
 constexpr int64_t kPairsOfFewBins = 4096;  // the same, times the number of bins, where they are few
 
@@ -317,40 +315,6 @@ void Context::loss_tiles(const void* image, const void* target, int height, int 
   values[0] = values[1] = 0;
   for (int64_t t = 0; t < tiles; ++t) values[0] += a.tile_l1[t], values[1] += a.tile_ssim[t];
   values[0] /= values_in, values[1] /= values_in;
-}
-
-double Context::gradient_loss(const void* image, const void* target, int height, int width, double weight, void* grad) {
-  constexpr int kSizes = 3;
-  const auto begun = std::chrono::steady_clock::now();
-  GradientSize sizes[kSizes];
-  int count = 0;
-  int64_t reals = 0, blocks = 0;
-  for (int64_t h = height, w = width; count < kSizes && h && w; h /= 2, w /= 2, ++count) {
-    const auto part = [](int64_t differences) { return differences ? 1 / static_cast<double>(kSizes * 3 * differences) : 0.0; };
-    sizes[count] = {h, w, part((h - 1) * w), part(h * (w - 1)), nullptr, grad};
-    reals += h * sizes[count].stride() + (count ? h * w * 3 : 0), blocks = std::max(blocks, chunk_count(h, kGradientRows));
-  }
-  char* memory = gradient_sizes_.reserve<char>(reals * kernels_.real_size);
-  const auto taken = [&](int64_t values) { return std::exchange(memory, memory + values * kernels_.real_size); };
-  for (int k = 0; k < count; ++k) {
-    GradientSize& s = sizes[k];
-    s.errors = taken(s.height * s.stride());
-    if (k) s.grad = taken(s.height * s.width * 3);
-    parallel_blocks(s.height, kGradientRows, [&](int64_t begin, int64_t end) {
-      k ? kernels_.halved_rows(sizes[k - 1], s, begin, end) : kernels_.error_rows(image, target, s, begin, end);
-    });
-  }
-  double* const sums = tile_values_.reserve<double>(blocks);
-  double value = 0;
-  for (int k = count - 1; k >= 0; --k) {
-    const GradientSize &s = sizes[k], *const half = k + 1 < count ? &sizes[k + 1] : nullptr;
-    if (k) std::memset(s.grad, 0, s.height * s.width * 3 * kernels_.real_size);
-    parallel_blocks(s.height, kGradientRows,
-                    [&](int64_t begin, int64_t end) { sums[begin / kGradientRows] = kernels_.gradient_loss_rows(s, half, weight, begin, end); });
-    value = std::accumulate(sums, sums + chunk_count(s.height, kGradientRows), value);
-  }
-  seconds_[SVRGS_LOSS] += seconds_between(begun, std::chrono::steady_clock::now());
-  return value;
 }
 
 double Context::mask_loss(const void* mask, int64_t count, double weight, void* grad) {

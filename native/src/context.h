@@ -54,7 +54,6 @@ class Context {
   void dominance(double* pixels);
   int64_t adam(const svrgs_adam_settings&, void* param, void* moments, const void* grad, const uint32_t* ids, int64_t rows, int width);
   void loss(const void* image, const void* target, int height, int width, double l1_weight, double ssim_weight, void* grad, double values[2]);
-  double gradient_loss(const void* image, const void* target, int height, int width, double weight, void* grad);
   double mask_loss(const void* mask, int64_t count, double weight, void* grad);
 
   const uint32_t* visible() const { return frame_.visible; }
@@ -97,7 +96,7 @@ class Context {
   double seconds_[SVRGS_STAGES] = {};
   Buffer gaussians_, rects_, tiles_, spans_, ids_, depth_keys_, visible_, places_, bin_begin_, tile_begin_, entries_, counts_, listed_, hits_, state_;
   Buffer slots_;  // of the pixels' sums; before, where tiles are listed
-  Buffer loss_scratch_, tile_values_, gradient_sizes_;
+  Buffer loss_scratch_, tile_values_;
 };
 
 }  // namespace svrgs

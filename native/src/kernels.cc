@@ -42,7 +42,6 @@ namespace svrgs::SVRGS_LEVEL {
 #include "kernels/adam_sh-inl.h"
 #include "kernels/gradients-inl.h"
 #include "kernels/loss-inl.h"
-#include "kernels/gradient_loss-inl.h"
 #include "kernels/srgb-inl.h"
 #include "kernels/exposure-inl.h"
 #include "kernels/flip-inl.h"
@@ -104,9 +103,6 @@ const Kernels SVRGS_TABLE_NAME = {
     .loss_scratch = level::kLossScratch,
     .loss_tile = level::loss_pass,
     .mask_loss_range = level::mask_loss_range,
-    .error_rows = level::error_rows,
-    .halved_rows = level::halved_rows,
-    .gradient_loss_rows = level::gradient_loss_rows,
     .flip_tile = level::flip_tile,
     .convolve_row = level::convolve_row,
     .linear_range = level::linear_range,

@@ -45,9 +45,6 @@ struct Kernels {
   int64_t loss_scratch;  // reals a thread needs
   void (*loss_tile)(const struct LossArguments&, int64_t tile, void* scratch);
   double (*mask_loss_range)(const void* mask, double scale, int64_t begin, int64_t end, void* grad);  // sum of F^2; grad = scale F
-  void (*error_rows)(const void* image, const void* target, const struct GradientSize&, int64_t begin, int64_t end);
-  void (*halved_rows)(const GradientSize& from, const GradientSize& to, int64_t begin, int64_t end);
-  double (*gradient_loss_rows)(const GradientSize&, const GradientSize* half, double weight, int64_t begin, int64_t end);
   void (*flip_tile)(const FlipArguments&, int64_t tile, void* scratch);
   void (*convolve_row)(const struct ConvolveArguments&, int64_t y, int64_t panel);
   void (*linear_range)(const struct LinearArguments&, int64_t begin, int64_t end);
@@ -68,14 +65,6 @@ struct LossArguments {
   double l1_scale, ssim_scale;  // dL/d of each value's |difference|; of each value's SSIM
   void* grad;                   // optional
   double *tile_l1, *tile_ssim;
-};
-
-struct GradientSize {  // one of those of svrgs_gradient_loss
-  int64_t height, width;
-  double down, across;                                     // the part of a vertical difference and of a horizontal one in the value
-  void* errors;                                            // (height, stride())
-  void* grad;                                              // (height, width, 3)
-  int64_t stride() const { return 3 * (width + 2) + 16; }  // a vector can be read behind the last pixel
 };
 
 constexpr int kConvolvePanel = SVRGS_CONVOLVE_PANEL;

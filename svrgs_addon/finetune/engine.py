@@ -16,7 +16,6 @@ from ..scene.camera import Camera
 from ..scene.gaussians import PARAMETERS
 from .model import MASK, Model
 from .penalties import Penalty
-from .settings import IMAGE_WEIGHTS, ImageWeights
 
 BETAS, EPS = (0.9, 0.999), 1e-15
 
@@ -31,7 +30,8 @@ class Step:
     number: int  # step of the run, from 1: Adam's t
     rates: dict[str, float]  # learning rates by parameter name, as Rates.at() gives them
     options: RenderOptions
-    image_weights: ImageWeights = IMAGE_WEIGHTS
+    l1_weight: float = 0.8
+    ssim_weight: float = 0.2
     masks: np.ndarray | None = None  # (N,) uint8, the masks of this step; None: all 1
     slope: np.ndarray | None = None  # (N,) dM/dlogit; None: masks are not learned
     lambda_f: float = 0.0  # weight of mean F^2
@@ -90,12 +90,10 @@ class StepResult:
     camera: np.ndarray | None = None  # (6,) dL/d(the camera's motion), see Camera.displaced
     global_loss: float = 0.0  # (mean M)^2
     penalty: float = 0.0  # value of Step.penalty, its weight included
-    gradients: float = 0.0  # mean absolute error of the gradients; 0 if it has no weight
     nonfinite: int = 0  # rows that were not updated because their gradient was not finite
 
     def image_loss(self, step: Step) -> float:
-        of_l1, of_ssim, of_gradients = step.image_weights
-        return of_l1 * self.l1 + of_ssim * (1 - self.ssim) + of_gradients * self.gradients
+        return step.l1_weight * self.l1 + step.ssim_weight * (1 - self.ssim)
 
     def loss(self, step: Step) -> float:
         return (
@@ -123,12 +121,12 @@ class NativeEngine:
         r = self.rasterizer
         outputs = ("rgb", "mask") if step.spatial else ("rgb",)
         images = r.forward(model, step.camera, step.options, step.masks, outputs)
-        l1, ssim, gradients, d_rgb, d_exposure = self._seen_loss(step, images["rgb"])
+        l1, ssim, d_rgb, d_exposure = self._seen_loss(step, images["rgb"])
         image_grads, mask_loss = {"rgb": d_rgb}, 0.0
         if step.spatial:
             mask_loss, image_grads["mask"] = r.mask_loss(images["mask"], step.lambda_f)
         result = StepResult(l1, ssim, mask_loss, step.not_frozen(r.visible()), global_loss=step.global_loss)
-        result.gradients, result.exposure = gradients, d_exposure
+        result.exposure = d_exposure
         result.penalty = float(
             sum(penalty.value(rows, np) for penalty, rows in _penalised(model, step, result.visible))
         )
@@ -143,34 +141,25 @@ class NativeEngine:
             result.camera = grads["camera"].sum(axis=0, dtype=np.float64)
         return result
 
-    def _seen_loss(
-        self, step: Step, rgb: np.ndarray
-    ) -> tuple[float, float, float, np.ndarray, np.ndarray | None]:
+    def _seen_loss(self, step: Step, rgb: np.ndarray) -> tuple[float, float, np.ndarray, np.ndarray | None]:
         """_image_loss() of the picture as the photograph's exposure shows it, and dL/dexposure."""
         if step.exposure is None:
             return *self._image_loss(step, rgb), None
         valid, level = step.camera.valid, self.rasterizer.level
-        l1, ssim, gradients, d_seen = self._image_loss(step, exposed(rgb, step.exposure, valid, level))
-        return l1, ssim, gradients, *exposed_vjp(d_seen, rgb, step.exposure, valid, level)
+        l1, ssim, d_seen = self._image_loss(step, exposed(rgb, step.exposure, valid, level))
+        return l1, ssim, *exposed_vjp(d_seen, rgb, step.exposure, valid, level)
 
-    def _image_loss(self, step: Step, rgb: np.ndarray) -> tuple[float, float, float, np.ndarray]:
-        """Mean |difference|, SSIM, mean |difference of gradients| and the gradient (H, W, 3) of the image
-        loss; all are means over all pixels of the view."""
+    def _image_loss(self, step: Step, rgb: np.ndarray) -> tuple[float, float, np.ndarray]:
+        """Mean |difference|, SSIM and the gradient (H, W, 3) of the image loss; both values and the gradient
+        are means over all pixels of the view."""
         if step.window is None:
-            return self._loss(step, rgb)
-        l1, ssim, gradients, grad = self._loss(step, np.ascontiguousarray(rgb[step.window]))
+            return self.rasterizer.loss(rgb, step.target, step.l1_weight, step.ssim_weight)
+        l1, ssim, grad = self.rasterizer.loss(
+            np.ascontiguousarray(rgb[step.window]), step.target, step.l1_weight, step.ssim_weight
+        )
         share, whole = grad.size / rgb.size, np.zeros_like(rgb)
         np.multiply(grad, rgb.dtype.type(share), out=whole[step.window])
-        return share * l1, 1 - share * (1 - ssim), share * gradients, whole
-
-    def _loss(self, step: Step, seen: np.ndarray) -> tuple[float, float, float, np.ndarray]:
-        """_image_loss() of the part of the picture that has a photograph."""
-        of_l1, of_ssim, of_gradients = step.image_weights
-        l1, ssim, grad = self.rasterizer.loss(seen, step.target, of_l1, of_ssim)
-        gradients = 0.0
-        if of_gradients:
-            gradients = self.rasterizer.gradient_loss(seen, step.target, of_gradients, grad)
-        return l1, ssim, gradients, grad
+        return share * l1, 1 - share * (1 - ssim), whole
 
     def _update(
         self, model: Model, step: Step, image_grads: dict, wanted: tuple[str, ...], ids: np.ndarray

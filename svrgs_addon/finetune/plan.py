@@ -61,8 +61,9 @@ def prune_plan(
 def _plan(
     method: Method, phases: list[Phase], trained: bool, lambda_f: float | None, lambda_m: float | None, **rest
 ) -> Plan:
-    own = {"mask_init": method.mask_init} | weights(method, trained, lambda_f, lambda_m)
-    return Plan(method=method, phases=tuple(phases), image_weights=method.image_weights, **own | rest)
+    own = dict(zip(("l1_weight", "ssim_weight"), method.image_weights, strict=True))
+    own |= {"mask_init": method.mask_init} | weights(method, trained, lambda_f, lambda_m)
+    return Plan(method=method, phases=tuple(phases), **own | rest)
 
 
 def at_schedule(plan: Plan, share: float) -> Plan:

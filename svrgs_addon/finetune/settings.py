@@ -5,23 +5,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from math import sqrt
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 # a run of fewer steps S takes larger ones: sqrt(12 800 / S) times the rates of 3DGS, but at most
 USUAL_STEPS = 12_800
 LARGEST, LARGEST_OF_POSITION = 4.0, 2.0
 SAMPLES = 16  # values in an average
-
-
-class ImageWeights(NamedTuple):
-    """Weights of the image loss."""
-
-    l1: float = 0.8  # of the mean absolute error
-    ssim: float = 0.2  # of 1 - SSIM
-    gradients: float = 0.0  # of the mean absolute error of the gradients (Rasterizer.gradient_loss)
-
-
-IMAGE_WEIGHTS = ImageWeights()  # those of 3DGS
 
 
 @dataclass(frozen=True)
@@ -132,7 +121,6 @@ class Phase:
     # share of the steps, the last ones, over which the values are averaged; the mean is the result
     # (averaging.py)
     averaged: float = 0.0
-    image_weights: ImageWeights | None = None  # instead of those of the run
     # what happens in the phase, as shown to users; not part of a checkpoint's identity
     label: str = field(default="", repr=False)
 
@@ -164,7 +152,8 @@ class Settings:
     views_by_loss: bool = False  # views of low loss are shown in every other epoch only
     # rows are kept in Morton order: Gaussians near in space are near in memory, which is faster
     spatial_order: bool = True
-    image_weights: ImageWeights = IMAGE_WEIGHTS
+    l1_weight: float = 0.8  # of the mean absolute error
+    ssim_weight: float = 0.2  # of 1 - SSIM
     # first cut: Gaussians whose alpha T stays below this in every pixel of every training view are removed
     min_contribution: float = 0.0
     target: int = 0  # Gaussians to keep when the method decides; 0: no target

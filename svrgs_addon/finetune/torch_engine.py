@@ -28,11 +28,10 @@ except ImportError:
         "the torch engine needs PyTorch: install torch into this Python, or use --engine native"
     ) from None
 from torch import Tensor
-from torch.nn.functional import avg_pool2d, conv2d
+from torch.nn.functional import conv2d
 
 WINDOW, SIGMA = 11, 1.5  # Gaussian window of SSIM, pixels
 C1, C2 = 1e-4, 9e-4
-SIZES = 3  # full, half and a quarter: in which gradients are compared
 SH = {"sh", "sh_rest"}
 
 
@@ -95,19 +94,6 @@ def ssim(x: Tensor, y: Tensor) -> Tensor:
     return (luminance * (2 * covariance + C2) / (variances + C2)).mean()
 
 
-def gradient_error(x: Tensor, y: Tensor) -> Tensor:
-    """Mean absolute error of the gradients of two images (H, W, 3), over three sizes (Rasterizer.
-    gradient_loss), a scalar."""
-    error, total = (x - y).permute(2, 0, 1), torch.zeros((), dtype=x.dtype)
-    for _ in range(SIZES):
-        for steps in (error.diff(dim=1), error.diff(dim=2)):
-            total = total + (steps.abs().mean() if steps.numel() else 0)
-        if min(error.shape[1:]) < 2:
-            break
-        error = avg_pool2d(error, 2)
-    return total / SIZES
-
-
 def straight_through(step: Step, logits: Tensor) -> Tensor:
     """The masks of the step, (N,), straight-through: the value is the hard sample, the gradient that of the
     soft one (MaskGaussian)."""
@@ -145,7 +131,7 @@ class TorchEngine:
         if step.exposure is not None:
             self.exposure = torch.tensor(step.exposure, dtype=leaves["means"].dtype, requires_grad=True)
         images = self._render(step, leaves, masks, means2d, camera)
-        loss, l1, similarity, mask_loss, gradients = self.loss(step, images, masks)
+        loss, l1, similarity, mask_loss = self.loss(step, images, masks)
         visible = step.not_frozen(self.rasterizer.visible())
         ids = _indices(visible)
         given = [
@@ -159,7 +145,7 @@ class TorchEngine:
         result = StepResult(
             l1.item(), similarity.item(), mask_loss.item(), visible, global_loss=step.global_loss
         )
-        result.penalty, result.gradients = penalty.item(), gradients.item()
+        result.penalty = penalty.item()
         if self.exposure is not None:
             result.exposure = _grad(self.exposure).numpy().astype(np.float64)
         if step.want_means2d:
@@ -172,9 +158,8 @@ class TorchEngine:
 
     def loss(
         self, step: Step, images: dict[str, Tensor], masks: Tensor | None
-    ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-        """The loss without the penalty, and its terms: L1, SSIM, mean F^2 (SVR-GS Eq. 10), and the error of
-        the gradients, 0 if it has no weight.
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """The loss without the penalty, and three of its terms: L1, SSIM and mean F^2 (SVR-GS Eq. 10).
         images: 'rgb' (H, W, 3) and, with a spatial mask, 'mask' (H, W). masks (N,) or None."""
         target = torch.tensor(step.target)  # a copy: photographs are read-only
         rgb = images["rgb"] if step.window is None else images["rgb"][step.window]
@@ -184,15 +169,13 @@ class TorchEngine:
             rgb = rgb if valid is None else rgb * torch.from_numpy(valid)[..., None]
         share = rgb.numel() / images["rgb"].numel()
         l1, similarity = share * (rgb - target).abs().mean(), 1 - share * (1 - ssim(rgb, target))
-        of_l1, of_ssim, of_gradients = step.image_weights
-        gradients = share * gradient_error(rgb, target) if of_gradients else torch.zeros(())
-        total = of_l1 * l1 + of_ssim * (1 - similarity) + of_gradients * gradients
+        total = step.l1_weight * l1 + step.ssim_weight * (1 - similarity)
         mask_loss = (images["mask"] ** 2).mean() if "mask" in images else torch.zeros(())
         if "mask" in images:
             total = total + step.lambda_f * mask_loss
         if masks is not None and step.lambda_m:
             total = total + step.lambda_m * masks.mean() ** 2
-        return total, l1, similarity, mask_loss, gradients
+        return total, l1, similarity, mask_loss
 
     def _render(
         self, step: Step, leaves: dict[str, Tensor], masks: Tensor | None, means2d: Tensor, camera: Tensor

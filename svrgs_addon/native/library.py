@@ -51,7 +51,6 @@ ARGUMENTS = {
     "svrgs_slopes": "pp",
     "svrgs_dominance": "pp",
     "svrgs_loss": "pppiiddpp",
-    "svrgs_gradient_loss": "pppiidpp",
     "svrgs_mask_loss": "ppldpp",
     "svrgs_flip": "ippiidp",
     "svrgs_convolve": "ipiiippip",

@@ -308,22 +308,6 @@ class Rasterizer:
         )
         return values[0], values[1], grad
 
-    def gradient_loss(self, image, target, weight: float, grad: np.ndarray) -> float:
-        """Mean absolute difference of the gradients of two (H, W, 3) images in self.dtype, over three sizes
-        (svrgs_gradient_loss in svrgs.h); adds weight times its gradient to grad, that of loss()."""
-        shape, value = np.shape(image), c.c_double()
-        _call(
-            "svrgs_gradient_loss",
-            self._context,
-            check(image, "image", (*shape[:2], 3), self.dtype),
-            check(target, "target", shape, self.dtype),
-            *shape[:2],
-            weight,
-            check_out(grad, "grad", shape, self.dtype),
-            c.byref(value),
-        )
-        return value.value
-
     def mask_loss(self, mask, weight: float) -> tuple[float, np.ndarray]:
         """L_F = mean F^2 (SVR-GS Eq. 10) and `weight` times its gradient, (H, W), valid until the next call.
         mask: F (H, W) in self.dtype."""

@@ -13,16 +13,7 @@ from ...scene.gaussians import Scene
 from ..masks import refuse_emptying
 from ..model import Model
 from ..run_view import Keep, RunView
-from ..settings import (
-    IMAGE_WEIGHTS,
-    Densify,
-    ImageWeights,
-    Phase,
-    Rates,
-    Settings,
-    rates_for,
-    recovery_phase,
-)
+from ..settings import Densify, Phase, Rates, Settings, rates_for, recovery_phase
 
 __all__ = ["Keep", "Method", "RunView"]
 
@@ -63,7 +54,7 @@ class Method:
     merges: bool = False  # its cut merges Gaussians, too
     supports_max_loss: bool = False  # --max-drop is allowed
     first_cut: bool = False  # `svrgs prune` starts by removing Gaussians whose alpha T is small in every view
-    image_weights: ImageWeights = IMAGE_WEIGHTS
+    image_weights: tuple[float, float] = (0.8, 0.2)  # weights of the mean absolute error and of 1 - SSIM
 
     # --- the schedule
 

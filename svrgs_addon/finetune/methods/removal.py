@@ -36,7 +36,7 @@ from ..quality import fewest_within, psnr_removed
 from ..run_view import Keep, RunView
 from ..saliency import removal_errors, saliency, views_that_see
 from ..scores import top
-from ..settings import LARGEST, LARGEST_OF_POSITION, Densify, ImageWeights, Phase, Rates, Settings, rates_for
+from ..settings import LARGEST, LARGEST_OF_POSITION, Densify, Phase, Rates, Settings, rates_for
 from .base import REMOVE, Method
 
 PASSES, FEWEST = 16, 4  # ranking passes in a long phase, and in a short one
@@ -61,8 +61,6 @@ FIRST_RATE, FIRST_STEPS = 8, 150
 SPENT, FORESEEN_STEPS = 0.75, 800
 POSITION_LAST = 5e-5  # learning rate of positions at the end of the recovery
 HALVED = 10.0  # steps that win back half of a removal, measured with `removal`
-# of the image loss in the phase and the recovery: gradients, as well as more of SSIM, keep more texture
-WEIGHTS = ImageWeights(l1=0.8, ssim=0.5, gradients=1.5)
 AVERAGED = 0.25  # share of the recovery, its last steps, over which the values are averaged
 
 
@@ -93,11 +91,10 @@ class Removal(Method):
         rates = Rates(opacity=OPACITY_RATE)
         removal = Phase("prune", iterations, rates, active=True, prune_every=0, label=REMOVE)
         recovery_phases = super().prune_phases(iterations, recovery, prune_every)
-        phases = [
+        return [
             *([removal] if iterations else []),
             *(replace(phase, averaged=AVERAGED) for phase in recovery_phases),
         ]
-        return [replace(phase, image_weights=WEIGHTS) for phase in phases]
 
     def paced(self, phases: list[Phase]) -> list[Phase]:
         """Also of the phase and the recovery: they begin with the rates of a training with as many steps."""

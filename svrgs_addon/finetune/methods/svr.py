@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-from ..settings import ImageWeights
 from .masked import Masked
 
 WEIGHT = "the weight of the spatial mask in the loss, as in the paper: λ_F mean F²"
@@ -37,7 +36,7 @@ SVR_GS = SVR(
 # along the whole ray, lambda_F = 1e-4 in every step, no first cut. Pruning events of 10 samples, at each
 # densification and every 1000 steps after it, are the defaults of Settings and Phase. `--method svr --paper`
 # chooses them; --method has no name for them.
-PAPER = replace(SVR_GS, name="svr-paper", first_cut=False, image_weights=ImageWeights(1.0, 1.0))
+PAPER = replace(SVR_GS, name="svr-paper", first_cut=False, image_weights=(1.0, 1.0))
 
 METHODS = (  # svr-a has a larger lambda_F because its F is at most 1
     SVR_GS,
