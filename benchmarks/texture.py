@@ -31,10 +31,7 @@ def sizes(picture: Tensor, photo: Tensor) -> list[tuple[Tensor, Tensor]]:
 def gradients(picture: Tensor, photo: Tensor) -> Tensor:
     """Mean absolute difference of the horizontal and the vertical gradients, over all sizes."""
     errors = [a - b for a, b in sizes(picture, photo)]
-    return (
-        sum((e.diff(dim=2).abs().mean() + e.diff(dim=3).abs().mean() for e in errors), torch.zeros(()))
-        / SIZES
-    )
+    return torch.stack([e.diff(dim=2).abs().mean() + e.diff(dim=3).abs().mean() for e in errors]).mean()
 
 
 def scales(picture: Tensor, photo: Tensor) -> Tensor:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from svrgs_addon.native.rasterizer import Rasterizer
-from svrgs_addon.prune.selection.outline import SHOWN, Look, _thread, brush, centres_in, polygon
+from svrgs_addon.prune.selection.outline import SHOWN, RenderedView, _thread, brush, centres_in, polygon
 from svrgs_addon.render.metrics.evaluate import render_options
 from svrgs_bench.scenes import orbit_camera, room
 
@@ -69,7 +69,7 @@ def test_what_is_in_the_outline_is_selected_and_what_is_hidden_is_not_shown(orth
     stored = (scene.means - turned[:3, 3]) @ np.linalg.inv(turned[:3, :3]).T
     moved = centres_in(stored, camera, inside, turned)
     assert (moved != expected).sum() <= 2
-    shown, options = Look(scene, camera).shown_in(inside), render_options(scene)
+    shown, options = RenderedView(scene, camera).shown_in(inside), render_options(scene)
     assert 0 < shown.sum() < scene.count
     rasterizer, peaks = Rasterizer(), np.zeros(scene.count)
     for row, column in np.argwhere(inside):  # the largest alpha T in a pixel, one pixel at a time
@@ -99,16 +99,17 @@ def test_an_empty_outline_holds_nothing():
     nothing = polygon(np.array([(5.0, 5.0), (5.0, 5.0)]), WIDTH, HEIGHT)
     assert not nothing.any()
     assert (
-        not centres_in(scene.means, camera, nothing).any() and not Look(scene, camera).shown_in(nothing).any()
+        not centres_in(scene.means, camera, nothing).any()
+        and not RenderedView(scene, camera).shown_in(nothing).any()
     )
 
 
-def test_looks_that_are_done_cut_short_or_replaced_show_the_same():
+def test_views_that_are_rendered_stopped_or_replaced_show_the_same():
     scene, camera = room(2_000), orbit_camera(WIDTH, HEIGHT)
     left, everything = np.zeros((HEIGHT, WIDTH), bool), np.ones((HEIGHT, WIDTH), bool)
     left[:, : WIDTH // 2] = True
-    shown = Look(scene, camera).shown_in(left)
-    done, waiting = Look(scene, camera), Look(scene, camera)
+    shown = RenderedView(scene, camera).shown_in(left)
+    done, waiting = RenderedView(scene, camera), RenderedView(scene, camera)
     done.begin()
     done._begun.result()
     np.testing.assert_array_equal(done.shown_in(left), shown)
@@ -116,7 +117,7 @@ def test_looks_that_are_done_cut_short_or_replaced_show_the_same():
     _thread().submit(time.sleep, 0.2)
     waiting.begin()
     np.testing.assert_array_equal(waiting.shown_in(left), shown)
-    other = Look(scene.select(np.arange(0, 2_000, 3)), camera)
+    other = RenderedView(scene.select(np.arange(0, 2_000, 3)), camera)
     other.begin()
     assert 0 < other.shown_in(left).sum() and len(other.shown_in(left)) == 667
     np.testing.assert_array_equal(done.shown_in(left), shown)

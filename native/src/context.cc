@@ -205,7 +205,7 @@ void Context::forward(const svrgs_scene& s, const svrgs_camera& c, const svrgs_o
   holds_view_ = !o.picture_only;
 }
 
-// Memory for so many values of each (Gaussian, tile) pair; what it held is lost, but for Context::scores.
+// Memory for this number of values for each (Gaussian, tile) pair. It may no longer hold scores.
 char* Context::slots_of(int values) {
   scored_ = false;
   return slots_.reserve<char>(pairs_ * values * kernels_.real_size);

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from mathutils import Matrix
 
-from ...svrgs_addon.prune.selection.outline import Look, brush, centres_in, polygon
+from ...svrgs_addon.prune.selection.outline import RenderedView, brush, centres_in, polygon
 from ...svrgs_addon.scene.camera import Camera
 from ...svrgs_addon.scene.gaussians import Scene
 from . import visible_splats
@@ -52,40 +52,46 @@ def _corners(path: np.ndarray) -> np.ndarray:
     return np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
 
 
-class Sight:
+class ViewportView:
     """A scene, placed in Blender's world by a matrix, as a viewport shows it."""
 
     def __init__(self, scene: Scene, matrix: Matrix, camera: Camera):
         self._scene, self._matrix, self._camera = scene, matrix.copy(), camera
         placed = visible_splats.placed([(scene, matrix)])
-        self._look = Look(placed.scene, placed.seen_by(camera))
+        self._rendered = RenderedView(placed.scene, placed.seen_by(camera))
 
     def begin(self):
-        """Looks in a thread, while an outline is still drawn. Less is left to do then."""
-        self._look.begin()
+        """Renders the view in a thread, while an outline is still drawn. gaussians_in() then takes less
+        time."""
+        self._rendered.begin()
 
     def shows(self, scene: Scene, matrix: Matrix, camera: Camera) -> bool:
-        """Whether it is what Sight(scene, matrix, camera) would be."""
+        """Whether it is what ViewportView(scene, matrix, camera) would be."""
         same = (np.array_equal(getattr(camera, name), getattr(self._camera, name)) for name in VIEW)
         return scene is self._scene and matrix == self._matrix and all(same)
 
     def gaussians_in(self, inside: np.ndarray) -> np.ndarray:
         """(N,) bool: the Gaussians whose centres are in one of the pixels (H, W) bool, and which one of these
         shows. Raises SplatError."""
-        mask = self._look.shown_in(inside)
+        mask = self._rendered.shown_in(inside)
         mask[mask] = centres_in(self._scene.means[mask], self._camera, inside, np.array(self._matrix))
         return mask
 
 
 def gaussians_in(
-    scene: Scene, matrix: Matrix, camera: Camera, outline: Outline, through: bool, begun: Sight | None = None
+    scene: Scene,
+    matrix: Matrix,
+    camera: Camera,
+    outline: Outline,
+    through: bool,
+    begun: ViewportView | None = None,
 ) -> np.ndarray:
     """(N,) bool: the Gaussians of a scene, placed in Blender's world by a matrix, whose centres are inside an
-    outline in the view of a camera, and which its pixels show; through: also those behind others. begun: a
-    look that began before; another view is looked at now. Raises SplatError."""
+    outline in the view of a camera, and which its pixels show; through: also those behind others. begun: this
+    view, if its rendering has begun. Raises SplatError."""
     inside = outline.pixels(camera.width, camera.height)
     if through:
         return centres_in(scene.means, camera, inside, np.array(matrix))
     if begun is None or not begun.shows(scene, matrix, camera):
-        begun = Sight(scene, matrix, camera)
+        begun = ViewportView(scene, matrix, camera)
     return begun.gaussians_in(inside)

@@ -51,7 +51,7 @@ class SVRGS_OT_select_region(SplatOperator):
     )
     path: CollectionProperty(type=bpy.types.OperatorMousePath, options={"HIDDEN", "SKIP_SAVE"})
     wait: BoolProperty(options={"HIDDEN", "SKIP_SAVE"})  # begin at the next press of the mouse
-    sight = None  # what the viewport shows, if the mouse has moved since it was pressed
+    view = None  # of the viewport, which is rendered once the mouse has moved since it was pressed
 
     def work(self, context) -> str:
         settings, obj = context.scene.svrgs_view, context.object
@@ -60,7 +60,7 @@ class SVRGS_OT_select_region(SplatOperator):
         )
         scene, matrix, camera, rows = _seen(context)
         through = settings.select_through
-        inside = select_in_view.gaussians_in(scene, matrix, camera, outline, through, self.sight)
+        inside = select_in_view.gaussians_in(scene, matrix, camera, outline, through, self.view)
         mask = splat_object.mask_of(obj, rows[inside])
         return changed(context, obj, mask, self.mode)
 
@@ -69,10 +69,7 @@ class SVRGS_OT_select_region(SplatOperator):
             return self.execute(context)
         self.path.clear()
         self.button, self.region = "", context.region.as_pointer()
-        self.mouse = event.mouse_region_x, event.mouse_region_y
-        if event.value == "CLICK_DRAG":  # it comes once the mouse has moved
-            place = context.region.x, context.region.y
-            self.mouse = event.mouse_prev_press_x - place[0], event.mouse_prev_press_y - place[1]
+        self.mouse = pressed_at(event, context.region)
         if not self.wait:
             self.begin(event)
         _drawn[:] = [self]
@@ -105,10 +102,10 @@ class SVRGS_OT_select_region(SplatOperator):
                 self.mode = "EXTEND" if event.shift else "SUBTRACT"
             self.begin(event)
         elif self.button and event.type in ("MOUSEMOVE", "INBETWEEN_MOUSEMOVE"):
-            if self.sight is None and not settings.select_through:  # not at a mere click, which is quick
+            if self.view is None and not settings.select_through:  # not at a mere click, which is quick
                 with contextlib.suppress(SplatError):  # work() says it
-                    self.sight = select_in_view.Sight(*_seen(context)[:3])
-                    self.sight.begin()
+                    self.view = select_in_view.ViewportView(*_seen(context)[:3])
+                    self.view.begin()
             last = self.path[-1].loc
             if self.shape == "BOX" or abs(x - last[0]) + abs(y - last[1]) >= NEAREST:
                 self.add(x, y)
@@ -123,6 +120,14 @@ class SVRGS_OT_select_region(SplatOperator):
 
     def cancel(self, context):
         _drawn.clear()
+
+
+def pressed_at(event: bpy.types.Event, region: bpy.types.Region) -> tuple[int, int]:
+    """Where an operator begins, in pixels of the region, y up: where the mouse was pressed, for the event of a
+    drag comes once the mouse has moved; else where it is."""
+    if event.value == "CLICK_DRAG":
+        return event.mouse_prev_press_x - region.x, event.mouse_prev_press_y - region.y
+    return event.mouse_region_x, event.mouse_region_y
 
 
 def _seen(context) -> tuple:

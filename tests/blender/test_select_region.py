@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import bpy
 import numpy as np
 import pytest
@@ -105,6 +107,11 @@ def test_its_tools_are_in_the_toolbar():
     assert {tool.bl_idname for tool in tools} <= names
 
 
-def test_a_drag_knows_where_the_mouse_was_pressed():
-    """The operator's first corner: the event of a drag comes once the mouse has moved."""
-    assert {"mouse_prev_press_x", "mouse_prev_press_y"} <= {*bpy.types.Event.bl_rna.properties.keys()}
+def test_a_drag_begins_where_the_mouse_was_pressed_and_a_click_where_it_is():
+    places = {
+        "mouse_prev_press_x": 30, "mouse_prev_press_y": 50, "mouse_region_x": 90, "mouse_region_y": 80
+    }  # fmt: skip
+    assert places.keys() <= {*bpy.types.Event.bl_rna.properties.keys()}
+    pressed_at, region = part("operators.view.select_region").pressed_at, SimpleNamespace(x=10, y=20)
+    assert pressed_at(SimpleNamespace(value="CLICK_DRAG", **places), region) == (20, 30)
+    assert pressed_at(SimpleNamespace(value="PRESS", **places), region) == (90, 80)

@@ -51,7 +51,7 @@ template <class F>
 }
 
 // Writes to the slot of each (Gaussian, tile) pair: the sum of alpha T, its maximum, the pixels blended, and the sum of T. known: the slots
-// hold those of all pixels.
+// hold the scores of all pixels already.
 void scores_tile(const Frame& f, int64_t tile, bool known, void* slots) {
   const TileOrigin o = f.tile_origin(tile);
   Transmittance t(f, o);

@@ -67,7 +67,7 @@ def centres_in(means: np.ndarray, camera: Camera, pixels: np.ndarray, matrix=np.
         front = places[2] > thresholds().near
         with np.errstate(all="ignore"):  # of those that are not in front
             places = places[:2] if camera.orthographic else places[:2] / places[2]
-            # of negative numbers, too large ones are made, as of those that are too large
+            # as unsigned numbers, negative ones are larger than any side of the picture
             column, row = np.floor(places + centre).astype(np.int32).view(np.uint32)
         front &= (column < camera.width) & (row < camera.height)
         inside[rows] = front & shown.take(row * np.uint32(camera.width) + column, mode="clip")
@@ -77,8 +77,8 @@ def centres_in(means: np.ndarray, camera: Camera, pixels: np.ndarray, matrix=np.
     return inside
 
 
-class Look:
-    """What the pixels of a view show."""
+class RenderedView:
+    """A view of a scene, and which Gaussians its pixels show."""
 
     def __init__(self, scene: Scene, camera: Camera):
         self._scene, self._camera = scene, camera
@@ -93,7 +93,7 @@ class Look:
         """(N,) bool: the Gaussians that one of the pixels (H, W) bool of the camera shows. Raises
         SplatError."""
         if self._begun:
-            if not self._begun.done():  # these pixels alone are less work than what is left
+            if not self._begun.done():  # it is quicker to stop it, and to render these pixels alone
                 _rasterizer().cancel[0] = 1
             with suppress(Cancelled):
                 self._begun.result()
@@ -102,7 +102,7 @@ class Look:
 
     def _render(self):
         self._forward(self._camera)
-        _rasterizer().add_scores(max_=np.zeros(self._scene.count, np.float32))  # then it knows those of tiles
+        _rasterizer().add_scores(max_=np.zeros(self._scene.count, np.float32))  # kept for whole tiles
         _last[:] = [self]
 
     def _forward(self, camera: Camera):
@@ -122,14 +122,14 @@ class Look:
 
 @cache
 def _rasterizer() -> Rasterizer:
-    """One for all looks: to get its memory takes as long as the picture."""
+    """One for all views: to get its memory takes as long as the picture."""
     return Rasterizer()
 
 
 @cache
 def _thread() -> ThreadPoolExecutor:
     """That of _rasterizer(), which only one may use at a time."""
-    return ThreadPoolExecutor(1, "svrgs-look")
+    return ThreadPoolExecutor(1, "svrgs-select")
 
 
-_last: list[Look] = []  # whose whole view was rendered last
+_last: list[RenderedView] = []  # the one that was rendered last, if it was rendered whole
