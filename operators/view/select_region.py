@@ -123,8 +123,8 @@ class SVRGS_OT_select_region(SplatOperator):
 
 
 def pressed_at(event: bpy.types.Event, region: bpy.types.Region) -> tuple[int, int]:
-    """Where an operator begins, in pixels of the region, y up. Of a drag, whose event comes once the mouse has
-    moved: where it was pressed; else where it is."""
+    """Where an operator begins, in pixels of the region, y up: where the mouse is, but for a drag, whose
+    event comes once the mouse has moved, where it was pressed."""
     if event.value == "CLICK_DRAG":
         return event.mouse_prev_press_x - region.x, event.mouse_prev_press_y - region.y
     return event.mouse_region_x, event.mouse_region_y
