@@ -3,12 +3,12 @@
 python benchmarks/formats.py SPLAT... [--against ORIGINAL] [--quantise FACTOR...] [--data DATASET]
     [--others] [--out TABLE.md]
 
-PSNR in dB, SSIM and FLIP are means of the 50 views of no_photographs.py, against the splat itself or, of one
-that was pruned, its original. Seconds: medians of REPEATS, of the scene in memory to the file and back. With
---quantise, only formats that take it, newest versions. With --data, figures are those of its test views
+PSNR in dB, SSIM and FLIP are means of the 50 views from above of judges.py, against the splat itself or, of
+one that was pruned, its original. Seconds: medians of REPEATS, of the scene in memory to the file and back.
+With --quantise, only formats that take it, newest versions. With --data, figures are those of its test views
 against the photographs, LPIPS (make lpips) instead of FLIP; formats that round by where a splat is seen from
 are written without that and with the training views, as by `svrgs prune`. With --others, files of the same
-splats by gaussforge and gsply, too, each written once: the SOG of gaussforge takes minutes.
+splats by other programs, too (other_writers.py), each written once: a SOG takes them minutes.
 """
 
 from __future__ import annotations
@@ -25,19 +25,15 @@ from statistics import median
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from no_photographs import measures, views_from_above
-from other_writers import OTHERS
+from judges import Judge, against_photographs, against_scene
+from other_writers import OTHERS, others
 from svrgs_addon.files.registry import FORMATS, load_scene, write_scene
 from svrgs_addon.files.sh_rounding import SeenFrom
-from svrgs_addon.native.rasterizer import Rasterizer
 from svrgs_addon.prune.options import DatasetOptions
 from svrgs_addon.prune.plans import dataset_of
 from svrgs_addon.prune.seen import seen_from
-from svrgs_addon.render.metrics.evaluate import evaluate
-from svrgs_addon.render.metrics.lpips import default_lpips
 from svrgs_addon.scene.camera import Camera
 from svrgs_addon.scene.gaussians import Scene
-from svrgs_addon.views.dataset import Dataset
 
 REPEATS = 5
 HEAD = (
@@ -92,34 +88,14 @@ def kinds(factors: list[float], with_views: bool) -> list[Kind]:
     ]
 
 
-Measure = Callable[[Scene], tuple[float, float, float]]
-
-
-def against_scene(original: Scene) -> Measure:
-    cameras = views_from_above(original)
-    return lambda scene: measures(scene, original, cameras)
-
-
-def against_photographs(dataset: Dataset) -> Measure:
-    lpips = default_lpips()
-
-    def measure(scene: Scene) -> tuple[float, float, float]:
-        found = evaluate(scene, dataset, dataset.test_indices, Rasterizer(), lpips)
-        return found["psnr"], found["ssim"], found["lpips"]
-
-    return measure
-
-
-def rows(
-    scene: Scene, measure: Measure, wanted: list[Kind], cameras: list[Camera], folder: Path
-) -> list[str]:
+def rows(scene: Scene, judge: Judge, wanted: list[Kind], cameras: list[Camera], folder: Path) -> list[str]:
     lines = []
     for kind in wanted:
         path = folder / f"scene{kind.suffix}"
         seen = seen_from(scene, cameras, path) if kind.by_views else None
         writing = seconds(partial(kind.write, path, scene, seen), 1 if kind.program else REPEATS)
         reading = seconds(lambda path=path: load_scene(path))
-        found, size = measure(load_scene(path).scene), path.stat().st_size
+        found, size = judge(load_scene(path).scene), path.stat().st_size
         quality = f"{found[0]:.2f} | {found[1]:.4f} | {found[2]:.4f}" if found[0] < 100 else "equal | 1 | 0"
         lines.append(
             f"| {kind.name} | {size / scene.count:.1f} | {size / 1e6:.2f} | {quality} | {writing:.2f} |"
@@ -143,19 +119,19 @@ def main() -> int:
     dataset = dataset_of(DatasetOptions(data=words.data)) if words.data else None
     cameras = [dataset.cameras[i] for i in dataset.train_indices] if dataset else []
     wanted = kinds(words.quantise, bool(cameras))
-    wanted += [Kind(suffix, program=program) for program, suffix in OTHERS if words.others]
+    wanted += [Kind(suffix, program=program) for program, suffix in others() if words.others]
     for path in words.splats:
         scene = load_scene(path).scene
-        if dataset:
-            measure = against_photographs(dataset)
+        if words.data:
+            judge = against_photographs(words.data)
         else:
-            measure = against_scene(load_scene(words.against).scene if words.against else scene)
+            judge = against_scene(load_scene(words.against).scene if words.against else scene)
         with tempfile.TemporaryDirectory() as folder:
             table = "\n".join(
                 [
                     f"\n### {path.stem}, {scene.count:,} Gaussians, SH degree {scene.sh_degree}\n",
                     HEAD.format("LPIPS" if dataset else "FLIP"),
-                    *rows(scene, measure, wanted, cameras, Path(folder)),
+                    *rows(scene, judge, wanted, cameras, Path(folder)),
                 ]
             )
         if words.out:

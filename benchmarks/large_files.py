@@ -11,7 +11,6 @@ Medians of REPEATS. The copies are N(0, 0.01) apart in SH, so no palette holds t
 from __future__ import annotations
 
 import argparse
-import subprocess
 import sys
 import tempfile
 import time
@@ -24,13 +23,13 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from cost import SVRGS, cost_of
 from svrgs_addon.files.memory_mapped import mapped_scene
 from svrgs_addon.files.registry import load_parts, load_scene, size_on_disk, write_scene
 from svrgs_addon.scene.gaussians import Scene
 
 REPEATS, LARGE = 5, 5_000_000  # of LARGE Gaussians on, once
 APART, ROW, NOISE = 10.0, 20, 0.01  # between copies; copies in a row; standard deviation of the noise in SH
-POLL = 0.02  # seconds between two looks at the memory of a command
 HEAD = "| file | MB | write, s | memory, MB | read, s |\n|---|---:|---:|---:|---:|"
 
 
@@ -47,31 +46,6 @@ def copies(scene: Scene, count: int) -> Iterator[Scene]:
             attributes={},
             property_order=(),
         )
-
-
-def converted(source: Path, out: Path) -> tuple[float, int]:
-    """Runs `svrgs convert`. Seconds, and the largest anonymous memory in bytes."""
-    out.unlink(missing_ok=True)
-    started, most = time.perf_counter(), 0
-    command = [sys.executable, "-m", "svrgs_addon", "convert", str(source), str(out)]
-    with subprocess.Popen(
-        command, stdout=subprocess.DEVNULL, cwd=Path(__file__).resolve().parents[1]
-    ) as child:
-        while child.poll() is None:
-            most = max(most, anonymous(child.pid))
-            time.sleep(POLL)
-    if child.returncode:
-        raise SystemExit(f"{' '.join(command)}: exit status {child.returncode}")
-    return time.perf_counter() - started, most
-
-
-def anonymous(pid: int) -> int:
-    """Bytes of anonymous memory of a process; 0 when it has ended."""
-    try:
-        lines = Path(f"/proc/{pid}/status").read_text().splitlines()
-    except OSError:
-        return 0
-    return next((1024 * int(line.split()[1]) for line in lines if line.startswith("RssAnon")), 0)
 
 
 def seconds_to_read(path: Path, large: bool) -> float:
@@ -106,7 +80,10 @@ def main() -> int:
                 Path(folder) / (f"out{suffix}" if suffix.startswith(".") else f"out/{suffix}"),
                 1 if large else REPEATS,
             )
-            runs = [converted(source, out) for _ in range(repeats)]
+            runs = []
+            for _ in range(repeats):
+                out.unlink(missing_ok=True)
+                runs.append(cost_of(*SVRGS, "convert", source, out))
             reading = median([seconds_to_read(out, large) for _ in range(repeats + 1)][1:])
             seconds, memory = median(run[0] for run in runs), max(run[1] for run in runs)
             print(

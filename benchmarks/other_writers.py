@@ -1,8 +1,11 @@
-"""Files of a scene as other programs write them: gaussforge (SPZ, SOG, compressed PLY) and gsply (SPZ,
-compressed PLY). Both are packages of PyPI, in requirements-dev.txt."""
+"""Files of a scene as other programs write them: gaussforge (SPZ, SOG, compressed PLY), gsply (SPZ,
+compressed PLY), and splat-transform (SOG, compressed PLY). The first two are packages of PyPI, in
+requirements-dev.txt; splat-transform is one of npm, @playcanvas/splat-transform."""
 
 from __future__ import annotations
 
+import shutil
+import subprocess
 from dataclasses import replace
 from pathlib import Path
 
@@ -43,10 +46,33 @@ def by_gsply(path: Path, scene: Scene):
         gsply.plywrite(path, data, compressed=True)
 
 
+def splat_transform() -> str:
+    """The program. Raises SystemExit if it is not installed."""
+    found = shutil.which("splat-transform")
+    if found is None:
+        raise SystemExit("splat-transform is not on the PATH: npm install -g @playcanvas/splat-transform")
+    return found
+
+
+def by_splat_transform(path: Path, scene: Scene):
+    """Writes the scene, on processors alone. Raises CalledProcessError."""
+    ply = path.with_name("given.ply")
+    write_scene(ply, replace(scene, attributes={}))
+    subprocess.run([splat_transform(), "--overwrite", "--quiet", "--gpu", "cpu", ply, path], check=True)
+
+
 OTHERS = {
     ("gaussforge", ".spz"): by_gaussforge,
     ("gaussforge", ".sog"): by_gaussforge,
     ("gaussforge", ".compressed.ply"): by_gaussforge,
     ("gsply", ".spz"): by_gsply,
     ("gsply", ".compressed.ply"): by_gsply,
+    ("splat-transform", ".sog"): by_splat_transform,
+    ("splat-transform", ".compressed.ply"): by_splat_transform,
 }
+
+
+def others() -> list[tuple[str, str]]:
+    """Program and suffix of what can be written here."""
+    here = shutil.which("splat-transform") is not None
+    return [key for key in OTHERS if here or key[0] != "splat-transform"]
