@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Generator
+from typing import Any
+
 import bpy
+from bpy.app.translations import pgettext_iface as tr
 
 from ...svrgs_addon.system.errors import NativeError, SplatError
+from . import background_work
+
+Steps = Generator[Callable[[], Any], Any, str]
 
 
 class ReportingOperator(bpy.types.Operator):
@@ -24,11 +31,65 @@ class ReportingOperator(bpy.types.Operator):
         return not problem
 
     def execute(self, context):
+        return self.ended(lambda: self.work(context))
+
+    def ended(self, work: Callable[[], str]) -> set:
+        """What Blender is told after work(), whose sentence or error is reported."""
         try:
-            message = self.work(context)
+            message = work()
         except (SplatError, NativeError, OSError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         if message:
             self.report({"INFO"}, message)
         return {"FINISHED"}
+
+
+class BackgroundOperator(ReportingOperator):
+    """An operator with a slow part. The window goes on meanwhile, if the operator was called from there.
+
+    steps(context) is a generator. It yields the slow part, a function that must not use bpy, is sent what
+    that returned, and returns what was done, as work() does.
+    """
+
+    in_window = False  # set by invoke()
+
+    def work(self, context) -> str:
+        steps = self.steps(context)
+        return _last(steps, next(steps)())
+
+    def execute(self, context):
+        if not self.in_window:
+            return super().execute(context)
+        outcome = self.ended(lambda: self.begin(context))
+        return {"RUNNING_MODAL"} if outcome == {"FINISHED"} else outcome
+
+    def begin(self, context) -> str:
+        self._steps = self.steps(context)
+        self._answer = background_work.run(next(self._steps), lambda _: None)
+        manager, self._workspace = context.window_manager, context.workspace.name
+        self._timer = manager.event_timer_add(background_work.INTERVAL, window=context.window)
+        manager.modal_handler_add(self)
+        context.workspace.status_text_set(f"{tr(self.bl_label)} …")
+        return ""
+
+    def modal(self, context, event):
+        if event.type != "TIMER" or not self._answer.done():
+            return {"PASS_THROUGH"}
+        self.cancel(context)
+        return self.ended(lambda: _last(self._steps, self._answer.result()))
+
+    def cancel(self, context):
+        """Blender calls it, too, as when another file is opened. The slow part goes on then."""
+        context.window_manager.event_timer_remove(self._timer)
+        if workspace := bpy.data.workspaces.get(self._workspace):
+            workspace.status_text_set(None)
+
+
+def _last(steps: Steps, result: Any) -> str:
+    """What the generator returns that is sent the result of its slow part."""
+    try:
+        steps.send(result)
+    except StopIteration as stop:
+        return stop.value
+    raise AssertionError("steps() yields once")

@@ -3,6 +3,7 @@ to compare it with."""
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import bpy
@@ -15,11 +16,11 @@ from ...svrgs_addon.viewer.web_page import export, program_bytes
 from ..data import pairs, splat_object
 from ..data.camera_object import camera_from_object
 from ..data.native_check import native_problem
-from ..data.reporting import ReportingOperator
+from ..data.reporting import BackgroundOperator, Steps
 from .export_space import ExportSpace
 
 
-class SVRGS_OT_export_page(ReportingOperator, ExportSpace):
+class SVRGS_OT_export_page(BackgroundOperator, ExportSpace):
     bl_idname = "svrgs.export_page"
     bl_label = "Export Web Page"
     bl_description = (
@@ -45,6 +46,7 @@ class SVRGS_OT_export_page(ReportingOperator, ExportSpace):
         return native_problem()
 
     def invoke(self, context, event):
+        self.in_window = True
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
@@ -54,7 +56,7 @@ class SVRGS_OT_export_page(ReportingOperator, ExportSpace):
         if pairs.original_of(context.object):
             self.layout.prop(self, "with_original")
 
-    def work(self, context) -> str:
+    def steps(self, context) -> Steps:
         obj = context.object
         folder = Path(bpy.path.abspath(self.directory)) / bpy.path.clean_name(obj.name)
         self.space, self.y_down = "WORLD", True
@@ -62,13 +64,13 @@ class SVRGS_OT_export_page(ReportingOperator, ExportSpace):
         shown = [one for one in (original, obj) if one is not None]
         scenes, dropped = zip(*(self.chosen(context, one) for one in shown), strict=True)
         names, background = tuple(one.name for one in shown), tuple(context.scene.svrgs_view.background)
-        written = export(Source(names, scenes, cameras(context.scene), background=background), folder)
+        left = self.left_out(obj, dropped[-1])
+        source = Source(names, scenes, cameras(context.scene), background=background)
+        written = yield partial(export, source, folder)
         size = sum(one["bytes"] for one in written) + program_bytes()
         text = tr("Exported a page to {folder}, {size:.1f} MB").format(folder=folder, size=size / 1e6)
         limits = [f"{one['name']}: {sentence}" for one in written for sentence in one["limits"]]
-        self.report(
-            {"WARNING" if limits else "INFO"}, "; ".join([text, *self.left_out(obj, dropped[-1]), *limits])
-        )
+        self.report({"WARNING" if limits else "INFO"}, "; ".join([text, *left, *limits]))
         return ""
 
 

@@ -5,6 +5,7 @@ A splat that was neither edited nor moved since its import is exported byte for 
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import bpy
@@ -29,16 +30,17 @@ from ...svrgs_addon.native.rasterizer import Rasterizer
 from ...svrgs_addon.prune.likeness import Likeness
 from ...svrgs_addon.prune.seen import seen_from
 from ...svrgs_addon.scene.camera import Camera
+from ...svrgs_addon.scene.gaussians import Scene
 from ...svrgs_addon.system.errors import SceneError
 from ..data import splat_object, visible_splats
 from ..data.native_check import native_problem
 from ..data.preferences import threads
-from ..data.reporting import ReportingOperator
+from ..data.reporting import BackgroundOperator, Steps
 from ..data.splat_size import size_in
 from .export_space import KINDS, ExportSpace, camera_objects, imported_cameras
 
 
-class SVRGS_OT_export_ply(ReportingOperator, ExportHelper, ExportSpace):
+class SVRGS_OT_export_ply(BackgroundOperator, ExportHelper, ExportSpace):
     bl_idname = "svrgs.export_ply"
     bl_label = "Export 3D Gaussian Splat"
     bl_description = "Write the active splat into a 3DGS file, as it is seen"
@@ -88,6 +90,7 @@ class SVRGS_OT_export_ply(ReportingOperator, ExportHelper, ExportSpace):
         return "" if splat_object.is_splat(context.object) else tr("Select a Gaussian splat first")
 
     def invoke(self, context, event):
+        self.in_window = True
         if not self.properties.is_property_set("kind"):
             self.kind = default_kind(context.object)
         if not self.properties.is_property_set("filepath"):
@@ -121,26 +124,23 @@ class SVRGS_OT_export_ply(ReportingOperator, ExportHelper, ExportSpace):
             self.layout.label(text=foreseen)
         self.draw_space(self.layout)
 
-    def work(self, context) -> str:
+    def steps(self, context) -> Steps:
         obj, path = context.object, Path(bpy.path.abspath(self.filepath))
         if not path.parent.is_dir():
             raise SceneError(tr("{folder}: there is no such folder").format(folder=path.parent))
         scene, dropped = self.chosen(context, obj)
         splat_format = format_to_write(path)
         version = int(self.version) if splat_format.versions else 0
-        deciding, held_out = self.views(context, obj)
-        seen = seen_from(scene, deciding, path)
-        write_scene(path, scene, version, self.quantise if splat_format.quantises else 1.0, seen)
-        text = tr("Exported {count:,} Gaussians to {file}, {size:.1f} MB").format(
-            count=scene.count, file=path, size=path.stat().st_size / 1e6
-        )
-        likeness = Likeness(scene, held_out, Rasterizer)
-        if held_out and not splat_format.lossless and likeness.views:
-            text = tr("{text}, PSNR {psnr:.1f} dB against the splat").format(
-                text=text, psnr=likeness.psnr(read_back(path, scene))
-            )
+        quantise = self.quantise if splat_format.quantises else 1.0
         lost = left_out(scene, splat_format)
-        self.report({"WARNING" if lost else "INFO"}, "; ".join([text, *self.left_out(obj, dropped), *lost]))
+        left = [*self.left_out(obj, dropped), *lost]
+        size, psnr = yield partial(written, path, scene, version, quantise, *self.views(context, obj))
+        text = tr("Exported {count:,} Gaussians to {file}, {size:.1f} MB").format(
+            count=scene.count, file=path, size=size / 1e6
+        )
+        if psnr is not None:
+            text = tr("{text}, PSNR {psnr:.1f} dB against the splat").format(text=text, psnr=psnr)
+        self.report({"WARNING" if lost else "INFO"}, "; ".join([text, *left]))
         return ""
 
     def views(self, context, obj: bpy.types.Object) -> tuple[list[Camera], list[Camera]]:
@@ -151,6 +151,23 @@ class SVRGS_OT_export_ply(ReportingOperator, ExportHelper, ExportSpace):
         library.set_threads(threads(context))
         deciding, held_out = imported_cameras(context, obj)
         return self.in_space(obj, deciding if self.by_views else []), self.in_space(obj, held_out)
+
+
+def written(
+    path: Path,
+    scene: Scene,
+    version: int,
+    quantise: float,
+    deciding: list[Camera],
+    held_out: list[Camera],
+) -> tuple[int, float | None]:
+    """Writes the file, rounded by the views that decide. Its bytes, and its PSNR in dB against the scene in
+    those held out; None: of a lossless format, or without a view that sees the scene."""
+    write_scene(path, scene, version, quantise, seen_from(scene, deciding, path))
+    likeness, psnr = Likeness(scene, held_out, Rasterizer), None
+    if held_out and not format_to_write(path).lossless and likeness.views:
+        psnr = likeness.psnr(read_back(path, scene))
+    return path.stat().st_size, psnr
 
 
 def default_kind(obj: bpy.types.Object) -> str:
