@@ -64,7 +64,9 @@ class PlacedScene:
 def visible_scene(obj: bpy.types.Object) -> Scene:
     """The Gaussians of visible_rows() with the splat's grade; of a quick result, those that
     the slider Keep shows."""
-    shown = quick_order.shown(obj.original) or splat_object.scene_from_object(obj).select(visible_rows(obj))
+    if (shown := quick_order.shown(obj.original)) is None:
+        shown, rows = splat_object.scene_from_object(obj), visible_rows(obj)
+        shown = shown if len(rows) == shown.count else shown.select(rows)  # a copy takes as long as reading
     return grading.applied(shown, obj)
 
 
