@@ -92,4 +92,4 @@ def _last(steps: Steps, result: Any) -> str:
         steps.send(result)
     except StopIteration as stop:
         return stop.value
-    raise AssertionError("steps() yields once")
+    raise AssertionError(steps)  # it yields once
