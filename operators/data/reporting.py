@@ -53,6 +53,7 @@ class BackgroundOperator(ReportingOperator):
     """
 
     in_window = False  # set by invoke()
+    _timer = None  # while the slow part is waited for
 
     def work(self, context) -> str:
         steps = self.steps(context)
@@ -80,7 +81,10 @@ class BackgroundOperator(ReportingOperator):
         return self.ended(lambda: _last(self._steps, self._answer.result()))
 
     def cancel(self, context):
-        """Blender calls it, too, as when another file is opened. The slow part goes on then."""
+        """Blender calls it, too: when its file browser is closed, or when another file is opened, where the
+        slow part goes on."""
+        if self._timer is None:
+            return
         context.window_manager.event_timer_remove(self._timer)
         if workspace := bpy.data.workspaces.get(self._workspace):
             workspace.status_text_set(None)

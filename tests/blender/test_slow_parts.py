@@ -35,7 +35,10 @@ def called(monkeypatch):
         answer = yield self.slow
         return f"the answer is {answer}"
 
-    own = {name: vars(reporting.BackgroundOperator)[name] for name in ("execute", "begin", "modal", "cancel")}
+    own = {
+        name: vars(reporting.BackgroundOperator)[name]
+        for name in ("execute", "begin", "modal", "cancel", "_timer")
+    }
     own |= {"ended": reporting.ReportingOperator.ended, "steps": steps, "bl_label": "Export Web Page"}
     own["report"] = lambda self, kind, text: self.said.append((*kind, text))
 
@@ -84,3 +87,9 @@ def test_the_slow_part_goes_on_when_another_file_is_opened(called):
     assert "timer" not in context.window_manager
     held.set()
     assert operator._answer.result(timeout=10) == 42
+
+
+def test_a_file_browser_that_is_closed_leaves_nothing_to_end(called):
+    operator, context = called(lambda: 42)
+    operator.cancel(context)
+    assert context.window_manager == [] and operator.said == []
