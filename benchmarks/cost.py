@@ -12,8 +12,8 @@ POLL = 0.02  # seconds between two looks at the memory
 
 
 def cost_of(*command: object) -> tuple[float, int]:
-    """Runs the command. Seconds, and the largest anonymous memory (what is not a file's) in bytes. Raises
-    SystemExit if it fails."""
+    """Runs the command. Returns its seconds and its largest anonymous memory in bytes; mapped files do not
+    count. Raises SystemExit if it fails."""
     words = [str(word) for word in command]
     started, most = time.perf_counter(), 0
     root = Path(__file__).resolve().parents[1]

@@ -122,8 +122,8 @@ def main() -> int:
     wanted += [Kind(suffix, program=program) for program, suffix in others() if words.others]
     for path in words.splats:
         scene = load_scene(path).scene
-        if words.data:
-            judge = against_photographs(words.data)
+        if dataset:
+            judge = against_photographs(dataset)
         else:
             judge = against_scene(load_scene(words.against).scene if words.against else scene)
         with tempfile.TemporaryDirectory() as folder:

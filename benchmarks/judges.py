@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from statistics import fmean
 
 from svrgs_addon.native.rasterizer import Rasterizer
-from svrgs_addon.prune.options import DatasetOptions
-from svrgs_addon.prune.plans import dataset_of
 from svrgs_addon.render.metrics import flip, psnr, ssim
 from svrgs_addon.render.metrics.evaluate import evaluate, render_options, rounded_to_8_bits
 from svrgs_addon.render.metrics.lpips import default_lpips
 from svrgs_addon.scene.camera import Camera
 from svrgs_addon.scene.gaussians import Scene
+from svrgs_addon.views.dataset import Dataset
 from svrgs_addon.views.rig.around import cameras_around, middle_and_radius
 
 VIEWS, SIDE = 50, 512
@@ -47,9 +45,9 @@ def against_scene(original: Scene, cameras: list[Camera] | None = None) -> Judge
     return judge
 
 
-def against_photographs(data: Path) -> Judge:
+def against_photographs(dataset: Dataset) -> Judge:
     """PSNR, SSIM and LPIPS (make lpips), means over the test photographs of the dataset."""
-    dataset, lpips = dataset_of(DatasetOptions(data=data)), default_lpips()
+    lpips = default_lpips()
 
     def judge(scene: Scene) -> tuple[float, float, float]:
         found = evaluate(scene, dataset, dataset.test_indices, Rasterizer(), lpips)

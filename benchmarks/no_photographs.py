@@ -25,6 +25,8 @@ from cost import SVRGS, cost_of
 from judges import Judge, against_photographs, against_scene
 from other_writers import splat_transform
 from svrgs_addon.files.registry import load_scene
+from svrgs_addon.prune.options import DatasetOptions
+from svrgs_addon.prune.plans import dataset_of
 from svrgs_addon.scene.gaussians import Scene
 from svrgs_addon.views.camera_files import load_cameras
 
@@ -95,7 +97,7 @@ def main() -> int:
     parser.add_argument("--out", type=Path, help="file to append the table to")
     words = parser.parse_args()
     if words.data:
-        judge = against_photographs(words.data)
+        judge = against_photographs(dataset_of(DatasetOptions(data=words.data)))
     else:
         judge = against_scene(
             load_scene(words.original).scene, load_cameras(words.cameras) if words.cameras else None

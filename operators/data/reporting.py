@@ -48,8 +48,8 @@ class ReportingOperator(bpy.types.Operator):
 class BackgroundOperator(ReportingOperator):
     """An operator with a slow part. The window goes on meanwhile, if the operator was called from there.
 
-    steps(context) is a generator. It yields the slow part, a function that must not use bpy, is sent what
-    that returned, and returns what was done, as work() does.
+    steps(context) is a generator. It yields the slow part, a function that must not use bpy. It is sent the
+    result of this function, and returns the message, as work() does.
     """
 
     in_window = False  # set by invoke()

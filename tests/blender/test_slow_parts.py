@@ -11,7 +11,7 @@ from extension import part
 
 
 class Calls(list):
-    """A window manager that lists what it is asked for."""
+    """A window manager that records its calls."""
 
     def event_timer_add(self, interval, window):
         self.append("timer")
