@@ -130,7 +130,7 @@ def test_with_a_dataset_it_is_rounded_by_the_views_also_where_it_is_moved(
 
 
 @pytest.mark.parametrize(
-    "out, views, said", [("b.ply", 24, "only an SPZ or a SOG"), ("b.spz", 4, "3 training views")]
+    "out, views, said", [("b.ply", 24, "an SPZ or a SOG is rounded"), ("b.spz", 4, "3 training views")]
 )
 def test_a_dataset_that_is_of_no_use_is_said(tmp_path, capsys, out, views, said):
     tiny = write_tiny(tmp_path / "tiny", cameras=cameras_of(views))

@@ -341,11 +341,11 @@ def test_an_allowed_drop_counts_what_the_format_loses(splat, tmp_path):
     assert not (tmp_path / "a.splat").exists()
 
 
-@pytest.mark.parametrize("suffix, told", [(".ply", False), (".splat", True)])
+@pytest.mark.parametrize("suffix, told", [(".ply", False), (".spz", True)])
 def test_a_format_that_loses_more_than_pruning_is_told(tmp_path, suffix, told):
     scene = ball()
-    # a .splat has degree 0 alone
-    scene.sh[:, 1:] = np.random.default_rng(0).normal(0, 0.1, scene.sh[:, 1:].shape)
+    # an SPZ holds values from -1 to 1
+    scene.sh[:, 1:] = np.random.default_rng(0).normal(0, 2, scene.sh[:, 1:].shape)
     write_ply(tmp_path / "noise.ply", scene)
     notes = run(tmp_path / "noise.ply", target=0.9, out=tmp_path / f"o{suffix}")["notes"]
     assert any("the format of the output loses more than pruning" in note for note in notes) == told

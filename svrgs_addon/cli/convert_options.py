@@ -50,7 +50,7 @@ class ConvertOptions:
         PATH,
         None,
         "dataset of the splat, of which cameras are read: an SPZ or SOG is rounded by where they see each"
-        " Gaussian from, and loses less",
+        " Gaussian from, and so are spherical harmonics that are left out; it loses less",
         metavar="DIR",
     )
     box: tuple | None = option(

@@ -6,8 +6,9 @@ from __future__ import annotations
 import argparse
 import contextlib
 import glob
+import logging
 from collections.abc import Iterator
-from dataclasses import fields, replace
+from dataclasses import fields
 from functools import cache
 from pathlib import Path
 
@@ -16,14 +17,14 @@ import numpy as np
 from ..files import registry
 from ..files.level_files import holds_levels
 from ..files.memory_mapped import mapped_scene
-from ..files.sh_rounding import SeenFrom
+from ..files.sh_rounding import SeenFrom, without_bands
 from ..files.streamed_sog import write_levels
 from ..prune.door import check_files, check_views, outputs
-from ..prune.seen import FEWEST_VIEWS, bytes_of, seen_from
+from ..prune.seen import FEWEST_VIEWS, bytes_of, fewer_bands, seen_from
 from ..prune.selection.criteria import in_box
 from ..scene.affine import scaled, transformed
 from ..scene.camera import Camera
-from ..scene.gaussians import SH_COEFFICIENTS, Scene
+from ..scene.gaussians import Scene
 from ..scene.grade import Grade, graded
 from ..system import memory
 from ..system.errors import MemoryShort, SceneError, SplatError, TooMany
@@ -73,7 +74,7 @@ def _convert(path: Path, out: Path, options: ConvertOptions) -> dict:
     with outputs(path, [out]), _loaded(path, out, options) as scene:
         if not scene.count:
             raise SceneError(f"{path}: no Gaussian is inside the box, so no file was written")
-        seen = _seen(scene, path, out, options)
+        scene, seen = _by_views(scene, path, out, options)
         registry.write_scene(out, scene, options.spz_version or 0, options.quantise, seen)
         facts = {"count": scene.count, "sh_degree": min(scene.sh_degree, splat_format.most_degree)}
     return facts | {"bytes_before": registry.size_on_disk(path), "bytes": registry.size_on_disk(out)}
@@ -92,7 +93,9 @@ def _convert_levels(paths: list[Path], out: Path, options: ConvertOptions) -> di
             raise SceneError(
                 f"{out}: no Gaussian of one of the levels is inside the box, so no file was written"
             )
-        write_levels(out, scenes, options.quantise, [_seen(one, out, out, options) for one in scenes])
+        views = [_by_views(one, out, out, options) for one in scenes]
+        scenes = [scene for scene, _ in views]
+        write_levels(out, scenes, options.quantise, [seen for _, seen in views])
     facts = {
         "scene": ", ".join(map(str, paths)),
         "out": str(out),
@@ -124,35 +127,47 @@ def _whole(path: Path) -> Scene | None:
         return None
 
 
-def _seen(scene: Scene, path: Path, out: Path, options: ConvertOptions) -> SeenFrom | None:
-    """From where the training views of --data see the changed scene; None without --data. Raises
-    SceneError, FormatError."""
+def _by_views(scene: Scene, path: Path, out: Path, options: ConvertOptions) -> tuple[Scene, SeenFrom | None]:
+    """The changed scene, whose bands are left out by what the training views of --data show, and from where
+    they see it; without --data as it is, and None. Raises SceneError, FormatError."""
     if options.data is None:
-        return None
-    if not registry.format_to_write(out).quantises:
-        raise SceneError(f"{out}: only an SPZ or a SOG is rounded by views: leave --data out")
+        return scene, None
+    splat_format = registry.format_to_write(out)
+    degree = min(_degree(options), splat_format.most_degree)
+    if not (splat_format.quantises or scene.sh_degree > degree):
+        raise SceneError(
+            f"{out}: an SPZ or a SOG is rounded by views, and spherical harmonics are left out by them: leave"
+            " --data out"
+        )
     cameras = [camera.moved(_to_original(options)) for camera in _training_cameras(options.data)]
     check_views(scene, cameras, cameras, str(path))
     largest = max(cameras, key=lambda camera: camera.width * camera.height)
     needed = memory.rendering(scene.count, largest.width, largest.height) + bytes_of(scene.count, cameras)
     memory.refuse_excess(f"{path}: rendering it", needed)
-    if (seen := seen_from(scene, cameras, out)) is None and scene.sh_degree:
+    if len(cameras) < FEWEST_VIEWS and scene.sh_degree:
         raise SceneError(
-            f"{options.data}: has {len(cameras)} training views, and rounding by views needs"
-            f" {FEWEST_VIEWS}: leave --data out"
+            f"{options.data}: has {len(cameras)} training views, and {FEWEST_VIEWS} are needed: leave --data"
+            " out"
         )
-    return seen
+    for sentence in registry.higher_bands(scene, splat_format):
+        logging.warning("%s: %s", out, sentence)
+    scene = fewer_bands(scene, degree, cameras)
+    return scene, seen_from(scene, cameras, out)
 
 
 def _changed(scene: Scene, options: ConvertOptions) -> Scene:
-    """The scene after crop, scale, rotation, move, with other colours and with fewer bands."""
+    """The scene after crop, scale, rotation, move, with other colours and, without --data, fewer bands."""
     if options.box:
         scene = scene.select(np.flatnonzero(in_box(scene.means, options.box)))
     scene = transformed(scaled(scene, options.scale), _matrix(options))
     names = [field.name for field in fields(Grade) if hasattr(options, field.name)]
     scene = graded(scene, Grade(**{name: getattr(options, name) for name in names}))
-    most = SH_COEFFICIENTS[3 if options.sh_degree is None else options.sh_degree]
-    return replace(scene, sh=np.ascontiguousarray(scene.sh[:, :most])) if scene.sh.shape[1] > most else scene
+    return scene if options.data else without_bands(scene, _degree(options))
+
+
+def _degree(options: ConvertOptions) -> int:
+    """The highest SH degree that is asked for."""
+    return 3 if options.sh_degree is None else options.sh_degree
 
 
 @cache

@@ -115,7 +115,7 @@ def refined(
         used = np.flatnonzero(np.trace(squares, axis1=1, axis2=2) > 0)
         entries = entries.copy()
         spread = np.trace(squares[used], axis1=1, axis2=2)[:, None, None]
-        entries[used] = _solved(squares[used] + RIDGE * spread * np.eye(size), products[used])
+        entries[used] = solved(squares[used] + RIDGE * spread * np.eye(size), products[used])
     return entries, labels
 
 
@@ -131,7 +131,7 @@ def _neighbours(entries: np.ndarray, count: int) -> np.ndarray:
     return np.concatenate(found)
 
 
-def _solved(A: np.ndarray, b: np.ndarray) -> np.ndarray:
+def solved(A: np.ndarray, b: np.ndarray) -> np.ndarray:
     """x of A x = b, for many small positive definite A (E, K, K) and b (E, K, 3). With several threads,
     np.linalg.solve takes 25 times as long for them."""
     L, x = np.linalg.cholesky(A), b.copy()

@@ -307,11 +307,7 @@ def left_out(scene: Scene, splat_format: SplatFormat) -> list[str]:
         sentences.append(
             f"the format {splat_format.label} cannot hold further columns; left out: {', '.join(columns)}"
         )
-    if scene.sh_degree > splat_format.most_degree:
-        sentences.append(
-            f"the format {splat_format.label} holds spherical harmonics up to degree"
-            f" {splat_format.most_degree}, so higher ones are left out"
-        )
+    sentences += higher_bands(scene, splat_format)
     if scene.antialiased and "antialiased" not in splat_format.carries:
         sentences.append(
             f"the format {splat_format.label} cannot say that the scene is antialiased, so programs will draw"
@@ -319,6 +315,16 @@ def left_out(scene: Scene, splat_format: SplatFormat) -> list[str]:
         )
     sentences += splat_format.limits(scene) if splat_format.limits else []
     return sentences
+
+
+def higher_bands(scene: Scene, splat_format: SplatFormat) -> list[str]:
+    """A sentence if the format cannot hold all SH of the scene."""
+    if scene.sh_degree <= splat_format.most_degree:
+        return []
+    return [
+        f"the format {splat_format.label} holds spherical harmonics up to degree {splat_format.most_degree},"
+        " so higher ones are left out"
+    ]
 
 
 def file_size(scene: Scene) -> int:

@@ -9,14 +9,16 @@ not seen is rounded as usual.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..scene.gaussians import SH_C0
+from ..scene.gaussians import SH_C0, SH_COEFFICIENTS, Scene
 from ..scene.sh_rotation import band
+from .palette import solved
 
 BLOCK = 1 << 8  # Gaussians whose directions are in memory together
+PART = 1 << 12  # Gaussians whose moments are
 ELSEWHERE = 0.1  # weight of all directions together; those from which a Gaussian is seen have 1
 
 
@@ -58,6 +60,22 @@ def higher_factors(moments: np.ndarray) -> np.ndarray:
     across = moments[:, 1:, 0] / np.sqrt(moments[:, :1, 0])
     left = moments[:, 1:, 1:] - across[:, :, None] * across[:, None]
     return np.linalg.cholesky(left).swapaxes(1, 2)
+
+
+def without_bands(scene: Scene, degree: int, seen: SeenFrom | None = None) -> Scene:
+    """The scene with SH up to this degree. If seen says from where, these take up what the higher ones showed
+    there, so that the squared error is least."""
+    most, keep = scene.sh.shape[1], SH_COEFFICIENTS[degree]
+    if most <= keep:
+        return scene
+    sh = scene.sh[:, :keep].copy()
+    if seen is None:
+        return replace(scene, sh=sh)
+    for start in range(0, scene.count, PART):
+        some = slice(start, start + PART)
+        moments = seen.select(some).moments(scene.means[some], most)
+        sh[some] += solved(moments[:, :keep, :keep], moments[:, :keep, keep:] @ scene.sh[some, keep:])
+    return replace(scene, sh=sh)
 
 
 def basis(offsets: np.ndarray, coefficients: int) -> np.ndarray:

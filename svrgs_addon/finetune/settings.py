@@ -160,6 +160,7 @@ class Settings:
     share: float = 0.0  # instead of a target: share of the Gaussians that exist when densification has ended
     # share of the Gaussians down to which smaller numbers are trained too (nested.py); 0: none
     nested: float = 0.0
+    sh_degree: int = 3  # at most, of the Gaussians from the first step on
     # instead of a target: what may be lost at the end, on a few views (quality.py), and what it is counted
     # in, a key of render.metrics.allowed_loss.MEASURES
     max_loss: float = 0.0

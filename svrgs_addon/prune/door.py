@@ -108,6 +108,12 @@ def allowed_loss(options: PruneOptions) -> Allowed:
     return asked[0] if asked else Allowed()
 
 
+def degree_to_keep(options: PruneOptions) -> int:
+    """The highest SH degree of the result: what is asked for, as far as the format of the output holds it."""
+    most = format_to_write(options.out).most_degree if options.out else 3
+    return most if options.sh_degree is None else min(options.sh_degree, most)
+
+
 def given(options: Any) -> list[str]:
     """The names of the options that differ from their defaults. A switch that is off asks for nothing."""
     cls, kinds = type(options), options_of(type(options))

@@ -371,6 +371,14 @@ class PruneOptions(TuningOptions):
         default_help="none",
         group=OUTPUT,
     )
+    sh_degree: int | None = option(
+        SH_DEGREE,
+        None,
+        "highest SH degree of the result: a lower one makes smaller files, or leaves room for more Gaussians;"
+        " what stays takes up what the training views show of the rest, and is fine-tuned",
+        default_help="that of the format",
+        in_job=True,
+    )
     quick: bool = option(
         FLAG,
         False,

@@ -20,7 +20,7 @@ from .duration import pace_of
 from .expected_count import expected_count, expected_order, seen_by_some
 from .quality_forecast import forecast, is_foreseen
 from .report.prune_report import REPORT_VIEWS
-from .seen import seen_from
+from .seen import fewer_bands, seen_from
 from .time_plan import TRAINING_MARGIN, TimePlan, fitted, of_checkpoint
 
 PART = 8192  # Gaussians by which it is foreseen how long writing takes
@@ -34,10 +34,11 @@ def pruning_within(
     time is too short; FormatError."""
     if found := of_checkpoint(seconds, job.folder) if job.resume else None:
         return _with(found, plan, job, "the job goes on as it was planned")
-    pace = pace_of(scene, dataset, plan, job.lpips)
+    banded = fewer_bands(scene, plan.sh_degree, ())
+    pace = pace_of(banded, dataset, plan, job.lpips)
     kept = plan.target or expected_count(plan, scene, dataset, seen_by_some(scene, dataset, plan))
     # writing a file with all values takes about as long as reading
-    others = read + _rounding(scene, dataset, kept, job.out)
+    others = read + _rounding(banded, dataset, kept, job.out)
     others += 2 * REPORT_VIEWS * pace.measured if job.report else 0.0
     fit = lambda: fitted(
         seconds,

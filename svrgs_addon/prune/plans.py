@@ -16,7 +16,7 @@ from ..views.dataset import Dataset, load_dataset
 from ..views.rendered import RenderedDataset
 from ..views.valid_pixels import MaskOptions
 from .context import JobContext
-from .door import allowed_loss, given
+from .door import allowed_loss, degree_to_keep, given
 from .job_views import without_photographs
 from .options import (
     MIN_CONTRIBUTION,
@@ -77,6 +77,7 @@ def plan_of_pruning(options: PruneOptions) -> Plan:
         "measure": allowed.measure,
         "min_contribution": first_cut,
         "nested": _nested(options),
+        "sh_degree": degree_to_keep(options),
     }
     return prune_plan(method, options.iterations, options.recovery, **_settings(options), **more)
 

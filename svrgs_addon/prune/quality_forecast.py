@@ -53,9 +53,10 @@ def forecast(scene: Scene, dataset: Dataset, plan: Plan, ranking: np.ndarray, ke
 
 def is_foreseen(plan: Plan) -> bool:
     """Whether the quality is foreseen. It is not for methods without a fitted number; with an allowed drop,
-    which is the quality; for a run without steps in which the method prunes, or with fewer than LEAST_STEPS
-    steps."""
-    return plan.method.halved > 0 and not plan.max_loss and plan.prunes and plan.total >= LEAST_STEPS
+    which is the quality; with fewer SH bands; for a run without steps in which the method prunes, or with
+    fewer than LEAST_STEPS steps."""
+    measured = plan.total >= LEAST_STEPS and plan.sh_degree == 3
+    return plan.method.halved > 0 and not plan.max_loss and plan.prunes and measured
 
 
 def spread(views: list[int]) -> list[int]:

@@ -1,4 +1,4 @@
-"""From where the Gaussians of a scene are seen, for formats that round by it."""
+"""From where the Gaussians of a scene are seen: formats round by it, and bands are left out by it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ..files.registry import format_to_write
-from ..files.sh_rounding import SeenFrom
+from ..files.sh_rounding import SeenFrom, without_bands
 from ..native.rasterizer import Rasterizer
 from ..render.metrics.evaluate import render_options
 from ..scene.camera import Camera, evenly
@@ -20,9 +20,20 @@ LARGEST = 640  # pixels of the longer side of a view; larger ones are reduced
 
 
 def seen_from(scene: Scene, cameras: Sequence[Camera], out: Path) -> SeenFrom | None:
-    """What at most MOST_VIEWS of the views show of each Gaussian. None where the format of `out` does not
-    round by it, nothing depends on the view, or views are too few to say where one will look from."""
-    if not (len(cameras) >= FEWEST_VIEWS and scene.sh_degree and format_to_write(out).quantises):
+    """What some of the views show of each Gaussian. None where the format of `out` does not round by it,
+    nothing depends on the view, or views are too few to say where one will look from."""
+    return _shown(scene, cameras) if scene.sh_degree and format_to_write(out).quantises else None
+
+
+def fewer_bands(scene: Scene, degree: int, cameras: Sequence[Camera]) -> Scene:
+    """The scene with SH up to this degree. These take up what the higher ones show in the views, if there are
+    enough."""
+    return without_bands(scene, degree, _shown(scene, cameras)) if scene.sh_degree > degree else scene
+
+
+def _shown(scene: Scene, cameras: Sequence[Camera]) -> SeenFrom | None:
+    """What at most MOST_VIEWS of the views show of each Gaussian. None if they are too few."""
+    if len(cameras) < FEWEST_VIEWS:
         return None
     chosen, rasterizer = evenly(cameras, MOST_VIEWS), Rasterizer()
     weights = np.zeros((len(chosen), scene.count), np.float16)

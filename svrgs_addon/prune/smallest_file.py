@@ -11,9 +11,10 @@ from pathlib import Path
 from ..files.registry import format_to_write, round_trip
 from ..finetune.decimate.order import Order
 from ..finetune.quality import fewest
-from ..render.metrics.allowed_loss import ASSUMED, refuse_loss
+from ..render.metrics.allowed_loss import ASSUMED, MEASURES, refuse_loss
 from ..scene.affine import scaled
 from ..scene.gaussians import Scene
+from ..system.errors import SceneError
 from .door import Allowed
 
 FACTORS = (1.0, 2.0, 4.0)  # on the error in SH, for formats that take one
@@ -37,6 +38,14 @@ def smallest_file(
     total, best_of_all = order.scene.count, ASSUMED if allowed.measure == "psnr" else 0.0
     floor = best_of_all - allowed.loss
     splat_format, best, smallest = format_to_write(out), (total, 1.0), math.inf
+    if (loss := best_of_all - quality_of(order.scene)) >= allowed.loss:
+        measure, degree = MEASURES[allowed.measure], order.scene.sh_degree
+        if degree == splat_format.most_degree:
+            refuse_loss(out, loss, *allowed)
+        raise SceneError(
+            f"{out}: SH of degree {degree} alone lose {loss:.3g} {measure.unit}, not less than"
+            f" {measure.option} allows: keep a higher degree"
+        )
     if splat_format.lossless:
         return fewest(least, total, lambda count: quality_of(order.at(count)) >= floor), 1.0
 

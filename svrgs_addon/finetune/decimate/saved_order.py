@@ -15,6 +15,7 @@ import numpy as np
 
 from ...files.atomic import atomic_write
 from ...files.registry import read_scene, write_scene
+from ...files.sh_rounding import without_bands
 from ...scene.affine import scaled, transformed
 from ...scene.concatenate import concatenated
 from ...scene.gaussians import PARAMETERS, Scene
@@ -71,7 +72,11 @@ def read_order(folder: Path, source: Scene) -> SavedOrder:
     rows, born, gone = _checked(folder / ORDER, source.count + made.count).T.copy()
     most = int((born == 0).sum())
     return SavedOrder(
-        concatenated([source, made]).select(rows), born, gone, least=most - int(gone.max()) + 1, most=most
+        concatenated([without_bands(source, made.sh_degree), made]).select(rows),
+        born,
+        gone,
+        least=most - int(gone.max()) + 1,
+        most=most,
     )
 
 

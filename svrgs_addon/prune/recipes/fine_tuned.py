@@ -15,6 +15,7 @@ from ...files.images import to_float
 from ...files.registry import (
     FORMATS,
     format_to_write,
+    higher_bands,
     invisible,
     load_scene,
     read_back,
@@ -62,7 +63,7 @@ from ..photographs import in_its_colours, prepared
 from ..planning import pruning_within
 from ..report.pictures import to_uint8
 from ..report.prune_report import report_pictures, write_prune_report
-from ..seen import seen_from
+from ..seen import fewer_bands, seen_from
 
 CANNOT_REACH = "method '{}' cannot reach a target without iterations in which it prunes"
 
@@ -286,6 +287,7 @@ class FineTuned(Tuned):
             self.dataset = dataset = hold_apart(dataset, plan.measure)
             if self.measuring and not dataset.deciding_indices:
                 self.notes.append(NOT_APART)
+        self.notes += higher_bands(source, format_to_write(self.job.out))
         self.room.hold_for(source, source.count, plan.averaged_count(source.count))
 
     def rank(self):
@@ -449,25 +451,25 @@ def without_format_loss(scene: Scene, dataset: Dataset, plan: Plan, out: Path) -
     if not plan.max_loss:
         return plan
     quality = lambda some: quality_of(some, dataset, plan)
-    seen = seen_from(scene, [dataset.cameras[i] for i in dataset.train_indices], out)
-    lost = format_loss(out, scene, quality, plan.max_loss, plan.measure, seen)
+    views = [dataset.cameras[i] for i in dataset.train_indices]
+    banded = fewer_bands(scene, plan.sh_degree, views)
+    lost = format_loss(out, banded, quality, plan.max_loss, plan.measure, seen_from(banded, views, out))
     return replace(plan, max_loss=plan.max_loss - lost)
 
 
 def first_scene(scene: Scene, dataset: Dataset, plan: Plan) -> Scene:
     """The scene of the first step: after the first removal and the first cut; of methods that rank, only the
-    target count. Raises SceneError if almost nothing stays."""
+    target count; with the SH bands that stay. Raises SceneError if almost nothing stays."""
     views = [dataset.cameras[i] for i in dataset.train_indices]
     keep = first_cut(scene, views, plan, plan.target)
     if plan.min_contribution:
         masks.refuse_emptying(keep, scene.count - int(invisible(scene).sum()), plan.target)
     # one selection, because two copies would raise the peak memory of the job
     scene = scene if keep.all() else scene.select(keep)
-    if not plan.method.ranks:
-        return scene
-    return plan.method.reduced(
-        scene, views, Rasterizer(), render_options(scene, plan.background), plan.target
-    )
+    if plan.method.ranks:
+        options = render_options(scene, plan.background)
+        scene = plan.method.reduced(scene, views, Rasterizer(), options, plan.target)
+    return fewer_bands(scene, plan.sh_degree, views)
 
 
 def make_engine(name: str):

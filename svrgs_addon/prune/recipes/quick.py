@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from ...files.level_files import write_with_levels
-from ...files.registry import format_to_write, invisible, load_scene, size_on_disk
+from ...files.registry import format_to_write, higher_bands, invisible, load_scene, size_on_disk
 from ...finetune.decimate.order import (
     MOST_HIDDEN,
     NORMALS,
@@ -44,10 +44,10 @@ from .. import job_views
 from ..belonging import Seen, check_seen
 from ..context import JobContext
 from ..disk_room import ROW
-from ..door import allowed_loss, check_options, check_visible
+from ..door import allowed_loss, check_options, check_visible, degree_to_keep
 from ..likeness import Likeness, assumed_drop, assumed_psnr
 from ..options import PruneOptions
-from ..seen import seen_from
+from ..seen import fewer_bands, seen_from
 from ..smallest_file import smallest_file
 
 DECIDING = 6  # views in which an allowed drop is held, apart from those in which the result is measured
@@ -67,6 +67,7 @@ TAKES = (  # options; others are refused
     "max_drop",
     "max_flip",
     "max_lpips",
+    "sh_degree",
     "quiet",
     "quick",
     "force",
@@ -130,7 +131,8 @@ class Quick:
         ]
         least = max(1, math.floor(min(options.levels, default=1) * self.wanted))
         kept = min(least, math.ceil(SMALLEST * scene.count)) if job.order else least
-        self.order = order_of(self.enlarged, sums, kept)
+        banded = fewer_bands(self.enlarged, degree_to_keep(options), self.cameras)
+        self.order = order_of(banded, sums, kept)
 
     def budget(self):
         options = self.options
@@ -215,7 +217,7 @@ class Quick:
         """The scene fine-tuned on the pictures. Where that does harm in other views, it is interpolated with
         the scene before the steps. Raises Cancelled."""
         options, share = self.options, small.count / self.scene.count
-        if share == 1:
+        if share == 1 and small.sh_degree == self.scene.sh_degree:
             return small
         steps, pace, middle = _steps(share), pace_at(share), middle_scale(small.log_scales)
         settings = render_options(small, options.background)
@@ -237,6 +239,7 @@ class Quick:
                 f" {self.quantise:g}: that makes the smallest file"
             )
         yield from lost_columns(self.source, stored, (*NORMALS, ROW))
+        yield from higher_bands(self.source, format_to_write(self.job.out))
         if not format_to_write(self.job.out).lossless and self.likeness.views:
             psnr = self.likeness.psnr
             yield from loss_notes(psnr(pruned), psnr(scaled(stored, self.factor)))
