@@ -22,7 +22,7 @@ PAPER_VALUES = (1e-4, 1.25e-4, 1.6e-4, 2e-4)  # values of λ_F in the paper
 # goal -> its property; the strength has rows of its own
 GOALS = {"DEVICE": "device", "SHARE": "share", "COUNT": "count", "SIZE": "size", "DROP": "drop"}
 ADVANCED = (
-    "lambda_f", "iterations", "recovery", "seed", "min_contribution", "holdout", "visible_mask",
+    "sh_degree", "lambda_f", "iterations", "recovery", "seed", "min_contribution", "holdout", "visible_mask",
     "views_by_loss", "force", "images", "masks", "invert_masks", "outside", "exposure",
     "refine_poses", "mask_distractors", "folder",
 )  # fmt: skip

@@ -114,6 +114,17 @@ def poses_property():
     )
 
 
+def sh_degree_property(**overrides):
+    """The highest SH degree of a result."""
+    text = (
+        "Highest degree of the spherical harmonics of the result. Each degree less makes a smaller file, or"
+        " leaves room for more Gaussians: more texture, less that depends on the view"
+    )
+    return IntProperty(
+        **{"name": "SH Degree", "min": 0, "max": 3, "default": 3, "description": text} | overrides
+    )
+
+
 def limited_time_property():
     """Whether the time of a job is limited."""
     text = (

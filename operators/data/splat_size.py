@@ -7,6 +7,7 @@ import bpy
 from bpy.app.translations import pgettext_iface as tr
 
 from ...svrgs_addon.files.registry import FORMATS, foreseen_size, sampled_size
+from ...svrgs_addon.files.sh_rounding import without_bands
 from ...svrgs_addon.files.splat_format import SplatFormat
 from ...svrgs_addon.system.errors import SplatError
 from . import known, quick_order, splat_object
@@ -21,16 +22,16 @@ def about(obj: bpy.types.Object) -> str:
     )
 
 
-def size_of(obj: bpy.types.Object, count: int) -> int:
-    """Bytes of a file with this many of the splat's Gaussians."""
-    size = foreseen_size(splat_object.sample_scene(obj), count)
+def size_of(obj: bpy.types.Object, count: int, degree: int = 3) -> int:
+    """Bytes of a file with this many of the splat's Gaussians, with SH up to this degree."""
+    size = foreseen_size(without_bands(splat_object.sample_scene(obj), degree), count)
     assert size is not None
     return size
 
 
-def size_text(obj: bpy.types.Object, count: int) -> str:
+def size_text(obj: bpy.types.Object, count: int, degree: int = 3) -> str:
     """size_of as text."""
-    return file_size_text(size_of(obj, count))
+    return file_size_text(size_of(obj, count, degree))
 
 
 def of_its_file(obj: bpy.types.Object) -> str:
@@ -46,29 +47,33 @@ def file_size_text(size: float) -> str:
     return f"{size / 1e6:.1f} MB" if size >= 1e5 else f"{size / 1e3:.1f} kB"
 
 
-def count_in(obj: bpy.types.Object, size: float) -> int:
-    """How many of the splat's Gaussians fit into a file of this many bytes; at least 0."""
-    header = size_of(obj, 0)
-    return max(0, int((size - header) / (size_of(obj, 1) - header)))
+def count_in(obj: bpy.types.Object, size: float, degree: int = 3) -> int:
+    """How many of the splat's Gaussians, with SH up to this degree, fit into a file of this many bytes; at
+    least 0."""
+    header = size_of(obj, 0, degree)
+    return max(0, int((size - header) / (size_of(obj, 1, degree) - header)))
 
 
-def size_in(obj: bpy.types.Object, count: int, kind: str, quantise: float = 1.0) -> str:
-    """What an export says on the size of `count` Gaussians of the splat in the format of this name; '' for a
-    large splat whose values decide. quantise: as of write_scene(), for formats that take it."""
+def size_in(obj: bpy.types.Object, count: int, kind: str, quantise: float = 1.0, degree: int = 3) -> str:
+    """What an export says on the size of `count` Gaussians of the splat in the format of this name, with SH
+    up to this degree; '' for a large splat whose values decide. quantise: as of write_scene(), for formats
+    that take it."""
     splat_format, said = next(one for one in FORMATS if one.name == kind), known.of_data(obj).sizes
-    key = count, kind, quantise if splat_format.quantises else 1.0
+    key = count, kind, quantise if splat_format.quantises else 1.0, degree
     if key not in said:
-        said[key] = _size_in(obj, count, splat_format, key[-1])
+        said[key] = _size_in(obj, count, splat_format, *key[2:])
     return said[key]
 
 
-def _size_in(obj: bpy.types.Object, count: int, splat_format: SplatFormat, quantise: float) -> str:
-    size = foreseen_size(splat_object.sample_scene(obj), count, splat_format)
+def _size_in(
+    obj: bpy.types.Object, count: int, splat_format: SplatFormat, quantise: float, degree: int
+) -> str:
+    size = foreseen_size(without_bands(splat_object.sample_scene(obj), degree), count, splat_format)
     if size is None and count > MOST_READ:
         return ""
     try:
         size = size or sampled_size(
-            splat_object.scene_from_object(obj), splat_format, quantise
+            without_bands(splat_object.scene_from_object(obj), degree), splat_format, quantise
         ) * count // max(1, splat_object.count(obj))
     except SplatError:
         return ""

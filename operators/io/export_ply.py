@@ -28,12 +28,13 @@ from ...svrgs_addon.files.splat_format import SplatFormat
 from ...svrgs_addon.native import library
 from ...svrgs_addon.native.rasterizer import Rasterizer
 from ...svrgs_addon.prune.likeness import Likeness
-from ...svrgs_addon.prune.seen import seen_from
+from ...svrgs_addon.prune.seen import fewer_bands, seen_from
 from ...svrgs_addon.scene.camera import Camera
 from ...svrgs_addon.scene.gaussians import Scene
 from ...svrgs_addon.system.errors import SceneError
 from ..data import splat_object, visible_splats
 from ..data.native_check import native_problem
+from ..data.option_properties import sh_degree_property
 from ..data.preferences import threads
 from ..data.reporting import BackgroundOperator, Steps
 from ..data.splat_size import size_in
@@ -63,6 +64,12 @@ class SVRGS_OT_export_ply(BackgroundOperator, ExportHelper, ExportSpace):
             ("2", "2", "For programs that do not read version 3 yet"),
         ],
     )
+    sh_degree: sh_degree_property(
+        description=(
+            "Highest degree of the spherical harmonics in the file. Those that stay take up what the imported"
+            " cameras see of the others, if By Cameras is on"
+        )
+    )
     quantise: FloatProperty(
         name="SH Error",
         description=(
@@ -77,8 +84,8 @@ class SVRGS_OT_export_ply(BackgroundOperator, ExportHelper, ExportSpace):
         name="By Cameras",
         default=True,
         description=(
-            "Round spherical harmonics by where the imported cameras see each Gaussian from: a smaller file"
-            " that loses less. Takes some seconds for each million Gaussians"
+            "Round spherical harmonics, and leave them out, by where the imported cameras see each Gaussian"
+            " from: a smaller file that loses less. Takes some seconds for each million Gaussians"
         ),
     )
     filter_glob: StringProperty(
@@ -116,11 +123,16 @@ class SVRGS_OT_export_ply(BackgroundOperator, ExportHelper, ExportSpace):
         splat_format = _format(self.kind)
         if splat_format.versions:
             self.layout.prop(self, "version")
-        if splat_format.quantises and splat_object.sh_degree(obj):
-            self.layout.prop(self, "quantise")
-            if camera_objects(context, obj):
+        if degree := splat_object.sh_degree(obj):
+            if splat_format.most_degree:
+                self.layout.prop(self, "sh_degree")
+            if splat_format.quantises:
+                self.layout.prop(self, "quantise")
+            rounds = splat_format.quantises or degree > min(self.sh_degree, splat_format.most_degree)
+            if rounds and camera_objects(context, obj):
                 self.layout.prop(self, "by_views")
-        if foreseen := size_in(obj, splat_object.count(obj) - hidden, self.kind, self.quantise):
+        count = splat_object.count(obj) - hidden
+        if foreseen := size_in(obj, count, self.kind, self.quantise, self.sh_degree):
             self.layout.label(text=foreseen)
         self.draw_space(self.layout)
 
@@ -134,7 +146,8 @@ class SVRGS_OT_export_ply(BackgroundOperator, ExportHelper, ExportSpace):
         quantise = self.quantise if splat_format.quantises else 1.0
         lost = left_out(scene, splat_format)
         left = [*self.left_out(obj, dropped), *lost]
-        size, psnr = yield partial(written, path, scene, version, quantise, *self.views(context, obj))
+        views = self.views(context, obj)
+        size, psnr = yield partial(written, path, scene, version, quantise, self.sh_degree, *views)
         text = tr("Exported {count:,} Gaussians to {file}, {size:.1f} MB").format(
             count=scene.count, file=path, size=size / 1e6
         )
@@ -158,15 +171,19 @@ def written(
     scene: Scene,
     version: int,
     quantise: float,
+    degree: int,
     deciding: list[Camera],
     held_out: list[Camera],
 ) -> tuple[int, float | None]:
-    """Writes the file, rounded by the views that decide. Its bytes, and its PSNR in dB against the scene in
-    those held out; None: of a lossless format, or without a view that sees the scene."""
-    write_scene(path, scene, version, quantise, seen_from(scene, deciding, path))
+    """Writes the file with SH up to this degree, rounded by the views that decide. Its bytes, and its PSNR in
+    dB against the scene in those held out; None: of a file with all values, or without a view that sees the
+    scene."""
+    splat_format = format_to_write(path)
+    banded = fewer_bands(scene, min(degree, splat_format.most_degree), deciding)
+    write_scene(path, banded, version, quantise, seen_from(banded, deciding, path))
     likeness, psnr = Likeness(scene, held_out, Rasterizer), None
-    if held_out and not format_to_write(path).lossless and likeness.views:
-        psnr = likeness.psnr(read_back(path, scene))
+    if held_out and not (splat_format.lossless and banded is scene) and likeness.views:
+        psnr = likeness.psnr(read_back(path, banded))
     return path.stat().st_size, psnr
 
 

@@ -67,7 +67,7 @@ def line(obj: bpy.types.Object) -> str:
     quality = [f"≥ {after:.1f} dB"] if after is not None else []
     for_device = bpy.context.scene.svrgs_prune.goal == "DEVICE"
     overdraw = [tr("{overdraw_after:.0f} a pixel").format(**found)] if for_device else []
-    return " · ".join((f"≈ {count:,}", *overdraw, size_text(obj, count), *quality, time))
+    return " · ".join((f"≈ {count:,}", *overdraw, _size_after(obj, count), *quality, time))
 
 
 def sentences(obj: bpy.types.Object) -> list[str]:
@@ -96,13 +96,18 @@ def sentences(obj: bpy.types.Object) -> list[str]:
     )
     return [
         stay.format(kept=kept, count=count, share=kept / count),
-        tr("{before} → about {after}").format(before=size_text(obj, count), after=size_text(obj, kept)),
+        tr("{before} → about {after}").format(before=size_text(obj, count), after=_size_after(obj, kept)),
         quality(found),
         tr("A pixel blends {overdraw_before:.0f} Gaussians, then about {overdraw_after:.0f}").format(**found),
         seen.format(**found),
         time.format(minutes=found["seconds"] / 60, **found),
         *found["notes"],
     ]
+
+
+def _size_after(obj: bpy.types.Object, kept: int) -> str:
+    """Of a file of the result."""
+    return size_text(obj, kept, bpy.context.scene.svrgs_prune.sh_degree)
 
 
 def quality(found: dict) -> str:

@@ -69,7 +69,7 @@ def options(settings, obj: bpy.types.Object, merges: bool = False) -> dict:
     wanted = {
         "SHARE": settings.share / 100 * total,
         "COUNT": settings.count,
-        "SIZE": count_in(obj, settings.size * 1e6),
+        "SIZE": count_in(obj, settings.size * 1e6, settings.sh_degree),
         "DEVICE": DEVICES[settings.device].gaussians,
     }[goal]
     return {"target_count": min(total, max(1, round(wanted)))}

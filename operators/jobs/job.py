@@ -26,9 +26,10 @@ GOALS = ("target", "target_count", "max_drop", "max_lpips")  # options that say 
 def options_of(context, obj: bpy.types.Object) -> dict:
     """The settings of the panel as the options of a job."""
     s, effort = context.scene.svrgs_prune, efforts.chosen(context)
+    bands = {"sh_degree": s.sh_degree} if s.sh_degree < splat_object.sh_degree(obj) else {}
     if effort == efforts.QUICK:
         quick = {"quick": True, "seed": s.seed, "threads": threads(context), "force": s.force}
-        return quick | goals.options(s, obj, merges=True)
+        return quick | bands | goals.options(s, obj, merges=True)
     data, images = dataset_paths.dataset_of(context) if effort == efforts.PHOTOGRAPHS else ("", "")
     options = {
         "data": data, "images": images, "method": "merge" if efforts.merges(context) else s.method,
@@ -48,7 +49,7 @@ def options_of(context, obj: bpy.types.Object) -> dict:
         options["nested"] = SMALLEST
     if METHODS[s.method].first_cut:
         options["min_contribution"] = s.min_contribution
-    return options | goals.options(s, obj, efforts.merges(context))
+    return options | bands | goals.options(s, obj, efforts.merges(context))
 
 
 def given_views(context, obj: bpy.types.Object) -> list[Camera]:

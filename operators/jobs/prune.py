@@ -28,6 +28,7 @@ from ..data.option_properties import (
     option_property,
     outside_property,
     poses_property,
+    sh_degree_property,
 )
 from ..data.preferences import threads
 from ..data.reporting import ReportingOperator
@@ -117,6 +118,7 @@ class SVRGS_OT_prune(ReportingOperator):
             "By how much LPIPS may rise, instead of a target; it needs the weights of LPIPS. 0: no such limit"
         ),
     )
+    sh_degree: sh_degree_property()
     time: option_property(
         "time", description="Seconds that the job may take, in place of numbers of steps. 0: no limit"
     )
@@ -239,6 +241,7 @@ class SVRGS_OT_prune(ReportingOperator):
             "--refine-poses": self.refine_poses if self.refine_poses != "auto" else "",
         }  # fmt: skip
         options = [str(word) for name, value in given.items() if value for word in (name, value)]
+        options += ["--sh-degree", str(self.sh_degree)] if self.sh_degree < 3 else []
         options += [
             flag
             for flag, chosen in (

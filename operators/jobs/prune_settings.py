@@ -20,6 +20,7 @@ from ..data.option_properties import (
     option_property,
     outside_property,
     poses_property,
+    sh_degree_property,
     time_property,
 )
 from ..translation import OWN
@@ -145,6 +146,7 @@ class SVRGS_PG_prune(bpy.types.PropertyGroup):
             " every pixel in every photograph"
         ),
     )  # fmt: skip
+    sh_degree: sh_degree_property()
     visible_mask: option_property("visible_mask", name="Visible Part Only")
     force: option_property("force")
     nested: BoolProperty(

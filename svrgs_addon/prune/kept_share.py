@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..files.sh_rounding import without_bands
 from ..scene.gaussians import Scene
 
 BOUNDARY = 0.5  # Gaussians with a score above were kept by the job
@@ -26,11 +27,12 @@ def numbered(count: int) -> np.ndarray:
 
 
 def merged(a: Scene, rows_a: np.ndarray, b: Scene, rows_b: np.ndarray) -> Scene:
-    """One scene with the Gaussians of both, in the order of their source rows. Of further columns, those that
-    both have.
+    """One scene with the Gaussians of both, in the order of their source rows, with the SH bands of a. Of
+    further columns, those that both have.
 
     rows_a, rows_b: the source row of each Gaussian.
     """
+    b = without_bands(b, a.sh_degree)
     join = lambda name: np.concatenate([getattr(a, name), getattr(b, name)])
     attributes = {
         name: np.concatenate([column, b.attributes[name]])
