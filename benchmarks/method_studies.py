@@ -134,6 +134,8 @@ LEVELS = {
     level: f"from svrgs_addon.native import rasterizer; rasterizer.best_level = lambda: {level!r}"
     for level in ("scalar", "baseline", "avx2", "avx512")
 }
+# SH degrees at the same share, and at shares that make an SPZ about as large as a tenth with all bands
+DEGREES = ((3, "0.1"), (2, "0.1"), (1, "0.1"), (0, "0.1"), (2, "0.115"), (1, "0.13"), (0, "0.15"))
 COARSE, VIEWS = ["--coarse-until", "10000"], ["--views-by-loss"]
 SKIPS = {"plain": [], "coarse": COARSE, "views": VIEWS, "coarse, views": COARSE + VIEWS}
 SCENARIOS = {
@@ -165,6 +167,10 @@ STUDIES = {
         for target in ("1", "0.1")
         for name in (TEXTURE if target != "1" else ["removal", BOTH])
     },
+    "degrees": {
+        f"SH {degree} {target}": ["--method", "removal", "--target", target, "--sh-degree", str(degree)]
+        for degree, target in DEGREES
+    },
     "skips": {name: [*TABLE["3DGS"], *flags] for name, flags in SKIPS.items()},
     "levels": {level: TABLE["3DGS"] for level in LEVELS},
     "scenarios": SCENARIOS,
@@ -175,7 +181,7 @@ STUDIES = {
     },
 }
 # these prune the scene of a run of `table`
-PRUNED = ("equal", "looks", "pareto", "published", "ablation", "texture", "time")
+PRUNED = ("equal", "looks", "pareto", "published", "ablation", "texture", "degrees", "time")
 
 
 def change_of(study: str, run: str) -> str:
