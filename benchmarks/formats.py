@@ -1,13 +1,14 @@
 """How large and how exact each format is: bytes, quality against the original, seconds to write and to read.
 
-python benchmarks/formats.py SPLAT... [--against ORIGINAL] [--quantise FACTOR...] [--data DATASET]
-    [--others] [--out TABLE.md]
+python benchmarks/formats.py SPLAT... [--against ORIGINAL] [--quantise FACTOR...] [--sh-degree N...]
+    [--data DATASET] [--others] [--out TABLE.md]
 
 PSNR in dB, SSIM and FLIP are means of the 50 views from above of judges.py, against the splat itself or, of
 one that was pruned, its original. Seconds: medians of REPEATS, of the scene in memory to the file and back.
-With --quantise, only formats that take it, newest versions. With --data, figures are those of its test views
-against the photographs, LPIPS (make lpips) instead of FLIP; formats that round by where a splat is seen from
-are written without that and with the training views, as by `svrgs prune`. With --others, files of the same
+With --quantise or --sh-degree, only formats that round SH, newest versions. With --data, figures are those of
+its test views against the photographs, LPIPS (make lpips) instead of FLIP; formats that round by where a splat
+is seen from, or hold fewer bands, are written without that and with the training views, as by `svrgs convert
+--data`. With --others, files of the same
 splats by other programs, too (other_writers.py), each written once: a SOG takes them minutes.
 """
 
@@ -27,11 +28,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from judges import Judge, against_photographs, against_scene
 from other_writers import OTHERS, others
-from svrgs_addon.files.registry import FORMATS, load_scene, write_scene
+from svrgs_addon.files.registry import FORMATS, format_to_write, load_scene, write_scene
 from svrgs_addon.files.sh_rounding import SeenFrom
 from svrgs_addon.prune.options import DatasetOptions
 from svrgs_addon.prune.plans import dataset_of
-from svrgs_addon.prune.seen import seen_from
+from svrgs_addon.prune.seen import fewer_bands, seen_from
 from svrgs_addon.scene.camera import Camera
 from svrgs_addon.scene.gaussians import Scene
 
@@ -58,15 +59,24 @@ class Kind:
     suffix: str
     version: int = 0
     quantise: float = 1.0
+    degree: int = 3
     by_views: bool = False
     program: str = ""  # another one that writes it
 
     @property
     def name(self) -> str:
         words = [self.suffix, f"version {self.version}" if self.version else ""]
-        words += [f"--quantise {self.quantise:g}" if self.quantise != 1 else "", "by views" * self.by_views]
+        words += [f"--quantise {self.quantise:g}" if self.quantise != 1 else ""]
+        words += [f"--sh-degree {self.degree}" if self.degree < 3 else "", "by views" * self.by_views]
         words += [f"by {self.program}" if self.program else ""]
         return " ".join(filter(None, words))
+
+    def banded(self, scene: Scene, cameras: list[Camera]) -> Scene:
+        """The scene with as many SH bands as are written."""
+        if self.program:
+            return scene
+        most = format_to_write(f"scene{self.suffix}").most_degree
+        return fewer_bands(scene, min(self.degree, most), cameras if self.by_views else ())
 
     def write(self, path: Path, scene: Scene, seen: SeenFrom | None):
         if self.program:
@@ -75,16 +85,18 @@ class Kind:
             write_scene(path, scene, self.version, self.quantise, seen)
 
 
-def kinds(factors: list[float], with_views: bool) -> list[Kind]:
-    """All formats that are written; those that take quantise, if factors are given."""
-    written = [one for one in FORMATS if one.write and one.suffixes and (one.quantises or not factors)]
+def kinds(factors: list[float], degrees: list[int], with_views: bool) -> list[Kind]:
+    """All formats that are written; those that round SH, if factors or degrees are given."""
+    some = bool(factors or degrees)
+    written = [one for one in FORMATS if one.write and one.suffixes and (one.quantises or not some)]
     by_views = (False, True) if with_views else (False,)
     return [
-        Kind(one.suffixes[0], version, factor, view)
+        Kind(one.suffixes[0], version, factor, degree, view)
         for one in written
-        for version in ((0,) if factors or with_views else one.versions or (0,))
+        for version in ((0,) if some or with_views else one.versions or (0,))
         for factor in factors or [1.0]
-        for view in (by_views if one.quantises else (False,))
+        for degree in degrees or [3]
+        for view in (by_views if one.quantises or one.most_degree < 3 else (False,))
     ]
 
 
@@ -92,8 +104,9 @@ def rows(scene: Scene, judge: Judge, wanted: list[Kind], cameras: list[Camera], 
     lines = []
     for kind in wanted:
         path = folder / f"scene{kind.suffix}"
-        seen = seen_from(scene, cameras, path) if kind.by_views else None
-        writing = seconds(partial(kind.write, path, scene, seen), 1 if kind.program else REPEATS)
+        banded = kind.banded(scene, cameras)
+        seen = seen_from(banded, cameras, path) if kind.by_views else None
+        writing = seconds(partial(kind.write, path, banded, seen), 1 if kind.program else REPEATS)
         reading = seconds(lambda path=path: load_scene(path))
         found, size = judge(load_scene(path).scene), path.stat().st_size
         quality = f"{found[0]:.2f} | {found[1]:.4f} | {found[2]:.4f}" if found[0] < 100 else "equal | 1 | 0"
@@ -112,13 +125,16 @@ def main() -> int:
     parser.add_argument(
         "--quantise", type=float, nargs="+", default=[], help="factors of svrgs convert --quantise"
     )
+    parser.add_argument(
+        "--sh-degree", type=int, nargs="+", default=[], help="degrees of svrgs convert --sh-degree"
+    )
     parser.add_argument("--others", action="store_true", help="files by other programs, too")
     parser.add_argument("--out", type=Path, help="file to append the tables to")
     parser.add_argument("--data", type=Path, help="dataset whose photographs judge")
     words = parser.parse_args()
     dataset = dataset_of(DatasetOptions(data=words.data)) if words.data else None
     cameras = [dataset.cameras[i] for i in dataset.train_indices] if dataset else []
-    wanted = kinds(words.quantise, bool(cameras))
+    wanted = kinds(words.quantise, words.sh_degree, bool(cameras))
     wanted += [Kind(suffix, program=program) for program, suffix in others() if words.others]
     for path in words.splats:
         scene = load_scene(path).scene
