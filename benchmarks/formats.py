@@ -5,10 +5,10 @@ python benchmarks/formats.py SPLAT... [--against ORIGINAL] [--quantise FACTOR...
 
 PSNR in dB, SSIM and FLIP are means of the 50 views from above of judges.py, against the splat itself or, of
 one that was pruned, its original. Seconds: medians of REPEATS, of the scene in memory to the file and back.
-With --quantise or --sh-degree, only formats that round SH, newest versions. With --data, figures are those of
-its test views against the photographs, LPIPS (make lpips) instead of FLIP; formats that round by where a splat
-is seen from, or hold fewer bands, are written without that and with the training views, as by `svrgs convert
---data`. With --others, files of the same
+With --quantise or --sh-degree, only formats that round SH, newest versions. With --data, figures are those
+of its test views against the photographs, LPIPS (make lpips) instead of FLIP; formats that round by where a
+splat is seen from, or hold fewer bands, are written without that and with the training views, as by `svrgs
+convert --data`. With --others, files of the same
 splats by other programs, too (other_writers.py), each written once: a SOG takes them minutes.
 """
 
