@@ -20,6 +20,20 @@ from .door import Allowed
 FACTORS = (1.0, 2.0, 4.0)  # on the error in SH, for formats that take one
 
 
+def refuse_bands(order: Order, quality_of: Callable[[Scene], float], out: Path, allowed: Allowed):
+    """Raises SceneError if the SH bands that the order leaves out alone lose what is allowed. quality_of: as
+    of smallest_file()."""
+    measure, degree = MEASURES[allowed.measure], order.scene.sh_degree
+    loss = (ASSUMED if allowed.measure == "psnr" else 0.0) - quality_of(order.scene)
+    if degree == format_to_write(out).most_degree:
+        refuse_loss(out, loss, *allowed)
+    if loss >= allowed.loss:
+        raise SceneError(
+            f"{out}: SH of degree {degree} alone lose {loss:.3g} {measure.unit}, not less than"
+            f" {measure.option} allows: keep a higher degree"
+        )
+
+
 def smallest_file(
     order: Order,
     least: int,
@@ -38,14 +52,6 @@ def smallest_file(
     total, best_of_all = order.scene.count, ASSUMED if allowed.measure == "psnr" else 0.0
     floor = best_of_all - allowed.loss
     splat_format, best, smallest = format_to_write(out), (total, 1.0), math.inf
-    if (loss := best_of_all - quality_of(order.scene)) >= allowed.loss:
-        measure, degree = MEASURES[allowed.measure], order.scene.sh_degree
-        if degree == splat_format.most_degree:
-            refuse_loss(out, loss, *allowed)
-        raise SceneError(
-            f"{out}: SH of degree {degree} alone lose {loss:.3g} {measure.unit}, not less than"
-            f" {measure.option} allows: keep a higher degree"
-        )
     if splat_format.lossless:
         return fewest(least, total, lambda count: quality_of(order.at(count)) >= floor), 1.0
 

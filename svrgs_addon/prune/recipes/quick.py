@@ -48,7 +48,7 @@ from ..door import allowed_loss, check_options, check_visible, degree_to_keep
 from ..likeness import Likeness, assumed_drop, assumed_psnr
 from ..options import PruneOptions
 from ..seen import fewer_bands, seen_from
-from ..smallest_file import smallest_file
+from ..smallest_file import refuse_bands, smallest_file
 
 DECIDING = 6  # views in which an allowed drop is held, apart from those in which the result is measured
 STEPS, MOST_STEPS = 60, 120  # of fine-tuning, with USUAL of the Gaussians and at most
@@ -150,6 +150,8 @@ class Quick:
             deciding = self.likeness.deciding
             deciding.refuse_without_views()
             quality = lambda scene: deciding.quality(scene, self.allowed.measure)
+            if self.order.scene.sh_degree < self.scene.sh_degree:
+                refuse_bands(self.order, quality, self.job.out, self.allowed)
             self.count, self.quantise = smallest_file(
                 self.order, self.wanted, quality, self.job.out, self.allowed, 1 / self.factor
             )
