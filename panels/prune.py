@@ -86,6 +86,8 @@ def draw_settings(layout, context):
     column.prop(settings, "goal")
     if settings.goal in GOALS:
         column.prop(settings, GOALS[settings.goal])
+        if settings.goal == "SIZE":
+            column.prop(settings, "size_kind")
     elif settings.goal == "LAMBDA" and (strength := goals.strength_sentence(settings)):
         draw_strength(column.column(align=True), settings)
         wrapped_label(column, strength)

@@ -175,7 +175,7 @@ def test_a_scene_with_a_sky_around_it_is_seen_from_inside(tmp_path):
     ("more", "words"),
     [
         ({"max_drop": 0.5, "target": None, "lambda_f": 1e-3}, "--lambda-f"),
-        ({"target": None}, "--quick needs --target, --target-count, an allowed loss or --levels"),
+        ({"target": None}, "--quick needs --target, --target-count, --target-size, an allowed"),
         ({"image_memory": 1.0}, "--image-memory"),
         ({"time": 5.0}, "--time"),
         ({"method": "svr"}, "--method"),

@@ -22,16 +22,16 @@ def about(obj: bpy.types.Object) -> str:
     )
 
 
-def size_of(obj: bpy.types.Object, count: int, degree: int = 3) -> int:
-    """Bytes of a file with this many of the splat's Gaussians, with SH up to this degree."""
-    size = foreseen_size(without_bands(splat_object.sample_scene(obj), degree), count)
+def size_of(obj: bpy.types.Object, count: int) -> int:
+    """Bytes of a PLY with this many of the splat's Gaussians."""
+    size = foreseen_size(splat_object.sample_scene(obj), count)
     assert size is not None
     return size
 
 
-def size_text(obj: bpy.types.Object, count: int, degree: int = 3) -> str:
+def size_text(obj: bpy.types.Object, count: int) -> str:
     """size_of as text."""
-    return file_size_text(size_of(obj, count, degree))
+    return file_size_text(size_of(obj, count))
 
 
 def of_its_file(obj: bpy.types.Object) -> str:
@@ -45,13 +45,6 @@ def of_its_file(obj: bpy.types.Object) -> str:
 
 def file_size_text(size: float) -> str:
     return f"{size / 1e6:.1f} MB" if size >= 1e5 else f"{size / 1e3:.1f} kB"
-
-
-def count_in(obj: bpy.types.Object, size: float, degree: int = 3) -> int:
-    """How many of the splat's Gaussians, with SH up to this degree, fit into a file of this many bytes; at
-    least 0."""
-    header = size_of(obj, 0, degree)
-    return max(0, int((size - header) / (size_of(obj, 1, degree) - header)))
 
 
 def size_in(obj: bpy.types.Object, count: int, kind: str, quantise: float = 1.0, degree: int = 3) -> str:

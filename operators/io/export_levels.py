@@ -19,11 +19,12 @@ from ...svrgs_addon.system import subprocess_python
 from ...svrgs_addon.system.errors import SceneError, SplatError
 from ...svrgs_addon.system.memory import size_text
 from ..data import background_work
+from ..data.file_kinds import KINDS, WHAT_FOR
 from ..data.native_check import native_problem
 from ..data.preferences import threads
 from ..data.reporting import ReportingOperator
 from ..scene.splat_transforms import selected_splats
-from .export_space import KINDS, WHAT_FOR, ExportSpace
+from .export_space import ExportSpace
 
 STREAMED = next(one for one in FORMATS if one.index == "lod-meta.json")
 _running: list[str] = []  # names of the splats whose levels are being made

@@ -14,7 +14,6 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
 from bpy_extras.io_utils import ExportHelper
 
 from ...svrgs_addon.files.registry import (
-    FORMATS,
     USUAL,
     format_to_write,
     left_out,
@@ -24,7 +23,6 @@ from ...svrgs_addon.files.registry import (
     suffixes,
     write_scene,
 )
-from ...svrgs_addon.files.splat_format import SplatFormat
 from ...svrgs_addon.native import library
 from ...svrgs_addon.native.rasterizer import Rasterizer
 from ...svrgs_addon.prune.likeness import Likeness
@@ -33,12 +31,13 @@ from ...svrgs_addon.scene.camera import Camera
 from ...svrgs_addon.scene.gaussians import Scene
 from ...svrgs_addon.system.errors import SceneError
 from ..data import splat_object, visible_splats
+from ..data.file_kinds import KINDS, default_kind, format_of
 from ..data.native_check import native_problem
 from ..data.option_properties import sh_degree_property
 from ..data.preferences import threads
 from ..data.reporting import BackgroundOperator, Steps
 from ..data.splat_size import size_in
-from .export_space import KINDS, ExportSpace, camera_objects, imported_cameras
+from .export_space import ExportSpace, camera_objects, imported_cameras
 
 
 class SVRGS_OT_export_ply(BackgroundOperator, ExportHelper, ExportSpace):
@@ -107,7 +106,7 @@ class SVRGS_OT_export_ply(BackgroundOperator, ExportHelper, ExportSpace):
 
     def check(self, context):
         """Gives the name the suffix of the format. Returns whether it had another one."""
-        wanted = _format(self.kind).suffixes[0]
+        wanted = format_of(self.kind).suffixes[0]
         path = Path(self.filepath)
         name, suffix = split_name(path)
         if suffix.lower() == wanted:
@@ -120,7 +119,7 @@ class SVRGS_OT_export_ply(BackgroundOperator, ExportHelper, ExportSpace):
         self.layout.prop(self, "kind")
         obj = context.object
         hidden = visible_splats.marked_count(obj) if self.what == "SEEN" else 0
-        splat_format = _format(self.kind)
+        splat_format = format_of(self.kind)
         if splat_format.versions:
             self.layout.prop(self, "version")
         if degree := splat_object.sh_degree(obj):
@@ -187,21 +186,10 @@ def written(
     return path.stat().st_size, psnr
 
 
-def default_kind(obj: bpy.types.Object) -> str:
-    """The format of the splat's file; the usual one for a PLY, for one that is not of a file, and for one
-    whose format is not written."""
-    name, kinds = obj.get(splat_object.FORMAT), [kind for kind, *_ in KINDS]
-    return name if name in kinds[1:] else USUAL.name
-
-
-def _format(kind: str) -> SplatFormat:
-    return next(one for one in FORMATS if one.name == kind)
-
-
 def default_path(obj: bpy.types.Object) -> Path:
     """A file beside the .blend file, with the name of the splat, in the format of its file."""
     folder = Path(bpy.data.filepath).parent if bpy.data.filepath else Path()
-    return folder / (bpy.path.clean_name(obj.name) + _format(default_kind(obj)).suffixes[0])
+    return folder / (bpy.path.clean_name(obj.name) + format_of(default_kind(obj)).suffixes[0])
 
 
 def menu(self, context):

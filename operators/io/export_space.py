@@ -8,7 +8,6 @@ from bpy.app.translations import pgettext_iface as tr
 from bpy.props import BoolProperty, EnumProperty
 from mathutils import Matrix
 
-from ...svrgs_addon.files.registry import FORMATS
 from ...svrgs_addon.files.repair import drop_nonfinite
 from ...svrgs_addon.prune.seen import LARGEST
 from ...svrgs_addon.scene.affine import UNIFORM, stretch, transformed
@@ -20,27 +19,6 @@ from ...svrgs_addon.views.dataset import HOLDOUT
 from ..data import camera_object, grading, splat_object, visible_splats
 from ..scene.splat_transforms import stretch_warning
 from ..translation import OWN
-
-WHAT_FOR = {  # by the names of the formats
-    "ply": "Every value as it is. All programs read it",
-    "compressed-ply": "A quarter of the size, for about 0.1 dB. Read by SuperSplat, PlayCanvas and Brush",
-    "spz": (
-        "A tenth of the size, for less than 0.1 dB where cameras are imported. Read by many programs and"
-        " by web viewers"
-    ),
-    "glb": "Every value as it is, in a scene file. Read by glTF programs that know splats",
-    "glb-spz": "The values of an SPZ, in a scene file. A draft of a standard, which few programs read yet",
-    "usd": (
-        "Every value as it is, in a stage. Read by Blender 5.3, Omniverse and other programs that know splats"
-    ),
-    "sog": (
-        "An eighth to a fifteenth of the size, for about 0.1 dB where cameras are imported. Read by"
-        " SuperSplat and PlayCanvas"
-    ),
-    "streamed-sog": "A folder for each splat with all levels, which web viewers load as they need them",
-    "splat": "Colours that do not depend on the view. Read by web viewers",
-}
-KINDS = [(one.name, one.label, WHAT_FOR[one.name]) for one in FORMATS if one.write and one.suffixes]
 
 
 class ExportSpace:

@@ -47,8 +47,8 @@ class SVRGS_OT_apply(ReportingOperator):
         select(context, [pruned])
         size = size_text(pruned, scene.count)
         if original is None:
-            return tr("Kept {kept:,} Gaussians, {size}").format(kept=scene.count, size=size)
-        return tr("Kept {kept:,} of {count:,} Gaussians, {size}").format(
+            return tr("Kept {kept:,} Gaussians, {size} as PLY").format(kept=scene.count, size=size)
+        return tr("Kept {kept:,} of {count:,} Gaussians, {size} as PLY").format(
             kept=scene.count, count=splat_object.count(original), size=size
         )
 

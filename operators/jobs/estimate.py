@@ -18,8 +18,9 @@ from ...svrgs_addon.files.registry import write_scene
 from ...svrgs_addon.system import subprocess_python
 from ...svrgs_addon.system.errors import SplatError
 from ..data import background_work, known, splat_object
+from ..data.file_kinds import default_kind, format_of
 from ..data.reporting import ReportingOperator
-from ..data.splat_size import size_text
+from ..data.splat_size import file_size_text
 from .job import given_views, options_of, start_problem
 
 MODULE = "svrgs_addon.jobs.estimate"
@@ -64,10 +65,11 @@ def line(obj: bpy.types.Object) -> str:
         return tr("No estimate")
     count, after, seconds = found["kept"], found["psnr_after"], found["seconds"]
     time = tr("{minutes:.0f} min").format(minutes=seconds / 60) if seconds >= 120 else f"{seconds:.0f} s"
+    size = f"{file_size_text(found['bytes_after'])} {found['format']}"
     quality = [f"≥ {after:.1f} dB"] if after is not None else []
     for_device = bpy.context.scene.svrgs_prune.goal == "DEVICE"
     overdraw = [tr("{overdraw_after:.0f} a pixel").format(**found)] if for_device else []
-    return " · ".join((f"≈ {count:,}", *overdraw, _size_after(obj, count), *quality, time))
+    return " · ".join((f"≈ {count:,}", *overdraw, size, *quality, time))
 
 
 def sentences(obj: bpy.types.Object) -> list[str]:
@@ -96,18 +98,16 @@ def sentences(obj: bpy.types.Object) -> list[str]:
     )
     return [
         stay.format(kept=kept, count=count, share=kept / count),
-        tr("{before} → about {after}").format(before=size_text(obj, count), after=_size_after(obj, kept)),
+        tr("{before} → about {after} as {format}").format(
+            **{name: file_size_text(found[f"bytes_{name}"]) for name in ("before", "after")},
+            format=found["format"],
+        ),
         quality(found),
         tr("A pixel blends {overdraw_before:.0f} Gaussians, then about {overdraw_after:.0f}").format(**found),
         seen.format(**found),
         time.format(minutes=found["seconds"] / 60, **found),
         *found["notes"],
     ]
-
-
-def _size_after(obj: bpy.types.Object, kept: int) -> str:
-    """Of a file of the result."""
-    return size_text(obj, kept, bpy.context.scene.svrgs_prune.sh_degree)
 
 
 def quality(found: dict) -> str:
@@ -161,6 +161,7 @@ def begin(context, obj: bpy.types.Object):
     """Starts an estimate for a splat. In background mode it waits for it."""
     uid, temp_dir = obj.session_uid, tempfile.TemporaryDirectory(dir=bpy.app.tempdir)
     path, options = Path(temp_dir.name) / "scene.ply", options_of(context, obj)
+    options.setdefault("target_format", format_of(default_kind(obj)).suffixes[0])
     cameras, scene = given_views(context, obj), splat_object.scene_from_object(obj)
     if cameras:
         # a Blender that only starts does not need it

@@ -16,7 +16,7 @@ from ...svrgs_addon.finetune.methods.base import Method
 from ...svrgs_addon.render.metrics.lpips import weights_file
 from ..data import splat_object
 from ..data.devices import DEVICES
-from ..data.splat_size import count_in
+from ..data.file_kinds import format_of
 
 
 class Preset(NamedTuple):
@@ -66,10 +66,12 @@ def options(settings, obj: bpy.types.Object, merges: bool = False) -> dict:
         if method.lambda_f and not merges:
             return {"lambda_f": method.lambda_f * preset.strength}
         return {"target_count": max(1, round(preset.share * total))}
+    if goal == "SIZE":
+        suffix = format_of(settings.size_kind).suffixes[0]
+        return {"target_size": float(f"{settings.size:.6g}"), "target_format": suffix}
     wanted = {
         "SHARE": settings.share / 100 * total,
         "COUNT": settings.count,
-        "SIZE": count_in(obj, settings.size * 1e6, settings.sh_degree),
         "DEVICE": DEVICES[settings.device].gaussians,
     }[goal]
     return {"target_count": min(total, max(1, round(wanted)))}

@@ -20,7 +20,8 @@ from . import efforts, goals, job_queue, job_result, job_state
 from .job_watch import begin, delete_job, job_of
 
 SMALLEST = 0.1  # share of a nested result down to which smaller numbers of Gaussians are trained
-GOALS = ("target", "target_count", "max_drop", "max_lpips")  # options that say how many Gaussians stay
+# options that say how many Gaussians stay
+GOALS = ("target", "target_count", "target_size", "target_format", "max_drop", "max_lpips")
 
 
 def options_of(context, obj: bpy.types.Object) -> dict:

@@ -99,6 +99,9 @@ class SVRGS_OT_prune(ReportingOperator):
     target_count: option_property(
         "target_count", min=0, description="Number of Gaussians to keep. 0: the method decides"
     )
+    target_size: option_property(
+        "target_size", description="Size of the output in MB, instead of a number. 0: no such goal"
+    )
     max_drop: option_property(
         "max_drop",
         precision=2,
@@ -234,6 +237,7 @@ class SVRGS_OT_prune(ReportingOperator):
         given = {
             "--data": absolute(data), "--images": images, "--report": absolute(self.report_folder),
             "--lambda-f": self.lambda_f, "--target": self.target, "--target-count": self.target_count,
+            "--target-size": self.target_size,
             "--max-drop": self.max_drop, "--max-flip": self.max_flip, "--max-lpips": self.max_lpips,
             "--time": self.time, "--seen-from": absolute(self.cameras),
             "--masks": absolute(self.masks), "--outside": self.outside if self.outside != "auto" else "",

@@ -8,9 +8,11 @@ import math
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
+from ...svrgs_addon.files.registry import USUAL
 from ...svrgs_addon.prune.options import MIN_CONTRIBUTION
 from ..data import splat_object, views_of_file
 from ..data.devices import DEVICES
+from ..data.file_kinds import KINDS
 from ..data.option_properties import (
     RELATIVE,
     exposure_property,
@@ -114,10 +116,11 @@ class SVRGS_PG_prune(bpy.types.PropertyGroup):
         name="Size in MB",
         min=0.001,
         soft_max=500,
-        default=20,
+        default=5,
         precision=1,
-        description="Size of the pruned file in megabytes",
+        description="Size of the file that is exported, in megabytes",
     )
+    size_kind: EnumProperty(name="Format", items=KINDS, default=USUAL.name, description="Format of that file")
     drop: FloatProperty(
         name="Loss in dB", min=0.01, soft_max=3, default=0.3, precision=2,
         description=(

@@ -153,7 +153,11 @@ def _quality(pruned: bpy.types.Object) -> str:
 def _of_result(original: bpy.types.Object | None, pruned: bpy.types.Object) -> list[str]:
     count, kept = job_result.shown_count(pruned), pruned[job_result.KEPT]
     total = splat_object.count(original) if original is not None else 0
-    text = tr("{kept:,} of {count:,} Gaussians, {size}") if total else tr("{kept:,} Gaussians, {size}")
+    text = (
+        tr("{kept:,} of {count:,} Gaussians, {size} as PLY")
+        if total
+        else tr("{kept:,} Gaussians, {size} as PLY")
+    )
     texts = [text.format(kept=count, count=total, size=size_text(pruned, count))]
     if quality := _quality(pruned):
         texts.append(

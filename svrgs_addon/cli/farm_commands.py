@@ -50,9 +50,10 @@ def _export(args: argparse.Namespace) -> dict[str, Any]:
     suffix = args.to if args.to.startswith(".") else f".{args.to}"
     format_to_write(f"x{suffix}")
     options = options_from(PruneOptions, args)
-    if args.targets and (options.target_count or allowed_loss(options).loss):
+    if args.targets and (options.target_count or options.target_size or allowed_loss(options).loss):
         raise SceneError(
-            "--targets and --target-count or an allowed loss each say how many Gaussians stay: leave one out"
+            "--targets and --target-count, --target-size or an allowed loss each say how many Gaussians stay:"
+            " leave one out"
         )
     items = expand(args.scenes, args.data, folder / "results")
     folders = [item.scene.absolute().parent for item in items]

@@ -10,10 +10,11 @@ from __future__ import annotations
 
 import sys
 import time
+from dataclasses import replace
 
 import numpy as np
 
-from ..files.registry import invisible, load_scene
+from ..files.registry import USUAL, format_to_write, invisible, load_scene
 from ..finetune.plan import at_schedule
 from ..finetune.quality import hold_apart
 from ..finetune.scores import top
@@ -23,11 +24,13 @@ from ..prune.context import PROCESS
 from ..prune.door import check_view_options, check_views, check_visible
 from ..prune.duration import pace_of
 from ..prune.expected_count import expected_count, expected_order, seen_by_some
+from ..prune.file_size import asked_size, bytes_of
 from ..prune.options import PruneOptions
 from ..prune.photographs import in_its_colours
 from ..prune.plans import dataset_of_pruning, plan_of_pruning
 from ..prune.quality_forecast import forecast
 from ..prune.recipes.quick import like_quick
+from ..prune.seen import fewer_bands
 from ..prune.time_plan import fitted
 from ..render.overdraw import overdraw
 from ..scene.camera import spaced
@@ -47,12 +50,13 @@ def estimate(options: PruneOptions) -> dict:
 
     count: Gaussians of the scene; invisible: those with an opacity below 1/255; unseen: those that no
     rendered view sees; faint: those that the first cut removes; kept: roughly how many stay; at_most: whether
-    kept is an upper bound; views: number of rendered views; psnr_before, psnr_removed, psnr_after: as in
-    quality_forecast.Forecast, without "psnr_"; psnr_before is None on the splat's own pictures;
-    overdraw_before, overdraw_after: Gaussians that a pixel blends (render/overdraw.py), now and of those
-    kept; steps: of the run; steps_per_second: with all Gaussians; schedule: that of the options, or the one
-    that fits into their time limit; seconds: expected time of the whole job; notes: sentences on the dataset
-    and whether the splat belongs to it.
+    kept is an upper bound; format: the label of that of options.target_format, bytes_before, bytes_after: the
+    size of a file of all Gaussians and of those kept; views: number of rendered views; psnr_before,
+    psnr_removed, psnr_after: as in quality_forecast.Forecast, without "psnr_"; psnr_before is None on the
+    splat's own pictures; overdraw_before, overdraw_after: Gaussians that a pixel blends (render/overdraw.py),
+    now and of those kept; steps: of the run; steps_per_second: with all Gaussians; schedule: that of the
+    options, or the one that fits into their time limit; seconds: expected time of the whole job; notes:
+    sentences on the dataset and whether the splat belongs to it.
     """
     begun = time.perf_counter()
     library.set_threads(options.threads)
@@ -67,6 +71,8 @@ def estimate(options: PruneOptions) -> dict:
     loaded = time.perf_counter() - begun
     check_views(scene, dataset.cameras, dataset.train_indices, "the splat")
     plan = plan_of_pruning(options)
+    if size := asked_size(options):
+        plan = replace(plan, target=size.count_of(scene, [dataset.cameras[i] for i in dataset.train_indices]))
     toned = in_its_colours(scene, dataset, plan)
     dataset = toned.dataset
     doubts = [*toned.notes, *_doubts(scene, dataset, options.force)]
@@ -83,6 +89,7 @@ def estimate(options: PruneOptions) -> dict:
     order = expected_order(plan, scene, dataset, seen)
     quality = forecast(scene, dataset, plan, order, kept)
     some = spaced(dataset.cameras, OVERDRAW_VIEWS)
+    kind = format_to_write(f"x{options.target_format or USUAL.suffixes[0]}")
     return {
         "count": scene.count,
         "invisible": int(invisible(scene).sum()),
@@ -90,6 +97,9 @@ def estimate(options: PruneOptions) -> dict:
         "faint": int((seen.peaks < plan.min_contribution).sum()),
         "kept": kept,
         "at_most": bool(plan.max_loss),
+        "format": kind.label,
+        "bytes_before": bytes_of(scene, scene.count, kind),
+        "bytes_after": bytes_of(fewer_bands(scene, plan.sh_degree, ()), kept, kind),
         "views": seen.views,
         **{f"psnr_{name}": value for name, value in quality._asdict().items()}
         | ({"psnr_before": None} if options.data is None else {}),

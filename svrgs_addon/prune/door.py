@@ -92,12 +92,15 @@ class Allowed(NamedTuple):
     measure: str = "psnr"  # a key of MEASURES: what it is counted in
 
 
+SIZES = ("target", "target_count", "target_size")  # options that say how many Gaussians stay
+
+
 def allowed_loss(options: PruneOptions) -> Allowed:
     """What may be lost. Raises SceneError if the size is given twice, and where the weights of LPIPS that
     would decide are missing, or others are given."""
     losses = {"psnr": options.max_drop, "flip": options.max_flip, "lpips": options.max_lpips}
     asked = [Allowed(loss, measure) for measure, loss in losses.items() if loss]
-    given = [f"--{name.replace('_', '-')}" for name in ("target", "target_count") if getattr(options, name)]
+    given = [f"--{name.replace('_', '-')}" for name in SIZES if getattr(options, name)]
     given += [MEASURES[one.measure].option for one in asked]
     if asked and len(given) > 1:
         raise SceneError(f"{given[0]} and {given[1]} are both given: leave one out")

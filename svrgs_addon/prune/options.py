@@ -22,6 +22,7 @@ from ..system.option_kinds import (
     FLAG,
     GIGABYTES,
     LOSS,
+    MEGABYTES,
     OUTSIDE,
     PATH,
     POSITIVE,
@@ -321,6 +322,23 @@ class PruneOptions(TuningOptions):
         "first remove the Gaussians that cover less than this share of every pixel in every training view",
         metavar="A",
         default_help=f"{MIN_CONTRIBUTION} for methods that learn masks, else 0",
+        in_job=True,
+    )
+    target_size: float | None = option(
+        MEGABYTES,
+        None,
+        "size of the file in MB: as many Gaussians as fit into it",
+        metavar="MB",
+        size=True,
+        in_job=True,
+        group=GOAL,
+    )
+    target_format: str = option(
+        TEXT,
+        "",
+        "suffix of the file that --target-size is about, such as .spz",
+        metavar="SUFFIX",
+        default_help="that of OUT",
         in_job=True,
     )
     max_drop: float = option(

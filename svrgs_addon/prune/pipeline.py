@@ -17,6 +17,7 @@ from ..system.errors import MemoryShort, TooMany
 from . import by_blocks, plans
 from .context import JobContext
 from .door import check_view_options, outputs
+from .file_size import asked_size
 from .options import PruneOptions, TrainOptions
 from .recipes.fine_tuned import FineTuned
 from .recipes.quick import Quick
@@ -87,7 +88,8 @@ def in_memory(options: PruneOptions) -> Recipe:
         return Quick(options, job)
     assert options.scene is not None
     dataset = lambda scene: plans.dataset_of_pruning(options, scene)
-    return FineTuned(options.scene, plans.plan_of_pruning(options), job, dataset, options.time)
+    plan, size = plans.plan_of_pruning(options), asked_size(options)
+    return FineTuned(options.scene, plan, job, dataset, options.time, size)
 
 
 def run(recipe: Recipe, adapt: Adapt = lambda job: job) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from ..views.dataset import Dataset, load_dataset
 from ..views.rendered import RenderedDataset
 from ..views.valid_pixels import MaskOptions
 from .context import JobContext
-from .door import allowed_loss, degree_to_keep, given
+from .door import SIZES, allowed_loss, degree_to_keep, given
 from .job_views import without_photographs
 from .options import (
     MIN_CONTRIBUTION,
@@ -85,7 +85,7 @@ def plan_of_pruning(options: PruneOptions) -> Plan:
 def method_of(options: TuningOptions) -> Method:
     """The method of options.method and options.paper. Raises SceneError if it does not exist."""
     # quicker and better than removals, on the splat's own pictures
-    merges = options.data is None and (options.target or options.target_count)
+    merges = options.data is None and any(getattr(options, name, None) for name in SIZES)
     method = method_named(options.method or ("merge" if merges else DEFAULT))
     if options.paper and options.method != "svr":
         raise SceneError(

@@ -9,6 +9,7 @@ import numpy as np
 
 from ..files.registry import format_to_write
 from ..files.sh_rounding import SeenFrom, without_bands
+from ..files.splat_format import SplatFormat
 from ..native.rasterizer import Rasterizer
 from ..render.metrics.evaluate import render_options
 from ..scene.camera import Camera, evenly
@@ -19,10 +20,11 @@ FEWEST_VIEWS, MOST_VIEWS = 8, 64
 LARGEST = 640  # pixels of the longer side of a view; larger ones are reduced
 
 
-def seen_from(scene: Scene, cameras: Sequence[Camera], out: Path) -> SeenFrom | None:
-    """What some of the views show of each Gaussian. None where the format of `out` does not round by it,
+def seen_from(scene: Scene, cameras: Sequence[Camera], out: Path | SplatFormat) -> SeenFrom | None:
+    """What some of the views show of each Gaussian. None where the format (of `out`) does not round by it,
     nothing depends on the view, or views are too few to say where one will look from."""
-    return _shown(scene, cameras) if scene.sh_degree and format_to_write(out).quantises else None
+    splat_format = out if isinstance(out, SplatFormat) else format_to_write(out)
+    return _shown(scene, cameras) if scene.sh_degree and splat_format.quantises else None
 
 
 def fewer_bands(scene: Scene, degree: int, cameras: Sequence[Camera]) -> Scene:

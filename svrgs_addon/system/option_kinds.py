@@ -90,6 +90,7 @@ WEIGHT = Kind(float, "a weight of 0 to 1e9", lambda value: 0 <= value <= 1e9, mi
 GIGABYTES = Kind(
     float, "a number of gigabytes of 0 to 1,000,000", lambda value: 0 <= value <= 1e6, minimum=0, maximum=1e6
 )
+MEGABYTES = Kind(float, "a number of MB above 0", lambda value: 0 < value < math.inf, minimum=0)
 SECONDS = Kind(float, "a number of seconds above 0", lambda value: 0 < value < math.inf, minimum=0)
 DECIBELS = Kind(float, "a number of dB above 0", lambda value: 0 < value < math.inf, minimum=0)
 SHARE = Kind(float, "a share above 0 and up to 1", lambda value: 0 < value <= 1, minimum=0, maximum=1)

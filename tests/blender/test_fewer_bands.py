@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 import pytest
 from extension import DATA, part
-from job_helpers import drawn, ended, follow, set_up
+from job_helpers import ended, follow, set_up
 
 
 def pruned(watch, **settings) -> bpy.types.Object:
@@ -43,14 +43,14 @@ def test_a_result_of_steps_has_them_and_takes_back_gaussians_without_the_others(
     assert (found.count, found.sh_degree) == (200, 0)
 
 
-def test_more_gaussians_fit_into_a_file_of_some_size(splat):
-    goals, settings = part("operators.jobs.goals"), bpy.context.scene.svrgs_prune
-    set_up({"goal": "SIZE", "size": 0.012})
-    assert "sh_degree" in drawn("prune")
+def test_more_gaussians_fit_into_a_file_of_some_size(splat, watch):
     counts = []
-    for settings.sh_degree in (3, 1, 0):
-        counts.append(goals.options(settings, splat)["target_count"])
-    assert counts[0] == counts[1] < counts[2]
+    for degree in (3, 0):
+        result = pruned(watch, effort="QUICK", goal="SIZE", size=0.003, sh_degree=degree)
+        counts.append(part("operators.data.splat_object").count(result))
+        bpy.ops.svrgs.discard(what="RESULT")
+        bpy.context.view_layer.objects.active = splat
+    assert counts[0] < counts[1]
 
 
 def test_they_are_exported_by_what_the_imported_cameras_see(splat, tmp_path, capfd):

@@ -4,16 +4,15 @@ is foreseen."""
 from __future__ import annotations
 
 import bpy
-import numpy as np
 import pytest
 from extension import DATA, part
-from job_helpers import COUNT, drawn, set_up
+from job_helpers import drawn, ended, follow, set_up
 
-GOALS = ("lambda_f", "target_count", "max_drop", "max_lpips")
+GOALS = ("lambda_f", "target_count", "target_size", "target_format", "max_drop", "max_lpips")
 
 
 def options(splat) -> dict:
-    """What a job is asked for, of lambda_f, target_count, max_drop and max_lpips."""
+    """What a job is asked for, of GOALS."""
     found = part("operators.jobs.job").options_of(bpy.context, splat)
     return {name: found[name] for name in GOALS if name in found}
 
@@ -101,11 +100,16 @@ def test_the_size_that_is_foreseen_is_that_of_the_file(tmp_path, ply, make_scene
     assert size == pytest.approx((tmp_path / "scene.ply").stat().st_size, abs=8)
 
 
-def test_a_file_size_as_the_goal_is_held(splat, tmp_path, bridge, ply):
-    set_up({"goal": "SIZE", "size": 0.015})
-    count = options(splat)["target_count"]
-    ply.write_ply(tmp_path / "pruned.ply", bridge.scene_from_object(splat).select(np.arange(count)))
-    assert count < COUNT and 15_000 - 110 < (tmp_path / "pruned.ply").stat().st_size <= 15_000
+@pytest.mark.parametrize("kind, size", [("spz", 0.004), ("ply", 0.015)])
+def test_a_file_size_as_the_goal_is_that_of_the_exported_file(splat, watch, tmp_path, kind, size):
+    set_up({"effort": "QUICK", "goal": "SIZE", "size": size, "size_kind": kind})
+    assert "size_kind" in drawn("prune")
+    assert options(splat) == {"target_size": size, "target_format": f".{kind}"}
+    bpy.ops.svrgs.job_start()
+    (job,) = watch.jobs.values()
+    follow(watch, lambda: ended(job))
+    bpy.ops.svrgs.export_ply(filepath=str(tmp_path / f"a.{kind}"))
+    assert 0.8 * size * 1e6 < (tmp_path / f"a.{kind}").stat().st_size <= 1.05 * size * 1e6
 
 
 def test_the_panels_say_the_size_of_the_file(splat):

@@ -273,7 +273,6 @@ def test_without_a_splat_the_buttons_say_what_to_do():
     [
         ({"goal": "SHARE", "share": 10}, 25),
         ({"goal": "COUNT", "count": 70}, 70),
-        ({"goal": "SIZE", "size": 0.0111}, 100),
         ({"goal": "COUNT", "count": 9999}, 250),
     ],  # fmt: skip
 )

@@ -154,7 +154,7 @@ def drawn(installed, monkeypatch):
 
 
 # of objects and files of the tests, of measures and units
-NAMES = re.compile(r"\b(scene|room|camera|pruned|PSNR|SSIM|FLIP|MB|kB|bytes|svr|paper)\b")
+NAMES = re.compile(r"\b(scene|room|camera|pruned|PSNR|SSIM|FLIP|MB|kB|SPZ|bytes|svr|paper)\b")
 
 
 def untranslated(shown: str) -> list[str]:

@@ -57,6 +57,7 @@ from ..blocks.folder import remove_blocks
 from ..context import Clock, JobContext
 from ..disk_room import ROW, DiskRoom
 from ..door import check_training, check_views, check_visible
+from ..file_size import FileSize
 from ..first_cut import first_cut
 from ..likeness import assumed_drop
 from ..photographs import in_its_colours, prepared
@@ -81,6 +82,7 @@ class Tuned:
     def __init__(self, plan: Plan, job: JobContext, seconds: float = 0.0):
         """seconds: that the job may take; 0: no limit."""
         self.plan, self.job, self.seconds = plan, job, seconds
+        self.size: FileSize | None = None  # of the file, if that is the goal
         self.clock, self.room = Clock(), DiskRoom(job.out, job.folder)
         self.held = 0.0  # PSNR in dB from which an allowed drop counts, in the views that decide
         self.notes: list[str] = []  # for the user, besides those of the dataset
@@ -121,7 +123,11 @@ class Tuned:
         self.room.release()
         with self.clock.phase("write"):
             seen = seen_from(self.scene, self.run.training_cameras, self.job.out)
-            write_scene(self.job.out, self.scene, seen=seen)
+            kind = format_to_write(self.job.out)
+            quantise = self.size.quantise_of(self.scene, seen, kind) if self.size else 1.0
+            write_scene(self.job.out, self.scene, quantise=quantise, seen=seen)
+            if self.size:
+                self.notes += self.size.notes(quantise, size_on_disk(self.job.out), kind)
             self.write_fitted()
         checkpoint.delete_all(self.job.folder)
 
@@ -248,9 +254,12 @@ class FineTuned(Tuned):
         job: JobContext,
         dataset_of: Callable[[Scene], Dataset],
         seconds: float = 0.0,
+        size: FileSize | None = None,
     ):
-        """dataset_of: the dataset for the scene of the file `path`. seconds: as for Tuned."""
+        """dataset_of: the dataset for the scene of the file `path`. seconds: as for Tuned. size: of the file,
+        if that is the goal."""
         super().__init__(plan, replace(job, scene=path), seconds)
+        self.size = size
         self.path, self.dataset_of = path, dataset_of
 
     def open(self):
@@ -262,7 +271,11 @@ class FineTuned(Tuned):
         self.dataset = self.dataset_of(self.source)
 
     def check(self):
-        source, dataset, plan = self.source, self.dataset, self.plan
+        source, dataset = self.source, self.dataset
+        if self.size:
+            views = [dataset.cameras[i] for i in dataset.train_indices]
+            self.plan = replace(self.plan, target=self.size.count_of(source, views))
+        plan = self.plan
         check_request(dataset, plan)
         refuse_lost_order(plan, self.job)
         check_views(source, dataset.cameras, dataset.train_indices, str(self.path))

@@ -44,7 +44,8 @@ from .. import job_views
 from ..belonging import Seen, check_seen
 from ..context import JobContext
 from ..disk_room import ROW
-from ..door import allowed_loss, check_options, check_visible, degree_to_keep
+from ..door import SIZES, allowed_loss, check_options, check_visible, degree_to_keep
+from ..file_size import asked_size
 from ..likeness import Likeness, assumed_drop, assumed_psnr
 from ..options import PruneOptions
 from ..seen import fewer_bands, seen_from
@@ -64,6 +65,8 @@ TAKES = (  # options; others are refused
     "seed",
     "target",
     "target_count",
+    "target_size",
+    "target_format",
     "max_drop",
     "max_flip",
     "max_lpips",
@@ -86,7 +89,7 @@ class Quick:
 
     def __init__(self, options: PruneOptions, job: JobContext):
         refuse_options(options)
-        self.options, self.begun = options, time.perf_counter()
+        self.options, self.size, self.begun = options, asked_size(options), time.perf_counter()
         self.job = replace(job, scene=options.scene, levels=options.levels)
 
     def further_files(self) -> list[Path]:
@@ -119,6 +122,9 @@ class Quick:
                 sums, self.pictures = visibility_sums(self.enlarged, self.cameras, self.rasterizer, settings)
         if job.stop():
             raise Cancelled(NOT_FINISHED)
+        if self.size:
+            count = self.size.count_of(self.enlarged, self.cameras)
+            self.options = options = replace(options, target_size=None, target_count=count)
         wanted, invisibles = _wanted(options, self.source.count), self.source.count - scene.count
         if wanted > scene.count:
             self.notes.append(f"{invisibles:,} Gaussians are invisible, so they are left out")
@@ -168,6 +174,8 @@ class Quick:
         scenes = [scaled(scene, 1 / self.factor) for scene in self.scenes]
         views = [seen_from(scene, self.cameras, self.job.out) for scene in self.scenes]
         seen = [one and one.scaled(1 / self.factor) for one in views]
+        if self.size:
+            self.quantise = self.size.quantise_of(scenes[0], seen[0], format_to_write(self.job.out))
         self.written = write_with_levels(self.job.out, self.options.levels, scenes, self.quantise, seen)
         if self.job.order:
             self.notes += _kept(self.job.order, self.order, self.visible, self.source.count, 1 / self.factor)
@@ -235,7 +243,9 @@ class Quick:
     def _result_notes(self) -> Iterator[str]:
         """What the user must know of the result that was written."""
         pruned, stored = self.scenes[0], self.written[0].scene
-        if self.quantise != 1:
+        if self.size:
+            yield from self.size.notes(self.quantise, self.written[0].bytes, format_to_write(self.job.out))
+        elif self.quantise != 1:
             yield (
                 "spherical harmonics are stored more coarsely, as by svrgs convert --quantise"
                 f" {self.quantise:g}: that makes the smallest file"
@@ -253,6 +263,8 @@ def like_quick(options: PruneOptions, scene: Scene) -> tuple[PruneOptions, Rende
     refuse_options(options)
     train, test, notes, _ = job_views.quick(options, scene)
     dataset = RenderedDataset.of(scene, train, test, background=options.background, notes=tuple(notes))
+    if size := asked_size(options):
+        options = replace(options, target_size=None, target_count=size.count_of(scene, dataset.cameras))
     share = options.target or (options.target_count or LIKELY * scene.count) / scene.count
     return replace(options, quick=False, method="merge", recovery=_steps(min(1.0, share))), dataset
 
@@ -260,10 +272,11 @@ def like_quick(options: PruneOptions, scene: Scene) -> tuple[PruneOptions, Rende
 def refuse_options(options: PruneOptions):
     """Raises SceneError for options that the quick way does not have."""
     check_options(options, TAKES, "--quick")
-    if not (options.target or options.target_count or allowed_loss(options).loss or options.levels):
+    given = any(getattr(options, name) for name in SIZES) or allowed_loss(options).loss or options.levels
+    if not given:
         raise SceneError(
-            "--quick needs --target, --target-count, an allowed loss or --levels: it does not choose how many"
-            " Gaussians to keep"
+            "--quick needs --target, --target-count, --target-size, an allowed loss or --levels: it does not"
+            " choose how many Gaussians to keep"
         )
 
 

@@ -1,0 +1,100 @@
+"""The size of a file as the goal: as many Gaussians as fit into it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..files.level_files import holds_levels
+from ..files.registry import format_to_write, round_trip
+from ..files.sh_rounding import SeenFrom
+from ..files.splat_format import SplatFormat
+from ..scene.camera import Camera
+from ..scene.gaussians import Scene
+from ..system.errors import SceneError
+from .door import degree_to_keep
+from .options import PruneOptions
+from .seen import fewer_bands, seen_from
+
+MOST, TRIES = 1 << 16, 3  # Gaussians of a part of the scene that is written; parts
+ROOM = 0.94  # share of the size that Gaussians of the original fill; those of a result take a few % more
+FACTORS = (
+    1.0,
+    1.1,
+    1.25,
+    1.6,
+    2.0,
+    2.5,
+    3.2,
+    4.0,
+)  # on the error in SH, if more bytes are needed than foreseen
+
+
+@dataclass(frozen=True)
+class FileSize:
+    """The most bytes of a file in a format, with SH up to a degree."""
+
+    bytes: float
+    splat_format: SplatFormat
+    degree: int
+
+    def count_of(self, scene: Scene, cameras: Sequence[Camera]) -> int:
+        """How many Gaussians fit, 1 to N. The file is written by what the views see. Raises SceneError,
+        FormatError."""
+        scene = fewer_bands(scene, self.degree, ())
+        seen = seen_from(scene, cameras, self.splat_format)
+        count = scene.count
+        for _ in range(TRIES):
+            size = bytes_of(scene, count, self.splat_format, seen)
+            count = min(scene.count, max(1, int(count * ROOM * self.bytes / size)))
+        return count
+
+    def quantise_of(self, scene: Scene, seen: SeenFrom | None, splat_format: SplatFormat) -> float:
+        """The least factor on the error in SH with which a file in the other format, if it is this one, is
+        not larger. Raises SceneError, FormatError."""
+        if splat_format != self.splat_format or not (splat_format.quantises and scene.sh_degree):
+            return 1.0
+        size_with = lambda factor: round_trip(scene, splat_format, factor, seen)[1]
+        return next((one for one in FACTORS if size_with(one) <= self.bytes), FACTORS[-1])
+
+    def notes(self, quantise: float, written: int, splat_format: SplatFormat) -> list[str]:
+        """What the user must know of a file with so many bytes, written with this factor on the error in
+        SH."""
+        if splat_format != self.splat_format:
+            return []
+        sentences = []
+        if quantise != 1:
+            sentences.append(
+                "spherical harmonics are stored more coarsely, as by svrgs convert --quantise"
+                f" {quantise:g}, so that the file is no larger than asked for"
+            )
+        if written > self.bytes:
+            sentences.append(
+                f"the file has {written / 1e6:.4g} MB, more than the {self.bytes / 1e6:.4g} MB asked for: ask"
+                f" for {0.98 * self.bytes**2 / written / 1e6:.4g} MB"
+            )
+        return sentences
+
+
+def bytes_of(scene: Scene, count: int, splat_format: SplatFormat, seen: SeenFrom | None = None) -> int:
+    """Bytes of a file with `count` of the scene's Gaussians, by those of at most MOST that are drawn at
+    random. Raises SceneError, FormatError."""
+    some = min(count, MOST)
+    rows = np.sort(np.random.default_rng(0).permutation(scene.count)[:some])
+    part = seen.select(rows) if seen else None
+    return round_trip(scene.select(rows), splat_format, seen=part)[1] * count // some
+
+
+def asked_size(options: PruneOptions) -> FileSize | None:
+    """The size that is the goal; None if it is not. Raises SceneError."""
+    if options.target_size is None:
+        return None
+    splat_format = format_to_write(
+        f"x{options.target_format}" if options.target_format else options.out or ""
+    )
+    if options.out is not None and holds_levels(options.out):
+        raise SceneError(f"{options.out}: --target-size is about one file, and this output has several")
+    degree = min(degree_to_keep(options), splat_format.most_degree)
+    return FileSize(options.target_size * 1e6, splat_format, degree)
