@@ -280,6 +280,15 @@ def texture(rows: list[dict], charts: Path) -> str:
     return table(["scene", "kept", "steps learn from", *FOUR], lines)
 
 
+def degrees(rows: list[dict], charts: Path) -> str:
+    """The default with fewer SH bands, as SPZ files."""
+    lines = []
+    for row in sorted(pruned(rows, "degrees"), key=lambda row: (row["scene"], row["share"] > 0.1)):
+        figures = f"{100 * row['share']:g} %", f"{row['bytes'] / 1e3:.0f}", *four_figures(row)
+        lines.append([case(row), row["method"].removeprefix("SH "), *figures])
+    return table(["scene", "SH degree", "kept", "kB", *FOUR], lines)
+
+
 FOUR = ("PSNR", "LPIPS", "SSIM", "FLIP")
 
 
@@ -399,6 +408,6 @@ def sweep(rows: list[dict], charts: Path) -> str:
 
 OF_PAGE = (
     command, equal, ablation, rivals, full_size, to_the_end, published, looks, skips, levels, in_time,
-    other_figures, texture, points, table_one, paper, scenarios, sweep,
+    other_figures, texture, degrees, points, table_one, paper, scenarios, sweep,
 )  # fmt: skip
 PARTS: dict[str, Callable[[list[dict], Path], str]] = {part.__name__: part for part in OF_PAGE}

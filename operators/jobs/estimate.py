@@ -99,7 +99,8 @@ def sentences(obj: bpy.types.Object) -> list[str]:
     return [
         stay.format(kept=kept, count=count, share=kept / count),
         tr("{before} → about {after} as {format}").format(
-            **{name: file_size_text(found[f"bytes_{name}"]) for name in ("before", "after")},
+            before=file_size_text(found["bytes_before"]),
+            after=file_size_text(found["bytes_after"]),
             format=found["format"],
         ),
         quality(found),

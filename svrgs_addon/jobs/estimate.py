@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..files.registry import USUAL, format_to_write, invisible, load_scene
-from ..finetune.plan import at_schedule
+from ..finetune.plan import Plan, at_schedule
 from ..finetune.quality import hold_apart
 from ..finetune.scores import top
 from ..native import library
@@ -70,12 +70,9 @@ def estimate(options: PruneOptions) -> dict:
     )
     loaded = time.perf_counter() - begun
     check_views(scene, dataset.cameras, dataset.train_indices, "the splat")
-    plan = plan_of_pruning(options)
-    if size := asked_size(options):
-        plan = replace(plan, target=size.count_of(scene, [dataset.cameras[i] for i in dataset.train_indices]))
+    plan = _plan(options, scene, dataset)
     toned = in_its_colours(scene, dataset, plan)
     dataset = toned.dataset
-    doubts = [*toned.notes, *_doubts(scene, dataset, options.force)]
     if plan.max_loss:
         dataset = hold_apart(dataset, plan.measure)
     pace, seen = pace_of(scene, dataset, plan), seen_by_some(scene, dataset, plan)
@@ -89,7 +86,6 @@ def estimate(options: PruneOptions) -> dict:
     order = expected_order(plan, scene, dataset, seen)
     quality = forecast(scene, dataset, plan, order, kept)
     some = spaced(dataset.cameras, OVERDRAW_VIEWS)
-    kind = format_to_write(f"x{options.target_format or USUAL.suffixes[0]}")
     return {
         "count": scene.count,
         "invisible": int(invisible(scene).sum()),
@@ -97,9 +93,7 @@ def estimate(options: PruneOptions) -> dict:
         "faint": int((seen.peaks < plan.min_contribution).sum()),
         "kept": kept,
         "at_most": bool(plan.max_loss),
-        "format": kind.label,
-        "bytes_before": bytes_of(scene, scene.count, kind),
-        "bytes_after": bytes_of(fewer_bands(scene, plan.sh_degree, ()), kept, kind),
+        **_sizes(scene, kept, plan, options),
         "views": seen.views,
         **{f"psnr_{name}": value for name, value in quality._asdict().items()}
         | ({"psnr_before": None} if options.data is None else {}),
@@ -109,8 +103,21 @@ def estimate(options: PruneOptions) -> dict:
         "steps_per_second": 1 / pace.step,
         "schedule": found.schedule if found else options.schedule,
         "seconds": others + seconds_of(plan),
-        "notes": [*dataset.notes, *doubts],
+        "notes": [*dataset.notes, *toned.notes, *_doubts(scene, toned.dataset, options.force)],
     }
+
+
+def _plan(options: PruneOptions, scene: Scene, dataset: Dataset) -> Plan:
+    plan, size = plan_of_pruning(options), asked_size(options)
+    views = [dataset.cameras[i] for i in dataset.train_indices]
+    return replace(plan, target=size.count_of(scene, views)) if size else plan
+
+
+def _sizes(scene: Scene, kept: int, plan: Plan, options: PruneOptions) -> dict:
+    """Of a file of all Gaussians, and of those kept."""
+    kind = format_to_write(f"x{options.target_format or USUAL.suffixes[0]}")
+    after = bytes_of(fewer_bands(scene, plan.sh_degree, ()), kept, kind)
+    return {"format": kind.label, "bytes_before": bytes_of(scene, scene.count, kind), "bytes_after": after}
 
 
 def _doubts(scene: Scene, dataset: Dataset, force: bool) -> list[str]:

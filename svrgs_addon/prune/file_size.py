@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from ..files.level_files import holds_levels
-from ..files.registry import format_to_write, round_trip
+from ..files.registry import format_to_write, round_trip, size_on_disk, write_scene
 from ..files.sh_rounding import SeenFrom
 from ..files.splat_format import SplatFormat
 from ..scene.camera import Camera
@@ -18,18 +19,13 @@ from .door import degree_to_keep
 from .options import PruneOptions
 from .seen import fewer_bands, seen_from
 
-MOST, TRIES = 1 << 16, 3  # Gaussians of a part of the scene that is written; parts
-ROOM = 0.94  # share of the size that Gaussians of the original fill; those of a result take a few % more
-FACTORS = (
-    1.0,
-    1.1,
-    1.25,
-    1.6,
-    2.0,
-    2.5,
-    3.2,
-    4.0,
-)  # on the error in SH, if more bytes are needed than foreseen
+MOST, TRIES = 1 << 16, 6  # Gaussians of a part of the scene that is written; parts, at most
+# share of the size that Gaussians of the original fill: those of a result take a few % more, and some more
+# without the views of the job, if the file is written later
+ROOM, ROOM_LATER = 0.94, 0.9
+CLOSE = 0.01  # change of the count in a try after which no other follows
+# on the error in SH, if more bytes are needed than foreseen
+FACTORS = (1.0, 1.1, 1.25, 1.6, 2.0, 2.5, 3.2, 4.0)
 
 
 @dataclass(frozen=True)
@@ -39,16 +35,21 @@ class FileSize:
     bytes: float
     splat_format: SplatFormat
     degree: int
+    later: bool = False  # it is written from the result, by views or without them
 
     def count_of(self, scene: Scene, cameras: Sequence[Camera]) -> int:
-        """How many Gaussians fit, 1 to N. The file is written by what the views see. Raises SceneError,
+        """How many Gaussians fit, 1 to N, of a file that is written by what the views see. Raises SceneError,
         FormatError."""
         scene = fewer_bands(scene, self.degree, ())
         seen = seen_from(scene, cameras, self.splat_format)
-        count = scene.count
+        count, room = scene.count, ROOM_LATER if self.later else ROOM
         for _ in range(TRIES):
             size = bytes_of(scene, count, self.splat_format, seen)
-            count = min(scene.count, max(1, int(count * ROOM * self.bytes / size)))
+            if self.later and seen:
+                size = max(size, bytes_of(scene, count, self.splat_format))
+            former, count = count, min(scene.count, max(1, int(count * room * self.bytes / size)))
+            if abs(count - former) <= CLOSE * count:
+                break
         return count
 
     def quantise_of(self, scene: Scene, seen: SeenFrom | None, splat_format: SplatFormat) -> float:
@@ -87,6 +88,15 @@ def bytes_of(scene: Scene, count: int, splat_format: SplatFormat, seen: SeenFrom
     return round_trip(scene.select(rows), splat_format, seen=part)[1] * count // some
 
 
+def write_sized(path: Path, scene: Scene, seen: SeenFrom | None, size: FileSize | None) -> list[str]:
+    """Writes the scene, of the size that is asked for, if one is. seen: as of write_scene(). Returns what the
+    user must know. Raises SceneError, FormatError."""
+    kind = format_to_write(path)
+    quantise = size.quantise_of(scene, seen, kind) if size else 1.0
+    write_scene(path, scene, quantise=quantise, seen=seen)
+    return size.notes(quantise, size_on_disk(path), kind) if size else []
+
+
 def asked_size(options: PruneOptions) -> FileSize | None:
     """The size that is the goal; None if it is not. Raises SceneError."""
     if options.target_size is None:
@@ -97,4 +107,5 @@ def asked_size(options: PruneOptions) -> FileSize | None:
     if options.out is not None and holds_levels(options.out):
         raise SceneError(f"{options.out}: --target-size is about one file, and this output has several")
     degree = min(degree_to_keep(options), splat_format.most_degree)
-    return FileSize(options.target_size * 1e6, splat_format, degree)
+    later = options.out is None or splat_format != format_to_write(options.out)
+    return FileSize(options.target_size * 1e6, splat_format, degree, later)

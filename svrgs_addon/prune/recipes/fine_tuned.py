@@ -57,7 +57,7 @@ from ..blocks.folder import remove_blocks
 from ..context import Clock, JobContext
 from ..disk_room import ROW, DiskRoom
 from ..door import check_training, check_views, check_visible
-from ..file_size import FileSize
+from ..file_size import FileSize, write_sized
 from ..first_cut import first_cut
 from ..likeness import assumed_drop
 from ..photographs import in_its_colours, prepared
@@ -79,10 +79,9 @@ class Tuned:
     run: Run
     given: Dataset  # as it was read; from check() on
 
-    def __init__(self, plan: Plan, job: JobContext, seconds: float = 0.0):
-        """seconds: that the job may take; 0: no limit."""
-        self.plan, self.job, self.seconds = plan, job, seconds
-        self.size: FileSize | None = None  # of the file, if that is the goal
+    def __init__(self, plan: Plan, job: JobContext, seconds: float = 0.0, size: FileSize | None = None):
+        """seconds: that the job may take; 0: no limit. size: of the file, if that is the goal."""
+        self.plan, self.job, self.seconds, self.size = plan, job, seconds, size
         self.clock, self.room = Clock(), DiskRoom(job.out, job.folder)
         self.held = 0.0  # PSNR in dB from which an allowed drop counts, in the views that decide
         self.notes: list[str] = []  # for the user, besides those of the dataset
@@ -123,11 +122,7 @@ class Tuned:
         self.room.release()
         with self.clock.phase("write"):
             seen = seen_from(self.scene, self.run.training_cameras, self.job.out)
-            kind = format_to_write(self.job.out)
-            quantise = self.size.quantise_of(self.scene, seen, kind) if self.size else 1.0
-            write_scene(self.job.out, self.scene, quantise=quantise, seen=seen)
-            if self.size:
-                self.notes += self.size.notes(quantise, size_on_disk(self.job.out), kind)
+            self.notes += write_sized(self.job.out, self.scene, seen, self.size)
             self.write_fitted()
         checkpoint.delete_all(self.job.folder)
 
@@ -256,10 +251,8 @@ class FineTuned(Tuned):
         seconds: float = 0.0,
         size: FileSize | None = None,
     ):
-        """dataset_of: the dataset for the scene of the file `path`. seconds: as for Tuned. size: of the file,
-        if that is the goal."""
-        super().__init__(plan, replace(job, scene=path), seconds)
-        self.size = size
+        """dataset_of: the dataset for the scene of the file `path`. seconds, size: as for Tuned."""
+        super().__init__(plan, replace(job, scene=path), seconds, size)
         self.path, self.dataset_of = path, dataset_of
 
     def open(self):
