@@ -32,10 +32,11 @@ def test_so_many_are_foreseen_that_the_file_is_filled(suffix, degree):
     assert 0.85 * size.bytes < written <= size.bytes
 
 
-def test_all_are_kept_where_all_fit_and_at_least_one_where_none_does():
+def test_all_are_kept_where_all_fit_and_a_size_is_refused_into_which_none_does():
     scene, kind = random_scene(300), format_to_write("x.spz")
     assert FileSize(1e9, kind, 3).count_of(scene, CAMERAS) == 300
-    assert FileSize(1.0, kind, 3).count_of(scene, CAMERAS) == 1
+    with pytest.raises(SceneError, match="a file of 1e-05 MB holds no Gaussian: ask for a larger one"):
+        FileSize(10.0, kind, 3).count_of(scene, CAMERAS)
 
 
 def test_sh_are_stored_more_coarsely_only_where_more_bytes_are_needed_than_foreseen():

@@ -50,6 +50,8 @@ class FileSize:
             former, count = count, min(scene.count, max(1, int(count * room * self.bytes / size)))
             if abs(count - former) <= CLOSE * count:
                 break
+        if count == 1 and size > self.bytes:
+            raise SceneError(f"a file of {self.bytes / 1e6:g} MB holds no Gaussian: ask for a larger one")
         return count
 
     def quantise_of(self, scene: Scene, seen: SeenFrom | None, splat_format: SplatFormat) -> float:
