@@ -21,8 +21,8 @@ from .seen import fewer_bands, seen_from
 
 MOST, TRIES = 1 << 16, 6  # Gaussians of a part of the scene that is written; parts, at most
 # share of the size that Gaussians of the original fill: those of a result take a few % more, and some more
-# without the views of the job, if the file is written later
-ROOM, ROOM_LATER = 0.94, 0.9
+# without the views of the job, if the file is written later; and where the values do not matter
+ROOM, ROOM_LATER, ALMOST_ALL = 0.94, 0.9, 0.998
 CLOSE = 0.01  # change of the count in a try after which no other follows
 # on the error in SH, if more bytes are needed than foreseen
 FACTORS = (1.0, 1.1, 1.25, 1.6, 2.0, 2.5, 3.2, 4.0)
@@ -42,7 +42,10 @@ class FileSize:
         FormatError."""
         scene = fewer_bands(scene, self.degree, ())
         seen = seen_from(scene, cameras, self.splat_format)
-        count, room = scene.count, ROOM_LATER if self.later else ROOM
+        count, room = (
+            scene.count,
+            ALMOST_ALL if self.splat_format.size else ROOM_LATER if self.later else ROOM,
+        )
         for _ in range(TRIES):
             size = bytes_of(scene, count, self.splat_format, seen)
             if self.later and seen:
