@@ -11,6 +11,7 @@ from ...svrgs_addon.files.sh_rounding import without_bands
 from ...svrgs_addon.files.splat_format import SplatFormat
 from ...svrgs_addon.system.errors import SplatError
 from . import known, quick_order, splat_object
+from .file_kinds import format_of
 
 MOST_READ = 1_000_000  # Gaussians of a splat that is read to foresee the size
 
@@ -51,7 +52,7 @@ def size_in(obj: bpy.types.Object, count: int, kind: str, quantise: float = 1.0,
     """What an export says on the size of `count` Gaussians of the splat in the format of this name, with SH
     up to this degree; '' for a large splat whose values decide. quantise: as of write_scene(), for formats
     that take it."""
-    splat_format, said = next(one for one in FORMATS if one.name == kind), known.of_data(obj).sizes
+    splat_format, said = format_of(kind), known.of_data(obj).sizes
     key = count, kind, quantise if splat_format.quantises else 1.0, degree
     if key not in said:
         said[key] = _size_in(obj, count, splat_format, *key[2:])

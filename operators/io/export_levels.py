@@ -19,7 +19,7 @@ from ...svrgs_addon.system import subprocess_python
 from ...svrgs_addon.system.errors import SceneError, SplatError
 from ...svrgs_addon.system.memory import size_text
 from ..data import background_work
-from ..data.file_kinds import KINDS, WHAT_FOR
+from ..data.file_kinds import KINDS, WHAT_FOR, format_of
 from ..data.native_check import native_problem
 from ..data.preferences import threads
 from ..data.reporting import ReportingOperator
@@ -123,7 +123,7 @@ class SVRGS_OT_export_levels(ReportingOperator, ExportSpace):
         name = bpy.path.clean_name(obj.name)
         if self.kind == STREAMED.name:
             return folder / name / STREAMED.index
-        (suffix,) = (one.suffixes[0] for one in FORMATS if one.name == self.kind)
+        suffix = format_of(self.kind).suffixes[0]
         return folder / f"{name}{suffix}"
 
 
