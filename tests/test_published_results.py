@@ -424,6 +424,35 @@ def test_the_recipe_adds_what_is_said_to_its_passes(left_out):
     assert [round(value, 3) for value in (lpips[0], min(lpips[1:]), max(lpips[1:]))] == [-0.005, 0.003, 0.012]
 
 
+def test_sentences_on_fewer_bands_are_those_of_the_rows():
+    rows, scenes = rows_of(study="degrees"), ("snowmiku", "south_building")
+    of = lambda scene, run, name: [
+        row[name] for row in rows if (row["scene"], row["run"]) == (scene, run) and row["seed"] in range(3)
+    ]
+    changes = lambda scene, run, name: [
+        one - other for one, other in zip(of(scene, run, name), of(scene, "SH 3 0.1", name), strict=True)
+    ]
+    means = lambda run, name: [fmean(changes(scene, run, name)) for scene in scenes]
+    assert all(max(changes(scene, "SH 2 0.115", "lpips")) < 0 for scene in scenes)
+    found = [*(-value for value in means("SH 2 0.115", "lpips")), *means("SH 2 0.115", "psnr")]
+    written = said("results.md", "# and # LPIPS less, less with every seed; # and # dB more; # % more bytes")
+    digits = 3, 3, 2, 2
+    assert written[:4] == [round(value, n) for value, n in zip(found, digits, strict=True)]
+    larger = [fmean(of(s, "SH 2 0.115", "bytes")) / fmean(of(s, "SH 3 0.1", "bytes")) - 1 for s in scenes]
+    assert [round(100 * value) for value in larger] == [3, 3] and written[4] == 3
+    one, none = means("SH 1 0.13", "lpips"), means("SH 0 0.15", "lpips")
+    assert said("results.md", "has # and # LPIPS less than degree 3, and # dB less on snowmiku") == [
+        *(round(-value, 3) for value in one),
+        round(-means("SH 1 0.13", "psnr")[0], 2),
+    ]
+    psnr = means("SH 0 0.15", "psnr")
+    assert said("results.md", "has # dB less there; on south_building, whose exposure varies, # dB more") == [
+        round(-psnr[0], 2),
+        round(psnr[1], 2),
+    ]
+    assert round(-none[1], 3) == 0.021 and round(-means("SH 2 0.1", "psnr")[0], 2) == 0.09
+
+
 def test_sentences_on_other_losses_are_those_of_the_rows():
     runs = {(r["scene"], r["run"], r["seed"]): r for r in rows_of(study="texture")}
     scenes, both = ("snowmiku", "south_building"), "gradients 1.5, SSIM 0.5"
