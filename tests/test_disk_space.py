@@ -21,6 +21,7 @@ from svrgs_addon.files.disk_space import CAN_HOLD, HeldSpace, refuse_shortage
 from svrgs_addon.files.ply import read_ply
 from svrgs_addon.finetune import loop
 from svrgs_addon.jobs.job_folder import JobFolder
+from svrgs_addon.prune import file_size
 from svrgs_addon.prune.context import JobContext
 from svrgs_addon.prune.recipes import fine_tuned
 from svrgs_addon.system import memory
@@ -91,13 +92,13 @@ def test_a_background_job_is_refused_before_its_folder_is_made(tiny, tmp_path, l
 )
 @pytest.mark.parametrize("command", ["prune", "train"])
 def test_the_room_is_held_until_it_is_used_and_then_free_again(tiny, data, tmp_path, monkeypatch, command):
-    seen, write = [], fine_tuned.write_scene
+    seen, write = [], file_size.write_scene
 
     def last(path, scene, **choices):
         seen.append(held_in(tmp_path))
         write(path, scene, **choices)
 
-    monkeypatch.setattr(fine_tuned, "write_scene", last)
+    monkeypatch.setattr(file_size, "write_scene", last)
     monkeypatch.setattr(loop, "CHECKPOINT_SECONDS", 0)
     job = JobContext(tmp_path / "o.ply", observe=lambda _: seen.append(held_in(tmp_path)))
     if command == "prune":

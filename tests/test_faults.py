@@ -25,8 +25,8 @@ from faults.jobs import JOBS
 from plans import prune_settings
 from svrgs_addon.files.ply import read_ply
 from svrgs_addon.finetune import checkpoint, loop
+from svrgs_addon.prune import file_size
 from svrgs_addon.prune.context import JobContext
-from svrgs_addon.prune.recipes import fine_tuned
 from svrgs_addon.system.errors import SceneError, SplatError
 from svrgs_addon.views.dataset import load_dataset
 
@@ -183,12 +183,12 @@ def test_a_full_disk_at_the_end_leaves_the_last_checkpoint(tiny, data, tmp_path,
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
-    original = fine_tuned.write_scene
-    monkeypatch.setattr(fine_tuned, "write_scene", write)
+    original = file_size.write_scene
+    monkeypatch.setattr(file_size, "write_scene", write)
     with pytest.raises(SceneError, match="cannot be written"):
         whole_jobs.prune(tiny.splat, data, SETTINGS, JobContext(out))
     assert not out.exists()
-    monkeypatch.setattr(fine_tuned, "write_scene", original)
+    monkeypatch.setattr(file_size, "write_scene", original)
     seen = []
     whole_jobs.prune(
         tiny.splat,

@@ -14,9 +14,9 @@ from svrgs_addon.files.registry import load_scene, read_back, write_scene
 from svrgs_addon.files.sh_rounding import ELSEWHERE, SeenFrom, basis, higher_factors, rounded
 from svrgs_addon.files.spz import SEEN
 from svrgs_addon.native.rasterizer import Rasterizer
+from svrgs_addon.prune import file_size
 from svrgs_addon.prune.options import PruneOptions
 from svrgs_addon.prune.pipeline import prune_scene
-from svrgs_addon.prune.recipes import fine_tuned
 from svrgs_addon.prune.seen import FEWEST_VIEWS, MOST_VIEWS, seen_from
 from svrgs_addon.render.metrics.evaluate import picture_options
 from svrgs_bench.scenes import orbit_camera
@@ -219,13 +219,13 @@ def test_a_streamed_sog_of_one_level_rounds_by_views_too(tmp_path):
 
 def test_a_job_writes_its_result_rounded_by_the_views_that_it_trained_on(tmp_path, monkeypatch, small_rig):
     write_scene(tmp_path / "a.ply", random_scene(300, 2))
-    given, write = {}, fine_tuned.write_scene
+    given, write = {}, file_size.write_scene
 
     def spy(path, scene, **choices):
         given[path.name] = choices.get("seen")
         write(path, scene, **choices)
 
-    monkeypatch.setattr(fine_tuned, "write_scene", spy)
+    monkeypatch.setattr(file_size, "write_scene", spy)
     for name in ("b.spz", "b.ply"):
         options = {"scene": tmp_path / "a.ply", "out": tmp_path / name, "target": 0.5, "quiet": True}
         prune_scene(PruneOptions(**options, iterations=4, recovery=4))
