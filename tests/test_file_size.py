@@ -114,6 +114,8 @@ def test_an_estimate_foresees_the_same_count(tiny, tmp_path, small_pictures, qui
 def test_what_cannot_be_is_said(tiny, tmp_path, svrgs):
     with pytest.raises(SceneError, match="several"):
         asked_size(options(tiny, tmp_path / "town" / "lod-meta.json"))
+    with pytest.raises(SceneError, match="add it, or leave --target-format out"):
+        asked_size(options(tiny, tmp_path / "a.ply", target_size=None, target_format=".spz"))
     with pytest.raises(SceneError, match="ksplat"):
         asked_size(options(tiny, tmp_path / "a.ply", target_format=".ksplat"))
     for more, said in (

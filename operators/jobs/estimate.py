@@ -162,7 +162,7 @@ def begin(context, obj: bpy.types.Object):
     """Starts an estimate for a splat. In background mode it waits for it."""
     uid, temp_dir = obj.session_uid, tempfile.TemporaryDirectory(dir=bpy.app.tempdir)
     path, options = Path(temp_dir.name) / "scene.ply", options_of(context, obj)
-    options.setdefault("target_format", format_of(default_kind(obj)).suffixes[0])
+    suffix = options.get("target_format", format_of(default_kind(obj)).suffixes[0])
     cameras, scene = given_views(context, obj), splat_object.scene_from_object(obj)
     if cameras:
         # a Blender that only starts does not need it
@@ -174,7 +174,8 @@ def begin(context, obj: bpy.types.Object):
     def work() -> dict:
         with temp_dir:
             write_scene(path, scene)
-            return subprocess_python.ask([], MODULE, {"scene": str(path), "options": options})
+            request = {"scene": str(path), "options": options, "suffix": suffix}
+            return subprocess_python.ask([], MODULE, request)
 
     def done(answer: Future):
         try:

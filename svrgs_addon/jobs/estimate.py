@@ -2,8 +2,8 @@
 and how long it would take.
 
 It renders some views and measures the speed of a few steps. Child process: `python -m
-svrgs_addon.jobs.estimate`. It reads {"scene": file, "options": options of a job} as JSON from stdin and
-writes the result of estimate(), or {"error": sentence}, to stdout.
+svrgs_addon.jobs.estimate`. It reads {"scene": file, "options": options of a job, "suffix": of a file} as JSON
+from stdin and writes the result of estimate(), or {"error": sentence}, to stdout.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..files.registry import USUAL, format_to_write, invisible, load_scene
+from ..files.splat_format import SplatFormat
 from ..finetune.plan import Plan, at_schedule
 from ..finetune.quality import hold_apart
 from ..finetune.scores import top
@@ -45,18 +46,18 @@ from .job_recorder import RECORDED
 OVERDRAW_VIEWS = 4  # in which it is counted
 
 
-def estimate(options: PruneOptions) -> dict:
-    """The estimate, a dict with these keys. Raises SplatError.
+def estimate(options: PruneOptions, suffix: str = USUAL.suffixes[0]) -> dict:
+    """The estimate, a dict with these keys; suffix: of the format whose size it foresees. Raises SplatError.
 
     count: Gaussians of the scene; invisible: those with an opacity below 1/255; unseen: those that no
     rendered view sees; faint: those that the first cut removes; kept: roughly how many stay; at_most: whether
-    kept is an upper bound; format: the label of that of options.target_format, bytes_before, bytes_after: the
-    size of a file of all Gaussians and of those kept; views: number of rendered views; psnr_before,
-    psnr_removed, psnr_after: as in quality_forecast.Forecast, without "psnr_"; psnr_before is None on the
-    splat's own pictures; overdraw_before, overdraw_after: Gaussians that a pixel blends (render/overdraw.py),
-    now and of those kept; steps: of the run; steps_per_second: with all Gaussians; schedule: that of the
-    options, or the one that fits into their time limit; seconds: expected time of the whole job; notes:
-    sentences on the dataset and whether the splat belongs to it.
+    kept is an upper bound; format: its label; bytes_before, bytes_after: the size of a file of all Gaussians
+    and of those kept; views: number of rendered views; psnr_before, psnr_removed, psnr_after: as in
+    quality_forecast.Forecast, without "psnr_"; psnr_before is None on the splat's own pictures;
+    overdraw_before, overdraw_after: Gaussians that a pixel blends (render/overdraw.py), now and of those
+    kept; steps: of the run; steps_per_second: with all Gaussians; schedule: that of the options, or the one
+    that fits into their time limit; seconds: expected time of the whole job; notes: sentences on the dataset
+    and whether the splat belongs to it.
     """
     begun = time.perf_counter()
     library.set_threads(options.threads)
@@ -93,7 +94,7 @@ def estimate(options: PruneOptions) -> dict:
         "faint": int((seen.peaks < plan.min_contribution).sum()),
         "kept": kept,
         "at_most": bool(plan.max_loss),
-        **_sizes(scene, kept, plan, options),
+        **_sizes(scene, kept, plan, format_to_write(f"x{suffix}")),
         "views": seen.views,
         **{f"psnr_{name}": value for name, value in quality._asdict().items()}
         | ({"psnr_before": None} if options.data is None else {}),
@@ -113,9 +114,8 @@ def _plan(options: PruneOptions, scene: Scene, dataset: Dataset) -> Plan:
     return replace(plan, target=size.count_of(scene, views)) if size else plan
 
 
-def _sizes(scene: Scene, kept: int, plan: Plan, options: PruneOptions) -> dict:
+def _sizes(scene: Scene, kept: int, plan: Plan, kind: SplatFormat) -> dict:
     """Of a file of all Gaussians, and of those kept."""
-    kind = format_to_write(f"x{options.target_format or USUAL.suffixes[0]}")
     after = bytes_of(fewer_bands(scene, plan.sh_degree, ()), kept, kind)
     return {"format": kind.label, "bytes_before": bytes_of(scene, scene.count, kind), "bytes_after": after}
 
@@ -130,7 +130,7 @@ def _doubts(scene: Scene, dataset: Dataset, force: bool) -> list[str]:
 
 def _estimate_request(request: dict) -> dict:
     options = check_mapping(PruneOptions, request["options"])
-    return estimate(PruneOptions(**options, scene=extended(request["scene"])))
+    return estimate(PruneOptions(**options, scene=extended(request["scene"])), request["suffix"])
 
 
 if __name__ == "__main__":

@@ -105,6 +105,8 @@ def write_sized(path: Path, scene: Scene, seen: SeenFrom | None, size: FileSize 
 def asked_size(options: PruneOptions) -> FileSize | None:
     """The size that is the goal; None if it is not. Raises SceneError."""
     if options.target_size is None:
+        if options.target_format:
+            raise SceneError("--target-format is about --target-size: add it, or leave --target-format out")
         return None
     splat_format = format_to_write(
         f"x{options.target_format}" if options.target_format else options.out or ""

@@ -264,7 +264,8 @@ def like_quick(options: PruneOptions, scene: Scene) -> tuple[PruneOptions, Rende
     train, test, notes, _ = job_views.quick(options, scene)
     dataset = RenderedDataset.of(scene, train, test, background=options.background, notes=tuple(notes))
     if size := asked_size(options):
-        options = replace(options, target_size=None, target_count=size.count_of(scene, dataset.cameras))
+        count = size.count_of(scene, dataset.cameras)
+        options = replace(options, target_size=None, target_format="", target_count=count)
     share = options.target or (options.target_count or LIKELY * scene.count) / scene.count
     return replace(options, quick=False, method="merge", recovery=_steps(min(1.0, share))), dataset
 
