@@ -58,8 +58,8 @@ class FileSize:
         return count
 
     def quantise_of(self, scene: Scene, seen: SeenFrom | None, splat_format: SplatFormat) -> float:
-        """The least factor on the error in SH with which a file in the other format, if it is this one, is
-        not larger. Raises SceneError, FormatError."""
+        """The least factor on the error in SH with which a file is not larger; 1 for one in another format.
+        Raises SceneError, FormatError."""
         if splat_format != self.splat_format or not (splat_format.quantises and scene.sh_degree):
             return 1.0
         size_with = lambda factor: round_trip(scene, splat_format, factor, seen)[1]
