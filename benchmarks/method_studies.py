@@ -136,6 +136,7 @@ LEVELS = {
 }
 # SH degrees at the same share, and at shares that make an SPZ about as large as a tenth with all bands
 DEGREES = ((3, "0.1"), (2, "0.1"), (1, "0.1"), (0, "0.1"), (2, "0.115"), (1, "0.13"), (0, "0.15"))
+SIZE = "0.2"  # MB, of the study sizes
 COARSE, VIEWS = ["--coarse-until", "10000"], ["--views-by-loss"]
 SKIPS = {"plain": [], "coarse": COARSE, "views": VIEWS, "coarse, views": COARSE + VIEWS}
 SCENARIOS = {
@@ -171,6 +172,10 @@ STUDIES = {
         f"SH {degree} {target}": ["--method", "removal", "--target", target, "--sh-degree", str(degree)]
         for degree, target in DEGREES
     },
+    "sizes": {
+        f"SH {degree}": ["--method", "removal", "--target-size", SIZE, "--sh-degree", str(degree)]
+        for degree in (3, 2, 1, 0)
+    },
     "skips": {name: [*TABLE["3DGS"], *flags] for name, flags in SKIPS.items()},
     "levels": {level: TABLE["3DGS"] for level in LEVELS},
     "scenarios": SCENARIOS,
@@ -181,7 +186,7 @@ STUDIES = {
     },
 }
 # these prune the scene of a run of `table`
-PRUNED = ("equal", "looks", "pareto", "published", "ablation", "texture", "degrees", "time")
+PRUNED = ("equal", "looks", "pareto", "published", "ablation", "texture", "degrees", "sizes", "time")
 
 
 def change_of(study: str, run: str) -> str:

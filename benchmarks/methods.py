@@ -29,6 +29,7 @@ machine.
               methods, and with nothing removed: what the ranking is worth, and what the recipe
     published rivals with their published steps, `removal` with as many; to be run with --schedule 1
     degrees   `removal` to SPZ files with fewer SH bands: at the same share, and at about the same size
+    sizes     the same to SPZ files of one size
     skips     `svrgs train` with what skips work: smaller photographs at first, fewer of the easiest views
     levels    `svrgs train` with each SIMD level
     scenarios `svrgs train` with scenarios A and B of the paper and several lambda_F
@@ -125,7 +126,7 @@ def start_file(request: dict, work: Path) -> Path:
 
 def command(request: dict, data: list[str], work: Path, threads: int) -> list[str]:
     """The svrgs command of a run. data: its flags --data and --images."""
-    suffix = ".spz" if request["study"] == "degrees" else ".ply"
+    suffix = ".spz" if request["study"] in ("degrees", "sizes") else ".ply"
     own = work / f"{hashlib.sha256(key(request).encode()).hexdigest()[:16]}{suffix}"
     out = start_file(request, work) if is_start(request) else own
     schedule = [] if request["study"] == "time" else ["--schedule", str(request["schedule"])]
