@@ -289,6 +289,15 @@ def degrees(rows: list[dict], charts: Path) -> str:
     return table(["scene", "SH degree", "kept", "kB", *FOUR], lines)
 
 
+def sizes(rows: list[dict], charts: Path) -> str:
+    """The default with fewer SH bands, as SPZ files of one size."""
+    lines = []
+    for row in (row for row in rows if row["study"] == "sizes"):
+        figures = f"{row['count']:,}", f"{row['bytes'] / 1e3:.0f}", *four_figures(row)
+        lines.append([case(row), row["run"].removeprefix("SH "), *figures])
+    return table(["scene", "SH degree", "Gaussians", "kB", *FOUR], lines)
+
+
 FOUR = ("PSNR", "LPIPS", "SSIM", "FLIP")
 
 
@@ -408,6 +417,6 @@ def sweep(rows: list[dict], charts: Path) -> str:
 
 OF_PAGE = (
     command, equal, ablation, rivals, full_size, to_the_end, published, looks, skips, levels, in_time,
-    other_figures, texture, degrees, points, table_one, paper, scenarios, sweep,
+    other_figures, texture, degrees, sizes, points, table_one, paper, scenarios, sweep,
 )  # fmt: skip
 PARTS: dict[str, Callable[[list[dict], Path], str]] = {part.__name__: part for part in OF_PAGE}
