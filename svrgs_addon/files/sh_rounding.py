@@ -18,7 +18,7 @@ from ..scene.sh_rotation import band
 from .palette import solved
 
 BLOCK = 1 << 8  # Gaussians whose directions are in memory together
-PART = 1 << 12  # Gaussians whose moments are
+PART = 1 << 12  # Gaussians whose moments are in memory together
 ELSEWHERE = 0.1  # weight of all directions together; those from which a Gaussian is seen have 1
 
 
@@ -63,8 +63,9 @@ def higher_factors(moments: np.ndarray) -> np.ndarray:
 
 
 def without_bands(scene: Scene, degree: int, seen: SeenFrom | None = None) -> Scene:
-    """The scene with SH up to this degree. If seen says from where, these take up what the higher ones showed
-    there, so that the squared error is least."""
+    """The scene with SH up to this degree, sh (N, (degree + 1)^2, 3). With seen, those that stay (s) are
+    fitted to what all showed in the directions that are seen: s + M_ss^-1 M_sh h, with the higher ones h and
+    the moments M of SeenFrom, has the least squared error. Without, the higher ones are cut."""
     most, keep = scene.sh.shape[1], SH_COEFFICIENTS[degree]
     if most <= keep:
         return scene

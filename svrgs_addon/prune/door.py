@@ -112,7 +112,8 @@ def allowed_loss(options: PruneOptions) -> Allowed:
 
 
 def degree_to_keep(options: PruneOptions) -> int:
-    """The highest SH degree of the result: what is asked for, as far as the format of the output holds it."""
+    """The highest SH degree of the result: that of --sh-degree, or that of the output's format if it is
+    lower."""
     most = format_to_write(options.out).most_degree if options.out else 3
     return most if options.sh_degree is None else min(options.sh_degree, most)
 

@@ -393,7 +393,7 @@ class PruneOptions(TuningOptions):
         SH_DEGREE,
         None,
         "highest SH degree of the result: a lower one makes smaller files, or leaves room for more Gaussians;"
-        " what stays takes up what the training views show of the rest, and is fine-tuned",
+        " the bands that stay are fitted to what the training views show of all bands",
         default_help="that of the format",
         in_job=True,
     )

@@ -28,8 +28,8 @@ def seen_from(scene: Scene, cameras: Sequence[Camera], out: Path | SplatFormat) 
 
 
 def fewer_bands(scene: Scene, degree: int, cameras: Sequence[Camera]) -> Scene:
-    """The scene with SH up to this degree. These take up what the higher ones show in the views, if there are
-    enough."""
+    """The scene with SH up to this degree, fitted to what all bands show in the views. With fewer than
+    FEWEST_VIEWS, or none, the higher bands are cut."""
     return without_bands(scene, degree, _shown(scene, cameras)) if scene.sh_degree > degree else scene
 
 

@@ -21,8 +21,8 @@ FACTORS = (1.0, 2.0, 4.0)  # on the error in SH, for formats that take one
 
 
 def refuse_bands(order: Order, quality_of: Callable[[Scene], float], out: Path, allowed: Allowed):
-    """Raises SceneError if the SH bands that the order leaves out alone lose what is allowed. quality_of: as
-    of smallest_file()."""
+    """Raises SceneError if leaving out SH bands costs all of the allowed loss, before a Gaussian is removed.
+    quality_of: as of smallest_file()."""
     measure, degree = MEASURES[allowed.measure], order.scene.sh_degree
     loss = (ASSUMED if allowed.measure == "psnr" else 0.0) - quality_of(order.scene)
     if degree == format_to_write(out).most_degree:
