@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Generator
+from concurrent.futures import Future
+from functools import partial
 from typing import Any
 
 import bpy
@@ -77,17 +79,33 @@ class BackgroundOperator(ReportingOperator):
     def modal(self, context, event):
         if event.type != "TIMER" or not self._answer.done():
             return {"PASS_THROUGH"}
-        self.cancel(context)
+        self._wait_no_more(context)
         return self.ended(lambda: _last(self._steps, self._answer.result()))
 
     def cancel(self, context):
-        """Blender calls it, too: when its file browser is closed, or when another file is opened, where the
-        slow part goes on."""
-        if self._timer is None:
-            return
+        """Blender calls it when its file browser is closed, and when another file is opened, where the slow
+        part goes on: its error is shown later."""
+        if self._timer is not None:
+            self._wait_no_more(context)
+            background_work.watch(partial(_show_error, self._answer, self.bl_label))
+
+    def _wait_no_more(self, context):
         context.window_manager.event_timer_remove(self._timer)
         if workspace := bpy.data.workspaces.get(self._workspace):
             workspace.status_text_set(None)
+
+
+def _show_error(answer: Future, label: str) -> bool:
+    """Shows the error of an operator that is gone, once it has ended. Returns whether it goes on."""
+    if not answer.done():
+        return True
+    if error := answer.exception():
+        manager = bpy.context.window_manager
+        with bpy.context.temp_override(window=manager.windows[0]):
+            manager.popup_menu(
+                lambda menu, _: menu.layout.label(text=str(error)), title=tr(label), icon="ERROR"
+            )
+    return False
 
 
 def _last(steps: Steps, result: Any) -> str:

@@ -4,6 +4,7 @@ process prunes them (`svrgs prune --quick`)."""
 from __future__ import annotations
 
 import tempfile
+import threading
 from concurrent.futures import Future
 from functools import partial
 from pathlib import Path
@@ -15,6 +16,7 @@ from bpy.props import BoolProperty, EnumProperty, StringProperty
 
 from ...svrgs_addon.files.level_files import level_files
 from ...svrgs_addon.files.registry import FORMATS, USUAL, size_on_disk, write_scene
+from ...svrgs_addon.scene.gaussians import Scene
 from ...svrgs_addon.system import subprocess_python
 from ...svrgs_addon.system.errors import SceneError, SplatError
 from ...svrgs_addon.system.memory import size_text
@@ -29,6 +31,7 @@ from .export_space import ExportSpace
 STREAMED = next(one for one in FORMATS if one.index == "lod-meta.json")
 _running: list[str] = []  # names of the splats whose levels are being made
 _lines: list[str] = []  # what the panel says on the last export; its splats may be gone
+_one_at_a_time = threading.Lock()  # several splats at once would take the memory of all
 
 
 def lines() -> list[str]:
@@ -95,17 +98,9 @@ class SVRGS_OT_export_levels(ReportingOperator, ExportSpace):
         _lines.clear()
         for obj, out in outs.items():
             scene, _ = self.chosen(context, obj)
-            if not shares:
-                write_scene(out, scene)
-                _lines.append(f"{obj.name}: {size_text(size_on_disk(out))}")
-                continue
-            temporary = tempfile.TemporaryDirectory(dir=bpy.app.tempdir)
-            source, levels = Path(temporary.name) / "scene.ply", ",".join(f"{share:g}" for share in shares)
-            write_scene(source, scene)
-            words = ["prune", str(source), "--quick", "--out", str(out), "--levels", levels]
-            words += ["--threads", str(threads(context)), "--json", "--quiet"]
+            work = partial(_export, scene, out, shares, threads(context), bpy.app.tempdir)
             _running.append(obj.name)
-            background_work.run(partial(_export, temporary, words), partial(_finished, obj.name))
+            background_work.run(work, partial(_finished, obj.name))
         background_work.redraw_panels()
         return "; ".join(lines())
 
@@ -127,10 +122,17 @@ class SVRGS_OT_export_levels(ReportingOperator, ExportSpace):
         return folder / f"{name}{suffix}"
 
 
-def _export(temporary: tempfile.TemporaryDirectory, words: list[str]) -> dict:
-    """In a thread, which must not use bpy."""
-    with temporary:
-        return subprocess_python.ask(words)
+def _export(scene: Scene, out: Path, shares: list[float], threads: int, folder: str) -> dict:
+    """Writes a splat and its levels; what `svrgs prune --json` says of them. folder: for temporary files. In
+    a thread, which must not use bpy."""
+    with _one_at_a_time, tempfile.TemporaryDirectory(dir=folder) as temporary:
+        if not shares:
+            write_scene(out, scene)
+            return {"bytes": size_on_disk(out)}
+        source, levels = Path(temporary) / "scene.ply", ",".join(f"{share:g}" for share in shares)
+        write_scene(source, scene)
+        words = ["prune", str(source), "--quick", "--out", str(out), "--levels", levels]
+        return subprocess_python.ask([*words, "--threads", str(threads), "--json", "--quiet"])
 
 
 def _finished(name: str, answer: Future):
@@ -139,6 +141,9 @@ def _finished(name: str, answer: Future):
         result = answer.result()
     except (SplatError, OSError) as error:
         _lines.append(f"{name}: {error}")
+        return
+    if "psnr" not in result:
+        _lines.append(f"{name}: {size_text(result['bytes'])}")
         return
     texts = [
         tr("{share:g} %: {size}, {psnr:.1f} dB").format(
