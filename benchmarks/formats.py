@@ -108,7 +108,7 @@ def rows(scene: Scene, judge: Judge, wanted: list[Kind], cameras: list[Camera], 
         seen = seen_from(banded, cameras, path) if kind.by_views else None
         writing = seconds(partial(kind.write, path, banded, seen), 1 if kind.program else REPEATS)
         reading = seconds(lambda path=path: load_scene(path))
-        found, size = judge(load_scene(path).scene), path.stat().st_size
+        found, size = judge(load_scene(path)), path.stat().st_size
         quality = f"{found[0]:.2f} | {found[1]:.4f} | {found[2]:.4f}" if found[0] < 100 else "equal | 1 | 0"
         lines.append(
             f"| {kind.name} | {size / scene.count:.1f} | {size / 1e6:.2f} | {quality} | {writing:.2f} |"
@@ -137,11 +137,11 @@ def main() -> int:
     wanted = kinds(words.quantise, words.sh_degree, bool(cameras))
     wanted += [Kind(suffix, program=program) for program, suffix in others() if words.others]
     for path in words.splats:
-        scene = load_scene(path).scene
+        scene = load_scene(path)
         if dataset:
             judge = against_photographs(dataset)
         else:
-            judge = against_scene(load_scene(words.against).scene if words.against else scene)
+            judge = against_scene(load_scene(words.against) if words.against else scene)
         with tempfile.TemporaryDirectory() as folder:
             table = "\n".join(
                 [

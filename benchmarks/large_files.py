@@ -67,7 +67,7 @@ def main() -> int:
     large = words.count >= LARGE
     with tempfile.TemporaryDirectory() as folder:
         source = Path(folder) / "scene.ply"
-        with mapped_scene(copies(load_scene(words.splat).scene, words.count), source) as scene:
+        with mapped_scene(copies(load_scene(words.splat), words.count), source) as scene:
             degree = scene.sh_degree
             write_scene(source, scene)
         print(

@@ -85,7 +85,7 @@ def run(words: list, dataset: Dataset) -> tuple[int, float, float]:
 
 def quality(splat: Path, dataset: Dataset) -> tuple[int, float]:
     """Gaussians, and PSNR in dB on the test views."""
-    scene = load_scene(splat).scene
+    scene = load_scene(splat)
     return scene.count, evaluate(scene, dataset, dataset.test_indices, Rasterizer())["psnr"]
 
 

@@ -136,7 +136,7 @@ LEVELS = {
 }
 # SH degrees at the same share, and at shares that make an SPZ about as large as a tenth with all bands
 DEGREES = ((3, "0.1"), (2, "0.1"), (1, "0.1"), (0, "0.1"), (2, "0.115"), (1, "0.13"), (0, "0.15"))
-SIZE = "0.2"  # MB, of the study sizes
+SIZES = ("0.2", "0.6")  # MB, of the study sizes
 COARSE, VIEWS = ["--coarse-until", "10000"], ["--views-by-loss"]
 SKIPS = {"plain": [], "coarse": COARSE, "views": VIEWS, "coarse, views": COARSE + VIEWS}
 SCENARIOS = {
@@ -173,7 +173,8 @@ STUDIES = {
         for degree, target in DEGREES
     },
     "sizes": {
-        f"SH {degree}": ["--method", "removal", "--target-size", SIZE, "--sh-degree", str(degree)]
+        f"SH {degree}, {size} MB": ["--method", "removal", "--target-size", size, "--sh-degree", str(degree)]
+        for size in SIZES
         for degree in (3, 2, 1, 0)
     },
     "skips": {name: [*TABLE["3DGS"], *flags] for name, flags in SKIPS.items()},

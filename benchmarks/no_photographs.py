@@ -52,7 +52,7 @@ def pruned(way: str, path: Path, share: float, folder: Path) -> tuple[Scene, flo
         rig, error = folder / "rig.json", ("--lowest-removal-error", 1 - share, "--invert")
         placed = cost_of(*SVRGS, "rig", path, "--out", rig)
         seconds, memory = cost_of(*SVRGS, "select", path, "--cameras", rig, *error, "--out", out)
-        return load_scene(out).scene, placed[0] + seconds, max(placed[1], memory)
+        return load_scene(out), placed[0] + seconds, max(placed[1], memory)
     if way == "decimate":
         words = ("--overwrite", "--quiet", "--gpu", "cpu", path, "--decimate", f"{share:%}", out)
         seconds, memory = cost_of(splat_transform(), *words)
@@ -61,7 +61,7 @@ def pruned(way: str, path: Path, share: float, folder: Path) -> tuple[Scene, flo
         seconds, memory = cost_of(
             *SVRGS, "prune", path, *WAYS[way][1], "--target", share, "--out", out, *quiet
         )
-    return load_scene(out).scene, seconds, memory
+    return load_scene(out), seconds, memory
 
 
 def rows(path: Path, judge: Judge, words: argparse.Namespace) -> list[str]:
@@ -72,7 +72,7 @@ def rows(path: Path, judge: Judge, words: argparse.Namespace) -> list[str]:
                 small, seconds, memory = pruned(way, path, share, Path(folder))
                 cost = f"{seconds:.1f} | {memory / 1e9:.2f}"
                 lines.append(line(f"{WAYS[way][0]}, {share:.1%}", small, judge, cost))
-    return lines + [line(other.name, load_scene(other).scene, judge, " | ") for other in words.others]
+    return lines + [line(other.name, load_scene(other), judge, " | ") for other in words.others]
 
 
 def line(name: str, small: Scene, judge: Judge, cost: str) -> str:
@@ -100,7 +100,7 @@ def main() -> int:
         judge = against_photographs(dataset_of(DatasetOptions(data=words.data)))
     else:
         judge = against_scene(
-            load_scene(words.original).scene, load_cameras(words.cameras) if words.cameras else None
+            load_scene(words.original), load_cameras(words.cameras) if words.cameras else None
         )
     found = "\n".join(rows(words.original, judge, words))
     third = "LPIPS" if words.data else "FLIP"

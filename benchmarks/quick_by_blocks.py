@@ -44,7 +44,7 @@ def main():
         "\n|---|---|---:|---:|" + "---:|" * len(SIDES),
     )
     for splat in given.splats:
-        scene = load_scene(splat).scene
+        scene = load_scene(splat)
         rigs = [place_rig(scene, seed=seed).held_out for seed in SEEDS]
         with tempfile.TemporaryDirectory() as folder:
             options = PruneOptions(scene=splat, out=Path(folder) / "out.ply", quick=True, quiet=True, **goal)
@@ -53,7 +53,7 @@ def main():
                 "by blocks": lambda o: run(by_blocks.recipe_of(o, plans.context_of(o), "asked for")),
             }.items():
                 result = job(options)
-                small = load_scene(options.out).scene
+                small = load_scene(options.out)
                 values = [fmean(likeness(scene, small, rig, side) for rig in rigs) for side in SIDES]
                 print(
                     f"| {splat.stem} | {way} | {result['count']:,} | {result['seconds']:.0f} |",

@@ -186,7 +186,7 @@ def main():
     viewmat[:3, 3] = 0.3, 0.2, 0.5
     if options.scene:
         scene, viewmat = (
-            load_scene(options.scene).scene,
+            load_scene(options.scene),
             read_model(find_model(options.data)).views[options.view].viewmat,
         )
     print(*panorama_rows(scene, viewmat), "", sep="\n")

@@ -13,9 +13,9 @@ import numpy as np
 import OpenImageIO as oiio
 
 from svrgs_addon.files.atomic import atomic_path
+from svrgs_addon.files.images import to_bytes
 from svrgs_addon.files.registry import load_scene
 from svrgs_addon.native.rasterizer import Rasterizer
-from svrgs_addon.prune.report.pictures import to_uint8
 from svrgs_addon.render import color_maps
 from svrgs_addon.render.metrics.evaluate import render_options
 from svrgs_addon.views.dataset import load_dataset
@@ -35,14 +35,14 @@ def main():
     camera = camera.resized(round(camera.width * given.height / camera.height), given.height)
     columns = []
     for name, path in (("Original", given.before), ("Pruned", given.after)):
-        scene = load_scene(path).scene
+        scene = load_scene(path)
         images = Rasterizer().forward(
             scene, camera, render_options(scene, mask_kind="svr"), outputs=("rgb", "mask")
         )
         columns.append((f"{name}: {scene.count:,} Gaussians, {path.stat().st_size / 1e6:.1f} MB", images))
     top = max(images["mask"].max() for _, images in columns)
-    rows = [[labelled(to_uint8(images["rgb"]), text) for text, images in columns]]
-    masks = [to_uint8(color_maps.colored(images["mask"], top)) for _, images in columns]
+    rows = [[labelled(to_bytes(images["rgb"]), text) for text, images in columns]]
+    masks = [to_bytes(color_maps.colored(images["mask"], top)) for _, images in columns]
     rows.append(
         [labelled(mask, "Spatial mask F" + ", same scale" * number) for number, mask in enumerate(masks)]
     )

@@ -14,7 +14,7 @@ from svrgs_addon.views.dataset import load_dataset
 
 splat, folder, out = sys.argv[1:]
 
-scene, dataset, rasterizer = load_scene(splat).scene, load_dataset(folder), Rasterizer()
+scene, dataset, rasterizer = load_scene(splat), load_dataset(folder), Rasterizer()
 options = render_options(scene, dataset.background)
 cameras = [dataset.cameras[i] for i in dataset.train_indices]
 

@@ -14,7 +14,7 @@ from svrgs_bench.scenes import facing_camera
 splat, colors, mask = sys.argv[1:]
 
 # arrays as 3DGS stores them: means (N, 3), log_scales, quats, opacity_logits, sh
-scene = load_scene(splat).scene
+scene = load_scene(splat)
 camera = facing_camera(scene, 640, 360)  # viewmat (4, 4) world to camera, K (3, 3) in pixels
 images = Rasterizer().forward(scene, camera, RenderOptions(mask_kind="svr"), outputs=("rgb", "mask"))
 

@@ -1,20 +1,24 @@
-"""Registers what a module has for Blender: CLASSES; HANDLERS, {event: function}; MENUS, {menu: function that
-draws in it}; TIMERS, which end with the extension; for all else register() and unregister() of its own."""
+"""Registers what a module has for Blender: CLASSES; PROPERTIES, {(type, name): property}; HANDLERS, {event:
+function}; MENUS, {menu: function that draws in it}; TIMERS, which end with the extension; forget(), which is
+called when another file is opened, and at the end; for all else register() and unregister() of its own."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from types import ModuleType
 
 import bpy
+from bpy.app.handlers import persistent
 
 
 def register(modules: Iterable[ModuleType]):
     for module in modules:
         for cls in getattr(module, "CLASSES", ()):
             bpy.utils.register_class(cls)
-        for event, handler in getattr(module, "HANDLERS", {}).items():
-            getattr(bpy.app.handlers, event).append(handler)
+        for (kind, name), value in getattr(module, "PROPERTIES", {}).items():
+            setattr(getattr(bpy.types, kind), name, value)
+        for event, handler in _handlers(module):
+            getattr(bpy.app.handlers, event).append(persistent(handler))
         for menu, draw in getattr(module, "MENUS", {}).items():
             getattr(bpy.types, menu).append(draw)
         if hasattr(module, "register"):
@@ -26,11 +30,20 @@ def unregister(modules: Iterable[ModuleType]):
     for module in reversed(tuple(modules)):
         for timer in filter(bpy.app.timers.is_registered, getattr(module, "TIMERS", ())):
             bpy.app.timers.unregister(timer)
-        if hasattr(module, "unregister"):
-            module.unregister()
+        for end in ("unregister", "forget"):
+            if hasattr(module, end):
+                getattr(module, end)()
         for menu, draw in getattr(module, "MENUS", {}).items():
             getattr(bpy.types, menu).remove(draw)
-        for event, handler in getattr(module, "HANDLERS", {}).items():
+        for event, handler in _handlers(module):
             getattr(bpy.app.handlers, event).remove(handler)
+        for kind, name in getattr(module, "PROPERTIES", {}):
+            delattr(getattr(bpy.types, kind), name)
         for cls in reversed(getattr(module, "CLASSES", ())):
             bpy.utils.unregister_class(cls)
+
+
+def _handlers(module: ModuleType) -> list[tuple[str, Callable]]:
+    """(event, function) of a module."""
+    forget = [("load_post", module.forget)] if hasattr(module, "forget") else []
+    return [*getattr(module, "HANDLERS", {}).items(), *forget]

@@ -155,7 +155,7 @@ def test_a_file_with_more_gaussians_than_are_read_as_a_whole_is_pruned_by_blocks
 
 @pytest.mark.slow
 def test_given_cameras_alone_count_where_that_is_asked_for(svrgs, short, source, tmp_path):
-    rig = place_rig(load_scene(source).scene, views=6)
+    rig = place_rig(load_scene(source), views=6)
     write_cameras_json(tmp_path / "views.json", rig.cameras)
     words = ["--cameras", tmp_path / "views.json", "--seen-from-only"]
     result = svrgs("prune", source, "--target", 0.5, *words, "--out", tmp_path / "o.ply", "--json").json
@@ -304,7 +304,7 @@ def test_scores_and_pictures_have_room_before_the_first_view(svrgs, monkeypatch,
 
 @pytest.mark.slow
 def test_a_format_that_loses_more_than_pruning_is_told(svrgs, source, tmp_path):
-    scene = load_scene(source).scene
+    scene = load_scene(source)
     scene.sh[:] += np.random.default_rng(0).normal(0, 0.2, scene.sh.shape)
     write_scene(tmp_path / "noise.ply", scene)
     done = svrgs("large", "prune", tmp_path / "noise.ply", "--target", 0.9, "--out", tmp_path / "o.splat")
@@ -378,7 +378,7 @@ def test_a_room_whose_inside_no_camera_sees_is_refused(source, tmp_path):
             str(tmp_path / "room.ply"),
             force=False,
         )
-    seen = seen_of(sample_of(source)[0], place_rig(load_scene(source).scene).cameras)
+    seen = seen_of(sample_of(source)[0], place_rig(load_scene(source)).cameras)
     assert check_seen(seen, str(source), force=False) == []
 
 
@@ -406,7 +406,7 @@ def test_cameras_are_placed_for_a_scene_that_is_too_large_too(svrgs, monkeypatch
 def test_a_sample_covers_about_what_all_gaussians_do(monkeypatch, source):
     monkeypatch.setattr("svrgs_addon.prune.blocks.sample.MAX_SAMPLED", COUNT // 2)
     scene, enlarged = sample_of(source)
-    whole = load_scene(source).scene
+    whole = load_scene(source)
     assert (
         MAX_SAMPLED > COUNT
         and scene.count == COUNT // 2
@@ -425,7 +425,7 @@ def test_a_sample_covers_about_what_all_gaussians_do(monkeypatch, source):
 
 @pytest.mark.slow
 def test_pictures_are_as_fine_as_all_gaussians_need(monkeypatch, source):
-    whole = load_scene(source).scene
+    whole = load_scene(source)
     small = replace(whole, log_scales=whole.log_scales - 3.5)
     monkeypatch.setattr(viewpoints, "LARGEST", 1024)
     sides = [place_rig(small, views=1, enlarged=factor).width for factor in (1.0, 1.2, 100.0)]
@@ -434,7 +434,7 @@ def test_pictures_are_as_fine_as_all_gaussians_need(monkeypatch, source):
 
 @pytest.mark.slow
 def test_placed_views_are_scored_at_the_size_that_they_need(source):
-    camera = place_rig(load_scene(source).scene, views=1).cameras[0]
+    camera = place_rig(load_scene(source), views=1).cameras[0]
     (scored,) = reduced(finer([camera]))
     assert scored.key == camera.key
 
@@ -478,7 +478,7 @@ def test_only_some_jobs_can_be_done_by_blocks(tmp_path):
 
 
 def test_hidden_gaussians_are_counted(source):
-    scene = load_scene(source).scene
+    scene = load_scene(source)
     camera = cameras_around(scene, 1, 512)[0]
     sums, _ = visibility_sums(scene, [camera], Rasterizer(), render_options(scene), pictures=False)
     assert 0.1 * COUNT < hidden(sums) < COUNT, "a ball hides its other side"

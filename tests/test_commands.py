@@ -185,9 +185,7 @@ def test_render_along_parallel_rays(tiny, svrgs, tmp_path):
     assert done.status == 0, done.err
     first = tiny.cameras[0]
     K = np.array([[12, 0, first.width / 2], [0, 11, first.height / 2], [0, 0, 1]])
-    expected = Rasterizer().forward(load_scene(tiny.splat).scene, replace(first, K=K, orthographic=True))[
-        "rgb"
-    ]
+    expected = Rasterizer().forward(load_scene(tiny.splat), replace(first, K=K, orthographic=True))["rgb"]
     np.testing.assert_allclose(np.load(tmp_path / "out/flat.rgb.npy"), expected, atol=1e-5)
     assert expected.std() > 0.05
 

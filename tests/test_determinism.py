@@ -50,7 +50,7 @@ def one_view() -> tuple[str, str]:
 def hundred_steps(tiny, data) -> tuple[str, str]:
     """Hashes of all values and moments after 100 steps, and of the rows that every pruning event kept."""
     settings = replace(prune_settings("svr", 80, 20, prune_every=20, lambda_f=1e-3), mask_init=0.5, seed=5)
-    run = loop.Run(Model.of(load_scene(tiny.splat).scene), data, settings, NativeEngine())
+    run = loop.Run(Model.of(load_scene(tiny.splat)), data, settings, NativeEngine())
     kept = {}
     while not run.finished:
         run.advance()

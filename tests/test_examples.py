@@ -36,7 +36,7 @@ def test_spatial_mask(tiny, tmp_path):
 
 def test_rank_and_prune(tiny, tmp_path):
     said = run("rank_and_prune.py", tiny.splat, tiny.folder, tmp_path / "half.ply")
-    whole, half = load_scene(tiny.splat).scene, load_scene(tmp_path / "half.ply").scene
+    whole, half = load_scene(tiny.splat), load_scene(tmp_path / "half.ply")
     assert half.count == whole.count // 2
     all_, left = (float(line.partition("PSNR ")[2].split()[0]) for line in said.splitlines())
     assert all_ > 10 and left > 10

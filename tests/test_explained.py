@@ -29,7 +29,7 @@ def test_the_share_is_that_of_the_variance():
 
 def test_own_photographs_are_explained_and_those_of_another_capture_are_not(tiny, tmp_path):
     other = write_tiny(tmp_path / "other", seed=7)
-    scene, dataset = load_scene(tiny.splat).scene, load_dataset(tiny.folder)
+    scene, dataset = load_scene(tiny.splat), load_dataset(tiny.folder)
     own, foreign = (fit(scene, sample_views(one)) for one in (dataset, load_dataset(other.folder)))
     assert own["explained"] > 0.8 and mismatch(own) == ""
     assert foreign["explained"] < ENOUGH and "may belong to another capture" in mismatch(foreign)

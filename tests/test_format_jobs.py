@@ -77,7 +77,7 @@ def test_the_quality_is_that_of_the_file(tmp_path):
     write_scene(path, ball(1_000))
     plain, packed = (prune(path, out, quick=True) for out in ("a.ply", "a.splat"))
     assert packed["psnr"] < plain["psnr"] - 0.05
-    original, scene = load_scene(path).scene, load_scene(tmp_path / "a.splat").scene
+    original, scene = load_scene(path), load_scene(tmp_path / "a.splat")
     camera = cameras_around(original, 16, 512, turn=1.0, nearer=0.9)[3]
     images = [Rasterizer().forward(some, camera)["rgb"].copy() for some in (original, scene)]
     assert psnr(*images) == pytest.approx(packed["psnr"], abs=4)

@@ -298,8 +298,8 @@ def test_files_with_more_gaussians_than_are_read_as_a_whole_are_converted(svrgs,
     assert svrgs("convert", tmp_path / "a.ply", tmp_path / "b.ply").status == 0
     monkeypatch.undo()
     assert (
-        load_scene(tmp_path / "b.ply").scene.count == 300
-        and (load_scene(tmp_path / "b.ply").scene.sh == load_scene(tmp_path / "a.ply").scene.sh).all()
+        load_scene(tmp_path / "b.ply").count == 300
+        and (load_scene(tmp_path / "b.ply").sh == load_scene(tmp_path / "a.ply").sh).all()
     )
 
 
@@ -388,7 +388,7 @@ from svrgs_addon.finetune.settings import Densify
 from svrgs_addon.files.registry import load_scene
 from svrgs_addon.system.memory_limits import peak, proc_bytes
 camera, start = orbit_camera(640, 480), peak()
-scene = load_scene(sys.argv[1]).scene
+scene = load_scene(sys.argv[1])
 read = peak() - start
 native.Rasterizer().forward(scene, camera, native.RenderOptions(picture_only=True))
 drawn = peak() - start

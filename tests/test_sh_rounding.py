@@ -106,7 +106,7 @@ def written(folder, suffix: str, scene, **choices) -> tuple[float, int]:
     """PSNR against the scene, in views between those that are known, and the size of a file."""
     path = folder / f"scene{suffix}"
     write_scene(path, scene, **choices)
-    return psnr(scene, load_scene(path).scene, CAMERAS[1::2]), path.stat().st_size
+    return psnr(scene, load_scene(path), CAMERAS[1::2]), path.stat().st_size
 
 
 @pytest.mark.parametrize("suffix", [".spz", ".spz.glb"])
@@ -176,14 +176,14 @@ def test_a_sog_of_extreme_scales_is_written_with_views(tmp_path):
     write_scene(
         tmp_path / "a.sog", scene, seen=SeenFrom(np.zeros((9, 3), np.float32), np.ones((9, 500), "f2"))
     )
-    assert np.isfinite(load_scene(tmp_path / "a.sog").scene.sh).all()
+    assert np.isfinite(load_scene(tmp_path / "a.sog").sh).all()
 
 
 def test_a_sog_keeps_the_palette_that_a_scene_comes_out_of_with_views_too(tmp_path):
     scene = random_scene(3_000, 5, 2)
     scene.sh[:, 1:] = scene.sh[np.arange(3_000) % 200, 1:]
     found, _ = written(tmp_path, ".sog", scene, seen=seen_from(scene, CAMERAS, tmp_path / "a.sog"))
-    stored = load_scene(tmp_path / "scene.sog").scene.sh[:, 1:]
+    stored = load_scene(tmp_path / "scene.sog").sh[:, 1:]
     assert len(np.unique(stored.reshape(3_000, -1), axis=0)) == 200 and found > 40
 
 
@@ -192,7 +192,7 @@ def test_views_that_are_not_known_are_not_given_up(tmp_path):
     found = []
     for choices in ({}, {"quantise": 1 / SEEN, "seen": seen_from(scene, CAMERAS, tmp_path / "a.spz")}):
         write_scene(tmp_path / "a.spz", scene, **choices)
-        found.append(psnr(scene, load_scene(tmp_path / "a.spz").scene, away))
+        found.append(psnr(scene, load_scene(tmp_path / "a.spz"), away))
     assert found[1] > found[0] - 2
 
 

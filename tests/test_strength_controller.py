@@ -87,7 +87,7 @@ def test_only_what_is_asked_for_is_steered(changes, steered):
 
 
 def steered_run(tiny, data, method: str, steps: int = 1_200, seed: int = 3, **goal) -> Run:
-    scene = load_scene(tiny.splat).scene
+    scene = load_scene(tiny.splat)
     settings = prune_settings(method, steps, 0, seed=seed, **goal)
     return Run(Model.of(fine_tuned.first_scene(scene, data, settings)), data, settings, NativeEngine())
 
@@ -163,7 +163,7 @@ def test_more_is_cut_where_more_is_won_back():
 def test_a_recovery_that_cuts_goes_on_from_a_checkpoint_bit_for_bit(tiny, data, tmp_path, stop):
     settings = replace(prune_settings("removal", 500, 300), max_loss=0.2)
     whole, first, second = (
-        Run(Model.of(load_scene(tiny.splat).scene), data, settings, NativeEngine()) for _ in range(3)
+        Run(Model.of(load_scene(tiny.splat)), data, settings, NativeEngine()) for _ in range(3)
     )
     while first.iteration < stop:
         first.advance()
@@ -230,7 +230,7 @@ def test_the_command_line_reaches_the_drop(tiny, svrgs, tmp_path):
 
 def test_an_allowed_drop_keeps_a_twentieth_at_least_and_needs_photographs_that_show_something(tiny, data):
     run = Run(
-        Model.of(load_scene(tiny.splat).scene),
+        Model.of(load_scene(tiny.splat)),
         data,
         replace(prune_settings("removal", 60, 0), max_loss=1.0),
         NativeEngine(),
@@ -241,9 +241,7 @@ def test_an_allowed_drop_keeps_a_twentieth_at_least_and_needs_photographs_that_s
     run.recovery_pruning.before_step(run)
     black = replace(run.plan, max_loss=60.0)
     with pytest.raises(SceneError, match="even an empty scene loses less than the 60 dB allowed"):
-        RecoveryPruning().before_step(
-            Run(Model.of(load_scene(tiny.splat).scene), data, black, NativeEngine())
-        )
+        RecoveryPruning().before_step(Run(Model.of(load_scene(tiny.splat)), data, black, NativeEngine()))
 
 
 def test_a_drop_is_measured_on_test_views_and_on_training_views_if_there_are_none(data):
@@ -264,7 +262,7 @@ def test_a_drop_counts_what_the_format_of_the_output_loses(tiny, data, tmp_path)
     settings = replace(prune_settings("svr", 60, 0), max_loss=2.0)
     result = whole_jobs.prune(tiny.splat, data, settings, JobContext(tmp_path / "o.compressed.ply"))
     assert result["drop"] == pytest.approx(result["before"]["psnr"] - result["psnr"], abs=1e-3)
-    source = load_scene(tiny.splat).scene
+    source = load_scene(tiny.splat)
     left = fine_tuned.without_format_loss(source, data, settings, tmp_path / "o.compressed.ply").max_loss
     recipe = fine_tuned.FineTuned(tiny.splat, settings, JobContext(tmp_path / "o.ply"), lambda _: data)
     recipe.open()

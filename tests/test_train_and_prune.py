@@ -76,7 +76,7 @@ def test_a_pruned_file_keeps_the_order_of_its_source(tiny, data, tmp_path):
 def test_the_first_cut_is_that_of_one_look_after_the_other(tiny, data, method, min_contribution, target):
     """Faint ones are no part of what is looked at, though all of a scene is drawn once: not even in place of
     those that no view shows."""
-    scene = load_scene(tiny.splat).scene
+    scene = load_scene(tiny.splat)
     scene = scene.select(np.arange(scene.count)[::-1])  # the faint ones first
     scene.means[100:120, 1] += 1e4  # out of every view
     settings = prune_settings(

@@ -18,10 +18,11 @@ import pytest
 import browser
 from scenes import random_scene
 from svrgs_addon.cli.view_scenes import source_of
+from svrgs_addon.files.images import to_bytes
 from svrgs_addon.files.ply import write_ply
 from svrgs_addon.files.registry import write_scene
 from svrgs_addon.native.rasterizer import Rasterizer
-from svrgs_addon.prune.report.pictures import mask_to_rgb, to_uint8
+from svrgs_addon.prune.report.pictures import mask_to_rgb
 from svrgs_addon.render.metrics.evaluate import evaluate, picture_options
 from svrgs_addon.scene.rotations import quats_from_matrices
 from svrgs_addon.system import packages
@@ -44,7 +45,7 @@ def whole(scene, camera=CAMERA, output="rgb") -> np.ndarray:
 def test_the_wipe_shows_the_original_left_of_it_and_the_pruned_scene_right_of_it(share):
     picture = drawn(Rasterizer(), Shown((ORIGINAL, PRUNED), share=share), CAMERA)
     edge = round(share * CAMERA.width)
-    left, right = (to_uint8(whole(scene)) for scene in (ORIGINAL, PRUNED))
+    left, right = (to_bytes(whole(scene)) for scene in (ORIGINAL, PRUNED))
     assert (left != right).any()
     np.testing.assert_array_equal(picture[:, :edge], left[:, :edge])
     np.testing.assert_array_equal(picture[:, edge:], right[:, edge:])
@@ -61,13 +62,13 @@ def test_masks_of_both_scenes_have_the_same_colours():
 def test_a_difference_is_that_of_the_clipped_pictures_four_times():
     picture = drawn(Rasterizer(), Shown((ORIGINAL, PRUNED), DIFFERENCE), CAMERA)
     a, b = (np.clip(whole(scene), 0, 1) for scene in (ORIGINAL, PRUNED))
-    np.testing.assert_array_equal(picture, to_uint8(4 * np.abs(a - b)))
+    np.testing.assert_array_equal(picture, to_bytes(4 * np.abs(a - b)))
 
 
 def test_one_scene_is_shown_whole_over_its_background():
     picture = drawn(Rasterizer(), Shown((PRUNED,), background=(0.0, 1.0, 0.0)), CAMERA)
     options = picture_options(PRUNED, (0.0, 1.0, 0.0))
-    np.testing.assert_array_equal(picture, to_uint8(Rasterizer().forward(PRUNED, CAMERA, options)["rgb"]))
+    np.testing.assert_array_equal(picture, to_bytes(Rasterizer().forward(PRUNED, CAMERA, options)["rgb"]))
 
 
 def test_the_first_gaussians_are_those_of_the_file_and_are_not_copied():

@@ -26,7 +26,7 @@ from svrgs_addon.system.errors import SceneError
 from svrgs_addon.viewer import web_page
 from svrgs_addon.viewer.source import Source, View
 
-ORIGINAL = load_scene(Path(web_page.__file__).parents[1] / "sample.spz").scene
+ORIGINAL = load_scene(Path(web_page.__file__).parents[1] / "sample.spz")
 PRUNED = ORIGINAL.select(np.flatnonzero(ORIGINAL.opacity_logits > 0))
 HAS_MODULES = all(web_page.packed_module(name).exists() for name in web_page.MODULES)
 needs_modules = pytest.mark.skipif(not HAS_MODULES, reason="needs the modules of web pages: make wheels")
@@ -53,7 +53,7 @@ def test_the_folder_holds_all_that_the_page_asks_for(tmp_path, svrgs):
         assert (folder / name).stat().st_size > 100
     for one, scene in zip(page["scenes"], (ORIGINAL, PRUNED), strict=True):
         assert (folder / one["file"]).stat().st_size == one["bytes"]
-        assert load_scene(folder / one["file"]).scene.count == scene.count
+        assert load_scene(folder / one["file"]).count == scene.count
 
 
 @needs_modules
@@ -99,7 +99,7 @@ def test_a_nested_result_needs_the_page_that_is_served(tmp_path, svrgs):
 @pytest.mark.slow
 def test_figures_are_those_of_what_the_file_holds(data, tmp_path):
     facts = web_page.export(Source(("a",), (PRUNED,), data.cameras, data), tmp_path)[0]
-    held = load_scene(tmp_path / "scene.spz").scene
+    held = load_scene(tmp_path / "scene.spz")
     found = evaluate(held, data, data.test_indices, Rasterizer())
     assert facts["psnr"] == found["psnr"] and facts["flip"] == found["flip"]
     assert f"{facts['psnr']:.2f} dB" in page_of(tmp_path)["scenes"][0]["text"]
@@ -196,7 +196,7 @@ def test_a_browser_shows_both_scenes_and_asks_nobody_else(opened, tmp_path):
     source = Source(("a.ply", "b.ply"), (ORIGINAL, PRUNED), cameras, background=(0.2, 0.5, 0.9))
     with opened(source) as page:
         page.until(lambda: page.run("svrgs.seconds"))
-        held = [load_scene(tmp_path / f"{name}.spz").scene for name in ("original", "pruned")]
+        held = [load_scene(tmp_path / f"{name}.spz") for name in ("original", "pruned")]
         wait_for(page, held[1], source.start(), source.background)
         page.run("document.getElementById('compare').click()")
         page.until(lambda: page.run("document.getElementById('compare').hidden"))
@@ -225,7 +225,7 @@ def test_a_browser_shows_harmonics_and_small_gaussians_as_the_native_renderer_do
     source = Source(("a.ply",), (scene,), [])
     with opened(source) as page:
         page.until(lambda: page.run("svrgs.seconds"))
-        held, start = load_scene(tmp_path / "scene.spz").scene, source.start()
+        held, start = load_scene(tmp_path / "scene.spz"), source.start()
         wait_for(page, held, start)
         shown = picture(page)
         as_stored = psnr(shown, held, start)
@@ -240,7 +240,7 @@ def test_a_drag_turns_about_the_middle_and_the_wheel_zooms(opened, tmp_path):
     source = Source(("a.ply",), (PRUNED,), [])
     with opened(source) as page:
         page.until(lambda: page.run("svrgs.seconds"))
-        held, start = load_scene(tmp_path / "scene.spz").scene, source.start()
+        held, start = load_scene(tmp_path / "scene.spz"), source.start()
         mouse = functools.partial(page.call, "Input.dispatchMouseEvent", button="left", clickCount=1)
         for kind, x, y in (("mousePressed", 300, 200), ("mouseMoved", 380, 230), ("mouseReleased", 380, 230)):
             mouse(type=kind, x=x, y=y, buttons=1)

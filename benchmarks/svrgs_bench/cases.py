@@ -61,7 +61,7 @@ def _rooms(quick: bool) -> Iterator[Case]:
 
 
 def _given(path: Path, view: Camera | None, quick: bool) -> Iterator[Case]:
-    scene = load_scene(path).scene
+    scene = load_scene(path)
     sizes = SIZES[:1] if quick else SIZES
     for camera in [view] if view else [facing_camera(scene, *size) for size in sizes]:
         yield Case(path.name, scene, camera)

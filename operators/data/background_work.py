@@ -13,6 +13,8 @@ from typing import Any
 
 import bpy
 
+from ...svrgs_addon.system.errors import NativeError, SplatError
+
 INTERVAL = 0.2  # seconds between two calls of the timer
 
 waits = bpy.app.background  # without a window there are no timers, so run() waits
@@ -52,6 +54,16 @@ def run(work: Callable[[], Any], done: Callable[[Future], None], detached: bool 
     else:
         watch(poll)
     return answer
+
+
+def outcome(answer: Future) -> tuple[Any, str]:
+    """What the work of run() returned, and ''; or None, and why it failed, in a sentence."""
+    error = answer.exception()
+    if error is None:
+        return answer.result(), ""
+    if not isinstance(error, (SplatError, NativeError, OSError)):
+        traceback.print_exception(error)
+    return None, str(error) or type(error).__name__
 
 
 def watch(poll: Callable[[], bool]):

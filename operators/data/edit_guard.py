@@ -38,3 +38,15 @@ def problem(context, splat: bpy.types.Object | None) -> str:
             "'{name}' is linked from another file: make it local first (Object > Relations > Make Local)"
         ).format(name=splat.name)
     return ""
+
+
+def shared(splats: list[bpy.types.Object]) -> str:
+    """Why these splats cannot get other values, which the objects that share them would get, too; empty if
+    they can."""
+    found = next((obj for obj in splats if obj.data.users > 1), None)
+    if found is None:
+        return ""
+    return tr(
+        "other objects share the Gaussians of '{name}': make them single-user first (Object > Relations >"
+        " Make Single User)"
+    ).format(name=found.name)

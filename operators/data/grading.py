@@ -112,11 +112,4 @@ def reset(obj: bpy.types.Object):
 
 
 CLASSES = (SVRGS_PG_grade,)
-
-
-def register():
-    bpy.types.Object.svrgs_grade = PointerProperty(type=SVRGS_PG_grade)
-
-
-def unregister():
-    del bpy.types.Object.svrgs_grade
+PROPERTIES = {("Object", "svrgs_grade"): PointerProperty(type=SVRGS_PG_grade)}

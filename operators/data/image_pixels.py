@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import bpy
 import numpy as np
-from bpy.app.handlers import persistent
 from mathutils import Color
 
 from ...svrgs_addon.files.images import linear_to_srgb
@@ -83,7 +82,6 @@ def figures_of(name: str) -> dict:
     return image[FIGURES].to_dict() if image is not None and FIGURES in image else {}
 
 
-@persistent
 def _before_save(*_):
     """Stores the pixels of images that were written since the last time in the .blend file: Blender saves
     those of generated images only if they are packed."""
@@ -99,7 +97,6 @@ def _before_save(*_):
     _written.clear()
 
 
-@persistent
 def _after_load(*_):
     _written.clear()
 

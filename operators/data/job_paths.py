@@ -13,7 +13,6 @@ import re
 from pathlib import Path
 
 import bpy
-from bpy.app.handlers import persistent
 
 from . import known
 from .preferences import PACKAGE
@@ -66,7 +65,6 @@ def new_folder(context, name: str) -> Path:
     return Path(job_folders(context)[0]) / f"{re.sub('[^0-9A-Za-z_-]+', '_', name)[:40]}-{stamp}"
 
 
-@persistent
 def _after_undo(*_):
     """Gives splats back the jobs that they had before the undo."""
     for obj in bpy.data.objects:
@@ -75,7 +73,6 @@ def _after_undo(*_):
             obj[FOLDER] = folder
 
 
-@persistent
 def _after_update(scene, *_):
     """Takes the job away from a copy of a splat. A splat that was loaded or appended with its job keeps
     it."""

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import bpy
-from bpy.app.handlers import persistent
 
 
 @dataclass
@@ -99,7 +98,6 @@ def forget_points():
     _data.clear()
 
 
-@persistent
 def _after_update(scene, depsgraph=None):
     for update in depsgraph.updates if depsgraph is not None and _data else ():
         changed = update.id.original
@@ -109,13 +107,13 @@ def _after_update(scene, depsgraph=None):
             _data.pop(uid, None)
 
 
-@persistent
 def _after_undo(*_):
     forget_points()
+    for obj in objects.values():
+        obj.order_problem = ""  # points may be where they were
 
 
-@persistent
-def _after_load(*_):
+def forget(*_):
     objects.clear()
     _scenes.clear()
     forget_points()
@@ -125,9 +123,4 @@ HANDLERS = {
     "depsgraph_update_post": _after_update,
     "undo_post": _after_undo,
     "redo_post": _after_undo,
-    "load_post": _after_load,
 }
-
-
-def unregister():
-    _after_load()

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 
 import bpy
 import numpy as np
-from bpy.app.handlers import persistent
 from mathutils import Euler, Matrix
 
 from ...svrgs_addon.files.images import linear_to_srgb
@@ -172,13 +171,5 @@ def _read(image: bpy.types.Image, repeat: bool) -> Texture | None:
     return texture(linear_to_srgb(rgb) if linear else rgb, repeat)
 
 
-@persistent
-def _forget(*_):
-    _textures.clear()
-
-
-HANDLERS = {"load_post": _forget}
-
-
-def unregister():
+def forget(*_):
     _textures.clear()

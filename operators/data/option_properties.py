@@ -54,66 +54,6 @@ def option_property(name: str, /, **overrides):
     return PROPERTY_TYPES[kind.type](**(arguments | overrides))
 
 
-def outside_property():
-    """What is done with what does not count in a photograph."""
-    return EnumProperty(
-        name="Masked Out",
-        items=[
-            ("auto", "Automatic", "What masks hide counts nowhere; what is transparent is painted black"),
-            ("ignore", "Ignored", "What masks hide, and what is transparent, counts nowhere"),
-            (
-                "background",
-                "Painted",
-                "What masks hide is painted black, and so is what is transparent: an object on a turntable is"
-                " then alone in the scene",
-            ),
-        ],
-        description="What is done with the parts of photographs that do not count",
-    )
-
-
-def exposure_property():
-    """Whether exposure is fitted."""
-    return EnumProperty(
-        name="Exposure",
-        items=[
-            ("off", "As It Is", "All photographs are taken to have the same exposure"),
-            (
-                "auto",
-                "Where It Varies",
-                "The photographs are compared with the splat first. A training has none, and fits nothing",
-            ),
-            ("on", "Fitted", "Each photograph has a colour matrix of its own"),
-        ],
-        default="auto",
-        description=(
-            "Whether exposure and white balance of each photograph are fitted. They are written beside the"
-            " result, which keeps its colours"
-        ),
-    )
-
-
-def poses_property():
-    """Whether the poses of the photographs are refined."""
-    return EnumProperty(
-        name="Poses",
-        items=[
-            ("off", "As They Are", "The cameras stay where they are"),
-            (
-                "auto",
-                "Where They Are Off",
-                "The photographs are compared with the splat first. A training has none, and moves nothing",
-            ),
-            ("on", "Refined", "The cameras move to where the splat shows their photographs"),
-        ],
-        default="auto",
-        description=(
-            "Whether the cameras of the photographs move while the splat is trained. They are written beside"
-            " the result"
-        ),
-    )
-
-
 def sh_degree_property(**overrides):
     """The highest SH degree of a result."""
     text = (

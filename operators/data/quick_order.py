@@ -14,7 +14,6 @@ from functools import partial
 
 import bpy
 import numpy as np
-from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_iface as tr
 
 from ...svrgs_addon.files.registry import read_scene
@@ -51,7 +50,7 @@ def read_ahead(folder: JobFolder):
     need not wait for it."""
     if bpy.app.background or not os.path.isfile(folder / ORDER) or folder.request()["count"] > MOST_AHEAD:
         return
-    _forget()
+    forget()
     _ahead[str(folder.path)] = background_work.run(partial(_files, folder), lambda _: None)
 
 
@@ -136,19 +135,7 @@ def _files(folder: JobFolder) -> tuple[np.ndarray, SavedOrder]:
     return read_scene(folder / "pruned.ply").means, read_order(folder.path, read_scene(folder / "scene.ply"))
 
 
-def _forget():
+def forget(*_):
     """Frees the memory of what was read."""
     _last.clear()
     _ahead.clear()
-
-
-@persistent
-def _after_load(*_):
-    _forget()
-
-
-HANDLERS = {"load_post": _after_load}
-
-
-def unregister():
-    _forget()

@@ -99,13 +99,15 @@ def _show_error(answer: Future, label: str) -> bool:
     """Shows the error of an operator that is gone, once it has ended. Returns whether it goes on."""
     if not answer.done():
         return True
-    if error := answer.exception():
-        manager = bpy.context.window_manager
-        with bpy.context.temp_override(window=manager.windows[0]):
-            manager.popup_menu(
-                lambda menu, _: menu.layout.label(text=str(error)), title=tr(label), icon="ERROR"
-            )
+    if error := background_work.outcome(answer)[1]:
+        popup(tr(label), error)
     return False
+
+
+def popup(title: str, text: str):
+    manager = bpy.context.window_manager
+    with bpy.context.temp_override(window=manager.windows[0]):
+        manager.popup_menu(lambda menu, _: menu.layout.label(text=text), title=title, icon="ERROR")
 
 
 def _last(steps: Steps, result: Any) -> str:

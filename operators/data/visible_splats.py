@@ -87,7 +87,7 @@ def unmarked_rows(obj: bpy.types.Object) -> np.ndarray:
 def marked(obj: bpy.types.Object) -> np.ndarray:
     """(N,) bool: the Gaussians that are marked as removed, or hidden."""
     mask = np.zeros(splat_object.count(obj), bool)
-    for name in (REMOVED, HIDDEN):
+    for name in _marks(obj):
         if (values := splat_object.values(obj, name)) is not None:
             mask |= values.astype(bool)
     return mask
@@ -95,8 +95,14 @@ def marked(obj: bpy.types.Object) -> np.ndarray:
 
 def marked_count(obj: bpy.types.Object) -> int:
     """Number of the Gaussians that are marked as removed, or hidden."""
-    there = {REMOVED, HIDDEN} & set(obj.data.attributes.keys())
-    return int(marked(obj).sum()) if there else 0
+    return int(marked(obj).sum()) if _marks(obj) else 0
+
+
+def _marks(obj: bpy.types.Object) -> list[str]:
+    """The attributes that hide Gaussians. Linked duplicates of a splat of a job have its attributes, but are
+    splats of their own, without its modifier."""
+    names = (REMOVED, HIDDEN) if HIDE_MODIFIER in obj.modifiers else (HIDDEN,)
+    return [name for name in names if name in obj.data.attributes]
 
 
 def splats(depsgraph: bpy.types.Depsgraph, read: Read = visible_scene) -> PlacedScene | None:

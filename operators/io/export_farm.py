@@ -27,7 +27,7 @@ from ...svrgs_addon.jobs.farm.farm_job import (
 )
 from ...svrgs_addon.jobs.job_folder import CAMERAS
 from ...svrgs_addon.system import subprocess_python
-from ...svrgs_addon.system.errors import SceneError, SplatError
+from ...svrgs_addon.system.errors import SceneError
 from ...svrgs_addon.system.memory import size_text
 from ...svrgs_addon.views.cameras_json import write_cameras_json
 from ..data import background_work, splat_object
@@ -113,13 +113,17 @@ def _within(root: Path, options: dict[str, Any]) -> dict[str, Any]:
 
 
 def _finished(folder: Path, answer: Future):
-    try:
-        result = answer.result()
-    except (SplatError, OSError) as error:
-        _lines[:] = [str(error)]
+    result, error = background_work.outcome(answer)
+    if error:
+        _lines[:] = [error]
         return
     text = tr("Tasks: {count:,}. Memory of each: up to {memory}. Folder: {folder}")
     _lines[:] = [text.format(count=result["tasks"], memory=size_text(result["memory"]), folder=folder)]
+
+
+def forget(*_):
+    """What was said belongs to the file before."""
+    _lines.clear()
 
 
 def menu(self, context):
@@ -128,7 +132,3 @@ def menu(self, context):
 
 CLASSES = (SVRGS_OT_export_farm_job,)
 MENUS = {"TOPBAR_MT_file_export": menu}
-
-
-def unregister():
-    _lines.clear()

@@ -10,7 +10,6 @@ from functools import partial
 from pathlib import Path
 
 import bpy
-from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_iface as tr
 from bpy.props import BoolProperty, EnumProperty, StringProperty
 
@@ -18,7 +17,7 @@ from ...svrgs_addon.files.level_files import level_files
 from ...svrgs_addon.files.registry import FORMATS, USUAL, size_on_disk, write_scene
 from ...svrgs_addon.scene.gaussians import Scene
 from ...svrgs_addon.system import subprocess_python
-from ...svrgs_addon.system.errors import SceneError, SplatError
+from ...svrgs_addon.system.errors import SceneError
 from ...svrgs_addon.system.memory import size_text
 from ..data import background_work
 from ..data.file_kinds import KINDS, WHAT_FOR, format_of
@@ -137,9 +136,8 @@ def _export(scene: Scene, out: Path, shares: list[float], threads: int, folder: 
 
 def _finished(name: str, answer: Future):
     _running.remove(name)
-    try:
-        result = answer.result()
-    except (SplatError, OSError) as error:
+    result, error = background_work.outcome(answer)
+    if error:
         _lines.append(f"{name}: {error}")
         return
     if "psnr" not in result:
@@ -154,8 +152,7 @@ def _finished(name: str, answer: Future):
     _lines.append(f"{name}: {'; '.join(texts)}")
 
 
-@persistent
-def _after_load(*_):
+def forget(*_):
     """What was said belongs to the file before."""
     _lines.clear()
 
@@ -166,9 +163,7 @@ def menu(self, context):
 
 CLASSES = (SVRGS_OT_export_levels,)
 MENUS = {"TOPBAR_MT_file_export": menu}
-HANDLERS = {"load_post": _after_load}
 
 
 def unregister():
     _running.clear()
-    _lines.clear()

@@ -13,7 +13,6 @@ from pathlib import Path
 import bpy
 from bpy.app.translations import pgettext_iface as tr
 
-from ...svrgs_addon.system.errors import SplatError
 from ...svrgs_addon.views.posed_photos import read_in_child
 from ..data import background_work, camera_object, known
 from ..scene import dataset_paths
@@ -88,9 +87,8 @@ def show(obj: bpy.types.Object, file: Path | None):
 def _show_all(uids: dict[str, int], said: list[str], answer: Future):
     """Shows the photographs. Cameras that were deleted since, or belong to a closed file, are skipped. uids:
     session_uid of the camera by the name of its image. said: gets what went wrong."""
-    try:
-        photos = answer.result()
-    except (SplatError, OSError) as error:
+    photos, error = background_work.outcome(answer)
+    if error:
         text = tr("{error}; the photographs of lenses with distortion are not shown")
         said.append(text.format(error=error))
         return

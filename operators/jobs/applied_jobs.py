@@ -10,7 +10,6 @@ from __future__ import annotations
 import os
 
 import bpy
-from bpy.app.handlers import persistent
 
 from ..data import known
 from ..data.job_paths import owners, unlink
@@ -42,7 +41,6 @@ def _applied() -> list[bpy.types.Object]:
     ]
 
 
-@persistent
 def _after_undo(*_):
     """After a redo, what had the job does not have it again."""
     known_owners = owners()
@@ -51,7 +49,6 @@ def _after_undo(*_):
             unlink(owner)
 
 
-@persistent
 def _after_save(path: str = "", *_):
     """Deletes the files, unless only a copy was saved."""
     if not bpy.data.filepath or (path and os.path.abspath(path) != os.path.abspath(bpy.data.filepath)):

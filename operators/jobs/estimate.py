@@ -178,10 +178,8 @@ def begin(context, obj: bpy.types.Object):
             return subprocess_python.ask([], MODULE, request)
 
     def done(answer: Future):
-        try:
-            known.of_uid(uid).estimate = answer.result()
-        except (SplatError, OSError) as error:
-            known.of_uid(uid).estimate = {"error": str(error)}
+        found, error = background_work.outcome(answer)
+        known.of_uid(uid).estimate = {"error": error} if error else found
 
     known.of(obj).estimate, known.of(obj).estimated = {"busy": True}, _inputs_now(obj)
     background_work.run(work, done)

@@ -16,12 +16,12 @@ import time
 from typing import NamedTuple
 
 import bpy
-from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_iface as tr
 
 from ...svrgs_addon.jobs.job_folder import TRAIN
 from ...svrgs_addon.jobs.job_process import Job
 from ...svrgs_addon.system.memory import size_text
+from ..data import quick_order
 from ..data.job_paths import job_folders, owners
 from . import applied_jobs, job_queue, job_result, job_state
 
@@ -60,6 +60,7 @@ def _begun(job: Job) -> float:
 def forget(*_):
     """The folders are read again when a panel asks the next time."""
     _scanned[0] = 0.0
+    _sizes.clear()
 
 
 def _scan(context):
@@ -116,13 +117,18 @@ def _is_loaded(owner: bpy.types.Object | None) -> bool:
     return owner is not None and job_result.undecided(job_result.pruned_of(owner))
 
 
+def _shows_another(owner: bpy.types.Object) -> bool:
+    """Whether the loaded result shows another number than its own, which the files of the job give."""
+    return quick_order.is_shown(job_result.pruned_of(owner))
+
+
 def finished_jobs(context) -> tuple[list[Job], int]:
     """The jobs that svrgs.delete_finished_jobs deletes, and their bytes on disk."""
     known, found = owners(), []
     for job in all_jobs(context):
         folder = str(job.folder.path)
         if job.state == "done" and not applied_jobs.is_applied(folder):
-            if folder not in known or _is_loaded(known[folder]):
+            if folder not in known or (_is_loaded(known[folder]) and not _shows_another(known[folder])):
                 found.append(job)
     return found, sum(_sizes.get(str(job.folder.path), 0) for job in found)
 
@@ -132,11 +138,3 @@ def finished_text(context) -> str:
     found, size = finished_jobs(context)
     text = tr("Delete {count:,} Finished, {size}")
     return text.format(count=len(found), size=size_text(size)) if found else ""
-
-
-HANDLERS = {"load_post": persistent(forget)}
-
-
-def unregister():
-    _sizes.clear()
-    forget()

@@ -122,14 +122,14 @@ class SVRGS_OT_job_resume(JobOperator):
     def work_on(self, context, owner: bpy.types.Object | None, job: Job) -> str:
         dataset = job.folder.request()["options"].get("data", "")
         if dataset and not os.path.exists(dataset):
-            dataset = dataset_paths.dataset_of_job(context, owner)  # it may have been moved
-            if not os.path.exists(dataset):
+            moved = dataset_paths.dataset_of_job(context, owner)
+            if not os.path.exists(moved):
                 text = tr(
                     "{folder}: the dataset of this job is not there: with its splat active, find it in Scene"
                     " or choose it in step 2, then resume"
                 )
-                raise SplatError(text.format(folder=dataset))
-            job.folder.set_dataset(dataset)
+                raise SplatError(text.format(folder=moved or dataset))
+            job.folder.set_dataset(moved)
         waits = job_queue.start(job)
         watch(tick)
         if waits:

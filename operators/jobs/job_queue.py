@@ -6,7 +6,6 @@ Each Blender has a queue of its own. A job that waits when Blender ends is found
 
 from __future__ import annotations
 
-from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_iface as tr
 
 from ...svrgs_addon.jobs.job_folder import JobFolder
@@ -48,7 +47,7 @@ def run_now(job: Job):
     first = _runs_before(job)
     leave(job)
     _queue.insert(0, job)
-    if first is not None:
+    if first is not None and not first.stopping:  # else the user has stopped it, or it goes on already
         first.stop()
         _queue.insert(1, first)
 
@@ -106,6 +105,7 @@ def advance() -> bool:
             job.start()
         except (SplatError, OSError) as error:
             job.abort(str(error))
+            note_end(job)
     return running() is not None
 
 
@@ -119,7 +119,6 @@ def last_ended() -> Job | None:
     return next((job for job in _ended if str(job.folder.path) in jobs), None)
 
 
-@persistent
 def forget_ended(*_):
     """With another file: forgets the jobs that neither run nor wait."""
     _ended.clear()

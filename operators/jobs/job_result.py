@@ -12,7 +12,6 @@ ranking stays, so an undo can join both again. A copy of either one stands alone
 from __future__ import annotations
 
 import bpy
-from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_iface as tr
 
 from ...svrgs_addon.files.registry import read_scene
@@ -303,7 +302,6 @@ def _hide_nodes() -> bpy.types.NodeTree:
 # --- after the user deletes, copies or undoes
 
 
-@persistent
 def _after_update(scene, *_):
     """Checks all pairs: see the top of this file."""
     for obj in scene.objects:

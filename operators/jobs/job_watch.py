@@ -4,13 +4,14 @@ the timer goes on with the others."""
 from __future__ import annotations
 
 import contextlib
+import traceback
 
 import bpy
 from bpy.app.translations import pgettext_iface as tr
 
 from ...svrgs_addon.jobs.job_folder import TRAIN, JobFolder
 from ...svrgs_addon.jobs.job_process import Job
-from ...svrgs_addon.system.errors import FormatError, SplatError
+from ...svrgs_addon.system.errors import FormatError
 from ..data import edit_guard, splat_object
 from ..data.background_work import redraw_panels, watch
 from ..data.job_paths import folder_of, link, owners, unlink
@@ -91,6 +92,7 @@ def tick() -> bool:
             _update(job)
         except Exception as error:  # any error: the other jobs are followed
             job.abort(str(error) or type(error).__name__)
+            job_queue.note_end(job)
             redraw_panels()
     return job_queue.advance()
 
@@ -110,10 +112,12 @@ def _load_if_possible(job: Job):
     owner = owners().get(str(job.folder.path))
     if owner is None or edit_guard.problem(bpy.context, owner):
         return
-    with contextlib.suppress(SplatError, OSError):  # the button Load Result reports the error
+    try:
         job_result.load(bpy.context, owner, job.folder)
         if not bpy.app.background:
             bpy.ops.ed.undo_push(message="Train Splat" if job.folder.kind == TRAIN else "Prune Splat")
+    except Exception:  # the job has ended well; the button Load Result reports the error
+        traceback.print_exc()
 
 
 def register():

@@ -23,21 +23,17 @@ from ...svrgs_addon.system.errors import SplatError
 from ..data import edit_guard, pairs, splat_object
 from ..data.option_properties import (
     RELATIVE,
-    exposure_property,
-    method_property,
     option_property,
-    outside_property,
-    poses_property,
-    sh_degree_property,
 )
 from ..data.preferences import threads
 from ..data.reporting import ReportingOperator
 from ..data.select import select
+from .job_options import JobOptions
 
 BACKGROUND = bpy.app.background
 
 
-class SVRGS_OT_prune(ReportingOperator):
+class SVRGS_OT_prune(JobOptions, ReportingOperator):
     bl_idname = "svrgs.prune"
     bl_label = "Prune Splat"
     bl_description = (
@@ -52,22 +48,6 @@ class SVRGS_OT_prune(ReportingOperator):
         options=RELATIVE,
         description="Splat file to prune. Empty: the active splat",
     )
-    data: option_property(
-        "data",
-        name="Dataset",
-        options=RELATIVE,
-        description=(
-            "Dataset: photographs, and a COLMAP model or transforms.json. Empty: the dataset of the imported"
-            " cameras"
-        ),
-    )
-    images: option_property("images")
-    masks: option_property("masks")
-    invert_masks: option_property("invert_masks")
-    outside: outside_property()
-    exposure: exposure_property()
-    refine_poses: poses_property()
-    mask_distractors: option_property("mask_distractors")
     out: StringProperty(
         name="Output",
         subtype="FILE_PATH",
@@ -84,7 +64,6 @@ class SVRGS_OT_prune(ReportingOperator):
         options=RELATIVE,
         description="Folder for an HTML report. Empty: no report",
     )
-    method: method_property()
     lambda_f: option_property(
         "lambda_f",
         name="λ_F",
@@ -121,13 +100,11 @@ class SVRGS_OT_prune(ReportingOperator):
             "By how much LPIPS may rise, instead of a target; it needs the weights of LPIPS. 0: no such limit"
         ),
     )
-    sh_degree: sh_degree_property()
     time: option_property(
         "time", description="Seconds that the job may take, in place of numbers of steps. 0: no limit"
     )
     iterations: option_property("iterations")
     recovery: option_property("recovery")
-    seed: option_property("seed")
     quick: option_property(
         "quick",
         description=(
@@ -148,8 +125,6 @@ class SVRGS_OT_prune(ReportingOperator):
         "seen_from_only",
         description="Only what the views of Cameras show counts: what they do not see may be removed",
     )
-
-    force: option_property("force")
 
     @classmethod
     def problem(cls, context) -> str:

@@ -15,18 +15,14 @@ from ..data.devices import DEVICES
 from ..data.file_kinds import KINDS
 from ..data.option_properties import (
     RELATIVE,
-    exposure_property,
     limited_time_property,
     method_choice_property,
-    method_property,
     option_property,
-    outside_property,
-    poses_property,
-    sh_degree_property,
     time_property,
 )
 from ..translation import OWN
 from . import efforts, goals, job_result
+from .job_options import JobOptions
 
 WEAKEST, STRONGEST = -5.0, -3.0  # ends of the slider Strength: powers of ten of λ_F
 
@@ -52,22 +48,7 @@ def _share_changed(obj, context):
         )
 
 
-class SVRGS_PG_prune(bpy.types.PropertyGroup):
-    data: option_property(
-        "data",
-        name="Dataset",
-        description=(
-            "Dataset: photographs, and a COLMAP model or transforms.json. Empty: the dataset of the imported"
-            " cameras"
-        ),
-    )
-    images: option_property("images")
-    masks: option_property("masks")
-    invert_masks: option_property("invert_masks")
-    outside: outside_property()
-    exposure: exposure_property()
-    refine_poses: poses_property()
-    mask_distractors: option_property("mask_distractors")
+class SVRGS_PG_prune(JobOptions, bpy.types.PropertyGroup):
     effort: EnumProperty(
         name="Effort", items=efforts.ITEMS, get=efforts.number_of, set=efforts.choose,
         description=(
@@ -130,11 +111,9 @@ class SVRGS_PG_prune(bpy.types.PropertyGroup):
     )  # fmt: skip
     use_time: limited_time_property()
     time: time_property(default=60)
-    method: method_property()
     method_choice: method_choice_property()
     iterations: option_property("iterations", soft_max=30_000)
     recovery: option_property("recovery", soft_max=30_000)
-    seed: option_property("seed")
     holdout: option_property(
         "holdout", name="Hold Out Every Nth Photo",
         description=(
@@ -149,9 +128,7 @@ class SVRGS_PG_prune(bpy.types.PropertyGroup):
             " every pixel in every photograph"
         ),
     )  # fmt: skip
-    sh_degree: sh_degree_property()
     visible_mask: option_property("visible_mask", name="Visible Part Only")
-    force: option_property("force")
     nested: BoolProperty(
         name="Train Smaller Sizes",
         description=(
@@ -190,16 +167,10 @@ class SVRGS_OT_set_lambda(bpy.types.Operator):
 
 
 CLASSES = (SVRGS_PG_prune, SVRGS_OT_set_lambda)
-
-
-def register():
-    bpy.types.Scene.svrgs_prune = PointerProperty(type=SVRGS_PG_prune)
-    bpy.types.Object.svrgs_share = FloatProperty(
+PROPERTIES = {
+    ("Scene", "svrgs_prune"): PointerProperty(type=SVRGS_PG_prune),
+    ("Object", "svrgs_share"): FloatProperty(
         name="Keep", subtype="PERCENTAGE", min=0, max=100, update=_share_changed,
         description="Percentage of the original's Gaussians that are shown. Apply keeps them",
-    )  # fmt: skip
-
-
-def unregister():
-    del bpy.types.Object.svrgs_share
-    del bpy.types.Scene.svrgs_prune
+    ),
+}  # fmt: skip

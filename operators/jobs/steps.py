@@ -56,11 +56,4 @@ class SVRGS_PG_steps(bpy.types.PropertyGroup):
 
 
 CLASSES = (SVRGS_PG_steps,)
-
-
-def register():
-    bpy.types.WindowManager.svrgs_steps = PointerProperty(type=SVRGS_PG_steps)
-
-
-def unregister():
-    del bpy.types.WindowManager.svrgs_steps
+PROPERTIES = {("WindowManager", "svrgs_steps"): PointerProperty(type=SVRGS_PG_steps)}

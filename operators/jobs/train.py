@@ -130,11 +130,4 @@ class SVRGS_PG_train(bpy.types.PropertyGroup):
 
 
 CLASSES = (SVRGS_OT_train, SVRGS_PG_train)
-
-
-def register():
-    bpy.types.Scene.svrgs_train = PointerProperty(type=SVRGS_PG_train)
-
-
-def unregister():
-    del bpy.types.Scene.svrgs_train
+PROPERTIES = {("Scene", "svrgs_train"): PointerProperty(type=SVRGS_PG_train)}

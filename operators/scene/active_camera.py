@@ -7,12 +7,10 @@ This happens once per change of the camera. A user who sets another size afterwa
 from __future__ import annotations
 
 import bpy
-from bpy.app.handlers import persistent
 
 from ..data import camera_object, known
 
 
-@persistent
 def follow(scene, *_):
     """Called after every change of the scene."""
     before = known.of_scene(scene).camera
@@ -25,7 +23,6 @@ def remember(scene: bpy.types.Scene):
     known.of_scene(scene).camera = scene.camera.session_uid if scene.camera is not None else 0
 
 
-@persistent
 def _after_load(*_):
     """The render size of an opened file stays as it was saved."""
     for scene in bpy.data.scenes:

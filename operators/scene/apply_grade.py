@@ -16,7 +16,7 @@ class SVRGS_OT_apply_grade(SplatOperator):
 
     @classmethod
     def problem_of(cls, context, obj) -> str:
-        if problem := edit_guard.change_problem(context, [obj]):
+        if problem := edit_guard.change_problem(context, [obj]) or edit_guard.shared([obj]):
             return problem
         return "" if grading.is_graded(obj) else tr("The colours are as they are stored")
 

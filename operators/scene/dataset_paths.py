@@ -14,7 +14,6 @@ from functools import partial
 from pathlib import Path
 
 import bpy
-from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_iface as tr
 from bpy.props import BoolProperty, StringProperty
 
@@ -143,7 +142,6 @@ def _paths() -> Iterator[Place]:
         yield partial(setattr, settings, "folder"), folder, stored
 
 
-@persistent
 def _before_save(path: str = "", *_):
     """Stores all paths relative to the file that is written, which may be another one than before. In a file
     without a name, '//' means nothing yet: such paths are left as they are."""
@@ -156,7 +154,6 @@ def _before_save(path: str = "", *_):
         write(keep(folder, os.path.dirname(os.path.abspath(path))))
 
 
-@persistent
 def _after_save(*_):
     """After a copy was saved, or nothing: stores all paths relative to the file that is open."""
     start = os.path.dirname(bpy.data.filepath)

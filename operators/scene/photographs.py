@@ -12,7 +12,6 @@ import bpy
 from bpy.app.translations import pgettext_iface as tr
 
 from ...svrgs_addon.jobs.photo_mask import read_in_child
-from ...svrgs_addon.system.errors import SplatError
 from ...svrgs_addon.views.valid_pixels import BACKGROUND, MaskOptions
 from ..data import background_work, camera_object, image_pixels, known, splat_object
 from . import dataset_paths
@@ -63,8 +62,8 @@ def show_mask(settings, context):
     """Lays what does not count over the picture of the scene's camera, and over no other; over none if that
     is switched off, or if the photograph has no mask. The masks are read in a thread."""
     root, camera = splat_object.root_of(context.object), context.scene.camera
-    for obj in (one for one in of(root) if one.data.library is None):
-        backgrounds = obj.data.background_images
+    for data in (one for one in bpy.data.cameras if one.library is None):  # also those of other datasets
+        backgrounds = data.background_images
         for background in [
             one for one in backgrounds if one.image is not None and one.image.name == camera_object.MASKED_OUT
         ]:
@@ -81,10 +80,8 @@ def show_mask(settings, context):
         views = {scene.camera.session_uid: scene for scene in bpy.data.scenes if scene.camera is not None}
         if uid not in views or not views[uid].svrgs_view.show_masks:
             return
-        try:
-            lay_over(views[uid].camera, answer.result())
-        except (SplatError, OSError) as error:
-            known.of_uid(uid_of_root).mask_problem = str(error)
+        valid, known.of_uid(uid_of_root).mask_problem = background_work.outcome(answer)
+        lay_over(views[uid].camera, valid)
 
     background_work.run(mask_reader(context, camera), done, detached=True)
 

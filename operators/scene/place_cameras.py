@@ -74,12 +74,8 @@ def _finished(uid: int, answer: Future):
     splat = known.of_uid(uid)
     splat.placing = False
     obj = next((obj for obj in bpy.data.objects if obj.session_uid == uid and obj.users_collection), None)
-    try:
-        cameras = answer.result()
-    except (SplatError, OSError) as error:
-        splat.placing_problem = str(error)
-        return
-    if obj is None:
+    cameras, splat.placing_problem = background_work.outcome(answer)
+    if splat.placing_problem or obj is None:
         return
     name = tr("{name} Cameras").format(name=obj.name)
     collection = bpy.data.collections.get(name) or bpy.data.collections.new(name)

@@ -8,7 +8,6 @@ that come later. Camera, resolution and border are those of the other scene at e
 from __future__ import annotations
 
 import bpy
-from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_iface as tr
 
 from ..data import splat_object, visible_splats
@@ -131,7 +130,6 @@ def _follow(scene: bpy.types.Scene, layer: bpy.types.Scene):
         layer.svrgs_view.meshes = meshes
 
 
-@persistent
 def _before_render(scene, *_):
     for layer in bpy.data.scenes:
         if layer.svrgs_view.layer_of == scene:

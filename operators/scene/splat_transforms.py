@@ -9,7 +9,6 @@ written. So whoever reads it gets shapes and colours that have followed the poin
 from __future__ import annotations
 
 import bpy
-from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_iface as tr
 from bpy.app.translations import pgettext_n as n_
 
@@ -64,13 +63,8 @@ class SVRGS_OT_apply_transforms(SplatsOperator):
 
     def work(self, context) -> str:
         splats = selected_splats(context)
-        shared = next((obj for obj in splats if obj.data.users > 1), None)
-        if shared is not None:
-            text = tr(
-                "other objects share the Gaussians of '{name}': make them single-user first (Object >"
-                " Relations > Make Single User)"
-            )
-            raise SceneError(text.format(name=shared.name))
+        if problem := edit_guard.shared(splats):
+            raise SceneError(problem)
         for obj in splats:
             stretch(obj.matrix_world)  # raises SceneError if a scale is zero
             self.warn_if_stretched(obj, obj.matrix_basis)
@@ -150,7 +144,6 @@ def moved_count(obj: bpy.types.Object | None) -> int:
     return points.moved
 
 
-@persistent
 def _record_positions(scene, *_):
     """Stores the positions of splats that this extension has not made."""
     for obj in scene.objects:
@@ -164,7 +157,6 @@ def _record_positions(scene, *_):
             splat_object.record_positions(obj)
 
 
-@persistent
 def _after_load(*_):
     for scene in bpy.data.scenes:
         _record_positions(scene)

@@ -9,17 +9,18 @@ from functools import partial
 import bpy
 from bpy.app.translations import pgettext_iface as tr
 
+from ...svrgs_addon.files.images import to_bytes
 from ...svrgs_addon.files.registry import file_size
 from ...svrgs_addon.jobs.lpips_child import lpips_in_child
 from ...svrgs_addon.native import library
 from ...svrgs_addon.native.rasterizer import Rasterizer
-from ...svrgs_addon.prune.report.pictures import contact_sheet, difference_image, to_uint8, wipe
+from ...svrgs_addon.prune.report.pictures import contact_sheet, difference_image, wipe
 from ...svrgs_addon.render.metrics import psnr
 from ...svrgs_addon.render.metrics.evaluate import mean_figures, picture_options, rounded_to_8_bits
 from ...svrgs_addon.render.metrics.lpips import weights_file
 from ...svrgs_addon.scene.camera import Camera, resized_valid
 from ...svrgs_addon.scene.gaussians import Scene
-from ...svrgs_addon.system.errors import SceneError, SplatError
+from ...svrgs_addon.system.errors import SceneError
 from ...svrgs_addon.views.valid_pixels import BACKGROUND
 from ..data import background_work, camera_object, grading, image_pixels, splat_object, visible_splats
 from ..data.preferences import threads
@@ -171,7 +172,7 @@ class SVRGS_OT_contact_sheet(ComparingOperator):
                 camera = camera_object.camera_from_object(obj, context.scene)
                 camera = camera.reduced(max(1, max(camera.width, camera.height) // THUMBNAIL))
                 a, b = splats.render(camera, tuple(context.scene.svrgs_view.background))
-                rows.append([to_uint8(a), to_uint8(b), difference_image(a, b)])
+                rows.append([to_bytes(a), to_bytes(b), difference_image(a, b)])
                 worst = min(worst, psnr(a, b))
                 manager.progress_update(number + 1)
         finally:
@@ -243,11 +244,12 @@ def perceived(pictures: tuple, photo, valid, figures: dict):
         image = bpy.data.images.get(WIPE)
         if image is None or image_pixels.figures_of(WIPE) != figures:
             return
-        try:
-            for name, value in zip(("original", "pruned"), answer.result(), strict=True):
+        values, error = background_work.outcome(answer)
+        if error:
+            figures["lpips_missing"] = error
+        else:
+            for name, value in zip(("original", "pruned"), values, strict=True):
                 figures[name]["lpips"] = value / share
-        except (SplatError, OSError) as error:
-            figures["lpips_missing"] = str(error)
         image[image_pixels.FIGURES] = figures
 
     shown = [covered(picture, valid) for picture in pictures]

@@ -17,7 +17,6 @@ from typing import Any
 
 import bpy
 import gpu
-from bpy.app.handlers import persistent
 
 from ...svrgs_addon.native import library
 from ...svrgs_addon.native.rasterizer import Rasterizer
@@ -234,7 +233,6 @@ def _redraw_once():
     redraw(SHADING)
 
 
-@persistent
 def _after_update(scene, *_):
     """Sets the display type of new splats. The exact pictures are drawn again, because the meshes that hide
     splats may have changed."""

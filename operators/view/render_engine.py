@@ -14,7 +14,6 @@ from __future__ import annotations
 from functools import partial
 
 import bpy
-from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_iface as tr
 
 from ...svrgs_addon.native import library
@@ -137,7 +136,6 @@ def region(scene: bpy.types.Scene) -> tuple[slice, slice]:
     )
 
 
-@persistent
 def _dither_off(scene, *_):
     """Switches dithering off: it would add noise of up to two levels of 8 bits."""
     if scene.render.engine == SVRGS_engine.bl_idname and known.of_scene(scene).dither is None:
@@ -145,7 +143,6 @@ def _dither_off(scene, *_):
         scene.render.dither_intensity = 0
 
 
-@persistent
 def _dither_back(scene, *_):
     if (own := known.of_scene(scene).dither) is not None:
         scene.render.dither_intensity, known.of_scene(scene).dither = own, None

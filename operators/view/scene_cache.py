@@ -7,11 +7,11 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import bpy
-from bpy.app.handlers import persistent
 
 from ...svrgs_addon.scene.gaussians import Scene
 from ...svrgs_addon.scene.grade import Grade, graded, inside
 from ...svrgs_addon.scene.morton_order import morton_order
+from ...svrgs_addon.system.errors import SplatError
 from ..data import grading, known, quick_order, splat_object, visible_splats
 
 _numbers = itertools.count()
@@ -33,8 +33,8 @@ class Entry:
 
 
 # By session_uid of the object, the address of its evaluated data (nodes may show others beside its own, so
-# these are not in data/known.py), and whether it holds all Gaussians.
-_entries: dict[tuple[int, int, bool], Entry] = {}
+# these are not in data/known.py), whether it holds all Gaussians, and the number of a quick result's order.
+_entries: dict[tuple[int, int, bool, int], Entry] = {}
 
 
 def read(obj: bpy.types.Object, whole: bool = False) -> Scene:
@@ -71,10 +71,15 @@ def read_own(obj: bpy.types.Object) -> tuple[Scene, Any]:
 
 
 def _entry(obj: bpy.types.Object, whole: bool = False) -> Entry:
-    key = obj.original.session_uid, 0 if whole else obj.data.as_pointer(), whole
+    number = obj.original[quick_order.SHOWN] if not whole and quick_order.is_shown(obj.original) else 0
+    key = obj.original.session_uid, 0 if whole else obj.data.as_pointer(), whole, number
     grade, data = grading.of(obj), obj.original.data.session_uid
-    if key not in _entries and not whole and (shown := quick_order.shown(obj.original)) is not None:
-        _entries[key] = Entry(shown, None, data, shown, None, Grade())
+    if key not in _entries and number:
+        try:
+            if (shown := quick_order.shown(obj.original)) is not None:
+                _entries[key] = Entry(shown, None, data, shown, None, Grade())
+        except SplatError as error:  # the panel says it, and the splat's own are shown and applied
+            known.of(obj.original).order_problem = str(error)
     if key not in _entries:
         obj = obj.original if whole else obj
         scene, rows = splat_object.scene_from_object(obj), visible_splats.unmarked_rows(obj)
@@ -106,25 +111,18 @@ def forget_updated(depsgraph: bpy.types.Depsgraph):
             del _entries[key]
 
 
-@persistent
 def _after_update(scene, depsgraph=None):
     if depsgraph is not None:
         forget_updated(depsgraph)
 
 
-@persistent
-def _forget_all(*_):
+def forget(*_):
     _entries.clear()
 
 
 HANDLERS = {
     "depsgraph_update_post": _after_update,
     "frame_change_post": _after_update,
-    "load_post": _forget_all,
-    "undo_post": _forget_all,
-    "redo_post": _forget_all,
+    "undo_post": forget,
+    "redo_post": forget,
 }
-
-
-def unregister():
-    _entries.clear()

@@ -7,7 +7,6 @@ import contextlib
 import time
 
 import bpy
-from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_iface as tr
 
 from ...svrgs_addon.native import library
@@ -136,7 +135,6 @@ def show_in_editors(context, image: bpy.types.Image):
                 area.tag_redraw()
 
 
-@persistent
 def _after_change(scene, depsgraph=None):
     if scene.svrgs_view.mask_follow and depsgraph is not None:
         known.of_scene(scene).changed_layer = depsgraph.view_layer.name

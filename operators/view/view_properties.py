@@ -153,11 +153,4 @@ class SVRGS_PG_view(bpy.types.PropertyGroup):
 
 
 CLASSES = (SVRGS_PG_view,)
-
-
-def register():
-    bpy.types.Scene.svrgs_view = PointerProperty(type=SVRGS_PG_view)
-
-
-def unregister():
-    del bpy.types.Scene.svrgs_view
+PROPERTIES = {("Scene", "svrgs_view"): PointerProperty(type=SVRGS_PG_view)}

@@ -15,7 +15,6 @@ from typing import Any
 import blf
 import bpy
 import gpu
-from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_iface as tr
 from gpu_extras.batch import batch_for_shader
 from mathutils import Matrix
@@ -219,15 +218,9 @@ def rectangle(
     ).draw(shader)
 
 
-@persistent
-def _after_load(*_):
+def forget(*_):
     _pair.clear()
     _pruned.clear()
 
 
 CLASSES = (SVRGS_OT_viewport_wipe, SVRGS_GT_wipe, SVRGS_GGT_wipe)
-HANDLERS = {"load_post": _after_load}
-
-
-def unregister():
-    _after_load()

@@ -70,15 +70,14 @@ def expand(
         items.append(
             Item(name, scene, data or _dataset(scene), target, tuple(level_files(target, levels).values()))
         )
-    _refuse_inputs_as_outputs(items)
-    _refuse_outputs_of_two(items)
+    _refuse_lost_files(items)
     return items
 
 
-def _refuse_inputs_as_outputs(items: list[Item]) -> None:
-    """Raises SceneError if an output of one scene is another scene of the list. (prune() refuses the scene
-    itself.)"""
-    scenes = {real(item.scene): item for item in items}
+def _refuse_lost_files(items: list[Item]) -> None:
+    """Raises SceneError if an output of one scene is another scene of the list, or lies where an output of
+    another one does. (prune() refuses the scene itself.)"""
+    scenes, owners = {real(item.scene): item for item in items}, dict[Path, Item]()
     for item in items:
         for out in (item.out, *item.levels):
             other = scenes.get(real(out), item)
@@ -87,13 +86,6 @@ def _refuse_inputs_as_outputs(items: list[Item]) -> None:
                     f"{other.scene}: is both a scene to prune and an output of {item.scene}; leave one out,"
                     " or choose another folder with --out"
                 )
-
-
-def _refuse_outputs_of_two(items: list[Item]) -> None:
-    """Raises SceneError if a level of detail of one scene would lie where an output of another one does."""
-    owners: dict[Path, Item] = {}
-    for item in items:
-        for out in (item.out, *item.levels):
             owner = owners.setdefault(real(out), item)
             if owner is not item:
                 raise SceneError(

@@ -86,7 +86,7 @@ def _convert_levels(paths: list[Path], out: Path, options: ConvertOptions) -> di
         check_files(path, [out])
     with outputs(None, [out]):
         scenes = sorted(
-            (_changed(registry.load_scene(path).scene, options) for path in paths),
+            (_changed(registry.load_scene(path), options) for path in paths),
             key=lambda scene: -scene.count,
         )
         if not scenes[-1].count:
@@ -122,7 +122,7 @@ def _loaded(path: Path, out: Path, options: ConvertOptions) -> Iterator[Scene]:
 def _whole(path: Path) -> Scene | None:
     """The scene of a file; None if it is large."""
     try:
-        return registry.load_scene(path).scene if registry.size_on_disk(path) < LARGE else None
+        return registry.load_scene(path) if registry.size_on_disk(path) < LARGE else None
     except (MemoryShort, TooMany):
         return None
 

@@ -121,8 +121,7 @@ def _divide(args: argparse.Namespace) -> dict[str, Any]:
     check_files(args.scene, [])
     refuse_foreign(args.work)
     request = _request(args)
-    if request is not None:
-        request.dataset()  # raises before anything is written
+    dataset = None if request is None else request.dataset()  # raises before anything is written
     sample, enlarged = sample_of(args.scene)
     check_visible(sample, str(args.scene))
     scored, measured, *_ = _views(args, options_from(PruneOptions, args), sample, enlarged)
@@ -130,9 +129,9 @@ def _divide(args: argparse.Namespace) -> dict[str, Any]:
         check_seen(seen_of(sample, scored), str(args.scene), args.force)
     prepare(args.work, scored, measured, request)
     divided = divide(args.scene.absolute(), args.work, args.block, _progress_of(args, "divide"))
-    if request is not None:
+    if dataset is not None:
         try:
-            check_explained(divided, request.dataset(), str(args.scene), args.force, BlockRasterizer())
+            check_explained(divided, dataset, str(args.scene), args.force, BlockRasterizer())
         except SceneError:
             remove(args.work)
             raise

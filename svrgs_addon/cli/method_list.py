@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 import textwrap
-from dataclasses import asdict, dataclass
 
 from ..finetune.methods import METHODS
 from ..finetune.methods.base import Method
@@ -15,44 +14,26 @@ NOTE = (
 )
 
 
-@dataclass(frozen=True, kw_only=True)
-class Entry:
-    """One method."""
-
-    name: str
-    label: str
-    help: str
-    source: str
-    decides: str  # how it decides which Gaussians go
-    learns_masks: bool
-    ranks: bool
-    needs_photographs: bool
-    lambda_f: float | None  # default; None: the method has none
-    lambda_f_meaning: str
-    lambda_m: float | None
-    keeps: float | None  # share that stays without a target
-
-
 def method_list() -> list[dict]:
-    """All methods in the order of the registry, as values that JSON can hold."""
-    return [asdict(_entry(method)) for method in METHODS.values()]
-
-
-def _entry(method: Method) -> Entry:
-    return Entry(
-        name=method.name,
-        label=method.label,
-        help=method.help,
-        source=method.source,
-        decides=_decides(method),
-        learns_masks=method.learns_masks,
-        ranks=method.ranks,
-        needs_photographs=False,
-        lambda_f=method.lambda_f or None,
-        lambda_f_meaning=method.lambda_f_help,
-        lambda_m=method.lambda_m or None,
-        keeps=method.share or None,
-    )
+    """All methods in the order of the registry, as values that JSON can hold. lambda_f, lambda_m: defaults,
+    and keeps: the share that stays without a target; null where the method has none."""
+    return [
+        {
+            "name": method.name,
+            "label": method.label,
+            "help": method.help,
+            "source": method.source,
+            "decides": _decides(method),
+            "learns_masks": method.learns_masks,
+            "ranks": method.ranks,
+            "needs_photographs": False,
+            "lambda_f": method.lambda_f or None,
+            "lambda_f_meaning": method.lambda_f_help,
+            "lambda_m": method.lambda_m or None,
+            "keeps": method.share or None,
+        }
+        for method in METHODS.values()
+    ]
 
 
 def _decides(method: Method) -> str:

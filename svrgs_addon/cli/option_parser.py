@@ -121,9 +121,9 @@ def options_from(cls: type, args: argparse.Namespace, **more: Any) -> Any:
     return cls(**({name: getattr(args, name) for name in names} | more))
 
 
-def command_of(commands, name: str, help_: str, grouped: bool = False, hidden: bool = False) -> Parser:
-    """A new command. grouped: its options stand in groups. hidden: the overview leaves it out."""
-    command = commands.add_parser(name, description=help_, **({} if hidden else {"help": help_}))
+def command_of(commands, name: str, help_: str, grouped: bool = False) -> Parser:
+    """A new command. grouped: its options stand in groups."""
+    command = commands.add_parser(name, description=help_, help=help_)
     if grouped:
         command.groups()
     command.place(OUTPUT).add_argument(

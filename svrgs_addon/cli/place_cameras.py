@@ -40,7 +40,7 @@ def _scene(path: Path) -> tuple[Scene, float]:
     """The scene, or some of its Gaussians if it is too large; and how much wider they are than those of the
     scene. Raises SplatError."""
     try:
-        scene = load_scene(path).scene
+        scene = load_scene(path)
         memory.refuse_excess(f"{path}: rendering it", memory.rendering(scene.count, 1024, 1024))
         return scene, 1.0
     except (MemoryShort, TooMany) as error:

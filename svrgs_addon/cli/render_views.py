@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from ..files.atomic import atomic_write, check_writable
-from ..files.images import write_image
+from ..files.images import to_bytes, write_image
 from ..native.outputs import OUTPUTS, PICTURES
 from ..prune.blocks.block_rasterizer import opened
-from ..prune.report.pictures import mask_to_rgb, to_uint8
+from ..prune.report.pictures import mask_to_rgb
 from ..render.metrics.evaluate import picture_options
 from ..scene.camera import Camera, refuse_same_stems, view_stem
 from ..system import memory
@@ -98,5 +98,5 @@ def _as_picture(output: str, image: np.ndarray) -> np.ndarray:
     if OUTPUTS[output].shown == "mask_map":
         return mask_to_rgb(image)
     if OUTPUTS[output].shown == "farthest":
-        return to_uint8(image / max(float(image.max()), 1e-12))
-    return to_uint8(image)
+        return to_bytes(image / max(float(image.max()), 1e-12))
+    return to_bytes(image)

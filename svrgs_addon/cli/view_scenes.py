@@ -81,7 +81,7 @@ def source_of(args: argparse.Namespace) -> Source:
     cameras = dataset.cameras if dataset else load_cameras(args.cameras) if args.cameras else []
     scenes = []
     for path in args.scenes:
-        scene = load_scene(path).scene
+        scene = load_scene(path)
         memory.refuse_excess(f"{path}: showing it", memory.rendering(scene.count, LARGEST, LARGEST))
         if cameras:
             refuse_unseen(scene, cameras, str(path))

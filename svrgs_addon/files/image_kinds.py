@@ -10,6 +10,7 @@ import os
 import re
 
 from ..system.errors import FormatError
+from .reading import readable
 
 HEAD_BYTES = 16
 MISNAMED_BYTES = 64 * 2**20  # largest file that is read although its suffix is that of another kind
@@ -32,14 +33,11 @@ def has_right_suffix(path: str | os.PathLike) -> bool:
 
     Also if it cannot be read, or is larger than MISNAMED_BYTES and has a wrong suffix.
     """
-    try:
-        if not os.path.isfile(path):
-            raise FormatError(f"{path}: is not a file")
-        with open(path, "rb") as file:
-            head = file.read(HEAD_BYTES)
-            size = os.fstat(file.fileno()).st_size
-    except OSError as error:
-        raise FormatError(f"{path}: cannot be read ({error.strerror or error})") from error
+    if not os.path.isfile(path):
+        raise FormatError(f"{path}: is not a file")
+    with readable(path), open(path, "rb") as file:
+        head = file.read(HEAD_BYTES)
+        size = os.fstat(file.fileno()).st_size
     kind = next((name for name, (pattern, _) in KINDS.items() if pattern.match(head)), "")
     if not kind:
         raise FormatError(

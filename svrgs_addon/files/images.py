@@ -31,44 +31,32 @@ LOSSLESS = {"compression": "lossless:50", "webp:method": 3, "oiio:UnassociatedAl
 EXACT_WEBP = 3_00_07
 PNG_BEGIN, PNG_END = b"\x89PNG", b"IEND\xaeB`\x82"
 
-# EXIF orientation: (transpose, then flip rows, flip columns) that makes the stored pixels upright
-ORIENTATIONS = {
-    1: (False, False, False), 2: (False, False, True), 3: (False, True, True), 4: (False, True, False),
-    5: (True, False, False), 6: (True, False, True), 7: (True, True, True), 8: (True, True, False),
-}  # fmt: skip
-
 # while the option "try_all_readers" of OpenImageIO, which all threads share, is changed
 _OPENING = threading.Lock()
 
 
-def image_size(path: str | os.PathLike, upright: bool = True) -> tuple[int, int]:
-    """(width, height) in pixels; reads only the header. upright: as in read_pixels. Raises FormatError."""
+def image_size(path: str | os.PathLike) -> tuple[int, int]:
+    """(width, height) in pixels, as stored; reads only the header. Raises FormatError."""
     with contextlib.closing(_open(path)) as source:
         spec = source.spec()
-        turned = upright and ORIENTATIONS[_orientation(spec)][0]
-        return (spec.height, spec.width) if turned else (spec.width, spec.height)
+        return spec.width, spec.height
 
 
 def read_image(path: str | os.PathLike, background: tuple[float, float, float] = (0, 0, 0)) -> np.ndarray:
-    """Reads an image upright as (H, W, 3) float32 in 0..1, display sRGB; `background` as in read_pixels.
+    """Reads an image as (H, W, 3) float32 in 0..1, display sRGB; `background` as in read_pixels.
     Raises FormatError."""
     return to_float(read_pixels(path, background))
 
 
-def read_pixels(
-    path: str | os.PathLike, background: tuple[float, float, float] = (0, 0, 0), upright: bool = True
-) -> np.ndarray:
+def read_pixels(path: str | os.PathLike, background: tuple[float, float, float] = (0, 0, 0)) -> np.ndarray:
     """Reads an image as (H, W, 3) display sRGB: uint8 if the file has 8 bits per channel, else float32 in
     0..1.
 
     Grey is converted to RGB, scene-linear files to display sRGB. Transparent pixels are composited over
-    `background` (display sRGB, 0..1). upright: applies the EXIF orientation. Raises FormatError.
+    `background` (display sRGB, 0..1). The EXIF orientation is ignored, as COLMAP does. Raises FormatError.
     """
     with contextlib.closing(_open(path)) as source:
-        spec = source.spec()
-        pixels = _read_channels(source, spec, path)
-        colour = _composite(pixels, source, background)
-        return _make_upright(colour, _orientation(spec)) if upright else colour
+        return _composite(_read_channels(source, source.spec(), path), source, background)
 
 
 def read_alpha(path: str | os.PathLike) -> np.ndarray | None:
@@ -239,19 +227,6 @@ def _is_associated(source: ImageInput) -> bool:
     """Whether colours are multiplied by alpha. In WebP they are not, because _open() asks for that, but its
     reader does not report it."""
     return source.format_name() != "webp" and not source.spec().get_int_attribute("oiio:UnassociatedAlpha", 0)
-
-
-def _orientation(spec: ImageSpec) -> int:
-    """EXIF orientation 1 to 8; 1 if there is none or it is invalid."""
-    value = spec.get_int_attribute("Orientation", 1)
-    return value if value in ORIENTATIONS else 1
-
-
-def _make_upright(image: np.ndarray, orientation: int) -> np.ndarray:
-    """Applies an EXIF orientation to stored pixels (H, W, 3)."""
-    transpose, flip_rows, flip_columns = ORIENTATIONS[orientation]
-    image = image.swapaxes(0, 1) if transpose else image
-    return np.ascontiguousarray(image[:: -1 if flip_rows else 1, :: -1 if flip_columns else 1])
 
 
 def _write(

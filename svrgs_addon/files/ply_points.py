@@ -10,6 +10,7 @@ import numpy as np
 from ..system.errors import FormatError
 from .ply_body import MAX_ASCII_BYTES, parse_numbers
 from .ply_header import ENCODINGS, MAX_HEADER_BYTES, parse_header
+from .reading import readable
 
 MAX_POINTS = 20_000_000
 PLACE, COLOUR = ("x", "y", "z"), ("red", "green", "blue")
@@ -22,14 +23,13 @@ def read_points(path: str | os.PathLike) -> tuple[np.ndarray, np.ndarray]:
 
     Colours are whole numbers 0..255 or floats 0..1 in the file. Raises FormatError, which names the file.
     """
-    try:
-        with open(path, "rb") as file:
-            columns = _columns(file)
-        return _positions(columns), _colours(columns)
-    except FormatError as error:
-        raise FormatError(f"{path} {error}") from None
-    except OSError as error:
-        raise FormatError(f"{path}: cannot be read ({error.strerror or error})") from error
+    with readable(path):
+        try:
+            with open(path, "rb") as file:
+                columns = _columns(file)
+            return _positions(columns), _colours(columns)
+        except FormatError as error:
+            raise FormatError(f"{path} {error}") from None
 
 
 def _columns(file: BinaryIO) -> dict[str, np.ndarray]:

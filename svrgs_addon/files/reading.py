@@ -20,17 +20,38 @@ SHORTER = "became shorter while it was read; try again when no program writes it
 
 
 @contextlib.contextmanager
-def open_splat(path: str | os.PathLike) -> Iterator[BinaryIO]:
-    """Yields the file. FormatErrors of the block get its name in front; an OSError becomes a FormatError."""
+def readable(path: str | os.PathLike) -> Iterator[None]:
+    """An OSError of the block becomes a FormatError that names the file."""
     try:
-        if not Path(path).is_file():
-            raise FormatError("is not a file")
-        with open_regular(path) as file:
-            yield file
-    except FormatError as error:
-        raise type(error)(f"{path} {error}") from None
+        yield
     except OSError as error:
         raise FormatError(f"{path}: cannot be read ({error.strerror or error})") from error
+
+
+@contextlib.contextmanager
+def open_splat(path: str | os.PathLike) -> Iterator[BinaryIO]:
+    """Yields the file. FormatErrors of the block get its name in front; an OSError becomes a FormatError."""
+    with readable(path):
+        try:
+            if not Path(path).is_file():
+                raise FormatError("is not a file")
+            with open_regular(path) as file:
+                yield file
+        except FormatError as error:
+            raise type(error)(f"{path} {error}") from None
+
+
+def read_json(path: Path, most: int, what: str) -> Any:
+    """The value in a JSON file of at most so many bytes. what: that it should be, for the sentences. Raises
+    FormatError."""
+    with readable(path), open_regular(path) as file:
+        data = file.read(most + 1)
+    if len(data) > most:
+        raise FormatError(f"{path}: is larger than {most // 2**20} MiB, so it is not {what}")
+    try:
+        return json.loads(data)
+    except (ValueError, RecursionError):
+        raise FormatError(f"{path}: is not JSON; give {what}") from None
 
 
 def json_object(path: Path, most: int) -> dict[str, Any] | None:

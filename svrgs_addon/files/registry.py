@@ -9,8 +9,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import tempfile
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -45,16 +44,6 @@ USUAL = spz.FORMAT  # written where no format is named: the least loss for its s
 INDEXES = tuple(one.index for one in FORMATS if one.index)
 SAMPLE, CHUNKED = 16_384, 256  # Gaussians of which sizes of files are foreseen
 SNIFFED_BYTES = 65_536  # bytes at the start of a file that decide between formats with the same suffix
-
-
-@dataclass(frozen=True)
-class Loaded:
-    """A repaired scene, which can be rendered, and the numbers of Gaussians that were dropped and clamped
-    (repair.py)."""
-
-    scene: Scene
-    dropped: int
-    clamped: int
 
 
 def suffixes(written: bool = False) -> tuple[str, ...]:
@@ -172,45 +161,32 @@ def check_readable(path: str | Path):
     next(read_parts(path), None)
 
 
-def load_scene(path: str | Path) -> Loaded:
+def load_scene(path: str | Path) -> Scene:
     """Reads a scene and repairs it: bakes the filter of Mip-Splatting, drops Gaussians that are not finite
     and clamps extreme values (repair.py). All of it is logged.
 
     Raises FormatError, or SceneError also if no Gaussian is left.
     """
-    loaded, filtered = _repaired(read_scene(path))
-    _log_repairs(path, loaded.dropped, loaded.clamped, filtered)
-    if not loaded.scene.count:
-        raise SceneError(f"{path}: has no usable Gaussian; export the scene again")
-    return loaded
+    [scene] = _repaired(path, map(read_scene, [path]))
+    return scene
 
 
 def load_parts(path: str | Path) -> Iterator[Scene]:
     """As load_scene(), in parts in the order of the file; each may overwrite the arrays of the previous one.
     What was repaired is logged at the end."""
+    return _repaired(path, read_parts(path))
+
+
+def _repaired(path: str | Path, parts: Iterable[Scene]) -> Iterator[Scene]:
     count = dropped = clamped = 0
     filtered = False
-    for part in read_parts(path):
-        loaded, baked = _repaired(part)
-        count += loaded.scene.count
-        dropped += loaded.dropped
-        clamped += loaded.clamped
+    for part in parts:
+        part, baked = bake_filter(part)
+        part, bad = drop_nonfinite(part)
+        part, extreme = clamp_extremes(part)
+        count, dropped, clamped = count + part.count, dropped + bad, clamped + extreme
         filtered = filtered or baked
-        yield loaded.scene
-    _log_repairs(path, dropped, clamped, filtered)
-    if not count:
-        raise SceneError(f"{path}: has no usable Gaussian; export the scene again")
-
-
-def _repaired(scene: Scene) -> tuple[Loaded, bool]:
-    """The repaired scene, and whether it had a filter."""
-    scene, filtered = bake_filter(scene)
-    scene, dropped = drop_nonfinite(scene)
-    scene, clamped = clamp_extremes(scene)
-    return Loaded(scene, dropped, clamped), filtered
-
-
-def _log_repairs(path: str | Path, dropped: int, clamped: int, filtered: bool):
+        yield part
     if filtered:
         logging.warning("%s: the 3D filter of Mip-Splatting was baked into scales and opacities", path)
     if dropped or clamped:
@@ -221,6 +197,8 @@ def _log_repairs(path: str | Path, dropped: int, clamped: int, filtered: bool):
             dropped,
             clamped,
         )
+    if not count:
+        raise SceneError(f"{path}: has no usable Gaussian; export the scene again")
 
 
 def write_scene(

@@ -63,7 +63,7 @@ def estimate(options: PruneOptions, suffix: str = USUAL.suffixes[0]) -> dict:
     library.set_threads(options.threads)
     assert options.scene is not None
     check_view_options(options)
-    scene = load_scene(options.scene).scene
+    scene = load_scene(options.scene)
     check_visible(scene, "the splat")
     read = time.perf_counter() - begun
     options, dataset = (

@@ -11,13 +11,14 @@ from typing import Protocol
 import numpy as np
 
 from ..files.atomic import atomic_write
+from ..files.images import to_bytes
 from ..files.registry import load_scene, read_scene, write_scene
 from ..finetune import loop, masks
 from ..finetune.run import Run
 from ..native.rasterizer import Rasterizer, RenderOptions
 from ..prune.context import JobContext
 from ..prune.disk_room import ROW
-from ..prune.report.pictures import png_bytes, to_uint8
+from ..prune.report.pictures import png_bytes
 from ..prune.time_plan import TimePlan
 from ..render.metrics.evaluate import render_options
 from ..scene.gaussians import Scene
@@ -131,7 +132,7 @@ class JobRecorder:
         name = f"previews/{iteration:07d}.png"
         rgb = run.engine.rasterizer.forward(run.model, camera, options, kept)["rgb"]
         with atomic_write(self.folder / name) as file:
-            file.write(png_bytes(to_uint8(rgb)))
+            file.write(png_bytes(to_bytes(rgb)))
         self.listener.tell("PREVIEW", path=name)
 
     def flush(self):
@@ -186,7 +187,7 @@ class PruneRecorder(JobRecorder):
         kept = np.zeros(self.count, bool)
         kept[rows] = True
         rank = np.zeros(self.count, np.float32)
-        source = load_scene(self.folder / "scene.ply").scene
+        source = load_scene(self.folder / "scene.ply")
         source_rows = self._checked_rows(source.attributes.get(ROW))
         rank[source_rows] = importance(
             source, self.run.dataset, Rasterizer(), render_options(source, self.run.plan.background)

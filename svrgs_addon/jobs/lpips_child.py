@@ -13,8 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..files.images import to_float
-from ..prune.report.pictures import to_uint8
+from ..files.images import to_bytes, to_float
 from ..render.metrics import load_lpips
 from ..scene.camera import Camera
 from ..system import memory, subprocess_python
@@ -27,7 +26,7 @@ def lpips_in_child(pictures: Sequence[np.ndarray], photograph: np.ndarray, folde
     folder: for a file of them. Raises SceneError."""
     with tempfile.TemporaryDirectory(dir=folder) as temp_dir:
         path = Path(temp_dir) / "pictures.npz"
-        np.savez(path, photograph=to_uint8(photograph), pictures=[to_uint8(picture) for picture in pictures])
+        np.savez(path, photograph=to_bytes(photograph), pictures=[to_bytes(picture) for picture in pictures])
         return subprocess_python.ask([], "svrgs_addon.jobs.lpips_child", {"pictures": str(path)})["lpips"]
 
 

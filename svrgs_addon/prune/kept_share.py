@@ -8,10 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from ..files.sh_rounding import without_bands
-from ..scene.gaussians import Scene
+from ..scene.gaussians import PARAMETERS, Scene
 
 BOUNDARY = 0.5  # Gaussians with a score above were kept by the job
-ARRAYS = ("means", "log_scales", "quats", "opacity_logits", "sh")
 
 
 def lowest(score: np.ndarray, count: int) -> float:
@@ -39,5 +38,5 @@ def merged(a: Scene, rows_a: np.ndarray, b: Scene, rows_b: np.ndarray) -> Scene:
         for name, column in a.attributes.items()
         if name in b.attributes
     }
-    whole = replace(a, **{name: join(name) for name in ARRAYS}, attributes=attributes)
+    whole = replace(a, **{name: join(name) for name in PARAMETERS}, attributes=attributes)
     return whole.select(np.argsort(np.concatenate([rows_a, rows_b]), kind="stable"))

@@ -1,7 +1,7 @@
 """One way to prune and to train: open, views, check, rank, budget, select, tune, write, measure.
 
-Each step is a method of a recipe (recipes/): fine-tuned in memory, quick, a training, or by blocks on the
-disk. A recipe keeps what one step hands to the next. The door (door.py) is the same for all.
+Each step is a method of a recipe (recipe.py, recipes/): fine-tuned in memory, quick, a training, or by blocks
+on the disk. A recipe keeps what one step hands to the next. The door (door.py) is the same for all.
 """
 
 from __future__ import annotations
@@ -9,8 +9,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from ..native import library
 from ..system.errors import MemoryShort, TooMany
@@ -19,6 +18,7 @@ from .context import JobContext
 from .door import check_view_options, outputs
 from .file_size import asked_size
 from .options import PruneOptions, TrainOptions
+from .recipe import Recipe
 from .recipes.fine_tuned import FineTuned
 from .recipes.quick import Quick
 from .recipes.trained import Trained
@@ -26,25 +26,6 @@ from .stop_request import StopRequest
 
 # changes the context of the command line; a background job adds its own observer and stop
 Adapt = Callable[[JobContext], JobContext]
-
-
-class Recipe(Protocol):
-    """What each step does. A step raises SplatError; MemoryShort or TooMany, of those up to check(), where
-    memory is too short; those after check() raise Cancelled, too."""
-
-    job: JobContext
-
-    def further_files(self) -> list[Path]: ...  # that it writes beside the outputs, such as checkpoints
-    def open(self): ...  # reads the scene, or as much of it as tells where it is
-    def views(self): ...  # which views decide, are trained on, and measure
-    def check(self): ...  # whether views and scene go together, and memory and disk suffice
-    def rank(self): ...  # the order of the Gaussians, where it does not depend on how many stay
-    def budget(self): ...  # how many stay, or what decides that; how many steps fit into the time
-    def select(self): ...  # what is removed or merged before the steps
-    def tune(self): ...  # the steps
-    def write(self): ...  # all outputs
-    def measure(self) -> dict[str, Any]: ...  # the JSON result
-    def close(self): ...  # gives back what the recipe holds, also after an error
 
 
 def train_scene(options: TrainOptions, adapt: Adapt = lambda job: job) -> dict[str, Any]:

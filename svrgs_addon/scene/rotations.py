@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+MAX_ROTATION_ERROR = 1e-3  # largest entry of |Rᵀ R - I|
+
 
 def rotation_matrices(quats: np.ndarray) -> np.ndarray:
     """Rotation matrices (N, 3, 3) float64 of quaternions (N, 4), w x y z, of any length > 0."""
@@ -46,3 +48,12 @@ def quat_product(p: np.ndarray, q: np.ndarray) -> np.ndarray:
     """Quaternion products (N, 4) of p (4,) with each row of q (N, 4): the rotation q, then p."""
     w, v = p[0], p[1:]
     return np.column_stack([w * q[:, 0] - q[:, 1:] @ v, w * q[:, 1:] + q[:, :1] * v + np.cross(v, q[:, 1:])])
+
+
+def is_rotation(R: np.ndarray) -> bool:
+    """Whether (3, 3) is a rotation as far as rounded numbers tell."""
+    return bool(
+        np.abs(R).max() < 2
+        and np.abs(R.T @ R - np.eye(3)).max() < MAX_ROTATION_ERROR
+        and np.linalg.det(R) >= 0
+    )

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..files.images import to_bytes
 from ..native.rasterizer import Rasterizer
-from ..prune.report.pictures import difference_image, mask_to_rgb, to_uint8, wipe
+from ..prune.report.pictures import difference_image, mask_to_rgb, wipe
 from ..render.metrics.evaluate import picture_options
 from ..scene.camera import Camera
 from ..scene.gaussians import Scene
@@ -47,5 +48,5 @@ def drawn(rasterizer: Rasterizer, shown: Shown, camera: Camera) -> np.ndarray:
     if shown.colors == DIFFERENCE:
         return difference_image(*(np.clip(image, 0, 1) for image in images))
     top = max(float(image.max(initial=0)) for image in images)
-    pictures = [mask_to_rgb(image, top) if mask else to_uint8(image) for image in images]
+    pictures = [mask_to_rgb(image, top) if mask else to_bytes(image) for image in images]
     return pictures[0] if whole else wipe(pictures[0], pictures[1], shown.share)

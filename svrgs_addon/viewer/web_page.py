@@ -96,7 +96,7 @@ def _written(source: Source, k: int, folder: Path) -> dict:
     facts = {"file": file.name, "name": name, "count": scene.count, "bytes": os.path.getsize(file)}
     facts |= {"antialiased": scene.antialiased, "limits": spz.limits(scene)}
     if dataset is not None and dataset.test_indices:
-        found = evaluate(load_scene(file).scene, dataset, dataset.test_indices, Rasterizer())
+        found = evaluate(load_scene(file), dataset, dataset.test_indices, Rasterizer())
         facts |= {name: found[name] for name in ("psnr", "ssim", "flip")}
     return facts
 

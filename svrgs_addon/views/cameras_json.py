@@ -11,12 +11,13 @@ import numpy as np
 
 from ..files.atomic import atomic_write
 from ..files.images import MAX_SIDE
+from ..files.reading import read_json
 from ..scene.camera import Camera
+from ..scene.rotations import is_rotation
 from ..system.errors import FormatError
 from ..system.foreign import check_name
 
 MAX_BYTES = 64 * 2**20
-MAX_ROTATION_ERROR = 1e-3  # largest entry of |Rᵀ R - I|
 
 
 def load_cameras_json(path: str | os.PathLike) -> list[Camera]:
@@ -63,18 +64,7 @@ def write_cameras_json(path: str | os.PathLike, cameras: Sequence[Camera]):
 def _read_entries(path: str | os.PathLike) -> list:
     """The entries of the file, unchecked. Raises FormatError if it is not a JSON list with at least one
     entry."""
-    if os.path.exists(path) and not os.path.isfile(path):  # a pipe would wait for ever
-        raise FormatError(f"{path}: is not a regular file; give a cameras.json of 3DGS")
-    try:
-        if os.path.getsize(path) > MAX_BYTES:
-            raise FormatError(
-                f"{path}: is larger than {MAX_BYTES // 2**20} MiB, so it is not a cameras.json of 3DGS"
-            )
-        entries = json.loads(Path(path).read_bytes())
-    except OSError as error:
-        raise FormatError(f"{path}: cannot be read ({error.strerror or error})") from error
-    except (ValueError, RecursionError):
-        raise FormatError(f"{path}: is not JSON; give a cameras.json of 3DGS") from None
+    entries = read_json(Path(path), MAX_BYTES, "a cameras.json of 3DGS")
     if not isinstance(entries, list) or not entries:
         raise FormatError(f"{path}: holds no list of cameras; give a cameras.json of 3DGS")
     return entries
@@ -91,11 +81,7 @@ def _camera(entry: dict) -> Camera:
     fx, fy = float(entry["fx"]), float(entry["fy"])
     position = np.array(entry["position"], np.float64).reshape(3)
     rotation = np.array(entry["rotation"], np.float64).reshape(3, 3)  # camera to world
-    if (
-        not np.abs(rotation).max() < 2
-        or not np.abs(rotation.T @ rotation - np.eye(3)).max() < MAX_ROTATION_ERROR
-        or np.linalg.det(rotation) < 0
-    ):
+    if not is_rotation(rotation):
         raise FormatError("its rotation is not a rotation matrix")
     orthographic = entry.get("orthographic", False)
     if type(orthographic) is not bool:

@@ -165,7 +165,7 @@ class Dataset:
         if not self.photos:
             raise SceneError("the dataset was loaded without its photographs")
         photo, camera = self.photos[index], self.cameras[index]
-        image = read_pixels(photo.path, self.background, upright=False)  # COLMAP ignores the EXIF orientation
+        image = read_pixels(photo.path, self.background)
         if photo.distorted is not None:
             image = undistort_image(to_bytes(image), photo.distorted)
         if image.shape != (camera.height, camera.width, 3):
@@ -238,7 +238,7 @@ def _photographed(
     for view in (source.model.views[i] for i in numbers):
         # reading a photograph that has gone meanwhile says so
         path = photograph(folder, view.name) or folder / view.name
-        sizes.append(image_size(path, upright=False))
+        sizes.append(image_size(path))
         camera, distorted = pinhole_camera(view, *sizes[-1])
         cameras.append(camera)
         photos.append(Photo(path, distorted))
@@ -275,7 +275,7 @@ def valid_of_photograph(
     if not masks.expected:
         return None
     path = photograph(source.image_folder, name) or source.image_folder / name
-    size = image_size(path, upright=False)
+    size = image_size(path)
     return _valid_of(masks, name, Photo(path, pinhole_camera(view, *size)[1]), size)
 
 

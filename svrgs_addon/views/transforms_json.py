@@ -12,7 +12,6 @@ the trained splat.
 
 from __future__ import annotations
 
-import json
 import math
 import os
 from collections import ChainMap
@@ -26,6 +25,8 @@ import numpy as np
 
 from ..files.images import MAX_SIDE, image_size
 from ..files.ply_points import read_points
+from ..files.reading import read_json
+from ..scene.rotations import is_rotation
 from ..system.errors import FormatError
 from ..system.foreign import check_name
 from .colmap import Intrinsics, Model, View
@@ -33,7 +34,6 @@ from .photo_files import photograph
 
 NAME, PARSER_NAME = "transforms.json", "dataparser_transforms.json"
 MAX_BYTES = 64 * 2**20
-MAX_ROTATION_ERROR = 1e-3  # largest entry of |Rᵀ R - I|
 LARGEST = 1e12  # of the absolute value of a number
 PERSPECTIVE = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
 FISHEYE = "OPENCV_FISHEYE"
@@ -90,16 +90,7 @@ def _read(path: Path, what: str, read: Callable[[], Any]) -> Any:
 
 def _read_json(path: Path) -> dict:
     """The JSON object in a file. Raises FormatError."""
-    try:
-        if path.stat().st_size > MAX_BYTES:
-            raise FormatError(
-                f"{path}: is larger than {MAX_BYTES // 2**20} MiB, so it holds more than cameras"
-            )
-        facts = json.loads(path.read_bytes())
-    except OSError as error:
-        raise FormatError(f"{path}: cannot be read ({error.strerror or error})") from error
-    except (ValueError, RecursionError):
-        raise FormatError(f"{path}: is not JSON; export it again") from None
+    facts = read_json(path, MAX_BYTES, "a transforms.json of Nerfstudio or instant-ngp")
     if not isinstance(facts, dict):
         raise FormatError(f"{path}: holds no object; give a transforms.json of Nerfstudio or instant-ngp")
     return facts
@@ -109,20 +100,21 @@ def _name(frame: object) -> str:
     """The path of the frame's photograph, relative to the file, with '/' between folders."""
     if not isinstance(frame, dict):
         raise FormatError("not an object")
-    if not isinstance(frame["file_path"], str):
-        raise FormatError("its file_path is no text")
-    name = frame["file_path"].replace("\\", "/")
-    check_name(name, "image")
-    return str(PurePosixPath(name))
+    return str(PurePosixPath(_relative(frame, "file_path")))
 
 
 def _mask(frame: dict, folder: Path) -> Path:
     """The file of a frame's mask_path."""
-    if not isinstance(frame["mask_path"], str):
-        raise FormatError("its mask_path is no text")
-    name = frame["mask_path"].replace("\\", "/")
-    check_name(name, "image")
-    return folder / name
+    return folder / _relative(frame, "mask_path")
+
+
+def _relative(frame: dict, key: str) -> str:
+    """The path at this key, with '/' between folders."""
+    if not isinstance(frame[key], str):
+        raise FormatError(f"its {key} is no text")
+    name = frame[key].replace("\\", "/")
+    check_name(name)
+    return name
 
 
 def _view(name: str, facts: Mapping, folder: Path) -> View:
@@ -137,13 +129,9 @@ def _view(name: str, facts: Mapping, folder: Path) -> View:
 def _pose(rows: object) -> np.ndarray:
     """(4, 4) camera to world, in the camera frame of COLMAP, of a transform_matrix."""
     matrix = _matrix(rows)
-    if not np.abs(matrix[:3, :3]).max() < 2 or not _is_rotation(matrix[:3, :3]):
+    if not is_rotation(matrix[:3, :3]):
         raise FormatError("its transform_matrix does not hold a rotation")
     return matrix @ FLIP
-
-
-def _is_rotation(R: np.ndarray) -> bool:
-    return bool(np.abs(R.T @ R - np.eye(3)).max() < MAX_ROTATION_ERROR and np.linalg.det(R) >= 0)
 
 
 def _matrix(rows: object) -> np.ndarray:
@@ -164,7 +152,7 @@ def _size(facts: Mapping, folder: Path, name: str) -> tuple[int, int]:
         file = photograph(folder, name)
         if file is None:
             raise FormatError("neither w and h nor its photograph is there")
-        return image_size(file, upright=False)
+        return image_size(file)
     width, height = (_number(facts, key) for key in ("w", "h"))
     if not all(0 < side <= MAX_SIDE and side == int(side) for side in (width, height)):
         raise FormatError(
@@ -229,14 +217,9 @@ def _points(path: Path, facts: dict) -> tuple[np.ndarray, np.ndarray, tuple[str,
     """Positions (P, 3) float32 and colours (P, 3) uint8 of the sparse points, and what is missing, in
     sentences."""
     none = np.empty((0, 3), np.float32), np.empty((0, 3), np.uint8)
-    name = facts.get("ply_file_path")
-    if name is None:
+    if facts.get("ply_file_path") is None:
         return *none, ()
-    if not isinstance(name, str):
-        raise FormatError(f"{path}: its ply_file_path is no text")
-    name = name.replace("\\", "/")
-    _read(path, "ply_file_path", lambda: check_name(name))
-    file = path.parent / name
+    file = path.parent / _read(path, "ply_file_path", lambda: _relative(facts, "ply_file_path"))
     if not file.is_file():
         return *none, (f"{file}: the sparse points that {path.name} names are missing",)
     return *read_points(file), ()
@@ -270,6 +253,6 @@ def _parser_matrix(parser: dict, facts: dict) -> np.ndarray:
     scale = _number(parser, "scale") / _number(facts, "applied_scale", 1.0)
     if "applied_transform" in facts:
         matrix = matrix @ np.linalg.inv(_matrix(facts["applied_transform"]))
-    if not 0 < scale < LARGEST or not _is_rotation(matrix[:3, :3]):
+    if not 0 < scale < LARGEST or not is_rotation(matrix[:3, :3]):
         raise FormatError("it is no rotation with a scale")
     return np.diag([scale, scale, scale, 1.0]) @ matrix

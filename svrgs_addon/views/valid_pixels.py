@@ -62,7 +62,7 @@ class Masks:
         opaque = None if alpha is None else (alpha >= 0.5).astype(np.uint8)
         if path is None:
             return opaque
-        brightness = to_float(read_pixels(path, upright=False)).max(axis=2)
+        brightness = to_float(read_pixels(path)).max(axis=2)
         valid = brightness >= 0.5 if path.suffix.lower() in LOSSY else brightness > 0
         scales = valid.shape[0] / height, valid.shape[1] / width
         if abs(scales[0] / scales[1] - 1) > ASPECT:

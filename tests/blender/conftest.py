@@ -53,7 +53,7 @@ def empty():
     for name in settings.bl_rna.properties.keys():
         if name not in ("rna_type", "name", "amount", "method_choice"):
             settings.property_unset(name)
-    part("operators.io.export_levels")._after_load()
+    part("operators.io.export_levels").forget()
 
 
 @pytest.fixture

@@ -7,6 +7,7 @@ import shutil
 
 import bpy
 import numpy as np
+import pytest
 from extension import DATA, part
 from job_helpers import LONG, drawn, follow, said, set_up
 
@@ -65,6 +66,20 @@ def test_a_limit_of_time_chooses_the_steps():
 
 
 MISSING = "1 of 12 photographs are missing: 05.png; the other 11 are used"
+
+
+def test_any_error_ends_it(splat, monkeypatch, capfd):
+    module = part("operators.jobs.estimate")
+
+    def fail(*_):
+        raise MemoryError
+
+    monkeypatch.setattr(module, "write_scene", fail)
+    with pytest.raises(RuntimeError, match="MemoryError"):
+        bpy.ops.svrgs.estimate()
+    assert module.of(splat) == {"error": "MemoryError"} and "MemoryError" in said()
+    monkeypatch.undo()
+    assert bpy.ops.svrgs.estimate() == {"FINISHED"}
 
 
 def test_missing_photographs_are_said_beside_the_estimate_and_while_a_job_runs(splat, watch, tmp_path):

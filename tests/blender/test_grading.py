@@ -79,6 +79,16 @@ def test_it_is_applied_to_the_gaussians(splat, bridge):
     assert splat.svrgs_grade.contrast == 1 and "svrgs.apply_grade" not in drawn("color")
 
 
+def test_it_is_not_applied_to_gaussians_that_a_linked_duplicate_shares(splat, bridge):
+    bpy.ops.object.duplicate(linked=True)
+    grade(splat, **VALUES)
+    bpy.context.view_layer.objects.active = splat
+    before = bridge.scene_from_object(splat).sh
+    with pytest.raises(RuntimeError, match="make them single-user first"):
+        bpy.ops.svrgs.apply_grade()
+    np.testing.assert_array_equal(bridge.scene_from_object(splat).sh, before)
+
+
 def test_comparisons_and_results_keep_it_and_pruning_does_not_see_it(splat, bridge, watch, capfd):
     grade(splat, **VALUES)
     set_up({"data": "", "effort": "QUICK", "goal": "COUNT", "count": 100})

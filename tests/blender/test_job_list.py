@@ -126,6 +126,22 @@ def test_a_job_that_makes_way_and_is_stopped_does_not_go_on(splat, watch):
     assert first.state == "stopped" and not first.running and not watch.tick()
 
 
+def test_a_job_that_was_stopped_does_not_go_on_after_one_that_runs_now(splat, watch):
+    set_up(LONG)
+    bpy.ops.svrgs.job_start()
+    (first,) = watch.jobs.values()
+    bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
+    set_up(SHORT)
+    bpy.ops.svrgs.job_start()
+    second = watch.job_of(bpy.context.object)
+    follow(watch, lambda: first.facts.get("iteration", 0) > 20)
+    bpy.ops.svrgs.job_stop(folder=str(first.folder.path))
+    assert first.stopping
+    bpy.ops.svrgs.job_run_now(folder=str(second.folder.path))
+    follow(watch, lambda: ended(second))
+    assert first.state == "stopped" and not first.running and not watch.tick()
+
+
 def test_one_line_tells_what_runs_and_how_it_ended(two, watch, results):
     (_, first), (other, _) = two
     lists, header = part("operators.jobs.job_list"), Layout()

@@ -9,7 +9,7 @@ import sys
 import bpy
 import pytest
 from extension import DATA, part
-from job_helpers import LONG, SHORT, delete, drawn, ended, follow, marked, set_up
+from job_helpers import COUNT, LONG, SHORT, delete, drawn, ended, follow, marked, set_up
 
 
 def undo(times: int = 1):
@@ -119,6 +119,7 @@ def test_a_job_whose_folder_was_deleted_fails_in_a_sentence(splat, watch, what):
     follow(watch, lambda: not job.running)
     assert process.poll() is not None and not watch.tick()
     assert job.state == "failed" and "messages.jsonl" in job.facts["text"] and "Failed" in drawn("prune")
+    assert "Failed" in part("operators.jobs.job_list").headline(bpy.context)
     with pytest.raises(RuntimeError, match="is no job of this version"):
         bpy.ops.svrgs.job_resume()
     bpy.ops.svrgs.job_discard()
@@ -232,6 +233,8 @@ def test_a_copy_of_the_original_is_a_splat_of_its_own(pruned, results, linked):
     assert results.pair_of(copy) == (None, None) and results.pair_of(result) == (original, result)
     assert "removed" in original.data.attributes and results.shown_count(result) == 200
     assert not copy.modifiers and (linked or "removed" not in copy.data.attributes)
+    visible = part("operators.data.visible_splats").visible_scene
+    assert (visible(original).count, visible(copy).count) == (200, COUNT)
 
 
 def test_a_copy_of_a_splat_has_no_part_in_its_job(splat, watch):
@@ -248,6 +251,35 @@ def test_a_copy_of_a_splat_has_no_part_in_its_job(splat, watch):
     with pytest.raises(RuntimeError, match="There is no job"):
         bpy.ops.svrgs.job_discard()
     assert job.folder.path.exists()
+
+
+def test_a_linked_duplicate_keeps_its_gaussians(splat, watch, results):
+    bpy.ops.object.duplicate(linked=True)
+    twin = bpy.context.object
+    bpy.context.view_layer.objects.active = splat
+    set_up(SHORT)
+    bpy.ops.svrgs.job_start()
+    follow(watch, lambda: results.pruned_of(splat))
+    visible = part("operators.data.visible_splats").visible_scene
+    assert (visible(splat).count, visible(twin).count) == (COUNT // 2, COUNT)
+
+
+@pytest.mark.parametrize("error", [MemoryError(), RuntimeError("no more")])
+def test_a_result_that_cannot_be_loaded_stays_one_to_be_loaded(
+    splat, watch, results, monkeypatch, error, capfd
+):
+    def fail(*_):
+        raise error
+
+    set_up(SHORT)
+    with monkeypatch.context() as patch:
+        patch.setattr(results, "load", fail)
+        bpy.ops.svrgs.job_start()
+        (job,) = watch.jobs.values()
+        follow(watch, lambda: ended(job))
+    assert job.state == "done" and "svrgs.job_load" in drawn("prune") and results.pruned_of(splat) is None
+    assert type(error).__name__ in capfd.readouterr().err
+    assert bpy.ops.svrgs.job_load() == {"FINISHED"} and results.pruned_of(splat)
 
 
 def test_the_panel_shows_another_splats_job_only_where_none_is_active(splat, watch):

@@ -31,6 +31,18 @@ def result(splat, watch, once):
     return bpy.context.object
 
 
+@pytest.fixture
+def listed_files():
+    """How many finished jobs would lose their files."""
+    lists = part("operators.jobs.job_list")
+
+    def count() -> int:
+        lists.forget()
+        return len(lists.finished_jobs(bpy.context)[0])
+
+    return count
+
+
 def said() -> str:
     return "\n".join(part("operators.jobs.prune_state").sentences(bpy.context))
 
@@ -146,12 +158,50 @@ def test_the_result_moves_with_its_object_and_with_its_points(result, bridge):
     assert cached(result).means[:, 2].mean() == pytest.approx(moved[:, 2].mean(), abs=0.3)
 
 
-def test_edited_points_keep_the_number_of_the_job(result, bridge):
+def edit_points(result, bridge):
     moved = bridge.values(result, "position")
     moved[:40] += np.random.default_rng(0).normal(size=(40, 3)).astype(np.float32)
     bridge.set_values(result, "position", "FLOAT_VECTOR", moved)
+
+
+def test_edited_points_keep_the_number_of_the_job(result, bridge):
+    edit_points(result, bridge)
     result.svrgs_share = 20
     assert cached(result).count == 100 and "were edited" in said() and "100 of 250" in said()
+
+
+def test_points_that_are_edited_while_another_number_is_shown_bring_that_of_the_job_back(result, bridge):
+    result.svrgs_share = 20
+    assert cached(result).count == 50
+    edit_points(result, bridge)
+    assert cached(result).count == shown().count == 100 and "were edited" in said() and "100 of 250" in said()
+    assert "svrgs_share" not in drawn("prune")
+    bpy.ops.svrgs.apply()
+    assert bridge.count(result) == 100
+
+
+def test_an_undo_of_the_edit_brings_the_slider_back(result, bridge):
+    result.svrgs_share = 20
+    bpy.ops.ed.undo_push(message="share")
+    edit_points(result, bridge)
+    bpy.ops.ed.undo_push(message="edit")
+    assert cached(result).count == 100 and "were edited" in said()
+    bpy.ops.ed.undo()
+    result = bpy.context.object
+    assert cached(result).count == 50 and "were edited" not in said() and "svrgs_share" in drawn("prune")
+
+
+def test_without_the_order_the_viewport_shows_what_apply_writes(result, splat):
+    result.svrgs_share = 20
+    assert cached(result).count == 50
+    (Path(part("operators.data.job_paths").folder_of(splat)) / "order.npy").unlink()
+    assert cached(result).count == shown().count == 100
+
+
+def test_delete_finished_keeps_the_files_of_a_result_that_shows_another_number(result, listed_files):
+    assert listed_files() == 1
+    result.svrgs_share = 20
+    assert listed_files() == 0 and cached(result).count == 50
 
 
 def test_modifiers_keep_the_number_of_the_job(result):

@@ -37,7 +37,7 @@ def called(monkeypatch):
 
     own = {
         name: vars(reporting.BackgroundOperator)[name]
-        for name in ("execute", "begin", "modal", "cancel", "_timer")
+        for name in ("execute", "begin", "modal", "cancel", "_wait_no_more", "_timer")
     }
     own |= {"ended": reporting.ReportingOperator.ended, "steps": steps, "bl_label": "Export Web Page"}
     own["report"] = lambda self, kind, text: self.said.append((*kind, text))
@@ -79,14 +79,23 @@ def test_an_error_of_the_slow_part_is_a_sentence(called):
     assert operator.said == [("ERROR", "the disk is full")] and "timer" not in context.window_manager
 
 
-def test_the_slow_part_goes_on_when_another_file_is_opened(called):
-    held = threading.Event()
-    operator, context = called(lambda: held.wait(10) and 42)
+@pytest.mark.parametrize("error", ["", "the disk is full"])
+def test_when_another_file_is_opened_the_slow_part_goes_on_and_its_error_is_shown(called, monkeypatch, error):
+    held, shown, work = threading.Event(), [], part("operators.data.background_work")
+    monkeypatch.setattr(part("operators.data.reporting"), "popup", lambda *texts: shown.append(texts))
+
+    def slow():
+        held.wait(10)
+        if error:
+            raise OSError(error)
+
+    operator, context = called(slow)
     operator.execute(context)
     operator.cancel(context)
-    assert "timer" not in context.window_manager
+    assert "timer" not in context.window_manager and work.tick() and not shown
     held.set()
-    assert operator._answer.result(timeout=10) == 42
+    operator._answer.exception(timeout=10)
+    assert work.tick() is None and shown == ([("Export Web Page", error)] if error else [])
 
 
 def test_a_file_browser_that_is_closed_leaves_nothing_to_end(called):

@@ -85,8 +85,10 @@ def test_the_list_of_photographs_shows_what_was_found_and_looks_through_their_ca
     tint = bpy.data.images[masked_out]
     alpha = np.array(tint.pixels[:]).reshape(48, 64, 4)[::-1, :, 3]
     assert (alpha[:10] > 0.5).all() and not alpha[10:].any()
+    another = bpy.data.cameras.new("of another dataset")
+    another.background_images.new().image = tint
     bpy.context.scene.svrgs_prune.invert_masks = True
-    view.photograph = bpy.data.objects.find(cameras[5].name)
+    assert not another.background_images
     alpha = np.array(tint.pixels[:]).reshape(48, 64, 4)[::-1, :, 3]
     assert not alpha[:10].any() and (alpha[10:] > 0.5).all()
     root["svrgs_masks"] = str(tmp_path / "masks")  # those of a job are never inverted

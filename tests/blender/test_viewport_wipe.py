@@ -17,7 +17,7 @@ def wipe():
     for name in ("original", "pruned"):
         setattr(bpy.context.scene.svrgs_view, name, None)
     yield module
-    module._after_load()
+    module.forget()
 
 
 def sides(wipe) -> list:

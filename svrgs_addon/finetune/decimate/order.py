@@ -13,6 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ...files.ply import NORMALS
 from ...native.decimation import REMOVED, Merges, decimate
 from ...native.rasterizer import VISIBILITY, Rasterizer, RenderOptions
 from ...scene.camera import Camera
@@ -21,7 +22,6 @@ from ...system.errors import SceneError
 
 HIDDEN = 0.01  # mean transmittance up to which a Gaussian is hidden
 MOST_HIDDEN = 0.3  # share of the Gaussians that placed cameras may leave hidden
-NORMALS = ("nx", "ny", "nz")  # columns of every 3DGS file, without a meaning
 
 
 @dataclass(frozen=True)

@@ -72,19 +72,14 @@ class FarmJob:
         folder = extended(folder)
         path = folder / JOB
         try:
-            contents = json_object(path, LARGEST)
+            contents = json_object(path, LARGEST) or {}
         except OSError as error:
             raise SceneError(
                 f"{path}: cannot be read ({error.strerror}); make the job with svrgs farm export"
             ) from None
-        known = (
-            contents is not None
-            and contents.get("schema") == SCHEMA
-            and contents.get("to") in suffixes(written=True)
-        )
         if (
-            contents is None
-            or not known
+            contents.get("schema") != SCHEMA
+            or contents.get("to") not in suffixes(written=True)
             or not isinstance(contents.get("tasks"), list)
             or not isinstance(contents.get("root"), str)
         ):

@@ -12,7 +12,6 @@ from typing import Any
 from ...files.digests import scene_sha256, sha256
 from ...finetune.loop import Progress
 from ...prune.context import JobContext
-from ...prune.door import check_files
 from ...prune.pipeline import prune_scene
 from ...prune.plans import mask_options
 from ...system.errors import SceneError, SplatError
@@ -66,7 +65,9 @@ def _run(job: FarmJob, task: Task, messages: Messages) -> dict[str, Any]:
         return {"name": task.name, "out": str(out), "sha256": done["sha256"], "done_before": True}
     messages.tell(f"{task.name}: reads {task.scene}", 0.0)
 
-    def observed(context: JobContext) -> JobContext:
+    def observed(context: JobContext) -> JobContext:  # after the door
+        job.result_path(task).unlink(missing_ok=True)
+
         def observe(progress: Progress):
             messages.progress(f"{task.name}: {progress.phase}", progress.iteration / progress.total)
 
@@ -76,8 +77,6 @@ def _run(job: FarmJob, task: Task, messages: Messages) -> dict[str, Any]:
         return replace(context, observe=observe, part=part)
 
     try:
-        check_files(options.scene, [out])
-        job.result_path(task).unlink(missing_ok=True)
         result = prune_scene(options, observed)
     except SplatError as error:
         raise type(error)(f"task {task.name}: {error}") from None

@@ -74,6 +74,6 @@ def opened(path: Path, doing: str, needed: Callable[[int], int]) -> Iterator[tup
 
 
 def _whole(path: Path, doing: str, needed: Callable[[int], int]) -> Scene:
-    scene = load_scene(path).scene
+    scene = load_scene(path)
     memory.refuse_excess(f"{path}: {doing} it", needed(scene.count))
     return scene

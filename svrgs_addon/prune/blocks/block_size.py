@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 
 from ...scene.camera import Camera
 from ...system import memory
@@ -20,19 +19,16 @@ def as_memory_allows(cameras: Sequence[Camera], kept_photographs: int) -> MaxBlo
     """A function that gives the largest number of Gaussians of a block: MAX_BLOCK_COUNT; or less, but at
     least CELL, where SHARE of the available memory is too little to fine-tune a block and the Gaussians
     around it. cameras, kept_photographs (bytes): as for memory.tuning()."""
-    return partial(_fitting, cameras=cameras, kept_photographs=kept_photographs)
 
+    def fitting(count: int, coefficients: int) -> int:
+        most = min(MAX_BLOCK_COUNT, count)
+        while most >= 2 * CELL:
+            # of a level of detail of the others, at most as many as the block has
+            tuned = most + min(most, round(AROUND_SHARE * (count - most)))
+            needed = memory.tuning(tuned, coefficients, cameras, kept_photographs) / SHARE
+            if not memory.shortage("", int(needed)):
+                break
+            most = -(-most // 2)
+        return most
 
-def _fitting(count: int, coefficients: int, cameras: Sequence[Camera], kept_photographs: int) -> int:
-    most = min(MAX_BLOCK_COUNT, count)
-    while most >= 2 * CELL and memory.shortage(
-        "", int(memory.tuning(_tuned(most, count), coefficients, cameras, kept_photographs) / SHARE)
-    ):
-        most = -(-most // 2)
-    return most
-
-
-def _tuned(most: int, count: int) -> int:
-    """Gaussians in the fine-tuning of a block: its own, and around it a level of detail of the others, with
-    at most as many."""
-    return most + min(most, round(AROUND_SHARE * (count - most)))
+    return fitting

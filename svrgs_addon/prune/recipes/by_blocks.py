@@ -54,6 +54,7 @@ from ..context import JobContext
 from ..door import check_visible
 from ..job_views import Views
 from ..likeness import PhotographLikeness, assumed_drop
+from ..recipe import Recipe
 from ..report.prune_report import write_report_of_files
 
 # bytes: no limit, because fine-tuning on pictures of the scene keeps all of them in memory
@@ -79,7 +80,7 @@ class Goal:
         return self.count or max(1, round((self.share or 1.0) * count))
 
 
-class ByBlocks:
+class ByBlocks(Recipe):
     """What both ways by blocks have in common."""
 
     def __init__(
@@ -102,9 +103,6 @@ class ByBlocks:
         self.begun, self.started = time.perf_counter(), False
         if reason:
             logging.warning("%s; it is pruned by blocks, which takes longer", reason)
-
-    def further_files(self) -> list[Path]:
-        return []
 
     def open(self):
         """The scene is read in parts, by rank()."""
@@ -189,15 +187,11 @@ class MergedByBlocks(ByBlocks):
             )
 
     def select(self):
-        """Each level is cut, tuned and written before the next one, as the disk has room for one: by
-        write()."""
+        """write() cuts, tunes and writes each level before the next one, as the disk has room for one."""
         self.shares = (1.0, *self.goal.levels)
         self.streamed = bool(self.goal.levels) and holds_levels(self.job.out)
         levels = [self.divided.folder / LEVEL.format(level) for level in range(len(self.shares))]
         self.files = levels if self.streamed else self.job.outs
-
-    def tune(self):
-        """By write()."""
 
     def write(self):
         divided, progress_of, self.results = self.divided, self.overall, []

@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from ...files.images import to_float
+from ...files.images import to_bytes, to_float
+from ...files.ply import NORMALS
 from ...files.registry import (
     FORMATS,
     format_to_write,
@@ -23,7 +24,7 @@ from ...files.registry import (
     write_scene,
 )
 from ...finetune import checkpoint, exposure, loop, masks, poses
-from ...finetune.decimate.order import NORMALS, lost_columns
+from ...finetune.decimate.order import lost_columns
 from ...finetune.engine import NativeEngine
 from ...finetune.loop import CURVE_VIEWS
 from ...finetune.methods import DEFAULT
@@ -37,6 +38,7 @@ from ...render.metrics.evaluate import (
     evaluate,
     mean_quality,
     picture_options,
+    refuse_unseen,
     render_options,
     rounded_to_8_bits,
 )
@@ -56,20 +58,20 @@ from ..belonging import check_dataset
 from ..blocks.folder import remove_blocks
 from ..context import Clock, JobContext
 from ..disk_room import ROW, DiskRoom
-from ..door import check_training, check_views, check_visible
+from ..door import check_training, check_visible
 from ..file_size import FileSize, write_sized
 from ..first_cut import first_cut
 from ..likeness import assumed_drop
 from ..photographs import in_its_colours, prepared
 from ..planning import pruning_within
-from ..report.pictures import to_uint8
+from ..recipe import Recipe
 from ..report.prune_report import report_pictures, write_prune_report
 from ..seen import fewer_bands, seen_from
 
 CANNOT_REACH = "method '{}' cannot reach a target without iterations in which it prunes"
 
 
-class Tuned:
+class Tuned(Recipe):
     """What training and fine-tuning have in common: the steps, the result, and what is told of them."""
 
     dataset: Dataset  # from views() on
@@ -257,7 +259,7 @@ class FineTuned(Tuned):
 
     def open(self):
         with self.clock.phase("read"):
-            self.source = load_scene(self.path).scene
+            self.source = load_scene(self.path)
         check_visible(self.source, str(self.path))
 
     def views(self):
@@ -271,7 +273,7 @@ class FineTuned(Tuned):
         plan = self.plan
         check_request(dataset, plan)
         refuse_lost_order(plan, self.job)
-        check_views(source, dataset.cameras, dataset.train_indices, str(self.path))
+        refuse_unseen(source, dataset.cameras, str(self.path))
         needed = refuse_excess(
             f"{self.path}: pruning it", source.count, source.sh.shape[1], dataset, plan, memory.BY_BLOCKS
         )
@@ -296,9 +298,6 @@ class FineTuned(Tuned):
         self.notes += higher_bands(source, format_to_write(self.job.out))
         self.room.hold_for(source, source.count, plan.averaged_count(source.count))
 
-    def rank(self):
-        """Methods rank between their steps."""
-
     def budget(self):
         source, dataset, job = self.source, self.dataset, self.job
         if self.seconds:
@@ -309,7 +308,7 @@ class FineTuned(Tuned):
             if not isinstance(dataset, RenderedDataset):
                 self.before = self.measured(source, self.path)
             self.pictures = report_pictures(source, dataset, Rasterizer()) if job.report else []
-            self.originals = list(map(to_uint8, self.pictures_of(source)))
+            self.originals = list(map(to_bytes, self.pictures_of(source)))
         with self.clock.phase("first cut"):
             self.allowed = self.plan.max_loss
             if self.allowed:

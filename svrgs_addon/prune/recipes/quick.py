@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 
 from ...files.level_files import write_with_levels
+from ...files.ply import NORMALS
 from ...files.registry import format_to_write, higher_bands, invisible, load_scene, size_on_disk
 from ...finetune.decimate.order import (
     MOST_HIDDEN,
-    NORMALS,
     Order,
     hidden,
     lost_columns,
@@ -48,6 +48,7 @@ from ..door import SIZES, allowed_loss, check_options, check_visible, degree_to_
 from ..file_size import asked_size
 from ..likeness import Likeness, assumed_drop, assumed_psnr
 from ..options import PruneOptions
+from ..recipe import Recipe
 from ..seen import fewer_bands, seen_from
 from ..smallest_file import refuse_bands, smallest_file
 
@@ -83,7 +84,7 @@ LIKELY = 0.25  # share of the Gaussians that an allowed drop leaves, to foresee 
 NOT_FINISHED = "stopped; nothing was written, and a quick job has no checkpoint: start it again"
 
 
-class Quick:
+class Quick(Recipe):
     """Removes and merges in the order of what it changes in pictures of the scene, and fine-tunes for
     seconds."""
 
@@ -92,12 +93,9 @@ class Quick:
         self.options, self.size, self.begun = options, asked_size(options), time.perf_counter()
         self.job = replace(job, scene=options.scene, levels=options.levels)
 
-    def further_files(self) -> list[Path]:
-        return []
-
     def open(self):
         assert self.options.scene is not None
-        self.source = load_scene(self.options.scene).scene
+        self.source = load_scene(self.options.scene)
         check_visible(self.source, str(self.options.scene))
         self.visible = np.flatnonzero(~invisible(self.source))
         self.scene = self.source.select(self.visible)
@@ -215,9 +213,6 @@ class Quick:
             **facts,
             "notes": notes,
         }
-
-    def close(self):
-        """It holds nothing."""
 
     def _psnr(self, scene: Scene) -> float:
         """PSNR in dB on some views, if the original had the error PHOTOGRAPHED."""

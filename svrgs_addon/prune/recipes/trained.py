@@ -34,9 +34,6 @@ class Trained(Tuned):
         super().__init__(plan, job, seconds)
         self.read_dataset, self.sh_degree = read_dataset, sh_degree
 
-    def open(self):
-        """There is no scene yet."""
-
     def views(self):
         self.dataset = self.read_dataset()
 
@@ -52,9 +49,6 @@ class Trained(Tuned):
         refuse_unseen_points(dataset)
         needed = refuse_excess("training", len(dataset.points), (self.sh_degree + 1) ** 2, dataset, plan)
         self.job = self.job.fitting(dataset.cameras, needed)
-
-    def rank(self):
-        """Nothing is there yet."""
 
     def budget(self):
         if self.seconds:

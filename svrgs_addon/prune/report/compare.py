@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ... import __version__
-from ...files.atomic import check_writable
-from ...files.images import write_image
+from ...files.images import to_bytes, write_image
 from ...files.registry import size_on_disk
 from ...native.rasterizer import Rasterizer
 from ...render.metrics import load_lpips
@@ -20,7 +19,7 @@ from ...views.dataset import Dataset
 from ...views.rendered import RenderedDataset
 from ..belonging import leave_out_empty_tests
 from .page import MASK_PERCENTILE, Report, View, write_report
-from .pictures import difference_image, mask_to_rgb, to_uint8
+from .pictures import difference_image, mask_to_rgb
 from .prune_report import Opens, report_indices, report_pictures, report_views, timed_in_turn
 from .swing import swing
 
@@ -36,7 +35,6 @@ def compare(
     and 'b' with the figures of `svrgs eval`, 'report' (the page), 'pictures' (the files), 'notes' of the
     dataset. Raises SplatError.
     """
-    check_writable(out / "index.html")
     lpips, missing = load_lpips(lpips_weights)
     shown = [dataset.cameras[i] for i in report_indices(dataset)]
     photographs = "photographs another name, in the COLMAP model too"
@@ -106,7 +104,7 @@ def _of_pictures(views: Dataset, scene: Renderable, rasterizer: Renderer) -> Ren
 def _save(out: Path, view: View) -> Path:
     assert view.mask_before is not None and view.mask_after is not None
     top = max(float(np.percentile(view.mask_before, MASK_PERCENTILE)), 1e-6)
-    parts = [to_uint8(view.before), to_uint8(view.after), difference_image(view.before, view.after)]
+    parts = [to_bytes(view.before), to_bytes(view.after), difference_image(view.before, view.after)]
     parts += [mask_to_rgb(mask, top) for mask in (view.mask_before, view.mask_after)]
     path = out / f"{view_stem(view.name)}.png"
     write_image(path, np.concatenate(parts, axis=1))

@@ -18,9 +18,11 @@ import numpy as np
 
 from ... import __version__
 from ...files.atomic import atomic_write
+from ...files.images import to_bytes
 from ...render.color_maps import hex_colors
+from ...system.memory import size_text
 from .line_chart import Series, line_chart
-from .pictures import DIFFERENCE_GAIN, data_uri, difference_image, mask_to_rgb, to_uint8
+from .pictures import DIFFERENCE_GAIN, data_uri, difference_image, mask_to_rgb
 from .style import CSS, SCRIPT
 
 # of F, gets the brightest colour: with the maximum, one bright pixel would darken all masks
@@ -111,13 +113,6 @@ def _integer(value: float) -> str:
     return f"{value:,.0f}".replace(",", "\N{NARROW NO-BREAK SPACE}")
 
 
-def _size(value: float) -> str:
-    for limit, unit in ((1e9, "GB"), (1e6, "MB"), (1e3, "kB")):
-        if value >= limit:
-            return f"{value / limit:.1f} {unit}"
-    return f"{value:.0f} bytes"
-
-
 def _duration(seconds: float) -> str:
     if seconds < 100:
         return f"{seconds:.1f} s"
@@ -151,7 +146,7 @@ ROWS = (
     _Row("lpips", "LPIPS (VGG)", _decimals(4), -1, lambda d: f"{d:+.4f}"),
     _Row("flip", "FLIP", _decimals(4), -1, lambda d: f"{d:+.4f}"),
     _Row("count", "Gaussians", _integer, -1),
-    _Row("bytes", "File size", _size, -1),
+    _Row("bytes", "File size", size_text, -1),
     _Row("ms_per_frame", "Time per frame", _decimals(1, " ms"), -1),
 )
 
@@ -228,7 +223,7 @@ def _facts(report: Report) -> Iterator[tuple[str, str]]:
     if report.iterations_per_second is not None:
         yield "Speed", f"{report.iterations_per_second:.3g} iterations/s"
     if report.peak_memory_bytes is not None:
-        yield "Peak memory", _size(report.peak_memory_bytes)
+        yield "Peak memory", size_text(report.peak_memory_bytes)
     if report.seed is not None:
         yield "Seed", str(report.seed)
     if report.versions:
@@ -294,9 +289,9 @@ def _mask_range(views: tuple[View, ...]) -> float | None:
 
 def _view(view: View, names: tuple[str, str], mask_top: float | None) -> str:
     before, after = names
-    figures = [_figure("photograph", view.name, to_uint8(view.photo))] if view.photo is not None else []
-    figures.append(_figure(before, view.name, to_uint8(view.before), css="original"))
-    figures.append(_figure(after, view.name, to_uint8(view.after), stack=True))
+    figures = [_figure("photograph", view.name, to_bytes(view.photo))] if view.photo is not None else []
+    figures.append(_figure(before, view.name, to_bytes(view.before), css="original"))
+    figures.append(_figure(after, view.name, to_bytes(view.after), stack=True))
     difference = difference_image(view.before, view.after)
     figures.append(_figure(f"difference {before} – {after}, × {DIFFERENCE_GAIN}", view.name, difference))
     for name, mask in zip(names, (view.mask_before, view.mask_after), strict=True):

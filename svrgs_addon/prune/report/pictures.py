@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ...files.images import library_path
+from ...files.images import library_path, to_bytes
 from ...render.color_maps import colored
 
 DIFFERENCE_GAIN = 4
@@ -28,12 +28,12 @@ def mask_to_rgb(mask: np.ndarray, vmax: float | None = None) -> np.ndarray:
     vmax: the value of F with the brightest colour; None: the largest value of the mask. Masks that are
     compared need the same vmax.
     """
-    return to_uint8(colored(mask, float(np.max(mask, initial=0)) if vmax is None else vmax))
+    return to_bytes(colored(mask, float(np.max(mask, initial=0)) if vmax is None else vmax))
 
 
 def difference_image(a: np.ndarray, b: np.ndarray, gain: float = DIFFERENCE_GAIN) -> np.ndarray:
     """gain · |a - b| per channel, clipped to 0..1, as (H, W, 3) uint8. a, b: (H, W, 3) floats in 0..1."""
-    return to_uint8(np.abs(np.asarray(a, np.float32) - b) * gain)
+    return to_bytes(np.abs(np.asarray(a, np.float32) - b) * gain)
 
 
 def wipe(left: np.ndarray, right: np.ndarray, share: float) -> np.ndarray:
@@ -65,11 +65,6 @@ def with_color_bar(rgb: np.ndarray, name: str) -> np.ndarray:
     height, width, _ = rgb.shape
     bar = colored(np.broadcast_to(np.linspace(0, 1, width), (max(1, height // 16), width)), 1, name)
     return np.concatenate([rgb, np.zeros((max(1, height // 40), width, 3)), bar])
-
-
-def to_uint8(image: np.ndarray) -> np.ndarray:
-    """Floats, clipped to 0..1, as uint8 0..255, rounded; same shape."""
-    return np.rint(np.clip(image, 0, 1) * 255).astype(np.uint8)
 
 
 def data_uri(rgb: np.ndarray) -> str:

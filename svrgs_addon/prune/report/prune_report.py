@@ -52,7 +52,7 @@ def write_prune_report(
     """Writes folder/index.html. before: report_pictures() of the source scene; after: the pruned scene;
     result: the JSON result of the job; lpips_missing: why LPIPS was not measured; worst: where the pruned
     scene differs most. Raises SceneError if it cannot be written."""
-    source = load_scene(Path(result["scene"])).scene
+    source = load_scene(Path(result["scene"]))
     figures, notes = timed_in_turn((source, after), (result["before"], result["after"]), dataset)
     seen_from = dataset.cameras[report_indices(dataset)[0]]
     swung = swing((source, after), seen_from, dataset.background)
@@ -144,9 +144,9 @@ def _series(run: Run) -> tuple[Series, ...]:
     return (count, *psnrs, Series("Loss", curves.iteration, curves.loss))
 
 
-def report_indices(dataset: Dataset, count: int = REPORT_VIEWS) -> list[int]:
+def report_indices(dataset: Dataset) -> list[int]:
     """Indices of a few test views, spread over the dataset; of training views if there are no test views."""
-    return spaced(dataset.test_indices or dataset.train_indices, count)
+    return spaced(dataset.test_indices or dataset.train_indices, REPORT_VIEWS)
 
 
 def timed_in_turn(

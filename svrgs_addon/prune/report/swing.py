@@ -7,10 +7,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ...files.images import to_bytes
 from ...native.rasterizer import Rasterizer
 from ...render.metrics.evaluate import Renderable, picture_options
 from ...scene.camera import Camera
-from .pictures import to_uint8
 
 FRAMES = 16
 ANGLE = math.radians(7)  # to either side
@@ -27,7 +27,7 @@ def swing(scenes: Sequence[Renderable], camera: Camera, background=(0.0, 0.0, 0.
     return np.stack([
         np.concatenate(
             [
-                to_uint8(rasterizer.forward(scene, view, picture_options(scene, background))["rgb"])
+                to_bytes(rasterizer.forward(scene, view, picture_options(scene, background))["rgb"])
                 for scene in scenes
             ],
             axis=1,

@@ -29,31 +29,27 @@ ISLAND = 5e-4  # share of the visible Gaussians below which an island is small
 MIN_COUNT = 2 * NEIGHBOURS  # Gaussians: a scene of fewer has no small islands
 
 
-def on_small_islands(scene: Scene, gap: float = GAP, island: float = ISLAND) -> np.ndarray:
-    """(N,) bool: the visible Gaussians on islands with less than the share `island` of all visible ones. See
-    the top of this file.
-
-    scene: finite values. gap: as GAP; a larger one takes fewer Gaussians. Invisible ones (opacity below
-    1/255) are on no island.
-    """
+def on_small_islands(scene: Scene) -> np.ndarray:
+    """(N,) bool: the visible Gaussians on islands with less than the share ISLAND of all visible ones. See
+    the top of this file. scene: finite values. Invisible ones (opacity below 1/255) are on no island."""
     mask = np.zeros(scene.count, bool)
     rows = np.flatnonzero(~invisible(scene))
     if len(rows) < MIN_COUNT:
         return mask
     visible = scene.select(rows)
     near = nearest_rows(visible.means, NEIGHBOURS)
-    labels = islands(near, links(visible, near, gap))
-    mask[rows] = np.bincount(labels, minlength=len(rows))[labels] < max(2, island * len(rows))
+    labels = islands(near, links(visible, near))
+    mask[rows] = np.bincount(labels, minlength=len(rows))[labels] < max(2, ISLAND * len(rows))
     return mask
 
 
-def links(scene: Scene, near: np.ndarray, gap: float) -> np.ndarray:
+def links(scene: Scene, near: np.ndarray) -> np.ndarray:
     """(N, k) bool: whether each Gaussian is linked to those of the rows near (N, k)."""
     axes = rotation_matrices(scene.quats) * np.exp(scene.log_scales.astype(np.float64))[:, None, :]
     means, linked = scene.means.astype(np.float64), np.empty(near.shape, bool)
     lines = [means[near[:, j]] - means for j in range(near.shape[1])]
     distances = np.stack([np.linalg.norm(line, axis=1) for line in lines], axis=1)
-    ordinary = gap * _usual_distance(scene, distances.min(axis=1))
+    ordinary = GAP * _usual_distance(scene, distances.min(axis=1))
     for j, line in enumerate(lines):
         touch = TOUCH * (_extent(axes, line) + _extent(axes[near[:, j]], line))
         linked[:, j] = distances[:, j] <= np.maximum(touch, np.minimum(ordinary, ordinary[near[:, j]]))

@@ -169,18 +169,13 @@ class Space:
         )
         return blocked.mean(axis=0)
 
-    def blocked(
-        self, points: np.ndarray, directions: np.ndarray, reach: np.ndarray | None = None
-    ) -> np.ndarray:
-        """(P,) bool: whether the ray from each point (P, 3) in its direction (P, 3) meets matter. reach: (P,)
-        lengths of the rays; None: endless."""
+    def blocked(self, points: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """(P,) bool: whether the ray from each point (P, 3) in its direction (P, 3) meets matter."""
         depth, flat, at = np.zeros(len(points)), self.depth.reshape(-1), np.zeros(len(points))
-        limit = np.inf if reach is None else reach
         for _ in range(MARCH):
             m = np.maximum(np.abs(points + at[:, None] * directions - self.centre).max(axis=1) / self.half, 1)
             at = at + 4 / CELLS * self.half * np.minimum(m * m, 1e6)
-            here = points + at[:, None] * directions
-            depth += np.where(at < limit, flat[self.cells(here)], 0)
+            depth += flat[self.cells(points + at[:, None] * directions)]
             if (m > CELLS / 2).all():
                 break
         return depth >= OPAQUE
