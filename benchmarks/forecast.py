@@ -26,9 +26,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from statistics import fmean
 
+from cost import svrgs
 from forecast_report import page
 from method_scenes import prepared
-from methods import ROOT, TABLE, TARGETS, command, read_rows
+from method_studies import TABLE, TARGETS
+from methods import ROOT, command, read_rows, start_file
 
 METHODS = ("removal", "svr", "maskgs")
 SCHEDULE = 0.3  # of the rows of study pareto, and of the runs here where it is not varied
@@ -117,20 +119,8 @@ def reached(trained: Path, data: list[str], kept: Path, method: str, words: dict
     """The outcome of a run of `svrgs prune`, or of the same run before."""
     if not kept.exists():
         flags = [word for key, value in words.items() for word in (f"--{key.replace('_', '-')}", value)]
-        call = [
-            sys.executable,
-            "-m",
-            "svrgs_addon",
-            "prune",
-            trained,
-            "--out",
-            kept.with_suffix(".ply"),
-            "--method",
-            method,
-            *flags,
-            *data,
-        ]
-        kept.write_text(run([*call, "--schedule", schedule, "--json", "--quiet"]))
+        out = ["--out", kept.with_suffix(".ply"), "--schedule", schedule, "--quiet"]
+        kept.write_text(json.dumps(svrgs("prune", trained, *out, "--method", method, *flags, *data)))
     return outcome([json.loads(kept.read_text())])
 
 
@@ -159,19 +149,15 @@ def add_rows(options: argparse.Namespace):
         name, _, folder = given.partition("=")
         work = options.work / name
         data = prepared(name, Path(folder).resolve() if folder else None, work.resolve(), options.shrink)
-        trained = (options.trained or work / "3DGS-0-0.1.ply").resolve()
+        request = {
+            "study": "table", "scene": name, "run": "3DGS", "flags": TABLE["3DGS"], "seed": 0,
+            "schedule": 0.1, "trained": 0.1, "start": "3DGS", "shrink": options.shrink,
+        }  # fmt: skip
+        trained = (options.trained or start_file(request, work)).resolve()
         if not trained.exists():
             if options.trained:
                 sys.exit(f"{options.trained}: does not exist")
-            request = {
-                "study": "table",
-                "run": "3DGS",
-                "flags": TABLE["3DGS"],
-                "seed": 0,
-                "schedule": 0.1,
-                "trained": 0.1,
-            }
-            run(command(request, data, work.resolve()))
+            run(command(request, data, work.resolve(), 0))
         for case in cases(options):
             if (case[0], name, case[1]) in done or (found := row(options, name, data, trained, case)) is None:
                 continue

@@ -14,13 +14,10 @@ from __future__ import annotations
 
 import argparse
 import hashlib
-import json
 import math
 import shutil
-import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -29,7 +26,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from large_files import POLL, anonymous
+from cost import result_and_cost
 from svrgs_addon.files.memory_mapped import mapped_scene
 from svrgs_addon.files.registry import write_scene
 from svrgs_addon.scene.camera import Camera
@@ -69,27 +66,6 @@ def views(count: int) -> list[Camera]:
     return found
 
 
-def run(words: list[str]) -> tuple[float, int, dict]:
-    """Runs `svrgs large`. Seconds, the largest anonymous memory in bytes, and its result."""
-    started, most = time.perf_counter(), 0
-    command = [sys.executable, "-m", "svrgs_addon", "large", *words, "--json"]
-    with subprocess.Popen(
-        command,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        text=True,
-        cwd=Path(__file__).resolve().parents[1],
-    ) as child:
-        while child.poll() is None:
-            most = max(most, anonymous(child.pid))
-            time.sleep(POLL)
-        assert child.stdout is not None
-        out = child.stdout.read()
-    if child.returncode:
-        raise SystemExit(f"{' '.join(command)}: exit status {child.returncode}")
-    return time.perf_counter() - started, most, json.loads(out)
-
-
 def measure(source: Path, folder: Path, block: int, target: float, suffix: str) -> list[str]:
     """A line of the table."""
     work, out = folder / "work", folder / f"out{suffix}"
@@ -100,7 +76,7 @@ def measure(source: Path, folder: Path, block: int, target: float, suffix: str) 
     }
     cells, most, result = [], 0, {}
     for step in STEPS:
-        seconds, memory, result = run([str(word) for word in words.get(step, [step, work])])
+        result, seconds, memory = result_and_cost("large", *words.get(step, [step, work]))
         cells, most = [*cells, f"{seconds:.0f}"], max(most, memory)
         if step == "score":
             (scores,) = work.glob("scores_*.npy")

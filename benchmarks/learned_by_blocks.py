@@ -13,14 +13,13 @@ from __future__ import annotations
 
 import argparse
 import math
-import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from cost import SVRGS, cost_of
 from svrgs_addon.files.registry import describe, load_scene
 from svrgs_addon.finetune.quality import hold_apart
 from svrgs_addon.native.rasterizer import Rasterizer
@@ -73,14 +72,9 @@ def main():
 def run(words: list, dataset: Dataset) -> tuple[int, float, float]:
     """Gaussians, PSNR in dB and seconds of a command."""
     with tempfile.TemporaryDirectory() as folder:
-        out, started = Path(folder) / "out.ply", time.perf_counter()
-        subprocess.run(
-            [sys.executable, "-m", "svrgs_addon", *map(str, words), "--out", str(out)],
-            check=True,
-            capture_output=True,
-            cwd=ROOT,
-        )
-        return *quality(out, dataset), time.perf_counter() - started
+        out = Path(folder) / "out.ply"
+        seconds, _ = cost_of(*SVRGS, *words, "--out", out)
+        return *quality(out, dataset), seconds
 
 
 def quality(splat: Path, dataset: Dataset) -> tuple[int, float]:

@@ -55,6 +55,7 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from functools import cache
 from pathlib import Path
 
+from cost import svrgs
 from method_report import write_report
 from method_scenes import GENERATED, prepared
 from method_studies import PRUNED, STARTS, STUDIES, TABLE, change_of
@@ -184,9 +185,7 @@ def lpips_weights() -> list[str]:
 
 def evaluated(scene: Path, data: list[str]) -> dict:
     """The figures of a file on the test views."""
-    words = ["-m", "svrgs_addon", "eval", str(scene), *data, *lpips_weights(), "--json"]
-    done = subprocess.run([sys.executable, *words], cwd=ROOT, capture_output=True, text=True, check=True)
-    figures = json.loads(done.stdout)
+    figures = svrgs("eval", scene, *data, *lpips_weights())
     return {name: figures[name] for name in ("psnr", "ssim", "lpips", "flip") if name in figures}
 
 

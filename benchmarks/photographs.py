@@ -17,16 +17,14 @@ from __future__ import annotations
 
 import argparse
 import itertools
-import json
 import math
 import resource
-import subprocess
-import sys
 from pathlib import Path
 from statistics import fmean
 
 import numpy as np
 
+from cost import svrgs
 from method_report import half_range
 from method_scenes import prepared
 from svrgs_addon.files.images import linear_to_srgb, read_image, read_pixels, srgb_to_linear, write_image
@@ -38,15 +36,6 @@ from svrgs_addon.views.dataset import load_dataset
 
 ROOT = Path(__file__).resolve().parents[1]
 TARGETS = ("1", "0.25", "0.1")
-
-
-def svrgs(*words: object) -> dict:
-    """The JSON result of a command."""
-    command = [sys.executable, "-m", "svrgs_addon", *map(str, words), "--json"]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
-    if done.returncode:
-        sys.exit(done.stderr)
-    return json.loads(done.stdout)
 
 
 def person(height: int, width: int, rng: np.random.Generator) -> np.ndarray:

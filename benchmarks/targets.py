@@ -17,11 +17,11 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import subprocess
 import sys
 import tempfile
 from pathlib import Path
+
+from cost import svrgs
 
 ROOT = Path(__file__).resolve().parent.parent
 LOSSES = {"drops": "--max-drop", "flips": "--max-flip", "lpips": "--max-lpips"}  # option: that of svrgs
@@ -31,36 +31,9 @@ COLUMNS = ("method", "asked", "target", "reached", "error", "strength", "psnr be
 def row(options: argparse.Namespace, method: str, flag: str, asked: float, folder: Path) -> dict:
     """The figures of one run. flag: --target or one of LOSSES; asked: its value. It ends the program if the
     run fails."""
-    words = [
-        "--iterations",
-        options.iterations,
-        "--recovery",
-        options.recovery,
-        "--out",
-        folder / f"{method}.ply",
-        "--quiet",
-        "--json",
-    ]
-    command = [
-        sys.executable,
-        "-m",
-        "svrgs_addon",
-        "prune",
-        options.scene,
-        "--data",
-        options.data,
-        "--method",
-        method,
-        flag,
-        asked,
-        *words,
-        *options.further,
-    ]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    done = subprocess.run([str(word) for word in command], capture_output=True, text=True, env=environment)
-    if done.returncode:
-        sys.exit(f"{method} at {asked}: {done.stderr.strip().splitlines()[-1]}")
-    result = json.loads(done.stdout)
+    words = ["prune", options.scene, "--data", options.data, "--method", method, flag, asked, "--quiet"]
+    words += ["--iterations", options.iterations, "--recovery", options.recovery]
+    result = svrgs(*words, "--out", folder / f"{method}.ply", *options.further)
     figures = {name: result[name] for name in ("strength", "psnr", "count")}
     if flag in LOSSES.values():
         figures |= {"target": asked, "reached": result["drop"], "error": result["drop"] - asked}

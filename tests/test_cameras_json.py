@@ -94,7 +94,7 @@ def test_only_regular_files_are_read(tmp_path):
     """A pipe would be waited for, and the device has no end."""
     os.mkfifo(tmp_path / "pipe")
     for path in (tmp_path / "pipe", "/dev/zero", tmp_path):
-        with pytest.raises(FormatError, match="is not a regular file"):
+        with pytest.raises(FormatError, match="a pipe, a device or a folder"):
             load_cameras_json(path)
 
 
