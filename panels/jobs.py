@@ -80,12 +80,5 @@ def draw_headline(header, context):
         header.layout.label(text=line, icon="OUTLINER_OB_POINTCLOUD", translate=False)
 
 
-def register():
-    bpy.types.VIEW3D_HT_header.append(draw_headline)
-
-
-def unregister():
-    bpy.types.VIEW3D_HT_header.remove(draw_headline)
-
-
 CLASSES = (SVRGS_PT_jobs,)
+MENUS = {"VIEW3D_HT_header": draw_headline}

@@ -62,12 +62,6 @@ def sphere_of(objects: list[bpy.types.Object]) -> tuple[Vector, float] | None:
     return Vector(centre), max(radius, 1e-6)
 
 
-def viewing_distance(radius: float, lens: float, width: int, height: int) -> float:
-    """The view distance at which a sphere fits into a viewport of width x height pixels. lens: its focal
-    length in millimetres."""
-    return bounds.viewing_distance(radius, lens, width, height, SENSOR)
-
-
 def level(root: bpy.types.Object, cameras: list[Camera]) -> str:
     """Turns a root, and all below it, so that the photographs of the cameras stand upright. Returns what was
     done, in words.

@@ -126,11 +126,6 @@ def method_property():
     )
 
 
-def method_sentence(method: Method) -> str:
-    """What the method does."""
-    return capitalised(method.help)
-
-
 def capitalised(text: str) -> str:
     """The text with a capital first letter and no full stop, as Blender writes tooltips."""
     return text[:1].upper() + text[1:]
@@ -138,5 +133,5 @@ def capitalised(text: str) -> str:
 
 def _tooltip(method: Method) -> str:
     return ". ".join(
-        filter(None, (method_sentence(method), method.lambda_f_help and f"λ_F: {method.lambda_f_help}"))
+        filter(None, (capitalised(method.help), method.lambda_f_help and f"λ_F: {method.lambda_f_help}"))
     )

@@ -196,7 +196,7 @@ def _of_applied(obj: bpy.types.Object) -> str:
 def method_sentence(context) -> str:
     """What the chosen method does; of one that the short menu does not name, after its name."""
     method = METHODS["merge" if efforts.merges(context) else context.scene.svrgs_prune.method]
-    sentence = tr(option_properties.method_sentence(method))
+    sentence = tr(option_properties.capitalised(method.help))
     named = efforts.merges(context) or method.name in CHOICES.values()
     return sentence if named else f"{tr(method.label)}: {sentence}"
 

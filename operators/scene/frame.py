@@ -12,9 +12,9 @@ import bpy
 from bpy.app.translations import pgettext_iface as tr
 from mathutils import Matrix, Vector
 
-from ...svrgs_addon.scene.bounds import clipping
+from ...svrgs_addon.scene.bounds import clipping, viewing_distance
 from ..data import camera_object, splat_object
-from ..data.framing import photographed_view, sphere_of, viewing_distance
+from ..data.framing import SENSOR, photographed_view, sphere_of
 from ..data.reporting import ReportingOperator
 
 
@@ -60,7 +60,7 @@ def frame(context, objects: list[bpy.types.Object], through_cameras: bool = Fals
         else:
             view.view_location, view.view_distance = (
                 sphere[0],
-                viewing_distance(sphere[1], space.lens, region.width, region.height),
+                viewing_distance(sphere[1], space.lens, region.width, region.height, SENSOR),
             )
         space.clip_start, space.clip_end = clipping(view.view_distance, space.clip_start, space.clip_end)
     return True

@@ -14,7 +14,7 @@ from ...svrgs_addon.native.rasterizer import Rasterizer, RenderOptions
 from ...svrgs_addon.prune.report.pictures import with_color_bar
 from ...svrgs_addon.render import color_maps
 from ...svrgs_addon.system.errors import NativeError, SceneError, SplatError
-from ..data import camera_object, image_pixels, known, visible_splats
+from ..data import background_work, camera_object, image_pixels, known, visible_splats
 from ..data.preferences import threads
 from ..data.reporting import ReportingOperator
 from . import scene_cache
@@ -162,10 +162,7 @@ def _follow_in(context):
         refresh(context)
     except (SplatError, NativeError):
         return
-    for window in context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type in {"VIEW_3D", "IMAGE_EDITOR"}:
-                area.tag_redraw()
+    background_work.redraw_panels()
 
 
 CLASSES = (SVRGS_OT_spatial_mask,)

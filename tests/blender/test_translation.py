@@ -95,7 +95,7 @@ def of_methods() -> set[str]:
     return {
         text
         for m in part("svrgs_addon.finetune.methods").METHODS.values()
-        for text in (m.label, options.method_sentence(m), m.lambda_f_help)
+        for text in (m.label, options.capitalised(m.help), m.lambda_f_help)
         if text
     }
 
