@@ -133,7 +133,7 @@ def main() -> int:
     parser.add_argument("--data", type=Path, help="dataset whose photographs judge")
     words = parser.parse_args()
     dataset = dataset_of(DatasetOptions(data=words.data)) if words.data else None
-    cameras = [dataset.cameras[i] for i in dataset.train_indices] if dataset else []
+    cameras = dataset.training_cameras if dataset else []
     wanted = kinds(words.quantise, words.sh_degree, bool(cameras))
     wanted += [Kind(suffix, program=program) for program, suffix in others() if words.others]
     for path in words.splats:

@@ -65,7 +65,7 @@ def main():
     parser.add_argument("--images")
     options = parser.parse_args()
     scene, dataset = read_scene(options.scene), load_dataset(options.data, options.images, cameras_only=True)
-    cameras = [dataset.cameras[i] for i in dataset.train_indices]
+    cameras = dataset.training_cameras
     exact: list[np.ndarray] = []
     for name, (_, _, level) in LOOKS.items():
         if level and level not in supported_levels():

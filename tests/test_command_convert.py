@@ -138,6 +138,28 @@ def test_a_dataset_that_is_of_no_use_is_said(tmp_path, capsys, out, views, said)
     assert said in capsys.readouterr().err and not (tmp_path / out).exists()
 
 
+def test_views_that_do_not_see_the_splat_do_not_decide_how_it_is_stored(tiny, tmp_path, capsys):
+    """They would store it worse than without views."""
+    scene = read_scene(tiny.splat)
+    means = scene.means + np.where(np.arange(scene.count)[:, None] % 3 > 0, [0, -90, 0], 0).astype(np.float32)
+    write_scene(tmp_path / "a.ply", dataclasses.replace(scene, means=means))
+    words = [str(tmp_path / "a.ply"), str(tmp_path / "a.spz"), "--data", str(tiny.folder)]
+    assert main(["convert", *words]) == 2
+    assert "views see 3" in (said := capsys.readouterr().err) and "or leave --data out" in said
+    assert not (tmp_path / "a.spz").exists()
+    (line,) = convert(capsys, tiny.splat, tmp_path / "b.spz", "--data", tiny.folder)
+    assert line["seen"] > 0.9 and line["seen_views"] == 10
+    main(["convert", str(tiny.splat), str(tmp_path / "c.spz"), "--data", str(tiny.folder)])
+    assert "10 views see" in capsys.readouterr().out
+
+
+def test_options_of_spherical_harmonics_without_any_are_said(tiny, tmp_path, capsys, caplog):
+    write_scene(tmp_path / "a.ply", like_trained(0))
+    convert(capsys, tmp_path / "a.ply", tmp_path / "a.spz", "--quantise", "4")
+    convert(capsys, tmp_path / "a.ply", tmp_path / "b.spz", "--data", tiny.folder)
+    assert "--quantise changes nothing" in caplog.text and "--data changes nothing" in caplog.text
+
+
 @pytest.mark.parametrize("version", (2, 3, 4))
 def test_the_version_of_an_spz_can_be_chosen(splat, tmp_path, capsys, version):
     convert(capsys, splat, tmp_path / "b.spz", "--spz-version", version)

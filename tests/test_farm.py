@@ -466,6 +466,20 @@ def test_a_folder_with_other_things_is_no_place_for_a_job(captures, tmp_path, ca
     assert "leave one out" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    "words, said",
+    [
+        (["--quick"], "--quick needs --target"),
+        (["--quick", "--target", "0.5", "--nested", "0.5"], "--quick takes no --nested"),
+        (["--target", "0.5", "--target-format", ".sog"], "--target-format is about --target-size"),
+        (["--target-size", "1", "--target-format", ".foo"], "scenes are written as"),
+    ],
+)
+def test_options_that_every_task_would_refuse_are_refused(captures, tmp_path, capsys, words, said):
+    assert main(["farm", "export", str(captures), "--out", str(tmp_path / "a"), *words]) == 2
+    assert said in capsys.readouterr().err and not (tmp_path / "a").exists()
+
+
 def test_every_option_survives_the_way_through_the_file(captures, tmp_path):
     words = [
         "--background",

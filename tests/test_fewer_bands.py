@@ -23,6 +23,8 @@ from svrgs_addon.render.metrics.evaluate import picture_options, render_options
 from svrgs_addon.scene.gaussians import SH_COEFFICIENTS
 from svrgs_addon.system.errors import Cancelled, FormatError, SceneError
 from svrgs_bench.scenes import orbit_camera
+from tiny_dataset import views as cameras_of
+from tiny_dataset import write_tiny
 
 CAMERAS = [orbit_camera(120, 90, turn) for turn in range(0, 90, 5)]  # a quarter of a turn
 
@@ -85,6 +87,14 @@ def test_every_way_prunes_to_a_degree_and_measures_against_all_bands(tiny, tmp_p
     assert (read_scene(tmp_path / "a.ply").sh_degree, read_scene(tmp_path / "b.ply").sh_degree) == (1, 0)
     assert fewer["before"].get("psnr") == whole["before"].get("psnr") and fewer["count"] == whole["count"]
     assert fewer["psnr"] < whole["psnr"] and fewer["bytes"] < whole["bytes"]
+
+
+@pytest.mark.parametrize("more", ({}, {"quick": True, "iterations": 3_000, "recovery": 5_000}))
+def test_that_views_are_too_few_to_fit_them_is_said(tmp_path, more):
+    tiny = write_tiny(tmp_path / "tiny", cameras=cameras_of(8))
+    result = prune_scene(options(tiny, tmp_path / "a.ply", sh_degree=0, **more))
+    assert any("views are too few to tell what spherical harmonics" in note for note in result["notes"])
+    assert not any("too few" in note for note in prune_scene(options(tiny, tmp_path / "b.ply"))["notes"])
 
 
 def test_a_quick_job_that_leaves_out_bands_alone_takes_its_steps(tiny, tmp_path, small_pictures):

@@ -13,6 +13,7 @@ from svrgs_addon.prune import file_size
 from svrgs_addon.prune.file_size import FACTORS, FileSize, asked_size
 from svrgs_addon.prune.options import PruneOptions
 from svrgs_addon.prune.pipeline import prune_scene
+from svrgs_addon.prune.recipes import fine_tuned
 from svrgs_addon.prune.seen import seen_from
 from svrgs_addon.system.errors import SceneError
 from svrgs_bench.scenes import orbit_camera
@@ -35,8 +36,39 @@ def test_so_many_are_foreseen_that_the_file_is_filled(suffix, degree):
 def test_all_are_kept_where_all_fit_and_a_size_is_refused_into_which_none_does():
     scene, kind = random_scene(300), format_to_write("x.spz")
     assert FileSize(1e9, kind, 3).count_of(scene, CAMERAS) == 300
-    with pytest.raises(SceneError, match="a file of 1e-05 MB holds no Gaussian: ask for a larger one"):
+    with pytest.raises(SceneError, match="a file of 1e-05 MB holds no Gaussian: ask for more than 0.00"):
         FileSize(10.0, kind, 3).count_of(scene, CAMERAS)
+
+
+def test_a_format_that_takes_many_bytes_for_one_gaussian_is_filled_or_refused():
+    """The palettes of a SOG."""
+    scene, kind = random_scene(3_000), format_to_write("x.sog")
+    one = round_trip(scene.select(np.arange(1)), kind)[1]
+    with pytest.raises(SceneError, match="ask for more than 0.01"):
+        FileSize(0.9 * one, kind, 3).count_of(scene, CAMERAS)
+    size = FileSize(1.5 * one, kind, 3)
+    some = scene.select(np.arange(size.count_of(scene, CAMERAS)))
+    written = round_trip(some, kind, seen=seen_from(some, CAMERAS, kind))[1]
+    assert 0.8 * size.bytes < written <= 1.1 * size.bytes
+
+
+@pytest.mark.parametrize("suffix", (".usda", ".usdc"))
+def test_it_is_that_of_the_suffix_where_a_format_has_several(tiny, tmp_path, suffix):
+    job = options(tiny, tmp_path / f"a{suffix}", target_size=0.02)
+    assert 0.015 < prune_scene(job)["bytes"] / 1e6 <= 0.02
+
+
+def test_levels_are_stored_as_coarsely_as_the_result(tiny, tmp_path, monkeypatch):
+    """Else a level may be the larger file."""
+    monkeypatch.setattr(FileSize, "quantise_of", lambda *_: 4.0)
+    written = []
+    write = file_size.write_scene
+    for module in (file_size, fine_tuned):
+        monkeypatch.setattr(
+            module, "write_scene", lambda path, *a, **k: written.append(k) or write(path, *a, **k)
+        )
+    prune_scene(options(tiny, tmp_path / "a.spz", levels=(0.5,)))
+    assert [one["quantise"] for one in written] == [4.0, 4.0]
 
 
 def test_sh_are_stored_more_coarsely_only_where_more_bytes_are_needed_than_foreseen():
@@ -60,6 +92,7 @@ def test_a_file_that_is_larger_all_the_same_is_said():
     size = FileSize(1e6, kind, 3)
     assert size.notes(1.0, 1_000_000, kind) == []
     coarse, larger = size.notes(1.25, 1_010_000, kind)
+    assert size.notes(1.25, 999_999, kind)[0] == f"{coarse}, so that the file is no larger than asked for"
     assert (
         "--quantise 1.25" in coarse and "1.01 MB, more than the 1 MB asked for: ask for 0.9703 MB" in larger
     )

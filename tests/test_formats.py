@@ -323,6 +323,28 @@ def test_what_is_beyond_the_limits_of_an_spz_is_said(tmp_path, caplog, change, s
     assert found.max() == pytest.approx(scene.means.max(), rel=0.01)
 
 
+@pytest.mark.parametrize(
+    ("suffix", "change", "said"),
+    [
+        (".spz", "bright", "clipped"),
+        (".spz", "shiny", "clipped"),
+        (".compressed.ply", "shiny", "clipped"),
+        (".compressed.ply", "far", "larger than these are"),
+        (".compressed.ply", "bright", ""),
+        (".ply", "shiny", ""),
+    ],
+)
+def test_colours_and_places_that_a_format_cannot_hold_are_said(tmp_path, caplog, suffix, change, said):
+    scene = like_trained(1)
+    if change == "far":
+        scene.means[:] *= 1e6
+    else:
+        scene.sh[:100, 0 if change == "bright" else slice(1, None)] = 5.0
+    with caplog.at_level(logging.WARNING):
+        write_scene(tmp_path / f"a{suffix}", scene)
+    assert (said in caplog.text) if said else not caplog.text
+
+
 @pytest.mark.slow
 def test_opaque_and_transparent_gaussians_stay_finite_and_what_they_are(tmp_path):
     scene = dataclasses.replace(like_trained(0, 4), opacity_logits=np.array([-80, -6, 6, 80], np.float32))

@@ -291,6 +291,12 @@ def test_errors_are_means_over_the_pixels_that_count():
     assert 1 - found["ssim"] == pytest.approx((1 - whole["ssim"]) / valid.mean())
 
 
+def test_equal_pictures_count_as_100_db_among_others_and_as_infinite_alone():
+    image, other = np.zeros((16, 16, 3), np.float32), np.full((16, 16, 3), 0.1, np.float32)
+    assert mean_figures([(image, image, None), (image, other, None)])["psnr"] == pytest.approx(60, abs=1e-4)
+    assert mean_figures([(image, image, None)])["psnr"] == np.inf
+
+
 # --- whole jobs
 
 

@@ -57,6 +57,8 @@ def test_more_than_there_are_keeps_all_that_can_be_seen(splat):
     result = run(splat, target=None, target_count=9_999)
     assert result["count"] == scene.count - 7
     assert "7 Gaussians are invisible, so they are left out" in result["notes"]
+    assert "9,999 Gaussians are asked for, and the scene has" in "".join(result["notes"])
+    assert not any("merged first" in note for note in result["notes"])
     assert not any("left out" in note for note in run(splat)["notes"])
 
 

@@ -19,6 +19,7 @@ from ..files.level_files import holds_levels
 from ..files.memory_mapped import mapped_scene
 from ..files.sh_rounding import SeenFrom, without_bands
 from ..files.streamed_sog import write_levels
+from ..prune.belonging import MIN_SEEN, Seen, seen_of
 from ..prune.door import check_files, check_views, outputs
 from ..prune.seen import FEWEST_VIEWS, bytes_of, fewer_bands, seen_from
 from ..prune.selection.criteria import in_box
@@ -63,9 +64,10 @@ def as_text(line: dict) -> str:
     if problem := line.get("error") or line.get("skipped"):
         return problem if "error" in line else f"{line['out']}: skipped, {problem}"
     sizes = " -> ".join(memory.size_text(line[name]) for name in ("bytes_before", "bytes"))
+    seen = f"; {Seen(line['seen'], line['seen_views']).sentence()}" if "seen" in line else ""
     return (
         f"{line['scene']}: {line['count']:,} Gaussians, SH degree {line['sh_degree']}, {sizes}; saved"
-        f" {line['out']}"
+        f" {line['out']}{seen}"
     )
 
 
@@ -74,9 +76,12 @@ def _convert(path: Path, out: Path, options: ConvertOptions) -> dict:
     with outputs(path, [out]), _loaded(path, out, options) as scene:
         if not scene.count:
             raise SceneError(f"{path}: no Gaussian is inside the box, so no file was written")
-        scene, seen = _by_views(scene, path, out, options)
+        scene, seen, by_views = _by_views(scene, path, out, options)
+        if options.quantise != 1 and not scene.sh_degree:
+            logging.warning("%s: has no spherical harmonics, so --quantise changes nothing", path)
         registry.write_scene(out, scene, options.spz_version or 0, options.quantise, seen)
         facts = {"count": scene.count, "sh_degree": min(scene.sh_degree, splat_format.most_degree)}
+        facts |= by_views
     return facts | {"bytes_before": registry.size_on_disk(path), "bytes": registry.size_on_disk(out)}
 
 
@@ -94,8 +99,8 @@ def _convert_levels(paths: list[Path], out: Path, options: ConvertOptions) -> di
                 f"{out}: no Gaussian of one of the levels is inside the box, so no file was written"
             )
         views = [_by_views(one, out, out, options) for one in scenes]
-        scenes = [scene for scene, _ in views]
-        write_levels(out, scenes, options.quantise, [seen for _, seen in views])
+        scenes = [scene for scene, *_ in views]
+        write_levels(out, scenes, options.quantise, [seen for _, seen, _ in views])
     facts = {
         "scene": ", ".join(map(str, paths)),
         "out": str(out),
@@ -127,13 +132,19 @@ def _whole(path: Path) -> Scene | None:
         return None
 
 
-def _by_views(scene: Scene, path: Path, out: Path, options: ConvertOptions) -> tuple[Scene, SeenFrom | None]:
-    """The changed scene, whose bands are left out by what the training views of --data show, and from where
-    they see it; without --data as it is, and None. Raises SceneError, FormatError."""
+def _by_views(
+    scene: Scene, path: Path, out: Path, options: ConvertOptions
+) -> tuple[Scene, SeenFrom | None, dict]:
+    """The changed scene, whose bands are left out by what the training views of --data show; from where they
+    see it; and what share of it they see, for the result. Without --data: as it is, None, and nothing. Raises
+    SceneError, FormatError."""
     if options.data is None:
-        return scene, None
+        return scene, None, {}
     splat_format = registry.format_to_write(out)
     degree = min(_degree(options), splat_format.most_degree)
+    if not scene.sh_degree:
+        logging.warning("%s: has no spherical harmonics, so --data changes nothing", path)
+        return scene, None, {}
     if not (splat_format.quantises or scene.sh_degree > degree):
         raise SceneError(
             f"{out}: an SPZ or a SOG is rounded by views, and spherical harmonics are left out by them: leave"
@@ -144,7 +155,13 @@ def _by_views(scene: Scene, path: Path, out: Path, options: ConvertOptions) -> t
     largest = max(cameras, key=lambda camera: camera.width * camera.height)
     needed = memory.rendering(scene.count, largest.width, largest.height) + bytes_of(scene.count, cameras)
     memory.refuse_excess(f"{path}: rendering it", needed)
-    if len(cameras) < FEWEST_VIEWS and scene.sh_degree:
+    seen = seen_of(scene, cameras)
+    if seen.share < MIN_SEEN:
+        raise SceneError(
+            f"{path}: {seen.sentence()}, and the others would be stored for where nobody looks from: give the"
+            " dataset of this splat, or leave --data out"
+        )
+    if len(cameras) < FEWEST_VIEWS:
         raise SceneError(
             f"{options.data}: has {len(cameras)} training views, and {FEWEST_VIEWS} are needed: leave --data"
             " out"
@@ -152,7 +169,7 @@ def _by_views(scene: Scene, path: Path, out: Path, options: ConvertOptions) -> t
     for sentence in registry.higher_bands(scene, splat_format):
         logging.warning("%s: %s", out, sentence)
     scene = fewer_bands(scene, degree, cameras)
-    return scene, seen_from(scene, cameras, out)
+    return scene, seen_from(scene, cameras, out), seen.facts()
 
 
 def _changed(scene: Scene, options: ConvertOptions) -> Scene:
@@ -174,7 +191,7 @@ def _degree(options: ConvertOptions) -> int:
 def _training_cameras(data: Path) -> list[Camera]:
     """Of the dataset, which is read once for all inputs. Raises SceneError, FormatError."""
     dataset = load_dataset(data, cameras_only=True)
-    return [dataset.cameras[i] for i in dataset.train_indices]
+    return dataset.training_cameras
 
 
 def _to_original(options: ConvertOptions) -> np.ndarray:

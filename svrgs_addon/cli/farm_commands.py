@@ -18,6 +18,7 @@ from ..jobs.farm.run_tasks import numbers_of, run_tasks
 from ..jobs.farm.summary import summarise
 from ..prune.door import allowed_loss
 from ..prune.options import PruneOptions
+from ..prune.pipeline import in_memory
 from ..prune.plans import method_of
 from ..system.errors import SceneError, SplatError
 from ..system.memory import size_text
@@ -62,6 +63,8 @@ def _export(args: argparse.Namespace) -> dict[str, Any]:
     root = common_folder(folders) or folders[0]
     scenes = [(item.name, item.scene, None if args.no_photographs else item.data) for item in items]
     job = FarmJob(folder.absolute(), root, tasks_of(root, scenes, list(_ways(args)), options), suffix)
+    for task in job.tasks:
+        in_memory(job.options(task))  # refuses what the task would refuse
     return _write(job)
 
 

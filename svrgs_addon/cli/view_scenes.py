@@ -8,6 +8,7 @@ import logging
 import threading
 import webbrowser
 
+from ..files.atomic import check_writable
 from ..files.registry import check_readable, format_to_read, load_scene
 from ..prune.belonging import check_explained
 from ..prune.options import DatasetOptions
@@ -48,6 +49,7 @@ def export_page(args: argparse.Namespace):
     """Writes the page into a folder, and prints its files, their sizes and figures. Raises SplatError."""
     if args.nested:
         raise SceneError("a page has no slider for a nested result: leave --nested out")
+    check_writable(args.export / "index.html")  # before anything is read
     scenes, program = export(source_of(args), args.export), program_bytes()
     for one in scenes:
         for sentence in one["limits"]:

@@ -25,7 +25,16 @@ from ..scene.morton_order import morton_order
 from ..system.errors import FormatError
 from .atomic import atomic_write, check_space
 from .ply_header import MAX_HEADER_BYTES, Header, format_header, is_mip, parse_header, written_comments
-from .quantised import alphas_of, colors_of_sh, logits_of, quats_of_three, sh_of_colors, three_of_quats
+from .quantised import (
+    alphas_of,
+    clipped,
+    colors_of_sh,
+    logits_of,
+    quats_of_three,
+    sh_of_colors,
+    three_of_quats,
+    widest_logs,
+)
 from .reading import MAX_COUNT, open_splat, refuse_unpacking, rows_at, size_of
 from .splat_format import SplatFormat
 
@@ -41,6 +50,8 @@ RANGES = tuple(
 )
 WITHOUT_COLOR = 12  # ranges in files of the first version
 LARGEST_LOG_SCALE = 20.0  # of the ranges
+MOST_SH = 4.0  # of coefficients of degree 1 to 3
+MAX_COARSE = 0.05  # share of the Gaussians smaller than a step of their positions, at most
 HALF_SQRT2 = np.float32(0.5**0.5)
 BROKEN = "; export the file again"
 
@@ -99,6 +110,24 @@ def write(path: str | os.PathLike, scene: Scene):
             for at, piece in pieces.items():
                 file.seek(at)
                 file.write(np.ascontiguousarray(piece).data)
+
+
+def limits(scene: Scene) -> list[str]:
+    """A sentence if Gaussians are smaller than the steps in which their chunk stores positions, and one if SH
+    are clipped."""
+    order = morton_order(scene.means)
+    means, starts = scene.means[order], np.arange(0, scene.count, CHUNK)
+    extents = np.maximum.reduceat(means, starts) - np.minimum.reduceat(means, starts)
+    steps = (extents / (2.0 ** np.array(POSITION_BITS) - 1)).max(axis=1).repeat(CHUNK)[: scene.count]
+    coarse = int((steps > np.exp(widest_logs(scene)[order])).sum())
+    sentences = clipped(scene, "a compressed PLY", MOST_SH)
+    if coarse <= MAX_COARSE * scene.count:
+        return sentences
+    return [
+        f"the positions of {coarse:,} Gaussians are stored in steps larger than these are, because some lie"
+        " far away: remove those first (svrgs select), or write another format",
+        *sentences,
+    ]
 
 
 def file_body(scene: Scene) -> int:
@@ -253,5 +282,6 @@ FORMAT = SplatFormat(
     read_parts=read_parts,
     write=write,
     size=file_size,
+    limits=limits,
     carries=("antialiased",),
 )

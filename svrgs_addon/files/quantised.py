@@ -10,6 +10,8 @@ from .memory_mapped import in_blocks
 MIN_SCALE = np.float32(1e-30)  # for one of 0
 LARGEST_SHARE = 0.01  # of the Gaussians that count no more than the smallest of them: sky would count alone
 MIN_WEIGHT = 0.003
+# share of the Gaussians beyond the limits of a format, at most: else a sentence says so
+MAX_BEYOND = 0.01
 BEYOND = 1e-7  # an opacity keeps so much from 0 and 1, where its logit would be infinite
 SPARED = 0.25  # steps that an opacity of 8 bits keeps from 0 and 1, where its logit would be infinite
 
@@ -122,3 +124,20 @@ def small_scale(scene: Scene) -> float:
     logs = widest_logs(scene)
     logs = logs[np.isfinite(logs)]
     return float(np.exp(np.clip(np.quantile(logs, 0.05), -80, 80))) if len(logs) else 1.0
+
+
+def clipped(scene: Scene, label: str, most: float, most_dc: float = np.inf) -> list[str]:
+    """A sentence if more than MAX_BEYOND of the Gaussians have SH coefficients beyond ±most, or of degree 0
+    beyond ±most_dc, which the format of this name stores as these."""
+
+    def beyond(part: Scene) -> np.ndarray:
+        flat = np.abs(part.sh).reshape(part.count, -1)
+        return (flat[:, :3] > most_dc).any(axis=1) | (flat[:, 3:] > most).any(axis=1)
+
+    count = int(in_blocks(beyond, scene).sum())
+    if count <= MAX_BEYOND * scene.count:
+        return []
+    return [
+        f"{count:,} Gaussians have colours or spherical harmonics beyond the limits of {label}, so these are"
+        " clipped: write another format"
+    ]

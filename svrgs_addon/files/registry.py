@@ -267,12 +267,16 @@ def as_stored(scene: Scene, splat_format: SplatFormat, seen: SeenFrom | None = N
 
 
 def round_trip(
-    scene: Scene, splat_format: SplatFormat, quantise: float = 1.0, seen: SeenFrom | None = None
+    scene: Scene,
+    splat_format: SplatFormat,
+    quantise: float = 1.0,
+    seen: SeenFrom | None = None,
+    suffix: str = "",
 ) -> tuple[Scene, int]:
     """The scene as a file of the format would hold it, and the size in bytes. quantise, seen: as of
-    write_scene(). Raises SceneError, FormatError."""
+    write_scene(). suffix: of the file; "": the first one of the format. Raises SceneError, FormatError."""
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / (splat_format.index or f"scene{splat_format.suffixes[0]}")
+        path = Path(folder) / (splat_format.index or f"scene{suffix or splat_format.suffixes[0]}")
         assert splat_format.write is not None
         splat_format.write(path, scene, **_rounding(splat_format, quantise, seen))
         return splat_format.whole(path), size_on_disk(path)

@@ -30,7 +30,9 @@ from .atomic import atomic_write, check_space
 from .axes import turned_over
 from .memory_mapped import array_for
 from .quantised import (
+    MAX_BEYOND,
     alphas_of,
+    clipped,
     logits_of,
     picture_weights,
     quats_of_three,
@@ -49,9 +51,7 @@ FRACTION_BITS = 12  # of positions, at least where the scene is small enough
 LARGEST_POSITION = 2**23 - 1
 FINER = 16  # steps of a position, at least, in the scale of a small Gaussian
 MAX_FRACTION_BITS = 24
-# steps of a position in the scale of a small Gaussian, at least, and share of the Gaussians beyond the limits
-# of scales, at most: else a sentence says so
-COARSE, MAX_BEYOND = 2, 0.01
+COARSE = 2  # steps of a position in the scale of a small Gaussian, at least: else a sentence says so
 COLOR, SCALE_STEPS, SMALLEST_SCALE = 0.15, 16, -10
 # of 256, between values of SH of a Gaussian with weight 1 (picture_weights) that are written
 # (docs/formats.md)
@@ -154,7 +154,7 @@ def limits(scene: Scene) -> list[str]:
             f"{beyond:,} Gaussians are smaller than {np.exp(low):.1g} or larger than {np.exp(high):.3g}, the"
             " limits of an SPZ: scale the scene first"
         )
-    return sentences
+    return sentences + clipped(scene, "an SPZ", 1.0, 0.5 / COLOR)
 
 
 def _extent(scene: Scene) -> tuple[float, float]:

@@ -290,7 +290,7 @@ class Run:
 
     @property
     def training_cameras(self) -> list[Camera]:
-        return [self.dataset.cameras[i] for i in self.dataset.train_indices]
+        return self.dataset.training_cameras
 
     @staticmethod
     def _densifies(phase: Phase, number: int) -> bool:

@@ -110,8 +110,7 @@ def estimate(options: PruneOptions, suffix: str = USUAL.suffixes[0]) -> dict:
 
 def _plan(options: PruneOptions, scene: Scene, dataset: Dataset) -> Plan:
     plan, size = plan_of_pruning(options), asked_size(options)
-    views = [dataset.cameras[i] for i in dataset.train_indices]
-    return replace(plan, target=size.count_of(scene, views)) if size else plan
+    return replace(plan, target=size.count_of(scene, dataset.training_cameras)) if size else plan
 
 
 def _sizes(scene: Scene, kept: int, plan: Plan, kind: SplatFormat) -> dict:

@@ -93,7 +93,7 @@ def check_dataset(scene: Scene, dataset: Dataset, name: str, force: bool) -> tup
     almost nothing then no longer count. Returns what the user must know, and facts for the JSON result."""
     if not isinstance(dataset, RenderedDataset):
         return check_explained(scene, dataset, name, force), {}
-    seen = seen_of(scene, [dataset.cameras[i] for i in dataset.train_indices])
+    seen = seen_of(scene, dataset.training_cameras)
     notes = [seen.sentence(), *check_seen(seen, name, force), *leave_out_empty_tests(dataset)]
     return notes, seen.facts()
 

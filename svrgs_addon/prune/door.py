@@ -111,6 +111,11 @@ def allowed_loss(options: PruneOptions) -> Allowed:
     return asked[0] if asked else Allowed()
 
 
+def excess_notes(wanted: int, count: int) -> list[str]:
+    """A sentence if more Gaussians are asked for than the scene has."""
+    return [f"{wanted:,} Gaussians are asked for, and the scene has {count:,}"] if wanted > count else []
+
+
 def degree_to_keep(options: PruneOptions) -> int:
     """The highest SH degree of the result: that of --sh-degree, or that of the output's format if it is
     lower."""

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..files.level_files import holds_levels
-from ..files.registry import format_to_write, round_trip, size_on_disk, write_scene
+from ..files.registry import format_to_write, round_trip, size_on_disk, split_name, write_scene
 from ..files.sh_rounding import SeenFrom
 from ..files.splat_format import SplatFormat
 from ..scene.camera import Camera
@@ -36,25 +36,29 @@ class FileSize:
     splat_format: SplatFormat
     degree: int
     later: bool = False  # it is written from the result, by views or without them
+    suffix: str = ""  # of the file, if the format has several
 
     def count_of(self, scene: Scene, cameras: Sequence[Camera]) -> int:
         """How many Gaussians fit, 1 to N, of a file that is written by what the views see. Raises SceneError,
         FormatError."""
         scene = fewer_bands(scene, self.degree, ())
         seen = seen_from(scene, cameras, self.splat_format)
-        count, room = (
-            scene.count,
-            ALMOST_ALL if self.splat_format.size else ROOM_LATER if self.later else ROOM,
+        ways = (seen, None) if self.later and seen else (seen,)
+        size_of = lambda count: max(
+            bytes_of(scene, count, self.splat_format, way, self.suffix) for way in ways
         )
+        least, count = size_of(1), scene.count
+        room = ALMOST_ALL if self.splat_format.size else ROOM_LATER if self.later else ROOM
+        if least > self.bytes:
+            raise SceneError(
+                f"a file of {self.bytes / 1e6:g} MB holds no Gaussian: ask for more than {least / 1e6:.2g} MB"
+            )
         for _ in range(TRIES):
-            size = bytes_of(scene, count, self.splat_format, seen)
-            if self.later and seen:
-                size = max(size, bytes_of(scene, count, self.splat_format))
-            former, count = count, min(scene.count, max(1, int(count * room * self.bytes / size)))
+            each = (size_of(count) - least) / max(1, count - 1)  # bytes of one more Gaussian
+            more = max(0.0, room * self.bytes - least) / each if each > 0 else scene.count
+            former, count = count, min(scene.count, 1 + int(more))
             if abs(count - former) <= CLOSE * count:
                 break
-        if count == 1 and size > self.bytes:
-            raise SceneError(f"a file of {self.bytes / 1e6:g} MB holds no Gaussian: ask for a larger one")
         return count
 
     def quantise_of(self, scene: Scene, seen: SeenFrom | None, splat_format: SplatFormat) -> float:
@@ -73,8 +77,8 @@ class FileSize:
         sentences = []
         if quantise != 1:
             sentences.append(
-                "spherical harmonics are stored more coarsely, as by svrgs convert --quantise"
-                f" {quantise:g}, so that the file is no larger than asked for"
+                f"spherical harmonics are stored more coarsely, as by svrgs convert --quantise {quantise:g}"
+                + (", so that the file is no larger than asked for" if written <= self.bytes else "")
             )
         if written > self.bytes:
             sentences.append(
@@ -84,22 +88,26 @@ class FileSize:
         return sentences
 
 
-def bytes_of(scene: Scene, count: int, splat_format: SplatFormat, seen: SeenFrom | None = None) -> int:
+def bytes_of(
+    scene: Scene, count: int, splat_format: SplatFormat, seen: SeenFrom | None = None, suffix: str = ""
+) -> int:
     """Bytes of a file with `count` of the scene's Gaussians, by those of at most MOST that are drawn at
-    random. Raises SceneError, FormatError."""
+    random. suffix: as of round_trip(). Raises SceneError, FormatError."""
     some = min(count, MOST)
     rows = np.sort(np.random.default_rng(0).permutation(scene.count)[:some])
     part = seen.select(rows) if seen else None
-    return round_trip(scene.select(rows), splat_format, seen=part)[1] * count // some
+    return round_trip(scene.select(rows), splat_format, seen=part, suffix=suffix)[1] * count // some
 
 
-def write_sized(path: Path, scene: Scene, seen: SeenFrom | None, size: FileSize | None) -> list[str]:
-    """Writes the scene, of the size that is asked for, if one is. seen: as of write_scene(). Returns what the
-    user must know. Raises SceneError, FormatError."""
+def write_sized(
+    path: Path, scene: Scene, seen: SeenFrom | None, size: FileSize | None
+) -> tuple[float, list[str]]:
+    """Writes the scene, of the size that is asked for, if one is. seen: as of write_scene(). Returns the
+    factor on the error in SH, and what the user must know. Raises SceneError, FormatError."""
     kind = format_to_write(path)
     quantise = size.quantise_of(scene, seen, kind) if size else 1.0
     write_scene(path, scene, quantise=quantise, seen=seen)
-    return size.notes(quantise, size_on_disk(path), kind) if size else []
+    return quantise, size.notes(quantise, size_on_disk(path), kind) if size else []
 
 
 def asked_size(options: PruneOptions) -> FileSize | None:
@@ -108,11 +116,10 @@ def asked_size(options: PruneOptions) -> FileSize | None:
         if options.target_format:
             raise SceneError("--target-format is about --target-size: add it, or leave --target-format out")
         return None
-    splat_format = format_to_write(
-        f"x{options.target_format}" if options.target_format else options.out or ""
-    )
+    name = f"x{options.target_format}" if options.target_format else options.out or ""
+    splat_format = format_to_write(name)
     if options.out is not None and holds_levels(options.out):
         raise SceneError(f"{options.out}: --target-size is about one file, and this output has several")
     degree = min(degree_to_keep(options), splat_format.most_degree)
     later = options.out is None or splat_format != format_to_write(options.out)
-    return FileSize(options.target_size * 1e6, splat_format, degree, later)
+    return FileSize(options.target_size * 1e6, splat_format, degree, later, split_name(name)[1])

@@ -67,7 +67,7 @@ def _rounding(scene: Scene, dataset: Dataset, kept: int, out: Path) -> float:
         return 0.0
     part = scene.select(np.linspace(0, scene.count - 1, min(kept, PART)).astype(int))
     started = time.perf_counter()
-    seen = seen_from(part, [dataset.cameras[i] for i in dataset.train_indices], out)
+    seen = seen_from(part, dataset.training_cameras, out)
     round_trip(part, splat_format, seen=seen)
     return (time.perf_counter() - started) * kept / part.count
 

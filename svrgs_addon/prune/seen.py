@@ -33,6 +33,16 @@ def fewer_bands(scene: Scene, degree: int, cameras: Sequence[Camera]) -> Scene:
     return without_bands(scene, degree, _shown(scene, cameras)) if scene.sh_degree > degree else scene
 
 
+def cut_notes(scene: Scene, degree: int, cameras: Sequence[Camera]) -> list[str]:
+    """A sentence where fewer_bands() cuts bands because the views are too few."""
+    if scene.sh_degree <= degree or len(cameras) >= FEWEST_VIEWS:
+        return []
+    return [
+        f"{len(cameras)} views are too few to tell what spherical harmonics above degree {degree} show, so"
+        f" these are cut; from {FEWEST_VIEWS} views on, the others take them up"
+    ]
+
+
 def _shown(scene: Scene, cameras: Sequence[Camera]) -> SeenFrom | None:
     """What at most MOST_VIEWS of the views show of each Gaussian. None if they are too few."""
     if len(cameras) < FEWEST_VIEWS:

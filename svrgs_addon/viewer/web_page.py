@@ -91,7 +91,7 @@ def _written(source: Source, k: int, folder: Path) -> dict:
     """Writes a scene, rounded by the training views: figures are those of other ones. Returns its facts."""
     name, scene, dataset = source.names[k], source.scenes[k], source.dataset
     file = folder / NAMES[len(source.scenes)][k]
-    cameras = [dataset.cameras[i] for i in dataset.train_indices] if dataset else source.cameras
+    cameras = dataset.training_cameras if dataset else source.cameras
     spz.write(file, replace(scene, attributes={}), VERSION, seen=seen_from(scene, cameras, file))
     facts = {"file": file.name, "name": name, "count": scene.count, "bytes": os.path.getsize(file)}
     facts |= {"antialiased": scene.antialiased, "limits": spz.limits(scene)}

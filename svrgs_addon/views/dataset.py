@@ -78,6 +78,10 @@ class Dataset:
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
     @property
+    def training_cameras(self) -> list[Camera]:
+        return [self.cameras[i] for i in self.train_indices]
+
+    @property
     def extent(self) -> float:
         """Scene extent of 3DGS in world units: 1.1 times the largest distance of a training camera from their
         mean position.

@@ -33,7 +33,7 @@ from ...finetune.plan import Plan
 from ...finetune.quality import NOT_APART, hold_apart, quality_views
 from ...finetune.run import Run
 from ...native.rasterizer import Rasterizer, RenderOptions
-from ...render.metrics.allowed_loss import MEASURES, format_loss, loss_notes, missed_loss, rounding_note
+from ...render.metrics.allowed_loss import MEASURES, format_loss, loss_notes, missed_loss, rounding_notes
 from ...render.metrics.evaluate import (
     evaluate,
     mean_quality,
@@ -58,7 +58,7 @@ from ..belonging import check_dataset
 from ..blocks.folder import remove_blocks
 from ..context import Clock, JobContext
 from ..disk_room import ROW, DiskRoom
-from ..door import check_training, check_visible
+from ..door import check_training, check_visible, excess_notes
 from ..file_size import FileSize, write_sized
 from ..first_cut import first_cut
 from ..likeness import assumed_drop
@@ -66,7 +66,7 @@ from ..photographs import in_its_colours, prepared
 from ..planning import pruning_within
 from ..recipe import Recipe
 from ..report.prune_report import report_pictures, write_prune_report
-from ..seen import fewer_bands, seen_from
+from ..seen import cut_notes, fewer_bands, seen_from
 
 CANNOT_REACH = "method '{}' cannot reach a target without iterations in which it prunes"
 
@@ -124,7 +124,8 @@ class Tuned(Recipe):
         self.room.release()
         with self.clock.phase("write"):
             seen = seen_from(self.scene, self.run.training_cameras, self.job.out)
-            self.notes += write_sized(self.job.out, self.scene, seen, self.size)
+            self.quantise, notes = write_sized(self.job.out, self.scene, seen, self.size)
+            self.notes += notes
             self.write_fitted()
         checkpoint.delete_all(self.job.folder)
 
@@ -169,9 +170,8 @@ class Tuned(Recipe):
             return []
         options = render_options(self.scene, self.dataset.background)
         psnr = mean_quality(self.scene, self.dataset, self.measuring, Rasterizer(), options)
-        if isinstance(self.dataset, RenderedDataset):
-            return loss_notes(psnr, stored)
-        return [rounding_note(self.job.out, psnr, stored)]
+        own = isinstance(self.dataset, RenderedDataset)
+        return loss_notes(psnr, stored) if own else rounding_notes(self.job.out, psnr, stored)
 
     def all_notes(self) -> list[str]:
         return [*self.dataset.notes, *self.notes]
@@ -268,11 +268,12 @@ class FineTuned(Tuned):
     def check(self):
         source, dataset = self.source, self.dataset
         if self.size:
-            views = [dataset.cameras[i] for i in dataset.train_indices]
-            self.plan = replace(self.plan, target=self.size.count_of(source, views))
+            self.plan = replace(self.plan, target=self.size.count_of(source, dataset.training_cameras))
         plan = self.plan
         check_request(dataset, plan)
         refuse_lost_order(plan, self.job)
+        self.notes += excess_notes(plan.target, source.count)
+        self.notes += cut_notes(source, plan.sh_degree, dataset.training_cameras)
         refuse_unseen(source, dataset.cameras, str(self.path))
         needed = refuse_excess(
             f"{self.path}: pruning it", source.count, source.sh.shape[1], dataset, plan, memory.BY_BLOCKS
@@ -333,7 +334,8 @@ class FineTuned(Tuned):
         with self.clock.phase("evaluate after"):
             for share, path in self.job.level_files.items():
                 level = self.scene.select(np.arange(max(1, round(share * self.scene.count))))
-                write_scene(path, level, seen=seen_from(level, self.run.training_cameras, path))
+                seen = seen_from(level, self.run.training_cameras, path)
+                write_scene(path, level, quantise=self.quantise, seen=seen)
                 self.levels.append(
                     {"share": share, "out": str(path), **self.measured(read_back(path, level), path)}
                 )
@@ -456,7 +458,7 @@ def without_format_loss(scene: Scene, dataset: Dataset, plan: Plan, out: Path) -
     if not plan.max_loss:
         return plan
     quality = lambda some: quality_of(some, dataset, plan)
-    views = [dataset.cameras[i] for i in dataset.train_indices]
+    views = dataset.training_cameras
     banded = fewer_bands(scene, plan.sh_degree, views)
     lost = format_loss(out, banded, quality, plan.max_loss, plan.measure, seen_from(banded, views, out))
     return replace(plan, max_loss=plan.max_loss - lost)
@@ -465,7 +467,7 @@ def without_format_loss(scene: Scene, dataset: Dataset, plan: Plan, out: Path) -
 def first_scene(scene: Scene, dataset: Dataset, plan: Plan) -> Scene:
     """The scene of the first step: after the first removal and the first cut; of methods that rank, only the
     target count; with the SH bands that stay. Raises SceneError if almost nothing stays."""
-    views = [dataset.cameras[i] for i in dataset.train_indices]
+    views = dataset.training_cameras
     keep = first_cut(scene, views, plan, plan.target)
     if plan.min_contribution:
         masks.refuse_emptying(keep, scene.count - int(invisible(scene).sum()), plan.target)
@@ -489,8 +491,7 @@ def curve_psnr(run: Run) -> float | None:
     """PSNR in dB on a few test views, of the Gaussians that would stay if pruning ended now. None without
     test views."""
     dataset, model = run.dataset, run.model
-    views = spaced(dataset.test_indices, CURVE_VIEWS)
-    if not views:
+    if not (views := spaced(dataset.test_indices, CURVE_VIEWS)):
         return None
     kept = run.method.current_mask(model) if model.learns_masks else None
     options = RenderOptions(antialiased=run.antialiased, background=run.plan.background)

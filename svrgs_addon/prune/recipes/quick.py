@@ -44,12 +44,12 @@ from .. import job_views
 from ..belonging import Seen, check_seen
 from ..context import JobContext
 from ..disk_room import ROW
-from ..door import SIZES, allowed_loss, check_options, check_visible, degree_to_keep
+from ..door import SIZES, allowed_loss, check_options, check_visible, degree_to_keep, excess_notes
 from ..file_size import asked_size
 from ..likeness import Likeness, assumed_drop, assumed_psnr
 from ..options import PruneOptions
 from ..recipe import Recipe
-from ..seen import fewer_bands, seen_from
+from ..seen import cut_notes, fewer_bands, seen_from
 from ..smallest_file import refuse_bands, smallest_file
 
 DECIDING = 6  # views in which an allowed drop is held, apart from those in which the result is measured
@@ -124,18 +124,22 @@ class Quick(Recipe):
             count = self.size.count_of(self.enlarged, self.cameras)
             self.options = options = replace(options, target_size=None, target_count=count)
         wanted, invisibles = _wanted(options, self.source.count), self.source.count - scene.count
-        if wanted > scene.count:
+        if invisibles and wanted > scene.count:
             self.notes.append(f"{invisibles:,} Gaussians are invisible, so they are left out")
+        self.notes += excess_notes(wanted, self.source.count)
         self.hidden, self.wanted = hidden(sums), min(wanted, scene.count)
         self.seen = Seen(1 - self.hidden / scene.count, len(self.cameras))
-        others = f"; the other {self.hidden:,} are removed or merged first" if self.hidden else ""
+        least = max(1, math.floor(min(options.levels, default=1) * self.wanted))
+        first = self.hidden and least < scene.count
+        others = f"; the other {self.hidden:,} are removed or merged first" if first else ""
         self.notes += [
             self.seen.sentence() + others,
             *check_seen(self.seen, str(options.scene), options.force),
         ]
-        least = max(1, math.floor(min(options.levels, default=1) * self.wanted))
         kept = min(least, math.ceil(SMALLEST * scene.count)) if job.order else least
-        banded = fewer_bands(self.enlarged, degree_to_keep(options), self.cameras)
+        degree = degree_to_keep(options)
+        banded = fewer_bands(self.enlarged, degree, self.cameras)
+        self.notes += cut_notes(self.enlarged, degree, self.cameras)
         self.order = order_of(banded, sums, kept)
 
     def budget(self):

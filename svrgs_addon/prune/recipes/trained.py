@@ -74,7 +74,7 @@ class Trained(Tuned):
 
 def refuse_unseen_points(dataset: Dataset):
     """Raises SceneError if no training view sees a sparse point: training would end with black pictures."""
-    if not any_in_view(dataset.points, dataset.cameras, [dataset.cameras[i] for i in dataset.train_indices]):
+    if not any_in_view(dataset.points, dataset.cameras, dataset.training_cameras):
         count, near = len(dataset.points), thresholds().near
         raise SceneError(
             f"no training view sees any of the {count:,} sparse points more than {near:g} in front of it; run"

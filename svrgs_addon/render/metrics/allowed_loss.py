@@ -84,11 +84,13 @@ def loss_notes(values: float, stored: float) -> list[str]:
     ]
 
 
-def rounding_note(out: Path, psnr: float, stored: float) -> str:
-    """A sentence on what the format of the output costs. psnr, stored: in dB against photographs, before and
-    after the result was written."""
-    label = format_to_write(out).label
-    return f"{label} stores values in few bits: {stored - psnr:+.2f} dB; a .ply keeps every value"
+def rounding_notes(out: Path, psnr: float, stored: float) -> list[str]:
+    """A sentence on what the format of the output costs, if that shows in the figures. psnr, stored: in dB
+    against photographs, before and after the result was written."""
+    cost, label = f"{stored - psnr:+.2f}", format_to_write(out).label
+    if not float(cost):
+        return []
+    return [f"{label} stores values in few bits: {cost} dB; a .ply keeps every value"]
 
 
 def missed_loss(lost: float | None, allowed: float, measure: str = "psnr") -> list[str]:

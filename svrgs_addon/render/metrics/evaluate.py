@@ -20,6 +20,7 @@ from ...system.errors import SceneError
 from ...views.dataset import Dataset
 from ..pose_alignment import aligned
 from . import flip_map, psnr, ssim
+from .allowed_loss import EQUAL
 from .colour_match import colour_matched
 from .lpips import default_lpips
 from .measures import with_error
@@ -108,7 +109,7 @@ def mean_quality(
         image = rounded_to_8_bits(rasterizer.forward(model, camera, options, masks)["rgb"])
         photo = to_float(dataset.image(i))
         values.append(quality_of_view(image, photo, camera, measure, error, number))
-    return statistics.fmean(values)
+    return mean_psnr(values) if measure == "psnr" else statistics.fmean(values)
 
 
 def quality_of_view(
@@ -178,7 +179,7 @@ def evaluate(
         ("psnr_aligned", moved, from_its_pose),
     ):
         if asked:
-            figures[name] = statistics.fmean(values) if values else None
+            figures[name] = mean_psnr(values) if values else None
     timed = seconds and isinstance(rasterizer, Rasterizer)
     return {
         **figures,
@@ -187,27 +188,34 @@ def evaluate(
     }
 
 
+def mean_psnr(values: Sequence[float]) -> float:
+    """Mean of PSNR in dB. Equal pictures count as EQUAL, unless all are equal: then it is infinite."""
+    return math.inf if min(values) == math.inf else statistics.fmean(min(value, EQUAL) for value in values)
+
+
 def mean_figures(
     pairs: Iterable[tuple[np.ndarray, np.ndarray, np.ndarray | None]],
     lpips: Callable | None = None,
     most: float = math.inf,
 ) -> dict[str, float | None]:
-    """Means over pairs of pictures: psnr (dB, of a pair at most `most`), ssim, lpips (None without `lpips`),
-    flip; all None without pairs. pairs: two pictures, and where their pixels count, (H, W), None: everywhere;
-    elsewhere both are 0. PSNR and FLIP are means over the pixels that count; SSIM and LPIPS find no error
-    elsewhere, but for windows at the border, and what they find is divided by the share that counts. Raises
-    SceneError."""
+    """Means over pairs of pictures: psnr (dB: mean_psnr(), at most `most`), ssim, lpips (None without
+    `lpips`), flip; all None without pairs. pairs: two pictures, and where their pixels count, (H, W), None:
+    everywhere; elsewhere both are 0. PSNR and FLIP are means over the pixels that count; SSIM and LPIPS find
+    no error elsewhere, but for windows at the border, and what they find is divided by the share that counts.
+    Raises SceneError."""
     rows = []
     for image, photo, valid in pairs:
         share = 1.0 if valid is None else float(valid.mean())
         flips = flip_map(image, photo)
         rows.append((
-            min(psnr(image, photo, share), most),
+            psnr(image, photo, share),
             1 - (1 - ssim(image, photo)) / share,
             lpips(image, photo) / share if lpips else math.nan,
             float((flips if valid is None else flips[valid != 0]).mean(dtype=np.float64)),
         ))  # fmt: skip
-    means = np.mean(rows, axis=0).tolist() if rows else [None] * 4
+    means: list[float | None] = [None] * 4
+    if rows:
+        means = [min(mean_psnr([row[0] for row in rows]), most), *np.mean(rows, axis=0).tolist()[1:]]
     return dict(zip(("psnr", "ssim", "lpips", "flip"), means, strict=True)) | (
         {} if lpips else {"lpips": None}
     )
