@@ -13,9 +13,11 @@ from mathutils import Matrix
 from ...svrgs_addon.scene.camera import Camera
 from ...svrgs_addon.system.errors import SceneError
 from ...svrgs_addon.views import lens as lenses
+from .world_matrix import world_matrix
 
 MASKED_OUT = "SVR-GS Masked Out"  # the image over the photograph that is looked at
 SIZE, ASPECT, IMAGE = "svrgs_size", "svrgs_pixel_aspect", "svrgs_image"  # properties of a photograph's camera
+PLACED = "svrgs_placed"  # property of a camera's data: placed for a splat, its parent
 DISPLAY_SIZE = 0.05  # of a camera in the viewport, in extents of all cameras
 CLIP_END = 100  # in extents of all cameras
 FLIP = np.diag((1.0, -1.0, -1.0, 1.0))  # Blender's cameras look along -z with y up, ours along z with y down
@@ -52,8 +54,13 @@ def camera_from_object(
     lens = lenses.Lens(
         *size, data.lens, (data.shift_x, data.shift_y), aspect, sensor, data.sensor_fit, ortho_scale
     )
-    viewmat = FLIP @ np.linalg.inv(_without_scale(obj.matrix_world))
+    viewmat = FLIP @ np.linalg.inv(_without_scale(world_matrix(obj)))
     return Camera(viewmat, lenses.intrinsics(lens), *size, data.get(IMAGE, obj.name), orthographic)
+
+
+def is_photograph(obj: bpy.types.Object) -> bool:
+    """Whether the object is the camera of a photograph, or was imported; not one that was placed."""
+    return obj.type == "CAMERA" and SIZE in obj.data and PLACED not in obj.data
 
 
 def backgrounds(obj: bpy.types.Object) -> list[bpy.types.Image]:
@@ -94,6 +101,12 @@ def render_size(scene: bpy.types.Scene) -> tuple[int, int]:
         max(1, side * render.resolution_percentage // 100)
         for side in (render.resolution_x, render.resolution_y)
     )
+
+
+def borders(low: float, high: float, size: int) -> tuple[int, int]:
+    """The first pixel of a border, and the first one after it, of so many: in float32, as Blender counts
+    them."""
+    return int(np.float32(low) * np.float32(size)), int(np.float32(high) * np.float32(size))
 
 
 def apply_camera_size(scene: bpy.types.Scene):

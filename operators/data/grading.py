@@ -3,6 +3,7 @@ Gaussians keep their own colours, and pruning measures those."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import bpy
@@ -76,24 +77,49 @@ def of(obj: bpy.types.Object) -> Grade:
     """The grade of a splat. A crop box without volume crops nothing; see problem()."""
     settings = obj.svrgs_grade
     grade = Grade(*(getattr(settings, name) for name in NAMES))
-    if settings.crop is None or problem(obj):
+    box = _crop_box(obj)
+    if box is None or problem(obj):
         return grade
-    to_box = np.linalg.solve(volumes.matrix_of(settings.crop), np.array(obj.matrix_world, np.float64))
+    to_box = np.linalg.solve(volumes.matrix_of(box), np.array(obj.matrix_world, np.float64))
     return replace(grade, crop=tuple(map(tuple, to_box.tolist())), softness=settings.softness)
 
 
 def problem(obj: bpy.types.Object) -> str:
     """What is wrong with the crop box of a splat, in a sentence; '' if nothing is."""
     try:
-        if obj.svrgs_grade.crop is not None:
-            volumes.matrix_of(obj.svrgs_grade.crop)
+        if (box := _crop_box(obj)) is not None:
+            volumes.matrix_of(box)
     except SceneError as error:
         return str(error)
     return ""
 
 
+def _crop_box(obj: bpy.types.Object) -> bpy.types.Object | None:
+    """None also for one that was deleted, which Blender keeps until the file is closed."""
+    box = obj.svrgs_grade.crop
+    return box if box is not None and box.original.users_collection else None
+
+
 def is_graded(obj: bpy.types.Object) -> bool:
     return of(obj) != Grade()
+
+
+def is_animated(obj: bpy.types.Object) -> bool:
+    """Whether keys or drivers set the grade."""
+    data = obj.animation_data
+    curves = [] if data is None else [*data.drivers, *(_curves(data.action) if data.action else ())]
+    return any(curve.data_path.startswith("svrgs_grade") for curve in curves)
+
+
+def _curves(action: bpy.types.Action) -> Iterator[bpy.types.FCurve]:
+    """Of all slots."""
+    if hasattr(action, "fcurves"):  # until Blender 4.5
+        yield from action.fcurves
+        return
+    for layer in action.layers:
+        for strip in layer.strips:
+            for bag in strip.channelbags:
+                yield from bag.fcurves
 
 
 def left(scene: Scene, obj: bpy.types.Object) -> np.ndarray:

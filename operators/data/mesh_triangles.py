@@ -51,18 +51,20 @@ class _Read:
 
 
 def triangles(depsgraph: bpy.types.Depsgraph, cut: bool = False, catchers: bool = False) -> Triangles:
-    """All objects that render as surfaces, without splats, in Blender's world.
+    """All objects that render as surfaces, without splats and their crop boxes, in Blender's world.
 
     cut: all as holdouts. catchers: only shadow catchers; without it, shadow catchers are left out: they show
     nothing and hide nothing.
     """
     parts, read = [], _Read()
+    boxes = [obj.svrgs_grade.crop for obj in depsgraph.scene.objects if splat_object.is_splat(obj)]
     for instance in depsgraph.object_instances:
         obj = instance.object
         if (
             not instance.show_self
             or obj.type not in SURFACES
             or splat_object.is_splat(obj)
+            or obj.original in boxes
             or not obj.visible_camera
             or obj.is_shadow_catcher != catchers
         ):

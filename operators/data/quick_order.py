@@ -68,6 +68,8 @@ def problem(pruned: bpy.types.Object) -> str:
         return tr("Remove the modifiers of '{name}' to show other numbers of Gaussians").format(
             name=pruned.name
         )
+    if SHOWN in pruned and not folder:
+        return tr("the files of the job are gone, so other numbers of Gaussians cannot be shown")
     return known.of(pruned).order_problem if folder else ""
 
 

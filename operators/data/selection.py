@@ -134,20 +134,27 @@ def hide(obj: bpy.types.Object) -> int:
     they are. Raises SceneError if none would be left."""
     mask = read(obj)
     _refuse_nothing(~(mask | visible_splats.marked(obj)))
-    splat_object.set_values(obj, visible_splats.HIDDEN, "BOOLEAN", mask | _hidden(obj))
+    splat_object.set_values(obj, visible_splats.HIDDEN, "BOOLEAN", mask | hidden(obj))
     clear(obj)
     return int(mask.sum())
 
 
 def hidden_count(obj: bpy.types.Object) -> int:
     """Number of Gaussians that hide() has hidden."""
-    return int(_hidden(obj).sum()) if visible_splats.HIDDEN in obj.data.attributes else 0
+    return int(hidden(obj).sum()) if visible_splats.HIDDEN in obj.data.attributes else 0
 
 
-def _hidden(obj: bpy.types.Object) -> np.ndarray:
+def carry_hidden(obj: bpy.types.Object, parts: list[np.ndarray]):
+    """Hides the Gaussians that are marked in the parts (M,) bool of a splat, which follow each other."""
+    mask = np.concatenate(parts)
+    if mask.any():
+        splat_object.set_values(obj, visible_splats.HIDDEN, "BOOLEAN", mask)
+
+
+def hidden(obj: bpy.types.Object) -> np.ndarray:
     """(N,) bool: the Gaussians that hide() has hidden."""
-    hidden = splat_object.values(obj, visible_splats.HIDDEN)
-    return np.zeros(splat_object.count(obj), bool) if hidden is None else hidden.astype(bool)
+    values = splat_object.values(obj, visible_splats.HIDDEN)
+    return np.zeros(splat_object.count(obj), bool) if values is None else values.astype(bool)
 
 
 def show_all(obj: bpy.types.Object):
@@ -158,7 +165,7 @@ def show_all(obj: bpy.types.Object):
 def delete(obj: bpy.types.Object, others: bool):
     """Deletes the selected Gaussians, or all others but those that hide() has hidden, and clears the
     selection. Raises SceneError if none would be left."""
-    keep(obj, read(obj) | _hidden(obj) if others else ~read(obj))
+    keep(obj, read(obj) | hidden(obj) if others else ~read(obj))
 
 
 def keep(obj: bpy.types.Object, left: np.ndarray):

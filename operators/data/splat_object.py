@@ -40,6 +40,7 @@ from ...svrgs_addon.scene.attribute_layout import (
 from ...svrgs_addon.scene.gaussians import Scene
 from ...svrgs_addon.scene.moved_points import moved_parts
 from ...svrgs_addon.system.errors import SceneError, SplatError
+from .world_matrix import world_matrix
 
 NOTES = "svrgs"  # property of a splat's data-block: types and order of further columns, comments
 # property of a splat without a root: whether its import has turned it from y down to z up (_import_matrix)
@@ -179,6 +180,7 @@ def further_values(obj: bpy.types.Object) -> list[tuple[str, str, np.ndarray]]:
 def replace_gaussians(obj: bpy.types.Object, scene: Scene):
     """Gives the splat other Gaussians. Object, materials and properties stay. Objects that share its data
     keep the former Gaussians."""
+    _keep_upright(obj)
     old, name = obj.data, obj.data.name
     new = _mesh(name, scene) if obj.type == "MESH" else _point_cloud(name, scene)
     for material in old.materials:
@@ -194,14 +196,24 @@ def replace_gaussians(obj: bpy.types.Object, scene: Scene):
 def copy_with(obj: bpy.types.Object, name: str, scene: Scene) -> bpy.types.Object:
     """A copy of the splat with other Gaussians, in the same collection: with its place, modifiers and
     constraints; of its properties, those of its import and its grade alone."""
+    _keep_upright(obj)
     copy = obj.copy()
     copy.name = name
     kept = (Y_DOWN, FORMAT, GRADE)
     for key in [key for key in copy.keys() if key.startswith("svrgs_") and key not in kept]:
         del copy[key]
-    obj.users_collection[0].objects.link(copy)
+    for collection in obj.users_collection:
+        if collection.library is None:
+            collection.objects.link(copy)
     replace_gaussians(copy, scene)
     return copy
+
+
+def collection_of(obj: bpy.types.Object) -> bpy.types.Collection:
+    """A collection of the object that the scene shows; else the scene's own."""
+    scene = bpy.context.scene
+    shown = [scene.collection, *scene.collection.children_recursive]
+    return next((one for one in obj.users_collection if one in shown), scene.collection)
 
 
 def delete(obj: bpy.types.Object):
@@ -217,6 +229,13 @@ def write_gaussians(obj: bpy.types.Object, scene: Scene):
     for attribute, kind, values in to_attributes(scene):
         _set(obj.data, attribute, kind, values)
     obj.data.update_tag()
+
+
+def some_positions(obj: bpy.types.Object) -> tuple[float, ...]:
+    """Coordinates of a few points, to see at once whether the points were moved."""
+    points = obj.data.attributes[POSITION].data
+    step = max(1, len(points) // 16)
+    return tuple(value for row in range(0, len(points), step) for value in points[row].vector)
 
 
 def record_positions(obj: bpy.types.Object) -> bool:
@@ -354,7 +373,7 @@ def to_file(obj: bpy.types.Object, matrix: Matrix) -> np.ndarray:
     result; if nothing was moved, it is exactly the identity.
     """
     root = root_of(obj)
-    return _relative(root.matrix_world if root is not None else _import_matrix(obj), matrix)
+    return _relative(world_matrix(root) if root is not None else _import_matrix(obj), matrix)
 
 
 def move_below(obj: bpy.types.Object, root: bpy.types.Object | None):
@@ -373,8 +392,19 @@ def move_below(obj: bpy.types.Object, root: bpy.types.Object | None):
 def _import_matrix(obj: bpy.types.Object) -> Matrix:
     """From the coordinates of the file to Blender's world, as a splat without a root was imported: y down
     becomes z up. Blender's own import of PLY leaves y down; until the splat is rotated by hand."""
-    upright = NOTES in obj.data or turned_by_blender(obj) or obj.matrix_world.to_euler() != Euler()
-    return AXES if obj.get(Y_DOWN, upright) else Matrix()
+    return AXES if _is_upright(obj) else Matrix()
+
+
+def _is_upright(obj: bpy.types.Object) -> bool:
+    if Y_DOWN in obj:
+        return bool(obj[Y_DOWN])
+    return NOTES in obj.data or turned_by_blender(obj) or obj.matrix_world.to_euler() != Euler()
+
+
+def _keep_upright(obj: bpy.types.Object):
+    """Before the splat gets other Gaussians, which no longer tell it."""
+    if Y_DOWN not in obj and obj.library is None:
+        obj[Y_DOWN] = _is_upright(obj)
 
 
 def turned_by_blender(obj: bpy.types.Object) -> bool:

@@ -25,7 +25,6 @@ ITEMS = [  # the numbers are stored in .blend files
         2,
     ),
 ]
-PLACED = "svrgs_placed"  # property of a camera's data: placed for a splat, its parent
 FRAMES = 64  # of a moving camera, evenly spread over the frames of the scene
 
 
@@ -53,7 +52,9 @@ def views(context, splat: bpy.types.Object) -> list[Camera]:
 def placed(splat: bpy.types.Object) -> list[bpy.types.Object]:
     """The cameras that were placed for a splat and are still in the file."""
     return [
-        obj for obj in splat.children if obj.type == "CAMERA" and PLACED in obj.data and obj.users_collection
+        obj
+        for obj in splat.children
+        if obj.type == "CAMERA" and camera_object.PLACED in obj.data and obj.users_collection
     ]
 
 
@@ -65,30 +66,33 @@ def place(splat: bpy.types.Object, cameras: list[Camera], collection: bpy.types.
     extent = max(float(np.linalg.norm(camera.position - middle)) for camera in cameras)
     for camera in cameras:
         obj = camera_object.new_camera(camera, extent or 1.0, collection)
-        obj.parent, obj.data[PLACED] = splat, True
+        obj.parent, obj.data[camera_object.PLACED] = splat, True
 
 
 def _of_frames(scene: bpy.types.Scene) -> Iterator[Camera]:
-    """The scene's camera in some frames; once if it does not move. Markers may bind other cameras to
-    frames."""
+    """The scene's camera as it is now, and in some frames; once if it does not move. Markers may bind other
+    cameras to frames. Afterwards all is as before, also what was moved by hand since the last frame."""
     if scene.camera is None:
         return
-    now, seen = scene.frame_current, set[bytes]()
     first, last = scene.frame_start, scene.frame_end
-    frames = [
-        now,
-        *np.unique(np.linspace(first, last, min(FRAMES, last - first + 1)).round().astype(int)).tolist(),
-    ]
+    frames = np.linspace(first, last, min(FRAMES, last - first + 1)).round().astype(int)
+    now, subframe, seen = scene.frame_current, scene.frame_subframe, set[bytes]()
+    animated = [obj for obj in scene.objects if obj.animation_data is not None]
+    places = [(obj, obj.matrix_basis.copy()) for obj in animated]
     try:
-        for frame in frames:
-            scene.frame_set(frame)
+        for frame in (None, *np.unique(frames).tolist()):
+            if frame is not None:
+                scene.frame_set(frame)
             graph = bpy.context.evaluated_depsgraph_get()
             camera = camera_object.camera_from_object(scene.camera.evaluated_get(graph), scene)
             if camera.key not in seen:
                 seen.add(camera.key)
                 yield camera
     finally:
-        scene.frame_set(now)
+        scene.frame_set(now, subframe=subframe)
+        for obj, place in places:
+            if obj.matrix_basis != place:
+                obj.matrix_basis = place
 
 
 def _standing(scene: bpy.types.Scene) -> Iterator[Camera]:
@@ -99,6 +103,6 @@ def _standing(scene: bpy.types.Scene) -> Iterator[Camera]:
             obj.type == "CAMERA"
             and obj != scene.camera
             and obj.data.type in ("PERSP", "ORTHO")
-            and (PLACED in obj.data or camera_object.SIZE not in obj.data)
+            and not camera_object.is_photograph(obj)
         ):
             yield camera_object.camera_from_object(obj, scene)

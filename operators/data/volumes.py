@@ -8,6 +8,7 @@ from bpy.app.translations import pgettext_iface as tr
 from mathutils import Matrix, Vector
 
 from ...svrgs_addon.system.errors import SceneError
+from .world_matrix import world_matrix
 
 
 def matrix_of(obj: bpy.types.Object) -> np.ndarray:
@@ -20,7 +21,7 @@ def matrix_of(obj: bpy.types.Object) -> np.ndarray:
     if obj.type == "EMPTY":
         low, high = np.full(3, -obj.empty_display_size), np.full(3, obj.empty_display_size)
     place = Matrix.Translation(Vector((low + high) / 2)) @ Matrix.Diagonal((*(high - low) / 2, 1.0))
-    matrix = np.array(obj.matrix_world @ place, np.float64)
+    matrix = np.array(world_matrix(obj) @ place, np.float64)
     if not abs(np.linalg.det(matrix)) > 0:
         raise SceneError(
             tr(

@@ -88,8 +88,10 @@ class SVRGS_OT_export_farm_job(ReportingOperator):
 def _task(context, obj: bpy.types.Object, captures: Path) -> Task:
     """Writes the splat, and the cameras of the file that count, into the folder. Returns the task that prunes
     it."""
-    name, cameras = bpy.path.clean_name(obj.name), given_views(context, obj)
-    options = {key: value for key, value in options_of(context, obj).items() if key != "threads"}
+    name = bpy.path.clean_name(obj.name)
+    with context.temp_override(object=obj, active_object=obj):  # its own dataset and effort
+        options, cameras = options_of(bpy.context, obj), given_views(bpy.context, obj)
+    options.pop("threads")
     splat, beside = (f"{name}{end}" for end in (FORMATS[0].suffixes[0], f"_{CAMERAS}"))
     write_scene(captures / splat, splat_object.scene_from_object(obj))
     if cameras:

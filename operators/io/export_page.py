@@ -17,6 +17,7 @@ from ..data import pairs, splat_object
 from ..data.camera_object import camera_from_object
 from ..data.native_check import native_problem
 from ..data.reporting import BackgroundOperator, Steps
+from ..jobs import job_result
 from .export_space import ExportSpace
 
 
@@ -62,7 +63,11 @@ class SVRGS_OT_export_page(BackgroundOperator, ExportSpace):
         self.space, self.y_down = "WORLD", True
         original = pairs.original_of(obj) if self.with_original else None
         shown = [one for one in (original, obj) if one is not None]
-        scenes, dropped = zip(*(self.chosen(context, one) for one in shown), strict=True)
+        found = [self.chosen(context, obj)]
+        if original is not None:
+            whole = [(job_result.before_pruning(original), original.matrix_world)]
+            found.insert(0, self.chosen(context, original, whole if job_result.undecided(obj) else None))
+        scenes, dropped = zip(*found, strict=True)
         names, background = tuple(one.name for one in shown), tuple(context.scene.svrgs_view.background)
         left = self.left_out(obj, dropped[-1])
         source = Source(names, scenes, cameras(context.scene), background=background)

@@ -37,7 +37,8 @@ from ..data.option_properties import sh_degree_property
 from ..data.preferences import threads
 from ..data.reporting import BackgroundOperator, Steps
 from ..data.splat_size import size_in
-from .export_space import ExportSpace, camera_objects, imported_cameras
+from ..jobs import job_result
+from .export_space import ExportSpace, camera_objects, imported_cameras, shows_original
 
 
 class SVRGS_OT_export_ply(BackgroundOperator, ExportHelper, ExportSpace):
@@ -131,6 +132,8 @@ class SVRGS_OT_export_ply(BackgroundOperator, ExportHelper, ExportSpace):
             if rounds and camera_objects(context, obj):
                 self.layout.prop(self, "by_views")
         count = splat_object.count(obj) - hidden
+        if self.what == "SEEN" and shows_original(obj):
+            count = job_result.shown_count(obj)
         if foreseen := size_in(obj, count, self.kind, self.quantise, self.sh_degree):
             self.layout.label(text=foreseen)
         self.draw_space(self.layout)

@@ -17,6 +17,7 @@ from ...svrgs_addon.scene.gaussians import Scene
 from ...svrgs_addon.system.errors import SceneError
 from ...svrgs_addon.views.dataset import HOLDOUT
 from ..data import camera_object, grading, splat_object, visible_splats
+from ..jobs import job_result
 from ..scene.splat_transforms import stretch_warning
 from ..translation import OWN
 
@@ -73,10 +74,10 @@ class ExportSpace:
         row.active = self.space == "WORLD"
         row.prop(self, "y_down")
 
-    def chosen(self, context, obj: bpy.types.Object) -> tuple[Scene, int]:
+    def chosen(self, context, obj: bpy.types.Object, parts: list | None = None) -> tuple[Scene, int]:
         """The Gaussians in the coordinates of the file, and how many with values that are not finite were
-        left out. Raises SplatError."""
-        parts = gaussians(context, obj, self.what == "SEEN")
+        left out. parts: as of gaussians(); None: what it gives. Raises SplatError."""
+        parts = parts or gaussians(context, obj, self.what == "SEEN")
         matrices = [self.to_space(obj, matrix) for _, matrix in parts]
         if any(stretch(matrix) - 1 > 10 * UNIFORM for matrix in matrices):
             self.report({"WARNING"}, stretch_warning(obj))  # type: ignore[attr-defined]  # of the operator
@@ -105,15 +106,21 @@ class ExportSpace:
         return texts
 
 
+def shows_original(obj: bpy.types.Object) -> bool:
+    """Whether the slider Keep of a result shows more Gaussians than its job has kept: its original shows
+    them."""
+    return (
+        job_result.undecided(obj)
+        and job_result.ranked(obj)
+        and job_result.shown_count(obj) > obj[job_result.KEPT]
+    )
+
+
 def camera_objects(context, obj: bpy.types.Object) -> list[bpy.types.Object]:
     """The imported cameras of a splat; all that are imported, if it is joined to none."""
     root = splat_object.root_of(obj)
     pool = context.scene.objects if root is None else root.children_recursive
-    return [
-        one
-        for one in pool
-        if one.type == "CAMERA" and one.data.type == "PERSP" and camera_object.SIZE in one.data
-    ]
+    return [one for one in pool if camera_object.is_photograph(one) and one.data.type == "PERSP"]
 
 
 def imported_cameras(context, obj: bpy.types.Object) -> tuple[list[Camera], list[Camera]]:
@@ -129,6 +136,9 @@ def gaussians(context, obj: bpy.types.Object, seen: bool) -> list:
     Raises SceneError."""
     if not seen:
         return [(splat_object.scene_from_object(obj), obj.matrix_world)]
+    if shows_original(obj):
+        shown = job_result.shown_gaussians(obj).select(~job_result.shown_hidden(obj))
+        return [(grading.applied(shown, obj), obj.matrix_world)]
     if problem := grading.problem(obj):
         raise SceneError(problem)
     parts = visible_splats.shown_by(context.evaluated_depsgraph_get(), obj) if obj.mode != "EDIT" else []

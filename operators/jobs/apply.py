@@ -38,10 +38,7 @@ class SVRGS_OT_apply(ReportingOperator):
     def work(self, context) -> str:
         original, pruned = job_result.pair_of(context.object)
         assert pruned is not None  # see problem()
-        scene = job_result.shown_gaussians(pruned)
-        if not scene.count:
-            raise SplatError(tr("no Gaussian would be left: keep more"))
-        splat_object.replace_gaussians(pruned, scene)
+        scene = job_result.apply(pruned)
         job_result.settle(original, pruned)
         applied_jobs.note(original, pruned)
         select(context, [pruned])

@@ -21,7 +21,7 @@ from ...svrgs_addon.scene.affine import transformed
 from ...svrgs_addon.scene.gaussians import Scene
 from ...svrgs_addon.scene.moved_points import common_motion
 from ...svrgs_addon.system.errors import SceneError
-from ..data import known, quick_order, splat_object
+from ..data import grading, known, quick_order, selection, splat_object
 from ..data.job_paths import unlink
 from ..data.pairs import ORIGINAL, PRUNED, join, original_of, pruned_of, set_hidden
 from ..data.select import in_view_layer, select
@@ -71,7 +71,7 @@ def _load_trained(context, root: bpy.types.Object, folder: JobFolder) -> bpy.typ
     """Adds the trained splat below the root of its cameras, and selects it if something of the dataset is
     active."""
     cameras = (obj for obj in root.children if obj.type == "CAMERA" and obj.users_collection)
-    collection = next(cameras, root).users_collection[0]
+    collection = splat_object.collection_of(next(cameras, root))
     splat = splat_object.object_from_scene(
         f"{root.name} splat", read_scene(folder.output), collection, root.matrix_world
     )
@@ -101,6 +101,7 @@ def _load_ranked(obj: bpy.types.Object, recovered: Scene, folder: JobFolder) -> 
         if probability is not None:
             splat_object.set_values(target, PROBABILITY, "FLOAT", probability[chosen])
         _hide_removed(target)
+    selection.carry_hidden(pruned, [selection.hidden(obj)[kept]])
     join(obj, pruned)
     pruned[KEPT] = int(kept.sum())
     show(pruned, pruned[KEPT])
@@ -132,11 +133,11 @@ def _beside(obj: bpy.types.Object, recovered: Scene, folder: JobFolder) -> bpy.t
             ).format(name=obj.name)
         )
     recovered = transformed(recovered, motion)
-    _make_room(obj)
+    make_room(obj)
     return splat_object.copy_with(obj, f"{obj.name} pruned", recovered)
 
 
-def _make_room(original: bpy.types.Object):
+def make_room(original: bpy.types.Object):
     """For a new result: an earlier one that was applied becomes a splat of its own, hidden; any other is
     deleted."""
     former = pruned_of(original)
@@ -234,6 +235,31 @@ def shown_gaussians(pruned: bpy.types.Object) -> Scene:
         splat_object.scene_from_object(original).select(back), splat_object.between(original, pruned)
     )
     return merged(scene, rows, returned, splat_object.stored_values(original, ROW)[back])
+
+
+def apply(pruned: bpy.types.Object) -> Scene:
+    """Gives the splat the Gaussians that are shown; those that the user has hidden stay hidden. Raises
+    SplatError."""
+    scene = shown_gaussians(pruned)
+    if not scene.count:
+        raise SceneError(tr("no Gaussian would be left: keep more"))
+    hidden = shown_hidden(pruned) if ranked(pruned) else None
+    splat_object.replace_gaussians(pruned, scene)
+    if hidden is not None:
+        selection.carry_hidden(pruned, [hidden])
+    return scene
+
+
+def shown_hidden(pruned: bpy.types.Object):
+    """(N,) bool: those of shown_gaussians() of a ranked result that the user has hidden."""
+    of = original_of(pruned) or pruned  # it marks the same Gaussians, in the same order
+    return selection.hidden(of)[~splat_object.stored_values(of, REMOVED)]
+
+
+def before_pruning(original: bpy.types.Object) -> Scene:
+    """The Gaussians of the splat that a job has pruned, as it was seen before."""
+    whole, hidden = splat_object.scene_from_object(original), selection.hidden(original)
+    return grading.applied(whole.select(~hidden) if hidden.any() else whole, original)
 
 
 def unmark(obj: bpy.types.Object):

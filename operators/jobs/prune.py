@@ -28,6 +28,7 @@ from ..data.option_properties import (
 from ..data.preferences import threads
 from ..data.reporting import ReportingOperator
 from ..data.select import select
+from . import job_result
 from .job_options import JobOptions
 
 BACKGROUND = bpy.app.background
@@ -135,6 +136,7 @@ class SVRGS_OT_prune(JobOptions, ReportingOperator):
         with tempfile.TemporaryDirectory(dir=bpy.app.tempdir) as temp_dir:
             result, pruned = self.prune(source, Path(temp_dir), threads(context))
         if source is not None:
+            job_result.make_room(source)
             obj = splat_object.copy_with(source, f"{source.name} pruned", pruned)
             pairs.join(source, obj)
             pairs.set_hidden(source, True)
@@ -203,7 +205,8 @@ class SVRGS_OT_prune(JobOptions, ReportingOperator):
     def arguments(self, source: bpy.types.Object | None) -> list[str]:
         """The options of `svrgs prune`: those of the operator, and the dataset that was imported with the
         splat."""
-        root = splat_object.root_of(source) or {}
+        # a quick job takes the splat's own pictures
+        root = {} if self.quick else splat_object.root_of(source) or {}
         data, images = (
             (self.data, self.images)
             if self.data
@@ -237,7 +240,8 @@ class SVRGS_OT_prune(JobOptions, ReportingOperator):
             for name in ("iterations", "recovery")
             if not (self.time or self.quick) or self.properties.is_property_set(name)
         ]
-        more += ["method"] if data or self.properties.is_property_set("method") else []
+        asked = self.properties.is_property_set("method")
+        more += ["method"] if asked or (data and not self.quick) else []
         return [
             *options,
             *(f"--{name}={getattr(self, name)}" for name in (*more, "seed")),

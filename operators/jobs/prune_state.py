@@ -203,5 +203,5 @@ def method_sentence(context) -> str:
 
 def size(obj: bpy.types.Object) -> str:
     """The number of Gaussians of the splat, and the size of its file."""
-    count = quick_order.count(obj)
+    count = job_result.shown_count(obj) if job_result.undecided(obj) else splat_object.count(obj)
     return tr("{kept:,} Gaussians, {size}").format(kept=count, size=size_text(obj, count))

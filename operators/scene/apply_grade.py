@@ -18,6 +18,8 @@ class SVRGS_OT_apply_grade(SplatOperator):
     def problem_of(cls, context, obj) -> str:
         if problem := edit_guard.change_problem(context, [obj]) or edit_guard.shared([obj]):
             return problem
+        if grading.is_animated(obj):
+            return tr("The colours are animated: remove their keys and drivers first")
         return "" if grading.is_graded(obj) else tr("The colours are as they are stored")
 
     def work(self, context) -> str:

@@ -48,7 +48,8 @@ def _key(context) -> tuple | None:
     """What the check depends on; None without a splat or a dataset that is there."""
     obj, (folder, images) = context.object, dataset_of(context)
     if splat_object.is_splat(obj) and os.path.exists(folder):
-        return (obj.data.session_uid, splat_object.count(obj), folder, images)
+        points = splat_object.some_positions(obj), splat_object.count(obj)
+        return (obj.data.session_uid, points, folder, images)
     return None
 
 

@@ -110,8 +110,11 @@ def chosen_cameras(context, which: str = "PHOTOGRAPHS") -> list[bpy.types.Object
         return [context.scene.camera] if context.scene.camera is not None else []
     pool = context.selected_objects if which == "SELECTED" else context.scene.objects
     cameras = sorted((obj for obj in pool if obj.type == "CAMERA"), key=lambda obj: obj.name)
-    imported = [obj for obj in cameras if camera_object.SIZE in obj.data]
-    return imported if imported and which == "PHOTOGRAPHS" else cameras
+    if which != "PHOTOGRAPHS":
+        return cameras
+    root = splat_object.root_of(context.object)
+    own = cameras if root is None else [obj for obj in cameras if obj in root.children_recursive]
+    return list(filter(camera_object.is_photograph, own)) or cameras
 
 
 def views(

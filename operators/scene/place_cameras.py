@@ -80,7 +80,7 @@ def _finished(uid: int, answer: Future):
     name = tr("{name} Cameras").format(name=obj.name)
     collection = bpy.data.collections.get(name) or bpy.data.collections.new(name)
     if not collection.users:
-        obj.users_collection[0].children.link(collection)
+        splat_object.collection_of(obj).children.link(collection)
     views_of_file.place(obj, cameras, collection)
     if not bpy.app.background:
         bpy.ops.ed.undo_push(message="Place Cameras")

@@ -111,6 +111,7 @@ class SVRGS_OT_select_gaussians(SplatOperator):
     invert: BoolProperty(name="Invert", description="Take all Gaussians that do not fulfil the criterion")
     volume: StringProperty(
         name="Object",
+        options={"SKIP_SAVE"},
         description="The object that bounds the box or sphere. Empty: the other selected object",
     )
     opacity_low: FloatProperty(name="From", min=0, max=1, subtype="FACTOR", description="Lowest opacity")

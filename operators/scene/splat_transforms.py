@@ -15,7 +15,7 @@ from bpy.app.translations import pgettext_n as n_
 from ...svrgs_addon.scene.affine import UNIFORM, stretch, transformed
 from ...svrgs_addon.scene.concatenate import concatenated
 from ...svrgs_addon.system.errors import SceneError
-from ..data import edit_guard, known, splat_object
+from ..data import edit_guard, grading, known, selection, splat_object
 from ..data.reporting import ReportingOperator
 from ..data.select import select
 
@@ -96,13 +96,16 @@ class SVRGS_OT_join_splats(SplatsOperator):
                     " would be drawn wrongly"
                 )
             )
-        scenes = []
+        if len({grading.of(obj) for obj in splats}) > 1:
+            raise SceneError(tr("these splats have different colour settings: use Apply Color first"))
+        scenes, hidden = [], [selection.hidden(obj) for obj in splats]
         for obj in splats:
             matrix = splat_object.between(obj, first)
             self.warn_if_stretched(obj, matrix)
             scenes.append(transformed(splat_object.scene_from_object(obj), matrix))
         result = concatenated(scenes, columns=True)
         splat_object.replace_gaussians(first, result)
+        selection.carry_hidden(first, hidden)
         for obj in others:
             splat_object.delete(obj)
         select(context, [first])

@@ -43,8 +43,7 @@ class ComparedSplats:
     def __init__(self, context: bpy.types.Context):
         original, pruned = chosen_pair(context)
         self.graded = any(map(grading.is_graded, (original, pruned)))
-        whole = grading.applied(splat_object.scene_from_object(original), original)
-        self.scenes = whole, shown_scene(pruned)
+        self.scenes = job_result.before_pruning(original), shown_scene(pruned)
         places = (obj.matrix_world.copy() for obj in (original, pruned))
         self.placed = [visible_splats.placed([part]) for part in zip(self.scenes, places, strict=True)]
         self.rasterizer = Rasterizer()

@@ -55,6 +55,10 @@ class SVRGS_engine(bpy.types.RenderEngine):
         width, height = columns.stop - columns.start, rows.stop - rows.start
         layers, problem = blank(height, width, kinds(depsgraph.scene)), ""
         try:
+            if depsgraph.scene.render.use_multiview:
+                raise SceneError(
+                    tr("splats are rendered by one camera at a time: switch Stereoscopy off in Output")
+                )
             library.set_threads(threads(bpy.context))
             whole = self.picture(depsgraph)
             layers |= {name: pixels[rows, columns] for name, pixels in (whole or {}).items()}
@@ -62,7 +66,7 @@ class SVRGS_engine(bpy.types.RenderEngine):
             problem = str(error)
         finally:
             # also after an error: Blender crashes if it saves a render without a result
-            self.hand_in(layers, width, height)
+            self.hand_in(layers, width, height, depsgraph.view_layer.name)
         if problem:
             self.report({"ERROR"}, problem)
 
@@ -107,12 +111,12 @@ class SVRGS_engine(bpy.types.RenderEngine):
         self.update_stats("", text)
         self.update_progress(progress)
 
-    def hand_in(self, layers: dict, width: int, height: int):
-        """Gives Blender the passes (H, W) or (H, W, channels) as the result."""
+    def hand_in(self, layers: dict, width: int, height: int, view_layer: str):
+        """Gives Blender the passes (H, W) or (H, W, channels) as the result of a view layer."""
         for name, channels, _ in (*PASSES, BEHIND):
             if name in layers:
                 self.add_pass(name, len(channels), channels)
-        result = self.begin_result(0, 0, width, height)
+        result = self.begin_result(0, 0, width, height, layer=view_layer)
         for name, pixels in layers.items():
             result.layers[0].passes[name].rect.foreach_set(image_pixels.flattened(pixels))
         self.end_result(result)
@@ -130,9 +134,9 @@ def region(scene: bpy.types.Scene) -> tuple[slice, slice]:
     render = scene.render
     if not render.use_border:
         return slice(0, height), slice(0, width)
-    low, high = int(render.border_min_y * height), int(render.border_max_y * height)
+    low, high = camera_object.borders(render.border_min_y, render.border_max_y, height)
     return slice(height - high, height - low), slice(
-        int(render.border_min_x * width), int(render.border_max_x * width)
+        *camera_object.borders(render.border_min_x, render.border_max_x, width)
     )
 
 

@@ -48,6 +48,17 @@ def through_nodes(file) -> bpy.types.Object:
     return obj
 
 
+def test_its_coordinates_stay_those_of_the_file_when_gaussians_are_deleted(scene, bridge, tmp_path):
+    obj = own_import(DATA / "tiny/scene.ply")
+    bpy.context.view_layer.objects.active = obj
+    obj.select_set(True)
+    part("operators.data.selection").change(obj, np.arange(scene.count) < 50, "SET")
+    bpy.ops.svrgs.delete_gaussians(what="SELECTED")
+    bpy.ops.svrgs.export_ply(filepath=str(tmp_path / "out.ply"))
+    found = part("svrgs_addon.files.registry").read_scene(tmp_path / "out.ply")
+    np.testing.assert_array_equal(found.means, scene.means[50:])
+
+
 def test_a_splat_of_blenders_own_ply_reader_is_exported_as_its_file_says(scene, bridge, tmp_path):
     """As far as float32 allows: Blender stores activated values."""
     obj = own_import(DATA / "tiny/scene.ply")
