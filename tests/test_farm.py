@@ -447,22 +447,8 @@ def test_a_folder_with_other_things_is_no_place_for_a_job(captures, tmp_path, ca
         == 2
     )
     assert "'none'" in capsys.readouterr().err and not (tmp_path / "a").exists()
-    assert (
-        main(
-            [
-                "farm",
-                "export",
-                str(captures),
-                "--out",
-                str(tmp_path / "a"),
-                "--targets",
-                "0.5",
-                "--target-count",
-                "9",
-            ]
-        )
-        == 2
-    )
+    words = ["--out", str(tmp_path / "a"), "--targets", "0.5", "--target-count", "9"]
+    assert main(["farm", "export", str(captures), *words]) == 2
     assert "leave one out" in capsys.readouterr().err
 
 

@@ -20,6 +20,7 @@ from svrgs_addon.system import packages
 from svrgs_addon.system.errors import FormatError, SceneError
 from svrgs_addon.views.colmap import read_model
 from svrgs_addon.views.dataset import Dataset, load_dataset
+from svrgs_addon.views.transforms_json import read_transforms
 from transforms_dataset import transforms_of, write_points, write_transforms
 
 FILE = "transforms.json"
@@ -238,8 +239,24 @@ def test_frames_without_focal_length_or_size(tmp_path):
         load_dataset(tmp_path)
     rewrite(tmp_path, facts, frames=[{k: v for k, v in frame.items() if k != "w"} for frame in frames])
     (tmp_path / "images/05.png").unlink()
-    with pytest.raises(FormatError, match=r"05\.png is not usable \(neither w and h nor its photograph"):
-        load_dataset(tmp_path)
+    found = load_dataset(tmp_path)
+    assert len(found.cameras) == len(
+        frames
+    ) - 1 and "nothing says the size of a photograph: 05.png" in "".join(found.notes)
+
+
+def test_a_list_of_distortion_is_that_of_nerfstudio(tmp_path):
+    _, facts = both(tmp_path)
+    frames = facts["frames"]
+    for where in ({"distortion_params": [0.1, 0.02, 0, 0, 0.001, 0.002]}, {}):
+        each = [frame | {"distortion_params": [0.1, 0.02, 0, 0, 0.001, 0.002]} for frame in frames]
+        rewrite(tmp_path, facts, **({"frames": frames} | where if where else {"frames": each}))
+        model = read_transforms(tmp_path / "transforms.json").model
+        assert model.views[0].camera.model == "OPENCV"
+        assert model.views[0].camera.params[4:] == (0.1, 0.02, 0.001, 0.002)
+    rewrite(tmp_path, facts, frames=[frame | {"distortion_params": [0.1]} for frame in frames])
+    with pytest.raises(FormatError, match="not the six numbers k1, k2, k3, k4, p1, p2"):
+        read_transforms(tmp_path / "transforms.json")
 
 
 def test_a_photograph_that_is_named_twice(tmp_path):

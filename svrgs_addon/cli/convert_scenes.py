@@ -232,11 +232,10 @@ def _pairs(inputs: list[Path], out: Path, options: ConvertOptions) -> list[tuple
     suffix = options.to if options.to.startswith(".") else f".{options.to}"
     registry.format_to_write(out / f"x{suffix}")
     outs = [out / (registry.split_name(scene)[0] + suffix) for scene in found]
-    if len(set(map(real, outs))) < len(outs):
-        raise SceneError(
-            f"{next(one for one in outs if outs.count(one) > 1)}: would be the output of two inputs; convert"
-            " them into separate folders"
-        )
+    places = list(map(real, outs))
+    if len(set(places)) < len(outs):
+        twice = next(one for one, place in zip(outs, places, strict=True) if places.count(place) > 1)
+        raise SceneError(f"{twice}: would be the output of two inputs; convert them into separate folders")
     return list(zip(found, outs, strict=True))
 
 

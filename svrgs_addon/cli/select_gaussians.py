@@ -13,7 +13,7 @@ import numpy as np
 
 from ..files.memory_mapped import mapped_scene
 from ..files.registry import format_to_write, read_parts, read_scene, write_scene
-from ..files.repair import unusable
+from ..files.repair import bake_filter, unusable
 from ..prune.belonging import Seen, check_seen, seen_of
 from ..prune.door import outputs
 from ..prune.selection.measure import measured, summary
@@ -61,6 +61,8 @@ def _select(args: argparse.Namespace, options: SelectOptions) -> dict:
     result = {"count": 0, "selected": 0, "unusable": 0, "out": options.out and str(options.out)}
     some = _selected(args.scene, _parts(args.scene, options, cameras), options, cameras, result)
     if options.out:
+        if "attributes" not in format_to_write(options.out).carries:
+            some = (bake_filter(part)[0] for part in some)  # the format cannot hold its column
         with mapped_scene(some, options.out) as scene:
             if not scene.count:
                 raise SceneError(

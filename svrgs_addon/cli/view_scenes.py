@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import logging
 import threading
 import webbrowser
 
 from ..files.atomic import check_writable
-from ..files.registry import check_readable, format_to_read, load_scene
+from ..files.registry import check_readable, format_to_read, load_scene, refuse_input
 from ..prune.belonging import check_explained
 from ..prune.options import DatasetOptions
 from ..prune.plans import dataset_of
@@ -18,7 +19,7 @@ from ..system import memory, packages
 from ..system.errors import SceneError
 from ..viewer.server import LARGEST, Viewer
 from ..viewer.source import Source
-from ..viewer.web_page import export, program_bytes
+from ..viewer.web_page import NAMES, export, program_bytes
 from ..views.camera_files import load_cameras
 from .option_parser import options_from
 
@@ -50,6 +51,9 @@ def export_page(args: argparse.Namespace):
     if args.nested:
         raise SceneError("a page has no slider for a nested result: leave --nested out")
     check_writable(args.export / "index.html")  # before anything is read
+    for name in itertools.chain(*NAMES.values()):
+        for scene in args.scenes:
+            refuse_input(args.export / name, scene)
     scenes, program = export(source_of(args), args.export), program_bytes()
     for one in scenes:
         for sentence in one["limits"]:

@@ -12,6 +12,7 @@ import itertools
 import os
 import secrets
 import shutil
+import stat
 from collections.abc import Callable, Iterator
 from contextvars import ContextVar
 from pathlib import Path
@@ -60,10 +61,13 @@ def atomic_path(path: str | os.PathLike, keep: bool = True) -> Iterator[Path]:
     """As atomic_write, for libraries that write by file name: yields the path of an empty temporary file with
     the same suffix."""
     target = file_names.real(path)  # if path is a symbolic link, its target is replaced
+    _check_target(path, target)
     with _errors_of(path):
         target.parent.mkdir(parents=True, exist_ok=True)
         with _hidden_file_next_to(target) as temporary:
             yield temporary
+            with contextlib.suppress(OSError):  # there is no old file, or the file system has no modes
+                os.chmod(temporary, stat.S_IMODE(target.stat().st_mode))
             _sync(temporary, os.O_RDWR)
             if (asked := _check.get()) and asked[0] == target:
                 _check_new(asked[1], temporary, target)
@@ -167,16 +171,18 @@ def check_space(path: str | os.PathLike, needed_bytes: int) -> None:
 
 
 def _check_target(path: str | os.PathLike, target: Path) -> None:
-    """Raises SceneError for a folder, a write-protected file, and a name that the file system does not
-    allow."""
+    """Raises SceneError for a folder, a device, a pipe, a write-protected file, and a name that the file
+    system does not allow."""
     if os.path.isdir(target):
         raise SceneError(f"{path}: is a folder; give the name of a file")
     try:
-        target.lstat()
+        mode = target.stat().st_mode
     except (FileNotFoundError, NotADirectoryError):
         return
     except OSError as error:
         raise SceneError(f"{path}: cannot be written ({error.strerror or error})") from error
+    if not stat.S_ISREG(mode):
+        raise SceneError(f"{path}: is a device or a pipe; give the name of a file")
     if not os.access(target, os.W_OK):
         raise SceneError(f"{path}: is write-protected; choose another file or allow writing to it")
 

@@ -10,7 +10,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from ..system.errors import FormatError
+from ..system.errors import FormatError, SceneError
 from .reading import size_of
 
 HEAD, CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
@@ -132,6 +132,10 @@ def glb_of(contents: dict[str, Any], lengths: list[int], arrays: bool = True) ->
     text += b" " * (-len(text) % 4)
     padded = int(starts[-1]) + int(-starts[-1]) % 4
     total = HEAD.size + 2 * CHUNK.size + len(text) + padded
+    if total >= 2**32:
+        raise SceneError(
+            f"a GLB has at most 4 GiB, and this one would have {total / 2**30:.1f}: write another format"
+        )
     return b"".join(
         [HEAD.pack(b"glTF", 2, total), CHUNK.pack(len(text), b"JSON"), text, CHUNK.pack(padded, b"BIN\0")]
     )

@@ -16,6 +16,7 @@ spz_container.py says.
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -71,6 +72,8 @@ def parts_of(data: bytes, max_count: int = MAX_COUNT) -> Iterator[Scene]:
     """The Gaussians in the bytes of a file, in parts. Raises FormatError (without the name of the file),
     SceneError."""
     header, stored = streams(data, max_count)
+    if header.degree > 3:
+        logging.warning("spherical harmonics of degree %d are read up to degree 3", header.degree)
     yield from by_parts(
         lambda start: _scene(header, {name: rows[start : start + PART] for name, rows in stored.items()}),
         range(0, max(header.count, 1), PART),

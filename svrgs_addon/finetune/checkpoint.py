@@ -20,7 +20,7 @@ import numpy as np
 from ..files.atomic import atomic_write, check_space
 from ..files.npz import write_arrays
 from ..scene.gaussians import PARAMETERS
-from ..system.errors import FormatError, SceneError
+from ..system.errors import OtherRun, SceneError
 from ..views.dataset import Dataset
 from .averaging import Average
 from .densify import Statistics
@@ -118,7 +118,7 @@ def restore(run: Run, folder: Path, identity: str) -> bool:
             shutil.rmtree(candidate, ignore_errors=True)
             continue
         if manifest["identity"] != identity:
-            raise FormatError(
+            raise OtherRun(
                 f"{candidate}: this checkpoint is of a run with other settings or inputs; delete {folder} to"
                 " start again"
             )

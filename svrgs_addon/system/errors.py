@@ -22,6 +22,10 @@ class TooMany(FormatError):
     """A file holds more Gaussians than are read as a whole, or than memory can hold."""
 
 
+class OtherRun(FormatError):
+    """What is to be continued is of a run with other settings or inputs."""
+
+
 class SceneError(SplatError):
     """The files can be read, but the request cannot be carried out: they do not belong together, or nothing
     would be left of the scene."""

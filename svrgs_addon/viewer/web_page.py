@@ -37,6 +37,7 @@ MODULES = (
 VERSION = 3  # of the SPZ: Spark does not read 4
 MOST_CAMERAS = 100
 NAMES = {1: ("scene.spz",), 2: ("original.spz", "pruned.spz")}  # of the files, by number of scenes
+FILES = ("page.js", "LICENSES.txt")  # those beside
 GENERATOR = '<meta name="generator" content="SVR-GS">'
 
 
@@ -53,7 +54,7 @@ def export(source: Source, folder: Path) -> list[dict]:
     (folder / "modules").mkdir(parents=True, exist_ok=True)
     for name in MODULES:
         _copy(packed_module(name), folder / "modules" / f"{name}.bin")
-    for name in ("page.js", "LICENSES.txt"):
+    for name in FILES:
         _copy(WEB / name, folder / name)
     facts = [_written(source, k, folder) for k in range(len(source.scenes))]
     title = " and ".join(source.names)
@@ -77,9 +78,12 @@ def program_bytes() -> int:
 def _check(folder: Path):
     if lacking := [name for name in MODULES if not packed_module(name).exists()]:
         raise SceneError(f"the modules of web pages are missing ({lacking[0]}): make wheels fetches them")
-    page = folder / "index.html"
-    if page.exists() and GENERATOR not in page.read_text(encoding="utf-8", errors="replace"):
-        raise SceneError(f"{folder} holds another page: name a new folder")
+    page, names = folder / "index.html", (*FILES, *itertools.chain(*NAMES.values()))
+    if page.exists():
+        if GENERATOR not in page.read_text(encoding="utf-8", errors="replace"):
+            raise SceneError(f"{folder} holds another page: name a new folder")
+    elif found := next((name for name in names if (folder / name).exists()), ""):
+        raise SceneError(f"{folder / found} would be replaced: name a new folder")
 
 
 def _copy(source: Path, target: Path):

@@ -100,6 +100,7 @@ def _camera(entry: dict) -> Camera:
 
 def _side(value: object) -> int:
     """Checks the width or height of an image, in pixels. Raises FormatError."""
+    value = int(value) if isinstance(value, float) and value.is_integer() else value
     if type(value) is not int or not 0 < value <= MAX_SIDE:
         raise FormatError(f"an image side is {value}; 1 to {MAX_SIDE} is expected")
     return value

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import struct
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -126,16 +127,21 @@ def _image_lines(names: dict[int, bytes]) -> Callable[[bytes], Iterator[bytes]]:
         for line in lines:
             if not line.strip() or line.lstrip().startswith(b"#"):
                 continue
-            words = line.split(None, 9)
+            words = line.strip().split(None, 9)
             if len(words) == 10 and words[0].isdigit():  # pycolmap says what is wrong with others
                 names[int(words[0])] = words[9]
                 _check_length(tuple(map(_number, words[1:5])), words[9])
                 line = b" ".join((*words[:9], words[0]))
             yield line
             yield b""
-            next(lines, None)
+            if _NAMED.match(next(lines, b"")):
+                raise FormatError("images.txt: has no line of keypoints after each image; export it again")
 
     return copy
+
+
+# the line of an image, and none of keypoints: nine numbers and a name
+_NAMED = re.compile(rb"\s*\d+(\s+[-+.\deE]+){7}\s+\d+\s+[^\s]*[^-+.\deE\s]")
 
 
 def _point_lines(text: bytes) -> Iterator[bytes]:

@@ -76,10 +76,10 @@ def read(
         warnings = [*dataset.notes, f"{error}; the cameras were loaded without photographs"]
     distorted = sum(photo.distorted is not None for photo in dataset.photos)
     files: list[Path | None] = [] if dataset.photos else [None] * len(dataset.cameras)
-    done = 0
+    changed, done = _changed(folder), 0
     for index, photo in enumerate(dataset.photos):
         try:
-            files.append(_pinhole_photo(dataset, index, undistorted))
+            files.append(_pinhole_photo(dataset, index, undistorted, changed))
         except FormatError as error:  # a damaged photograph
             files.append(None)
             warnings.append(f"{error}; it is not shown")
@@ -91,9 +91,19 @@ def read(
     )
 
 
-def _pinhole_photo(dataset, index: int, undistorted: Path | None) -> Path | None:
-    """The photograph, or its undistorted copy, which is written if it is missing or older than the
-    photograph. Raises FormatError if the photograph is damaged; SceneError if the copy cannot be written."""
+def _changed(folder: Path) -> float:
+    """When the lenses of a dataset were written last, in seconds."""
+    from .sources import find_cameras
+
+    location, is_model = find_cameras(folder)
+    files = [one for one in location.iterdir() if one.stem == "cameras"] if is_model else [location]
+    return max((one.stat().st_mtime for one in files), default=0.0)
+
+
+def _pinhole_photo(dataset, index: int, undistorted: Path | None, changed: float) -> Path | None:
+    """The photograph, or its undistorted copy, which is written if it is missing, or older than the
+    photograph or the lenses (changed). Raises FormatError if the photograph is damaged; SceneError if the
+    copy cannot be written."""
     from ..files.images import write_image
 
     photo = dataset.photos[index]
@@ -102,7 +112,7 @@ def _pinhole_photo(dataset, index: int, undistorted: Path | None) -> Path | None
     if undistorted is None:
         return None
     target = undistorted.absolute() / f"{dataset.cameras[index].name}.png"
-    if not target.exists() or target.stat().st_mtime < photo.path.stat().st_mtime:
+    if not target.exists() or target.stat().st_mtime < max(changed, photo.path.stat().st_mtime):
         write_image(target, dataset.image(index))
     return target
 

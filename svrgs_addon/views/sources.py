@@ -49,7 +49,7 @@ def read_source(folder: Path, images: str | None, with_images: bool = True) -> S
     other = folder / NAME
     notes = (f"the cameras are those of {location}, not those of {other}",) if other.is_file() else ()
     model = read_model(location)
-    image_folder = _image_folder(folder, location, images or "images") if with_images else None
+    image_folder = _image_folder(folder, location, images) if with_images else None
     return Source(model, location, image_folder, notes)
 
 
@@ -65,12 +65,13 @@ def find_cameras(folder: Path) -> tuple[Path, bool]:
         raise SceneError(_other_program(folder) or f"{error}, and no {NAME}") from None
 
 
-def _image_folder(folder: Path, location: Path | None, images: str) -> Path:
-    """The first folder with this name from the given folder up to the root of the dataset, else the path
-    `images`. Raises SceneError."""
+def _image_folder(folder: Path, location: Path | None, given: str | None) -> Path:
+    """The first folder with this name (None: images) from the given folder up to the root of the dataset,
+    else the path that is given. Raises SceneError."""
+    images = given or "images"
     here = Path(os.path.abspath(folder))
     above = here.parents[:2] if folder == location or here.name == "sparse" else ()
-    for candidate in [*(base / images for base in (here, *above)), Path(images)]:
+    for candidate in [*(base / images for base in (here, *above)), *([Path(given)] if given else [])]:
         if os.path.isdir(candidate):
             return candidate
     raise SceneError(

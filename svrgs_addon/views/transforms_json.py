@@ -61,10 +61,15 @@ def read_transforms(path: Path) -> Transforms:
     names = [_read(path, f"frame {number}", partial(_name, frame)) for number, frame in enumerate(frames)]
     common = os.path.commonpath([PurePosixPath(name).parent for name in names])
     folder = path.parent / common
-    views = []
+    views, missing = [], []
     for name, frame in zip(names, frames, strict=True):
-        name = str(PurePosixPath(name).relative_to(common))
-        views.append(_read(path, name, partial(_view, name, ChainMap(frame, facts), folder)))
+        name, both = str(PurePosixPath(name).relative_to(common)), ChainMap(frame, facts)
+        if not {"w", "h"} <= both.keys() and photograph(folder, name) is None:
+            missing.append(name)  # nothing says its size
+            continue
+        views.append(_read(path, name, partial(_view, name, both, folder)))
+    if missing and not views:
+        raise FormatError(f"{path}: neither w and h nor any of its photographs is there")
     views.sort(key=lambda view: view.name)
     twice = next((a.name for a, b in zip(views, views[1:], strict=False) if a.name == b.name), None)
     if twice is not None:
@@ -76,6 +81,9 @@ def read_transforms(path: Path) -> Transforms:
         for name, frame in zip(names, frames, strict=True)
         if frame.get("mask_path")
     }
+    if missing:
+        some = ", ".join(missing[:3]) + (", ..." if len(missing) > 3 else "")
+        notes = (*notes, f"left out, because nothing says the size of a photograph: {some}")
     return Transforms(model, folder, (*moved, *notes), masks)
 
 
@@ -172,7 +180,7 @@ def _camera(facts: Mapping, width: int, height: int) -> Intrinsics:
     fx = _focal(facts, "x", width)
     fy = _focal(facts, "y", height) if "fl_y" in facts or "camera_angle_y" in facts else fx
     pinhole = [fx, fy, _number(facts, "cx", width / 2), _number(facts, "cy", height / 2)]
-    k1, k2, k3, k4, p1, p2 = (_number(facts, key, 0.0) for key in ("k1", "k2", "k3", "k4", "p1", "p2"))
+    k1, k2, k3, k4, p1, p2 = _distortion(facts)
     params: list[float] = []
     if model == FISHEYE:
         params = [k1, k2, k3, k4]
@@ -188,6 +196,17 @@ def _camera(facts: Mapping, width: int, height: int) -> Intrinsics:
     else:
         model = "PINHOLE"
     return Intrinsics(model, width, height, (*pinhole, *params))
+
+
+def _distortion(facts: Mapping) -> list[float]:
+    """k1, k2, k3, k4, p1, p2: as keys, or as the list of Nerfstudio."""
+    names = ("k1", "k2", "k3", "k4", "p1", "p2")
+    if "distortion_params" not in facts:
+        return [_number(facts, key, 0.0) for key in names]
+    given = facts["distortion_params"]
+    if not isinstance(given, list) or len(given) != len(names):
+        raise FormatError(f"its distortion_params are not the six numbers {', '.join(names)}")
+    return [_number(dict(zip(names, given, strict=True)), key) for key in names]
 
 
 def _focal(facts: Mapping, axis: str, side: int) -> float:

@@ -41,7 +41,7 @@ SCHEMA, JOB, RESULTS, CAPTURES = 1, "job.json", "results", "captures"  # capture
 LARGEST = 1 << 24  # bytes of job.json, and of a result
 NAME, UNUSUAL = re.compile(r"\w[\w.+ -]{0,200}"), re.compile(r"^\W|[^\w.+ -]")
 OWN = "{job}/"  # begins a path within the folder of the job
-INSIDE = ("data", "cameras", "masks")  # options with a path that may lie in the root
+INSIDE = ("data", "cameras", "masks", "lpips_weights")  # options with a path that may lie in the root
 # options that are not of a farm: it resumes by itself, and one machine's seconds are not another's
 LEFT_OUT = ("resume", "quiet", "time")
 

@@ -4,6 +4,7 @@ goes on from its last checkpoint."""
 from __future__ import annotations
 
 import hashlib
+import logging
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,9 +15,10 @@ from ...finetune.loop import Progress
 from ...prune.context import JobContext
 from ...prune.pipeline import prune_scene
 from ...prune.plans import mask_options
-from ...system.errors import SceneError, SplatError
+from ...system.errors import OtherRun, SceneError, SplatError
 from ...views.colmap_files import MODEL_FILES
 from ...views.sources import read_source
+from ...views.transforms_json import PARSER_NAME
 from ...views.valid_pixels import MaskOptions, masks_of
 from .engine_messages import Messages
 from .farm_job import FarmJob, Task, write_json
@@ -24,12 +26,20 @@ from .farm_job import FarmJob, Task, write_json
 
 def run_tasks(job: FarmJob, numbers: Sequence[int], messages: Messages) -> list[dict[str, Any]]:
     """Runs the tasks with these numbers, one after the other. Returns for each its name, output and SHA-256,
-    and whether it was done before. Raises SplatError, with the name of the task; Cancelled if stopped, after
-    a checkpoint."""
-    return [
-        _run(job, job.tasks[number], messages.within(place, len(numbers)))
-        for place, number in enumerate(numbers)
-    ]
+    and whether it was done before. Raises SplatError after the last one, with the name of the task that
+    failed; Cancelled if stopped, after a checkpoint."""
+    done, failed = list[dict[str, Any]](), list[SplatError]()
+    for place, number in enumerate(numbers):
+        try:
+            done.append(_run(job, job.tasks[number], messages.within(place, len(numbers))))
+        except SplatError as error:  # the others are done all the same
+            failed.append(error)
+            logging.error("%s", error)
+    if len(failed) > 1:
+        raise SceneError(f"{len(failed)} of {len(numbers)} tasks failed; the first one: {failed[0]}")
+    if failed:
+        raise failed[0]
+    return done
 
 
 def numbers_of(words: str, count: int) -> list[int]:
@@ -55,6 +65,7 @@ def _run(job: FarmJob, task: Task, messages: Messages) -> dict[str, Any]:
     inputs = {
         "scene_sha256": scene_sha256(options.scene),
         "dataset_sha256": dataset_sha256(options.data, options.images, mask_options(options)),
+        "cameras_sha256": sha256(options.cameras) if options.cameras and options.cameras.is_file() else "",
     }
     if (
         done
@@ -77,7 +88,11 @@ def _run(job: FarmJob, task: Task, messages: Messages) -> dict[str, Any]:
         return replace(context, observe=observe, part=part)
 
     try:
-        result = prune_scene(options, observed)
+        try:
+            result = prune_scene(options, observed)
+        except OtherRun:
+            messages.tell(f"{task.name}: begins again, as its settings or inputs have changed", 0.0)
+            result = prune_scene(replace(options, resume=False), observed)
     except SplatError as error:
         raise type(error)(f"task {task.name}: {error}") from None
     digest = sha256(out)
@@ -109,6 +124,8 @@ def dataset_sha256(folder: Path | None, images: str, options: MaskOptions = Mask
         if source.location.is_file()
         else sorted(one for one in source.location.iterdir() if one.stem in MODEL_FILES)
     )
+    parser = source.location.with_name(PARSER_NAME)  # of Nerfstudio, beside a transforms.json
+    files += [parser] if source.location.is_file() and parser.is_file() else []
     facts = [sha256(one) for one in files]
     if source.image_folder is not None:
         photographs = sorted(one for one in source.image_folder.rglob("*") if one.is_file())

@@ -16,7 +16,7 @@ from ...prune.report.point_chart import Axis, Point, chart, front
 from ...prune.report.style import CSS
 from ...render.metrics.allowed_loss import ASSUMED
 from ...render.metrics.measures import with_error
-from ...system.errors import SceneError
+from ...system.errors import FormatError, SceneError
 from ...system.foreign import own
 from ...system.memory import size_text
 from ...views.rendered import PHOTOGRAPHED
@@ -39,11 +39,7 @@ def summarise(job: FarmJob) -> dict[str, Any]:
     """Writes report/index.html, table.md and table.json into the folder of the job. Returns the rows, those
     over all scenes, names of tasks that are not done, and the page. Raises SceneError if no task is done."""
     results = [(task, job.result(task)) for task in job.tasks]
-    rows = [
-        _row(task, found["result"]) | {"files": [str(job.options(task).scene), str(job.out(task))]}
-        for task, found in results
-        if found
-    ]
+    rows = [_row(job, task, found["result"]) for task, found in results if found]
     missing = [task.name for task, found in results if not found]
     if not rows:
         raise SceneError(
@@ -57,20 +53,17 @@ def summarise(job: FarmJob) -> dict[str, Any]:
     return facts | {"report": str(page)}
 
 
-def _row(task: Task, result: dict[str, Any]) -> dict[str, Any]:
-    before, after = result["before"], result["after"]
-    facts = {name: after.get(name) for name in ("count", "bytes", "psnr", "ssim", "lpips", "flip")}
-    facts |= {
-        "name": task.name,
-        "scene": task.scene,
-        "method": result["method"],
-        "seconds": result["seconds"],
-    }
-    return facts | {
-        "kept": after["count"] / before["count"],
-        "loss": _loss(before, after),
-        "target": task.options.get("target"),
-    }
+def _row(job: FarmJob, task: Task, result: dict[str, Any]) -> dict[str, Any]:
+    """Raises FormatError."""
+    files = [str(job.options(task).scene), str(job.out(task))]
+    facts = {"name": task.name, "scene": task.scene, "target": task.options.get("target"), "files": files}
+    try:
+        before, after = result["before"], result["after"]
+        facts |= {name: after.get(name) for name in ("count", "bytes", "psnr", "ssim", "lpips", "flip")}
+        facts |= {name: result[name] for name in ("method", "seconds")}
+        return facts | {"kept": after["count"] / before["count"], "loss": _loss(before, after)}
+    except (KeyError, TypeError, AttributeError, ZeroDivisionError):
+        raise FormatError(f"{job.result_path(task)}: is damaged; delete it, and do the task again") from None
 
 
 def _text(value: float | None, digits: int) -> str:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from ...files.atomic import atomic_write
 from ...files.reading import json_object
-from ...system.errors import FormatError
+from ...system.errors import OtherRun
 
 if TYPE_CHECKING:  # jobs of Blender need no more of it
     from .divided import Progress, ProgressOf
@@ -56,7 +56,7 @@ class Tasks:
         if found is None:
             self._path.unlink(missing_ok=True)
         elif found["identity"] != identity:
-            raise FormatError(
+            raise OtherRun(
                 f"{self._path}: this job is one with other settings or inputs; delete {folder} to start again"
             )
         else:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,8 @@ from ...render.metrics import load_lpips
 from ...render.metrics.evaluate import Renderable, Renderer, evaluate, refuse_unseen
 from ...scene.camera import refuse_same_stems, view_stem
 from ...system import memory
+from ...system.errors import SceneError
+from ...system.file_names import real
 from ...views.dataset import Dataset
 from ...views.rendered import RenderedDataset
 from ..belonging import leave_out_empty_tests
@@ -37,8 +40,9 @@ def compare(
     """
     lpips, missing = load_lpips(lpips_weights)
     shown = [dataset.cameras[i] for i in report_indices(dataset)]
-    photographs = "photographs another name, in the COLMAP model too"
-    refuse_same_stems(shown, f"give one of the {photographs if dataset.photos else 'cameras another name'}")
+    others = "photographs another name, in the COLMAP model too"
+    refuse_same_stems(shown, f"give one of the {others if dataset.photos else 'cameras another name'}")
+    _refuse_photographs(dataset, [_picture(out, camera.name) for camera in shown])
     cameras = [dataset.cameras[i] for i in dataset.test_indices or dataset.train_indices]
     needed = functools.partial(
         memory.comparing,
@@ -101,11 +105,22 @@ def _of_pictures(views: Dataset, scene: Renderable, rasterizer: Renderer) -> Ren
     )
 
 
+def _refuse_photographs(dataset: Dataset, pictures: Sequence[Path]):
+    photographs = {real(photo.path) for photo in dataset.photos}
+    if found := [picture for picture in pictures if real(picture) in photographs]:
+        raise SceneError(f"{found[0]}: is a photograph, and would be replaced; name another folder")
+
+
+def _picture(out: Path, view: str) -> Path:
+    """The file of the pictures of a view."""
+    return out / f"{view_stem(view)}.png"
+
+
 def _save(out: Path, view: View) -> Path:
     assert view.mask_before is not None and view.mask_after is not None
     top = max(float(np.percentile(view.mask_before, MASK_PERCENTILE)), 1e-6)
     parts = [to_bytes(view.before), to_bytes(view.after), difference_image(view.before, view.after)]
     parts += [mask_to_rgb(mask, top) for mask in (view.mask_before, view.mask_after)]
-    path = out / f"{view_stem(view.name)}.png"
+    path = _picture(out, view.name)
     write_image(path, np.concatenate(parts, axis=1))
     return path
