@@ -41,6 +41,7 @@ from ..system.exit_status import answer
 from ..system.file_names import extended
 from ..system.option_kinds import check_mapping
 from ..views.dataset import Dataset
+from ..views.rendered import RenderedDataset
 from .job_recorder import RECORDED
 
 OVERDRAW_VIEWS = 4  # in which it is counted
@@ -97,7 +98,7 @@ def estimate(options: PruneOptions, suffix: str = USUAL.suffixes[0]) -> dict:
         **_sizes(scene, kept, plan, format_to_write(f"x{suffix}")),
         "views": seen.views,
         **{f"psnr_{name}": value for name, value in quality._asdict().items()}
-        | ({"psnr_before": None} if options.data is None else {}),
+        | ({"psnr_before": None} if isinstance(dataset, RenderedDataset) else {}),
         "overdraw_before": overdraw(scene, some),
         "overdraw_after": overdraw(scene.select(np.flatnonzero(top(order, kept))), some),
         "steps": plan.total,

@@ -112,8 +112,7 @@ _FILES = (
     "trained.ply",
     "*_exposure.json",
     "*_refined_cameras.json",
-    "recovered_distractor_masks/*.png",
-    "recovered_distractor_masks/*/*.png",
+    "recovered_distractor_masks/**/*.png",
     "result.json",
     MERGED,
     ORDER,
@@ -369,7 +368,7 @@ class JobFolder:
         masks = self / "recovered_distractor_masks"
         for folder in (self / "previews", self / "recovered.ply.job", masks):
             remove_link(folder)  # else the patterns would be searched behind it
-        for folder in masks.glob("*"):
+        for folder in [*masks.rglob("*")]:
             remove_link(folder)
         for checkpoint in self._checkpoints():
             shutil.rmtree(checkpoint, ignore_errors=True)
@@ -377,7 +376,8 @@ class JobFolder:
         for pattern in _FILES:
             for file in self.path.glob(pattern):
                 file.unlink(missing_ok=True)
-        for folder in (self / "recovered.ply.job", self / "previews", *masks.glob("*"), masks, self.path):
+        within = sorted(masks.rglob("*"), reverse=True)
+        for folder in (self / "recovered.ply.job", self / "previews", *within, masks, self.path):
             with contextlib.suppress(OSError):
                 folder.rmdir()
 

@@ -76,7 +76,7 @@ def expected_count(plan: Plan, scene: Scene, dataset: Dataset, seen: Seen) -> in
     if plan.max_loss:
         return _fewest_within_drop(scene, dataset, expected_order(plan, scene, dataset, seen), plan)
     if plan.target:
-        return plan.target
+        return min(plan.target, scene.count)
     kept = seen.peaks >= plan.min_contribution
     if plan.method.learns_masks and plan.prunes:
         kept &= seen.sums > np.maximum(seen.hits, 1) * KNEE * ((plan.lambda_f or 1e-4) / 1e-4) ** SLOPE

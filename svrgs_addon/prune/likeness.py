@@ -35,6 +35,11 @@ Colour = tuple[float, float, float]
 VIEWS = 8  # of a scene that is divided into blocks, at most
 SILENT: ProgressOf = lambda _: lambda *_: None
 
+NO_VIEWS = (
+    "an allowed loss is measured in views that are held out, and none shows the splat: give more cameras, or"
+    " --target"
+)
+
 
 class Likeness:
     """Compares scenes with the pictures of the original, which are rendered when they are first needed.
@@ -113,10 +118,7 @@ class Likeness:
     def refuse_without_views(self):
         """Raises SceneError if there are no views in which an allowed drop could be measured."""
         if not self.views:
-            raise SceneError(
-                "an allowed loss is measured in views that are held out, and none shows the splat: give more"
-                " cameras, or --target"
-            )
+            raise SceneError(NO_VIEWS)
 
     def notes(self) -> list[str]:
         """What the user must know of the views. Raises SplatError."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-from ..finetune.checkpoint import newest_manifest
 from ..finetune.plan import Plan
 from ..scene.gaussians import Scene
 from ..views.dataset import Dataset
@@ -60,8 +59,7 @@ def prepared(scene: Scene, dataset: Dataset, plan: Plan, job: JobContext) -> Pre
     refined = plan.refine_poses == "on"
     notes += [offset.sentence(refined)] if offset.off else []
     facts |= {"beside_pixels": offset.pixels, "aligned_db": offset.gain}
-    resumed = job.resume and newest_manifest(job.folder) is not None  # its checkpoint has the poses
-    if refined and (plan.max_loss or not resumed):
+    if refined:  # also of a job that is resumed: first cut and masks depend on it
         # an allowed drop is decided and measured in held-out views, which must not be off either
         dataset = with_aligned_poses(scene, dataset, bool(plan.max_loss), job.part, job.stop)
     if plan.mask_distractors:

@@ -36,7 +36,8 @@ def pruning_within(
         return _with(found, plan, job, "the job goes on as it was planned")
     banded = fewer_bands(scene, plan.sh_degree, ())
     pace = pace_of(banded, dataset, plan, job.lpips)
-    kept = plan.target or expected_count(plan, scene, dataset, seen_by_some(scene, dataset, plan))
+    kept = min(plan.target, scene.count)
+    kept = kept or expected_count(plan, scene, dataset, seen_by_some(scene, dataset, plan))
     # writing a file with all values takes about as long as reading
     others = read + _rounding(banded, dataset, kept, job.out)
     others += 2 * REPORT_VIEWS * pace.measured if job.report else 0.0

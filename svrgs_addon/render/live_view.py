@@ -112,17 +112,23 @@ class LiveView:
         are then skipped."""
         with self._changed:
             if reduction == 1 and not self._wants(key):
+                self._started = None  # it may be wanted again
                 return False
             self._rasterizer.cancel[0], self._reduction = self._closed, reduction
         try:
             picture = Picture(key, reduction, self._draw(self._rasterizer, job, reduction))
         except Cancelled:
+            with self._changed:
+                self._started = None
             return False
         except Exception as error:  # noqa: BLE001 - the viewport shows every error; the thread must not end
             picture = Picture(key, 1, error=error)
         with self._changed:
             self._picture = picture
-            return picture.error is None and self._wants(key)
+            if not self._wants(key):
+                self._started = None
+                return False
+            return picture.error is None
 
     def _wants(self, key: object) -> bool:
         return self._wanted is not None and self._wanted[0] == key

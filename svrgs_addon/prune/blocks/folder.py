@@ -61,8 +61,9 @@ def scored_views(work: Path) -> list[Camera]:
 
 
 def measured_views(work: Path) -> list[Camera]:
-    """The views on which the result is measured. Raises SplatError."""
-    return load_cameras(work / MEASURED)
+    """The views on which the result is measured; none where all decide. Raises SplatError."""
+    path = work / MEASURED
+    return [] if path.is_file() and path.read_bytes().strip() == b"[]" else load_cameras(path)
 
 
 def remove_blocks(out: Path):

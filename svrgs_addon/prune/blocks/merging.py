@@ -38,6 +38,7 @@ from .scoring import SQUARES, UNITS, total, visibility
 
 REDUCED, MIN_SHARE_OF_CELL = "reduced.json", 0.01
 CELL = 1 << 16  # Gaussians of a cell, at most
+MOST_LOST = 0.01  # share of the Gaussians that are seen, but too thinly for the units of their sums
 OPERATIONS = ("a", "b", "costs")  # arrays of Merges
 NEEDED = "reduce the scores first"
 
@@ -53,11 +54,13 @@ def reduce(divided: Divided, cameras: Sequence[Camera]):
         )
     check_space(divided.folder / REDUCED, 8 * sums.size)
     units = dict(zip(VISIBILITY, UNITS, strict=True))
-    pixel = float(
-        np.median(
-            np.sqrt(columns["views"][seen] * units["views"] / (columns["density"][seen] * units["density"]))
+    views, density = (columns[name][seen] * units[name] for name in ("views", "density"))
+    if not (density > 0).mean() > 1 - MOST_LOST:  # sums of whole units: none is left, or too many
+        raise SceneError(
+            f"{divided.source}: its coordinates are too large or too small to be pruned by blocks: scale it"
+            " first (svrgs convert --scale)"
         )
-    )
+    pixel = float(np.median(np.sqrt(views[density > 0] / density[density > 0])))
     drawn, unseen = 0, 0
     for block in divided.blocks:
         values = visibility(sums[block.rows])

@@ -61,7 +61,7 @@ from ..disk_room import ROW, DiskRoom
 from ..door import check_training, check_visible, excess_notes
 from ..file_size import FileSize, write_sized
 from ..first_cut import first_cut
-from ..likeness import assumed_drop
+from ..likeness import NO_VIEWS, assumed_drop
 from ..photographs import in_its_colours, prepared
 from ..planning import pruning_within
 from ..recipe import Recipe
@@ -275,9 +275,8 @@ class FineTuned(Tuned):
         self.notes += excess_notes(plan.target, source.count)
         self.notes += cut_notes(source, plan.sh_degree, dataset.training_cameras)
         refuse_unseen(source, dataset.cameras, str(self.path))
-        needed = refuse_excess(
-            f"{self.path}: pruning it", source.count, source.sh.shape[1], dataset, plan, memory.BY_BLOCKS
-        )
+        what, held = f"{self.path}: pruning it", source.sh.shape[1]
+        needed = refuse_excess(what, source.count, held, dataset, plan, memory.BY_BLOCKS)
         self.job = self.job.fitting(dataset.cameras, needed)
         self.given = dataset
         with self.clock.phase("compare photographs"):
@@ -294,8 +293,9 @@ class FineTuned(Tuned):
         self.compared = toned.facts | photographs.facts
         if plan.max_loss:
             self.dataset = dataset = hold_apart(dataset, plan.measure)
-            if self.measuring and not dataset.deciding_indices:
-                self.notes.append(NOT_APART)
+            if not self.measuring:
+                raise SceneError(NO_VIEWS)
+            self.notes += [] if dataset.deciding_indices else [NOT_APART]
         self.notes += higher_bands(source, format_to_write(self.job.out))
         self.room.hold_for(source, source.count, plan.averaged_count(source.count))
 

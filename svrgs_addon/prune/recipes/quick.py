@@ -174,7 +174,9 @@ class Quick(Recipe):
 
     def write(self):
         scenes = [scaled(scene, 1 / self.factor) for scene in self.scenes]
-        views = [seen_from(scene, self.cameras, self.job.out) for scene in self.scenes]
+        # an allowed loss was decided without it, because views of each count would have to be rendered
+        cameras = [] if self.allowed.loss else self.cameras
+        views = [seen_from(scene, cameras, self.job.out) for scene in self.scenes]
         seen = [one and one.scaled(1 / self.factor) for one in views]
         if self.size:
             self.quantise = self.size.quantise_of(scenes[0], seen[0], format_to_write(self.job.out))
@@ -265,7 +267,10 @@ def like_quick(options: PruneOptions, scene: Scene) -> tuple[PruneOptions, Rende
     if size := asked_size(options):
         count = size.count_of(scene, dataset.cameras)
         options = replace(options, target_size=None, target_format="", target_count=count)
-    share = options.target or (options.target_count or LIKELY * scene.count) / scene.count
+    if not allowed_loss(options).loss:
+        visible = scene.count - int(invisible(scene).sum())
+        options = replace(options, target=None, target_count=min(_wanted(options, scene.count), visible))
+    share = (options.target_count or LIKELY * scene.count) / scene.count
     return replace(options, quick=False, method="merge", recovery=_steps(min(1.0, share))), dataset
 
 
