@@ -453,27 +453,6 @@ def test_sentences_on_fewer_bands_are_those_of_the_rows():
     assert round(-none[1], 3) == 0.021 and round(-means("SH 2 0.1", "psnr")[0], 2) == 0.09
 
 
-def test_sentences_on_files_of_one_size_are_those_of_the_rows():
-    runs = {(row["scene"], row["run"]): row for row in rows_of(study="sizes")}
-    scenes = sorted({scene for scene, _ in runs})
-    changes = lambda run, name: [runs[scene, run][name] - runs[scene, "SH 3"][name] for scene in scenes]
-    files = sorted(round(row["bytes"] / 1e6, 3) for (_, run), row in runs.items() if run != "SH 0")
-    bare = sorted(round(runs[scene, "SH 0"]["bytes"] / 1e6, 3) for scene in scenes)
-    ends = said("results.md", "These files are # to # MB, those without bands # to #")
-    assert [files[0], files[-1], bare[0], bare[-1]] == ends and len(scenes) == 6
-    sentences = {
-        "SH 2": "in all six scenes**, by # to #, and more PSNR in five, by # to # dB",
-        "SH 1": "Degree 1 has # to # LPIPS less in all six, and # to # dB more in four",
-    }
-    for (run, sentence), more in zip(sentences.items(), (5, 4), strict=True):
-        less = sorted(-value for value in changes(run, "lpips"))
-        gained = sorted(value for value in changes(run, "psnr") if value > 0)
-        assert less[0] > 0 and len(gained) == more
-        ends = [round(value, n) for some, n in ((less, 3), (gained, 2)) for value in (some[0], some[-1])]
-        assert said("results.md", sentence) == ends
-    assert round(runs["snowmiku", "SH 3"]["psnr"] - runs["snowmiku", "SH 2"]["psnr"], 2) == 0.09
-
-
 def test_sentences_on_other_losses_are_those_of_the_rows():
     runs = {(r["scene"], r["run"], r["seed"]): r for r in rows_of(study="texture")}
     scenes, both = ("snowmiku", "south_building"), "gradients 1.5, SSIM 0.5"
