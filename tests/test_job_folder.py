@@ -141,6 +141,15 @@ def test_discarding_a_job_removes_its_links_and_not_what_they_lead_to(tiny, tmp_
     ]
 
 
+def test_discarding_a_job_removes_its_masks_in_folders_of_folders(tiny, tmp_path):
+    folder = create(tmp_path / "job", tiny, **SHORT)
+    mask = folder / "recovered_distractor_masks/rig1/cam0/0001.jpg.png"
+    mask.parent.mkdir(parents=True)
+    mask.write_bytes(b"")
+    folder.discard()
+    assert not folder.path.exists()
+
+
 @pytest.mark.parametrize("count", [7, 50_000_000, 10**30])
 def test_a_job_whose_count_is_not_that_of_its_scene_is_refused(tiny, tmp_path, jobs, count):
     job = Job(create(tmp_path / "job", tiny, **SHORT))

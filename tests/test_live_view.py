@@ -56,6 +56,21 @@ def test_a_coarse_picture_then_the_exact_one(live, painter):
     assert (live.picture().result, live.picture().reduction) == ("job / 1", 1)
 
 
+def test_a_view_that_is_wanted_again_before_it_was_given_up_is_drawn(live, painter):
+    """Else it would stay coarse."""
+    live.request("a", "a")
+    painter.allowed.release()
+    until(lambda: ("a", 1) in painter.asked)
+    with live._changed:  # the thread has not noticed yet
+        live._wanted, live._rasterizer.cancel[0] = ("b", "b"), 1
+        live._wanted = ("a", "a")
+    until(lambda: len(painter.asked) > 2)
+    for _ in range(2):
+        painter.allowed.release()
+    until(lambda: not live.busy)
+    assert live.picture().reduction == 1
+
+
 def test_the_same_view_is_drawn_once(live, painter):
     for _ in range(2):
         live.request("a", "job")

@@ -3,6 +3,7 @@ show almost nothing."""
 
 from __future__ import annotations
 
+import json
 import shutil
 from dataclasses import replace
 
@@ -21,6 +22,7 @@ from svrgs_addon.prune.recipes import by_blocks, fine_tuned
 from svrgs_addon.render.metrics.measures import SHOWN, almost_empty
 from svrgs_addon.scene.camera import Camera, apart, halfway
 from svrgs_addon.views.cameras_json import write_cameras_json
+from tiny_dataset import views, write_tiny
 
 WAYS = {
     "quick": "prune {scene} --data {data} --holdout 0 --quick --target 0.5 --out {out} --json",
@@ -133,6 +135,34 @@ def test_a_drop_that_one_view_decides_and_measures_is_told(svrgs, tiny, tmp_path
     words = ["--data", tiny.folder, "--holdout", 12, "--method", "removal", "--max-drop", 1]
     words += ["--iterations", 20, "--recovery", 0, "--out", tmp_path / "o.ply", "--json"]
     assert NOT_APART in svrgs("prune", tiny.splat, *words).json["notes"]
+
+
+def test_by_blocks_a_dataset_without_a_view_to_measure_in_is_pruned_all_the_same(
+    svrgs, tmp_path, photographs
+):
+    tiny = write_tiny(tmp_path / "few", cameras=views(12)[:1])
+    words = ["--holdout", 0, "--target", 0.5, "--out", tmp_path / "a.ply", "--json", "--force"]
+    said = svrgs("large", "prune", tiny.splat, "--data", tiny.folder, *words)
+    result = json.loads(said.out)
+    assert result["psnr"] is None and "the quality is not measured" in "".join(result["notes"])
+
+
+def test_without_a_view_to_measure_in_no_loss_is_allowed(svrgs, tiny, tmp_path):
+    write_cameras_json(tmp_path / "one.json", tiny.cameras[:1])
+    words = ["--seen-from", tmp_path / "one.json", "--seen-from-only", "--max-drop", 1, "--force"]
+    shutil.copy(tiny.splat, tmp_path / "scene.ply")
+    said = svrgs(
+        "prune",
+        tmp_path / "scene.ply",
+        *words,
+        "--iterations",
+        4,
+        "--recovery",
+        4,
+        "--out",
+        tmp_path / "a.ply",
+    )
+    assert said.status == 2 and "measured in views that are held out" in said.err
 
 
 @pytest.mark.parametrize("shown", [1, 0])

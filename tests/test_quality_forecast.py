@@ -106,6 +106,14 @@ def test_what_was_not_measured_is_not_foreseen(scene, data, ranking, plan):
     )
 
 
+@pytest.mark.parametrize("quick", [False, True])
+def test_no_more_gaussians_are_foreseen_than_there_are(tiny, tmp_path, quick):
+    given = {"scene": tiny.splat, "data": tiny.folder, "out": tmp_path / "a.ply", "quick": quick}
+    found = estimate(PruneOptions(**given, target_count=9_999))
+    assert found["kept"] <= found["count"] and found["bytes_after"] <= found["bytes_before"]
+    assert (found["psnr_before"] is None) == quick, "a quick job has no photographs"
+
+
 def test_every_fitted_number_belongs_to_a_method():
     for method in HALVED:
         assert prune_settings(method, 900, 1500).prunes

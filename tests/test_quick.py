@@ -268,6 +268,17 @@ def test_a_file_is_rounded_by_the_views_that_decide(tmp_path, monkeypatch, size)
     assert one.weights.shape[1] == 2 * level.weights.shape[1]
 
 
+def test_a_file_within_an_allowed_loss_is_the_one_that_was_decided(tmp_path, monkeypatch):
+    """Its views would have to be rendered for each count that is tried."""
+    write_ply(tmp_path / "a.ply", ball())
+    given, write = [], registry.write_scene
+    monkeypatch.setattr(
+        level_files, "write_scene", lambda *a, **choices: given.append(choices) or write(*a, **choices)
+    )
+    run(tmp_path / "a.ply", target=None, max_drop=1.0, out=tmp_path / "a.spz")
+    assert given and all(choices.get("seen") is None for choices in given)
+
+
 def test_the_input_is_never_replaced(splat):
     with pytest.raises(SceneError, match="never overwritten"):
         run(splat, out=splat)
