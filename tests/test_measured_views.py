@@ -137,9 +137,7 @@ def test_a_drop_that_one_view_decides_and_measures_is_told(svrgs, tiny, tmp_path
     assert NOT_APART in svrgs("prune", tiny.splat, *words).json["notes"]
 
 
-def test_by_blocks_a_dataset_without_a_view_to_measure_in_is_pruned_all_the_same(
-    svrgs, tmp_path, photographs
-):
+def test_by_blocks_a_dataset_without_a_view_to_measure_in_is_pruned_all_the_same(svrgs, tmp_path):
     tiny = write_tiny(tmp_path / "few", cameras=views(12)[:1])
     words = ["--holdout", 0, "--target", 0.5, "--out", tmp_path / "a.ply", "--json", "--force"]
     said = svrgs("large", "prune", tiny.splat, "--data", tiny.folder, *words)
