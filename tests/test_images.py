@@ -12,6 +12,7 @@ from svrgs_addon.files.images import (
     image_size,
     library_path,
     linear_to_srgb,
+    read_alpha,
     read_image,
     read_pixels,
     srgb_to_linear,
@@ -46,6 +47,36 @@ def test_8_bit_pixels_come_out_as_stored(tmp_path, suffix):
     image = read_image(path)
     assert image.dtype == np.float32 and np.array_equal(image, RGB / np.float32(255))
     assert image_size(path) == (9, 6)
+
+
+@pytest.mark.parametrize(
+    "layers, picture",
+    [
+        (["ViewLayer.AO", "ViewLayer.Combined"], 1),
+        (["Image", "Depth.V"], 0),
+        (["Depth.V", "Image"], 1),
+        (["left", "right"], None),
+    ],
+)
+def test_the_picture_of_an_exr_of_several_layers_is_read(tmp_path, layers, picture):
+    names = [
+        n for layer in layers for n in ([layer] if "." in layer[-2:] else [f"{layer}.{c}" for c in "RGBA"])
+    ]
+    values = [100.0 if name.endswith(".A") else float(k) for k, name in enumerate(names)]
+    spec = oiio.ImageSpec(2, 2, len(names), "half")
+    spec.channelnames = names
+    output = oiio.ImageOutput.create(str(tmp_path / "a.exr"))
+    output.open(str(tmp_path / "a.exr"), spec)
+    output.write_image(np.tile(np.float32(values) / 100, (2, 2, 1)))
+    output.close()
+    if picture is None:
+        with pytest.raises(FormatError, match="has the layers left, right; export one picture"):
+            read_pixels(tmp_path / "a.exr")
+        return
+    first = names.index(f"{layers[picture]}.R")
+    expected = linear_to_srgb(np.float32([first, first + 1, first + 2]) / 100)
+    np.testing.assert_allclose(read_pixels(tmp_path / "a.exr")[0, 0], expected, atol=2e-3)
+    assert read_alpha(tmp_path / "a.exr").min() == 1
 
 
 @pytest.mark.parametrize("suffix", ["jpg", "webp"])

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from ply_cases import ARRAYS, STANDARD, assert_same, make_scene, ply_bytes, read_bytes
+from scenes import random_scene
 from svrgs_addon.files.atomic import atomic_write, check_space, check_writable
 from svrgs_addon.files.ply import read_ply, read_ply_parts, write_ply
 from svrgs_addon.files.repair import clamp_extremes, drop_nonfinite
@@ -82,6 +83,22 @@ def test_lower_sh_degree_can_be_written(tmp_path):
     scene = read_ply(tmp_path / "a.ply")
     write_ply(tmp_path / "b.ply", replace(scene, sh=np.ascontiguousarray(scene.sh[:, :4])))
     assert read_ply(tmp_path / "b.ply").sh_degree == 1
+
+
+@pytest.mark.parametrize("far, said", [(0.0, False), (5e6, True)])
+def test_positions_of_a_map_that_float32_cannot_hold_are_said(tmp_path, caplog, far, said):
+    scene = random_scene(50, 0, 0)
+    write_ply(tmp_path / "a.ply", scene)
+    head, body = (tmp_path / "a.ply").read_bytes().split(b"end_header\n", 1)
+    names = [line.split()[2] for line in head.decode().splitlines() if line.startswith("property")]
+    rows = np.frombuffer(body, "<f4").reshape(scene.count, -1).astype("<f8")
+    rows[:, names.index("y")] += far
+    head = head.replace(b"property float ", b"property double ")
+    (tmp_path / "b.ply").write_bytes(head + b"end_header\n" + rows.tobytes())
+    for read in (read_ply, lambda path: next(read_ply_parts(path))):
+        caplog.clear()
+        read(tmp_path / "b.ply")
+        assert ("rounded to steps of" in caplog.text) == said
 
 
 @pytest.mark.parametrize("fmt, order", [("binary_big_endian", ">"), ("binary_little_endian", "<")])

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from OpenImageIO import ImageInput, ImageSpec
 
 MAX_SIDE = 16_384  # pixels
+PICTURES = ("", "Combined", "Image", "Composite")  # layers of an EXR that are the picture
 LINEAR_FORMATS = ("openexr", "hdr")  # scene-linear formats; all others store display values
 PICTURE_SUFFIXES = (".png", ".exr")
 # methods above 3 take six times as long for 0.3 % less
@@ -56,16 +57,15 @@ def read_pixels(path: str | os.PathLike, background: tuple[float, float, float] 
     `background` (display sRGB, 0..1). The EXIF orientation is ignored, as COLMAP does. Raises FormatError.
     """
     with contextlib.closing(_open(path)) as source:
-        return _composite(_read_channels(source, source.spec(), path), source, background)
+        channels, alpha = _picture(source.spec(), path)
+        return _composite(_read_channels(source, channels, path), alpha, source, background)
 
 
 def read_alpha(path: str | os.PathLike) -> np.ndarray | None:
     """The alpha of an image, (H, W) float32 in 0..1, as stored; None if it has none. Raises FormatError."""
     with contextlib.closing(_open(path)) as source:
-        spec = source.spec()
-        if not 0 <= spec.alpha_channel < min(spec.nchannels, 4):
-            return None
-        return to_float(_read_channels(source, spec, path)[:, :, spec.alpha_channel])
+        channels, alpha = _picture(source.spec(), path)
+        return to_float(_read_channels(source, channels, path)[:, :, alpha]) if alpha >= 0 else None
 
 
 def read_texture(path: str | os.PathLike, most: int) -> np.ndarray:
@@ -77,7 +77,7 @@ def read_texture(path: str | os.PathLike, most: int) -> np.ndarray:
             raise FormatError(
                 f"{path}: has {spec.width} x {spec.height} pixels, more than its file needs; export it again"
             )
-        pixels = _read_channels(source, spec, path)
+        pixels = _read_channels(source, _picture(spec, path)[0], path)
     if pixels.dtype != np.uint8 or pixels.shape[2] < 3:
         raise FormatError(f"{path}: is not an image of three or four channels of 8 bits; export it again")
     opaque = np.full((*pixels.shape[:2], 1), 255, np.uint8)
@@ -190,12 +190,33 @@ def _open(path: str | os.PathLike) -> ImageInput:
     return source
 
 
-def _read_channels(source: ImageInput, spec: ImageSpec, path: str | os.PathLike) -> np.ndarray:
-    """Reads at most the first four channels, (H, W, C): uint8 if the file has 8 bits, else float32. Raises
-    FormatError."""
-    oiio = _library()
+def _picture(spec: ImageSpec, path: str | os.PathLike) -> tuple[list[int], int]:
+    """The channels of the picture, in the order R, G, B, A, and the place of A among them, -1: there is none.
+    They are the first four, but in an EXR of several layers those of the only one with colours, or of the one
+    that Blender calls the picture. Raises FormatError."""
+    layers: dict[str, dict[str, int]] = {}
+    for number, name in enumerate(spec.channelnames):
+        layer, _, channel = name.rpartition(".")
+        layers.setdefault(layer, {})[channel.upper()] = number
+    found = {layer: of for layer, of in layers.items() if {"R", "G", "B"} <= of.keys()}
+    if len(layers) == 1 or not found:
+        alpha = spec.alpha_channel if 0 <= spec.alpha_channel < min(spec.nchannels, 4) else -1
+        return list(range(min(spec.nchannels, 4))), alpha
+    pictures = {layer: of for layer, of in found.items() if layer.rpartition(".")[2] in PICTURES}
+    chosen = found if len(found) == 1 else pictures
+    if len(chosen) != 1:
+        raise FormatError(f"{path}: has the layers {', '.join(found)}; export one picture")
+    ((_, of),) = chosen.items()
+    return [of[name] for name in "RGBA" if name in of], 3 if "A" in of else -1
+
+
+def _read_channels(source: ImageInput, channels: list[int], path: str | os.PathLike) -> np.ndarray:
+    """Reads these channels, (H, W, C): uint8 if the file has 8 bits, else float32. Raises FormatError."""
+    oiio, spec = _library(), source.spec()
     kind = oiio.UINT8 if spec.format == oiio.TypeDesc("uint8") else oiio.FLOAT
-    pixels = source.read_image(0, 0, 0, min(spec.nchannels, 4), kind)
+    pixels = source.read_image(0, 0, 0, max(channels) + 1, kind)
+    if pixels is not None and channels != list(range(pixels.shape[2])):
+        pixels = pixels[:, :, channels]
     error = _error_of(source)
     # OpenImageIO returns what it could read of a damaged file, and says only here that something is wrong.
     if pixels is None or error:
@@ -205,13 +226,14 @@ def _read_channels(source: ImageInput, spec: ImageSpec, path: str | os.PathLike)
     return pixels
 
 
-def _composite(pixels: np.ndarray, source: ImageInput, background: tuple[float, float, float]) -> np.ndarray:
+def _composite(
+    pixels: np.ndarray, alpha_channel: int, source: ImageInput, background: tuple[float, float, float]
+) -> np.ndarray:
     """Composites colours over the background in display sRGB, in which Gaussians are blended too. (H, W, 3),
     uint8 or float32."""
-    alpha_channel = source.spec().alpha_channel
     linear = source.format_name() in LINEAR_FORMATS
     colour = pixels[:, :, :3] if pixels.shape[2] >= 3 else pixels[:, :, :1].repeat(3, axis=2)
-    if 0 <= alpha_channel < pixels.shape[2]:
+    if alpha_channel >= 0:
         alpha = to_float(pixels[:, :, alpha_channel, None])
         colour = to_float(colour) / np.where((alpha > 0) & _is_associated(source), alpha, 1)
         colour = (linear_to_srgb(colour) if linear else colour).clip(0, 1)

@@ -31,9 +31,11 @@ from .ply_header import (
     parse_header,
     written_comments,
 )
+from .quantised import small_scale
 from .reading import MAX_COUNT, open_splat, refuse_many, size_of
 from .splat_format import SplatFormat
 
+COARSE = 4  # steps of positions of double precision in the scale of a small Gaussian, at least
 NORMALS = ("nx", "ny", "nz")  # 3DGS writes these properties; they are always 0
 
 log = logging.getLogger(__name__)
@@ -47,7 +49,10 @@ def read_ply(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Scene:
     FormatError, which names the file.
     """
     with open_splat(path) as file:
-        return _checked_body(file, path, max_count).whole()
+        body = _checked_body(file, path, max_count)
+        scene = body.whole()
+        _tell_of_steps(path, body, scene)
+        return scene
 
 
 def read_ply_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[Scene]:
@@ -58,7 +63,27 @@ def read_ply_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Itera
     has no Gaussian.
     """
     with open_splat(path) as file:
-        yield from _checked_body(file, path, max_count).parts()
+        body = _checked_body(file, path, max_count)
+        for number, part in enumerate(body.parts()):
+            if not number:
+                _tell_of_steps(path, body, part)
+            yield part
+
+
+def _tell_of_steps(path: str | os.PathLike, body: Body, scene: Scene):
+    """A warning where positions of double precision, such as those of a map, are too far from the origin for
+    float32."""
+    if not body.has_double_positions or not scene.count:
+        return
+    step, small = float(np.spacing(np.abs(scene.means).max())), small_scale(scene)
+    if step > small / COARSE:
+        log.warning(
+            "%s: positions of double precision are rounded to steps of %g, and small Gaussians have a scale"
+            " of %g: move the scene to the origin before it is exported",
+            path,
+            step,
+            small,
+        )
 
 
 def write_ply(path: str | os.PathLike, scene: Scene) -> None:

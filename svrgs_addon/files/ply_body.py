@@ -63,6 +63,10 @@ class Body:
         """Number of Gaussians."""
         return self.header.elements[0].count
 
+    @property
+    def has_double_positions(self) -> bool:
+        return any(np.dtype(self._types[name]).itemsize > 4 for name in "xyz")
+
     def whole(self) -> Scene:
         """Reads all Gaussians. Raises FormatError (without the name of the file)."""
         scene = self._empty_scene(self.count)
