@@ -99,10 +99,17 @@ def marked_count(obj: bpy.types.Object) -> int:
 
 
 def _marks(obj: bpy.types.Object) -> list[str]:
-    """The attributes that hide Gaussians. Linked duplicates of a splat of a job have its attributes, but are
-    splats of their own, without its modifier."""
-    names = (REMOVED, HIDDEN) if HIDE_MODIFIER in obj.modifiers else (HIDDEN,)
+    """The attributes that hide Gaussians."""
+    names = (HIDDEN,) if _is_twin(obj.original) else (REMOVED, HIDDEN)
     return [name for name in names if name in obj.data.attributes]
+
+
+def _is_twin(obj: bpy.types.Object) -> bool:
+    """Whether the splat is a linked duplicate of one of a job: it has the attributes of that splat, but not
+    its modifier, and is a splat of its own."""
+    if obj.data.users < 2 or HIDE_MODIFIER in obj.modifiers:
+        return False
+    return any(other.data == obj.data and HIDE_MODIFIER in other.modifiers for other in bpy.data.objects)
 
 
 def splats(depsgraph: bpy.types.Depsgraph, read: Read = visible_scene) -> PlacedScene | None:

@@ -45,9 +45,9 @@ def read_json(path: Path, most: int, what: str) -> Any:
     """The value in a JSON file of at most so many bytes. what: that it should be, for the sentences. Raises
     FormatError."""
     with readable(path), open_regular(path) as file:
-        data = file.read(most + 1)
-    if len(data) > most:
-        raise FormatError(f"{path}: is larger than {most // 2**20} MiB, so it is not {what}")
+        if size_of(file) > most:
+            raise FormatError(f"{path}: is larger than {most // 2**20} MiB, so it is not {what}")
+        data = file.read()
     try:
         return json.loads(data)
     except (ValueError, RecursionError):

@@ -15,7 +15,9 @@ from ..native.rasterizer import Rasterizer, RenderOptions
 from ..scene.camera import Camera
 from ..scene.gaussians import PARAMETERS, Scene
 from .dataset import Dataset
+from .rig.around import middle_and_radius
 
+MOST_EXTENT = 6.0  # of the radius around the mass of a scene; around scenes of usual size it is 2 to 5 of it
 PHOTOGRAPHED = 1e-3  # mean squared error of a usual splat against photographs of what it shows: 30 dB
 
 
@@ -37,6 +39,12 @@ class RenderedDataset(Dataset):
         views = list(range(len(train) + len(test)))
         split = views[: len(train)], views[len(train) :]
         return cls(train + test, points, colors, *split, scene=scene, **more)
+
+    @property
+    def extent(self) -> float:
+        """As of photographs, but no larger than MOST_EXTENT times the scene: cameras around a small one stand
+        far away, where they can see it at all, and steps of positions are in proportion to the extent."""
+        return min(super().extent, MOST_EXTENT * middle_and_radius(self.scene)[1])
 
     @property
     def unexplained(self) -> float:

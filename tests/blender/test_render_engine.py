@@ -116,9 +116,9 @@ def test_passes_hold_what_the_rasterizer_counted(tmp_path, stage, bridge, gaussi
     seen = {}
     original = engine_module.SVRGS_engine.hand_in
 
-    def keep(self, layers, width, height):
+    def keep(self, layers, *rest):
         seen.update(layers)
-        original(self, layers, width, height)
+        original(self, layers, *rest)
 
     engine_module.SVRGS_engine.hand_in = keep
     try:
@@ -183,7 +183,7 @@ def test_a_picture_is_handed_in_whatever_happens(room, camera, monkeypatch):
     )
     with contextlib.suppress(RuntimeError):
         bpy.ops.render.render()
-    assert handed == [(101, 61)]
+    assert handed == [(101, 61, "ViewLayer")]
 
 
 def test_nothing_to_render_is_said(camera):
