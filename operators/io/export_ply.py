@@ -30,7 +30,7 @@ from ...svrgs_addon.prune.seen import fewer_bands, seen_from
 from ...svrgs_addon.scene.camera import Camera
 from ...svrgs_addon.scene.gaussians import Scene
 from ...svrgs_addon.system.errors import SceneError
-from ..data import splat_object, visible_splats
+from ..data import quick_order, splat_object, visible_splats
 from ..data.file_kinds import KINDS, default_kind, format_of
 from ..data.native_check import native_problem
 from ..data.option_properties import sh_degree_property
@@ -119,7 +119,6 @@ class SVRGS_OT_export_ply(BackgroundOperator, ExportHelper, ExportSpace):
         self.layout.use_property_split = True
         self.layout.prop(self, "kind")
         obj = context.object
-        hidden = visible_splats.marked_count(obj) if self.what == "SEEN" else 0
         splat_format = format_of(self.kind)
         if splat_format.versions:
             self.layout.prop(self, "version")
@@ -131,12 +130,19 @@ class SVRGS_OT_export_ply(BackgroundOperator, ExportHelper, ExportSpace):
             rounds = splat_format.quantises or degree > min(self.sh_degree, splat_format.most_degree)
             if rounds and camera_objects(context, obj):
                 self.layout.prop(self, "by_views")
-        count = splat_object.count(obj) - hidden
-        if self.what == "SEEN" and shows_original(obj):
-            count = job_result.shown_count(obj)
-        if foreseen := size_in(obj, count, self.kind, self.quantise, self.sh_degree):
+        if foreseen := size_in(obj, self.count(obj), self.kind, self.quantise, self.sh_degree):
             self.layout.label(text=foreseen)
         self.draw_space(self.layout)
+
+    def count(self, obj: bpy.types.Object) -> int:
+        """How many Gaussians the file will have, but for what modifiers add."""
+        if self.what == "STORED":
+            return splat_object.count(obj)
+        if quick_order.is_shown(obj):
+            return quick_order.count(obj)
+        if shows_original(obj):
+            return job_result.shown_count(obj) - int(job_result.shown_hidden(obj).sum())
+        return splat_object.count(obj) - visible_splats.marked_count(obj)
 
     def steps(self, context) -> Steps:
         obj, path = context.object, Path(bpy.path.abspath(self.filepath))

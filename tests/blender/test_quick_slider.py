@@ -124,6 +124,13 @@ def test_export_writes_what_is_shown(result, ply, tmp_path):
     assert "50 Gaussians, " in drawn("export") and "50 Gaussians, SH" in drawn("scene")
 
 
+def test_the_export_dialog_counts_what_is_shown(result):
+    count = part("operators.io.export_ply").SVRGS_OT_export_ply.count
+    result.svrgs_share = 20
+    assert count(SimpleNamespace(what="SEEN"), result) == 50
+    assert count(SimpleNamespace(what="STORED"), result) == 100
+
+
 def test_undo_brings_the_former_number_back(result):
     name = result.name
     result.svrgs_share = 20

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
@@ -190,6 +191,8 @@ def test_a_result_hides_what_was_hidden_and_is_exported_as_it_is_seen(splat, wat
     result.svrgs_share = 80
     activate(result)
     bpy.ops.svrgs.export_ply(filepath=str(tmp_path / "a.ply"), kind="ply")
+    dialog = part("operators.io.export_ply").SVRGS_OT_export_ply
+    assert dialog.count(SimpleNamespace(what="SEEN"), result) == visible(splat) < 200
     assert ply.read_ply(tmp_path / "a.ply").count == visible(splat) and "200 Gaussians" in drawn("export")
     bpy.ops.svrgs.apply()
     assert bridge.count(result) == 200 and visible(result) == ply.read_ply(tmp_path / "a.ply").count
