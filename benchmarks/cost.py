@@ -30,7 +30,7 @@ def result_and_cost(*words: object) -> tuple[dict, float, int]:
 
 def cost_of(*command: object, stdout: Any = subprocess.DEVNULL) -> tuple[float, int]:
     """Runs the command. Returns its seconds and its largest anonymous memory in bytes; mapped files do not
-    count. Raises SystemExit with the last line of what it says if it fails."""
+    count. stdout: where its output goes. If it fails, raises SystemExit with the last line of stderr."""
     words = [str(word) for word in command]
     started, most = time.perf_counter(), 0
     with tempfile.TemporaryFile("w+") as said:

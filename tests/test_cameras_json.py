@@ -49,6 +49,16 @@ def test_cameras_json_conventions(tmp_path):
         load_cameras_json(tmp_path / "cameras.json")
 
 
+@pytest.mark.parametrize("width, good", [(64.0, True), (64.5, False)])
+def test_whole_numbers_may_be_written_with_a_point(tmp_path, width, good):
+    (tmp_path / "cameras.json").write_text(json.dumps([GOOD_ENTRY | {"width": width}]))
+    if good:
+        assert load_cameras_json(tmp_path / "cameras.json")[0].width == 64
+        return
+    with pytest.raises(FormatError, match="an image side is 64.5"):
+        load_cameras_json(tmp_path / "cameras.json")
+
+
 def test_what_is_written_is_read_again(tmp_path):
     K = np.array([[60.0, 0, 30.5], [0, 58, 24], [0, 0, 1]])
     cameras = [Camera(np.eye(4), K, 64, 48, "a"), Camera(np.eye(4), K, 61, 48, "b", True)]

@@ -16,6 +16,7 @@ from svrgs_addon.files.streamed_sog import read_level
 from svrgs_addon.prune.seen import seen_from
 from svrgs_addon.scene.morton_order import morton_order
 from svrgs_addon.views.dataset import HOLDOUT
+from system_checks import with_links
 from test_formats import differences, like_trained
 from tiny_dataset import views as cameras_of
 from tiny_dataset import write_tiny
@@ -136,6 +137,16 @@ def test_a_dataset_that_is_of_no_use_is_said(tmp_path, capsys, out, views, said)
     tiny = write_tiny(tmp_path / "tiny", cameras=cameras_of(views))
     assert main(["convert", str(tiny.splat), str(tmp_path / out), "--data", str(tiny.folder)]) == 2
     assert said in capsys.readouterr().err and not (tmp_path / out).exists()
+
+
+@with_links
+def test_two_inputs_whose_outputs_are_one_file_by_a_link_are_refused(splat, tmp_path, capsys):
+    (tmp_path / "out").mkdir()
+    write_scene(tmp_path / "b.ply", like_trained(0))
+    (tmp_path / "out/b.spz").symlink_to(tmp_path / "out/a.spz")
+    words = [str(splat), str(tmp_path / "b.ply"), str(tmp_path / "out"), "--to", ".spz"]
+    assert main(["convert", *words]) == 2
+    assert "would be the output of two inputs" in capsys.readouterr().err
 
 
 def test_views_that_do_not_see_the_splat_do_not_decide_how_it_is_stored(tiny, tmp_path, capsys):

@@ -60,6 +60,23 @@ def test_two_images_of_one_name_are_refused(tmp_path, text):
         load_dataset(tmp_path)
 
 
+def test_images_without_lines_of_keypoints_are_refused(tmp_path):
+    """Else every second photograph would be taken for keypoints."""
+    make_dataset(tmp_path, ["a.png", "b.png", "c.png"], text=True)
+    path = tmp_path / "sparse/0/images.txt"
+    images = [line for line in path.read_text().splitlines() if line.endswith(".png")]
+    path.write_text("\n".join(images) + "\n")
+    with pytest.raises(FormatError, match="no line of keypoints after each image"):
+        load_dataset(tmp_path)
+
+
+def test_spaces_after_the_name_of_an_image_do_not_count(tmp_path):
+    make_dataset(tmp_path, ["a.png", "b.png"], text=True)
+    path = tmp_path / "sparse/0/images.txt"
+    path.write_text(path.read_text().replace(".png", ".png "))
+    assert [camera.name for camera in load_dataset(tmp_path).cameras] == ["a.png", "b.png"]
+
+
 @pytest.mark.parametrize("name", ["../a.png", "/etc/a.png", "b/../../a.png", "C:\\a.png", "..\\a.png"])
 def test_image_names_cannot_leave_the_folder(tmp_path, name):
     make_model([name]).write_binary(tmp_path)

@@ -12,10 +12,10 @@ import pytest
 
 from svrgs_addon.files import glb
 from svrgs_addon.files.axes import turned_around, turned_over
-from svrgs_addon.files.glb_container import Glb
+from svrgs_addon.files.glb_container import Glb, glb_of
 from svrgs_addon.files.registry import read_scene, write_scene
 from svrgs_addon.scene.affine import transformed
-from svrgs_addon.system.errors import FormatError, TooMany
+from svrgs_addon.system.errors import FormatError, SceneError, TooMany
 from test_formats import differences, judged, like_trained, rotations
 
 SPLAT, DRAFT = "KHR_gaussian_splatting", "KHR_gaussian_splatting_compression_spz_2"
@@ -31,6 +31,11 @@ def path(tmp_path):
 def packed(tmp_path):
     write_scene(tmp_path / "a.spz.glb", like_trained(2, 50))
     return tmp_path / "a.spz.glb"
+
+
+def test_more_bytes_than_the_header_can_say_are_refused():
+    with pytest.raises(SceneError, match="a GLB has at most 4 GiB, and this one would have 4.7"):
+        glb_of({}, [5_000_000_000])
 
 
 def change(path, changed, data=None):

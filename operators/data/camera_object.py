@@ -104,8 +104,8 @@ def render_size(scene: bpy.types.Scene) -> tuple[int, int]:
 
 
 def borders(low: float, high: float, size: int) -> tuple[int, int]:
-    """The first pixel of a border, and the first one after it, of so many: in float32, as Blender counts
-    them."""
+    """(first pixel, end) of the part of a side of `size` pixels that a border leaves. low, high: 0 to 1.
+    In float32, as Blender counts them."""
     return int(np.float32(low) * np.float32(size)), int(np.float32(high) * np.float32(size))
 
 

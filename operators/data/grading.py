@@ -107,19 +107,21 @@ def is_graded(obj: bpy.types.Object) -> bool:
 def is_animated(obj: bpy.types.Object) -> bool:
     """Whether keys or drivers set the grade."""
     data = obj.animation_data
-    curves = [] if data is None else [*data.drivers, *(_curves(data.action) if data.action else ())]
+    curves = [] if data is None else [*data.drivers, *_curves(data)]
     return any(curve.data_path.startswith("svrgs_grade") for curve in curves)
 
 
-def _curves(action: bpy.types.Action) -> Iterator[bpy.types.FCurve]:
-    """Of all slots."""
-    if hasattr(action, "fcurves"):  # until Blender 4.5
-        yield from action.fcurves
+def _curves(data: bpy.types.AnimData) -> Iterator[bpy.types.FCurve]:
+    """The keys of an object: of its action, or, since Blender 4.4, of its slot of the action."""
+    if data.action is None:
         return
-    for layer in action.layers:
+    if not hasattr(data.action, "layers"):
+        yield from data.action.fcurves
+        return
+    for layer in data.action.layers:
         for strip in layer.strips:
-            for bag in strip.channelbags:
-                yield from bag.fcurves
+            bag = strip.channelbag(data.action_slot) if data.action_slot else None
+            yield from bag.fcurves if bag else ()
 
 
 def left(scene: Scene, obj: bpy.types.Object) -> np.ndarray:

@@ -105,6 +105,7 @@ def _show_error(answer: Future, label: str) -> bool:
 
 
 def popup(title: str, text: str):
+    """Shows a sentence at the mouse, in the first window."""
     manager = bpy.context.window_manager
     with bpy.context.temp_override(window=manager.windows[0]):
         manager.popup_menu(lambda menu, _: menu.layout.label(text=text), title=title, icon="ERROR")

@@ -71,7 +71,7 @@ def place(splat: bpy.types.Object, cameras: list[Camera], collection: bpy.types.
 
 def _of_frames(scene: bpy.types.Scene) -> Iterator[Camera]:
     """The scene's camera as it is now, and in some frames; once if it does not move. Markers may bind other
-    cameras to frames. Afterwards all is as before, also what was moved by hand since the last frame."""
+    cameras to frames. Frame and objects are then set back, also objects that were moved without a key."""
     if scene.camera is None:
         return
     first, last = scene.frame_start, scene.frame_end

@@ -65,8 +65,9 @@ class SVRGS_OT_export_page(BackgroundOperator, ExportSpace):
         shown = [one for one in (original, obj) if one is not None]
         found = [self.chosen(context, obj)]
         if original is not None:
-            whole = [(job_result.before_pruning(original), original.matrix_world)]
-            found.insert(0, self.chosen(context, original, whole if job_result.undecided(obj) else None))
+            marked = self.what == "SEEN" and job_result.undecided(obj)  # what the job removed is not seen
+            whole = [(job_result.before_pruning(original), original.matrix_world)] if marked else None
+            found.insert(0, self.chosen(context, original, whole))
         scenes, dropped = zip(*found, strict=True)
         names, background = tuple(one.name for one in shown), tuple(context.scene.svrgs_view.background)
         left = self.left_out(obj, dropped[-1])

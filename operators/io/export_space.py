@@ -76,7 +76,8 @@ class ExportSpace:
 
     def chosen(self, context, obj: bpy.types.Object, parts: list | None = None) -> tuple[Scene, int]:
         """The Gaussians in the coordinates of the file, and how many with values that are not finite were
-        left out. parts: as of gaussians(); None: what it gives. Raises SplatError."""
+        left out. parts: (Scene, matrix to Blender's world) of each; None: those of gaussians(). Raises
+        SplatError."""
         parts = parts or gaussians(context, obj, self.what == "SEEN")
         matrices = [self.to_space(obj, matrix) for _, matrix in parts]
         if any(stretch(matrix) - 1 > 10 * UNIFORM for matrix in matrices):

@@ -252,8 +252,8 @@ def apply(pruned: bpy.types.Object) -> Scene:
 
 def shown_hidden(pruned: bpy.types.Object):
     """(N,) bool: those of shown_gaussians() of a ranked result that the user has hidden."""
-    of = original_of(pruned) or pruned  # it marks the same Gaussians, in the same order
-    return selection.hidden(of)[~splat_object.stored_values(of, REMOVED)]
+    marked = original_of(pruned) or pruned  # the original marks the same Gaussians, in the same order
+    return selection.hidden(marked)[~splat_object.stored_values(marked, REMOVED)]
 
 
 def before_pruning(original: bpy.types.Object) -> Scene:

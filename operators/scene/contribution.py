@@ -113,8 +113,8 @@ def chosen_cameras(context, which: str = "PHOTOGRAPHS") -> list[bpy.types.Object
     if which != "PHOTOGRAPHS":
         return cameras
     root = splat_object.root_of(context.object)
-    own = cameras if root is None else [obj for obj in cameras if obj in root.children_recursive]
-    return list(filter(camera_object.is_photograph, own)) or cameras
+    family = cameras if root is None else set(root.children_recursive)
+    return [obj for obj in cameras if obj in family and camera_object.is_photograph(obj)] or cameras
 
 
 def views(

@@ -33,7 +33,8 @@ class Entry:
 
 
 # By session_uid of the object, the address of its evaluated data (nodes may show others beside its own, so
-# these are not in data/known.py), whether it holds all Gaussians, and the number of a quick result's order.
+# these are not in data/known.py), whether it holds all Gaussians, and how many a quick result shows instead
+# of its own (0: its own).
 _entries: dict[tuple[int, int, bool, int], Entry] = {}
 
 
@@ -71,10 +72,10 @@ def read_own(obj: bpy.types.Object) -> tuple[Scene, Any]:
 
 
 def _entry(obj: bpy.types.Object, whole: bool = False) -> Entry:
-    number = obj.original[quick_order.SHOWN] if not whole and quick_order.is_shown(obj.original) else 0
-    key = obj.original.session_uid, 0 if whole else obj.data.as_pointer(), whole, number
+    other = obj.original[quick_order.SHOWN] if not whole and quick_order.is_shown(obj.original) else 0
+    key = obj.original.session_uid, 0 if whole else obj.data.as_pointer(), whole, other
     grade, data = grading.of(obj), obj.original.data.session_uid
-    if key not in _entries and number:
+    if key not in _entries and other:
         try:
             if (shown := quick_order.shown(obj.original)) is not None:
                 _entries[key] = Entry(shown, None, data, shown, None, Grade())

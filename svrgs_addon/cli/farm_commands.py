@@ -62,9 +62,10 @@ def _export(args: argparse.Namespace) -> dict[str, Any]:
     folders += [item.data.absolute() for item in items if item.data]
     root = common_folder(folders) or folders[0]
     scenes = [(item.name, item.scene, None if args.no_photographs else item.data) for item in items]
-    job = FarmJob(folder.absolute(), root, tasks_of(root, scenes, list(_ways(args)), options), suffix)
-    for task in job.tasks:
-        in_memory(job.options(task))  # refuses what the task would refuse
+    ways = list(_ways(args))
+    job = FarmJob(folder.absolute(), root, tasks_of(root, scenes, ways, options), suffix)
+    for task in job.tasks[: len(ways)]:  # those of the first scene: refuses what each way would refuse
+        in_memory(job.options(task))
     return _write(job)
 
 

@@ -119,7 +119,7 @@ class Glb:
 def glb_of(contents: dict[str, Any], lengths: list[int], arrays: bool = True) -> bytes:
     """The file up to its bytes, to which zeros are added until their length is a multiple of 4. contents:
     JSON without buffers; lengths: of what follows, a buffer view for each; of arrays, multiples of 4; or
-    arrays=False."""
+    arrays=False. Raises SceneError for more than 4 GiB."""
     starts = np.cumsum([0, *lengths])
     kind = {"target": ARRAY_BUFFER} if arrays else {}
     views = [

@@ -65,6 +65,7 @@ class Body:
 
     @property
     def has_double_positions(self) -> bool:
+        """Whether x, y or z has 64 bits in the file."""
         return any(np.dtype(self._types[name]).itemsize > 4 for name in "xyz")
 
     def whole(self) -> Scene:

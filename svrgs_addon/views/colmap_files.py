@@ -19,6 +19,8 @@ from pathlib import Path
 from ..system.errors import FormatError, SceneError
 
 MODEL_FILES = ("cameras", "images", "points3D")
+# in images.txt: id, quaternion, translation, camera id and a name, which is no number
+IMAGE_LINE = re.compile(rb"\s*\d+(\s+[-+.\deE]+){7}\s+\d+\s+[^\s]*[^-+.\deE\s]")
 MAX_LENGTH_ERROR = 1e-3  # of a quaternion; text files round to six digits
 NONE = struct.pack("<Q", 0)  # the count of an image without keypoints, or of a point without a track
 
@@ -134,14 +136,10 @@ def _image_lines(names: dict[int, bytes]) -> Callable[[bytes], Iterator[bytes]]:
                 line = b" ".join((*words[:9], words[0]))
             yield line
             yield b""
-            if _NAMED.match(next(lines, b"")):
+            if IMAGE_LINE.match(next(lines, b"")):
                 raise FormatError("images.txt: has no line of keypoints after each image; export it again")
 
     return copy
-
-
-# the line of an image, and none of keypoints: nine numbers and a name
-_NAMED = re.compile(rb"\s*\d+(\s+[-+.\deE]+){7}\s+\d+\s+[^\s]*[^-+.\deE\s]")
 
 
 def _point_lines(text: bytes) -> Iterator[bytes]:

@@ -79,6 +79,7 @@ class Dataset:
 
     @property
     def training_cameras(self) -> list[Camera]:
+        """The cameras of train_indices."""
         return [self.cameras[i] for i in self.train_indices]
 
     @property

@@ -14,6 +14,18 @@ from extension import DATA, part
 from job_helpers import COUNT, LONG, SHORT, Layout, delete, drawn, end_all, ended, follow, set_up
 
 
+def discard_all():
+    for parent in part("operators.data.job_paths").job_folders(bpy.context):
+        for file in Path(parent).glob("*/job.json"):
+            part("svrgs_addon.jobs.job_folder").JobFolder(file.parent).discard()
+
+
+@pytest.fixture(autouse=True)
+def nothing_is_left():
+    """Of the jobs of other tests."""
+    discard_all()
+
+
 @pytest.fixture
 def listed(watch):
     """The rows of the list by the name of the splat, read anew."""
@@ -25,9 +37,7 @@ def listed(watch):
 
     yield rows
     end_all(watch)
-    for parent in part("operators.data.job_paths").job_folders(bpy.context):
-        for file in Path(parent).glob("*/job.json"):
-            part("svrgs_addon.jobs.job_folder").JobFolder(file.parent).discard()
+    discard_all()
 
 
 @pytest.fixture
@@ -111,33 +121,28 @@ def test_a_job_that_waits_can_run_now_and_the_other_goes_on_after_it(splat, watc
     assert first.folder.checkpoint() > 0 and listed()["scene"].state.startswith("Running")
 
 
-def test_a_job_that_makes_way_and_is_stopped_does_not_go_on(splat, watch):
+@pytest.fixture
+def long_and_short(splat, watch):
+    """A long job that runs, and a short one that waits for it."""
     set_up(LONG)
     bpy.ops.svrgs.job_start()
     (first,) = watch.jobs.values()
     bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
     set_up(SHORT)
     bpy.ops.svrgs.job_start()
-    second = watch.job_of(bpy.context.object)
     follow(watch, lambda: first.facts.get("iteration", 0) > 20)
-    bpy.ops.svrgs.job_run_now()
-    bpy.ops.svrgs.job_stop(folder=str(first.folder.path), now=True)
-    follow(watch, lambda: ended(second))
-    assert first.state == "stopped" and not first.running and not watch.tick()
+    return first, watch.job_of(bpy.context.object)
 
 
-def test_a_job_that_was_stopped_does_not_go_on_after_one_that_runs_now(splat, watch):
-    set_up(LONG)
-    bpy.ops.svrgs.job_start()
-    (first,) = watch.jobs.values()
-    bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
-    set_up(SHORT)
-    bpy.ops.svrgs.job_start()
-    second = watch.job_of(bpy.context.object)
-    follow(watch, lambda: first.facts.get("iteration", 0) > 20)
-    bpy.ops.svrgs.job_stop(folder=str(first.folder.path))
-    assert first.stopping
+@pytest.mark.parametrize("stopped", ["before", "after"])
+def test_a_job_that_makes_way_and_is_stopped_does_not_go_on(long_and_short, watch, stopped):
+    first, second = long_and_short
+    if stopped == "before":
+        bpy.ops.svrgs.job_stop(folder=str(first.folder.path))
+        assert first.stopping
     bpy.ops.svrgs.job_run_now(folder=str(second.folder.path))
+    if stopped == "after":
+        bpy.ops.svrgs.job_stop(folder=str(first.folder.path), now=True)
     follow(watch, lambda: ended(second))
     assert first.state == "stopped" and not first.running and not watch.tick()
 
