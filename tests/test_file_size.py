@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -13,6 +15,7 @@ from svrgs_addon.prune import file_size
 from svrgs_addon.prune.file_size import FACTORS, FileSize, asked_size
 from svrgs_addon.prune.options import PruneOptions
 from svrgs_addon.prune.pipeline import prune_scene
+from svrgs_addon.prune.plans import plan_of_pruning
 from svrgs_addon.prune.recipes import fine_tuned
 from svrgs_addon.prune.seen import seen_from
 from svrgs_addon.system.errors import SceneError
@@ -132,6 +135,33 @@ def test_fewer_bands_leave_room_for_more_gaussians(tiny, tmp_path):
         prune_scene(options(tiny, tmp_path / f"{degree}.spz", sh_degree=degree))["count"] for degree in (1, 0)
     ]
     assert counts[0] < counts[1]
+
+
+def test_where_few_fit_fewer_bands_leave_room_for_more_unless_all_are_asked_for(tiny, tmp_path, monkeypatch):
+    scene, plan = random_scene(3_000), plan_of_pruning(options(tiny, tmp_path / "a.spz"))
+    bytes_of_all = round_trip(scene, format_to_write("x.spz"))[1]
+    size = FileSize(0.08 * bytes_of_all, format_to_write("x.spz"), 3, asked=False)
+    planned, said = size.planned(plan, scene, CAMERAS)
+    with_all = size.count_of(scene, CAMERAS)
+    assert planned.sh_degree == 2 and 1.1 * with_all < planned.target < 1.6 * with_all
+    assert f"{planned.target:,} Gaussians fit, and {with_all:,} with" in said[0]
+    for other in (
+        replace(size, asked=True),
+        replace(size, bytes=0.3 * bytes_of_all),
+        replace(size, degree=1),
+    ):
+        planned, said = other.planned(plan, scene, CAMERAS)
+        assert planned == replace(plan, target=other.count_of(scene, CAMERAS)) and not said
+    monkeypatch.setattr(file_size, "WORTH", 1.6)
+    assert size.planned(plan, scene, CAMERAS) == (replace(plan, target=with_all), []), "hardly more would fit"
+
+
+def test_a_job_says_that_it_leaves_bands_out(tiny, tmp_path, monkeypatch):
+    monkeypatch.setattr(file_size, "FEWER_BANDS", 0)  # of a scene of degree 1
+    result = prune_scene(options(tiny, tmp_path / "a.ply", target_size=0.0036))
+    assert read_scene(tmp_path / "a.ply").sh_degree == 0
+    assert any("end at degree 0" in note for note in result["notes"])
+    assert estimate(options(tiny, tmp_path / "b.ply", target_size=0.0036))["kept"] == result["count"]
 
 
 @pytest.mark.parametrize("quick", (False, True))

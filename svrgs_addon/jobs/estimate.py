@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import sys
 import time
-from dataclasses import replace
 
 import numpy as np
 
@@ -111,7 +110,7 @@ def estimate(options: PruneOptions, suffix: str = USUAL.suffixes[0]) -> dict:
 
 def _plan(options: PruneOptions, scene: Scene, dataset: Dataset) -> Plan:
     plan, size = plan_of_pruning(options), asked_size(options)
-    return replace(plan, target=size.count_of(scene, dataset.training_cameras)) if size else plan
+    return size.planned(plan, scene, dataset.training_cameras)[0] if size else plan
 
 
 def _sizes(scene: Scene, kept: int, plan: Plan, kind: SplatFormat) -> dict:

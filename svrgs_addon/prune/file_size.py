@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +12,7 @@ from ..files.level_files import holds_levels
 from ..files.registry import format_to_write, round_trip, size_on_disk, split_name, write_scene
 from ..files.sh_rounding import SeenFrom
 from ..files.splat_format import SplatFormat
+from ..finetune.plan import Plan
 from ..scene.camera import Camera
 from ..scene.gaussians import Scene
 from ..system.errors import SceneError
@@ -24,6 +25,9 @@ MOST, TRIES = 1 << 16, 6  # Gaussians of a part of the scene that is written; pa
 # without the views of the job, if the file is written later; and where the values do not matter
 ROOM, ROOM_LATER, ALMOST_ALL = 0.94, 0.85, 0.998
 CLOSE = 0.01  # change of the count in a try after which no other follows
+# where less than FEW of the scene's Gaussians fit with all SH bands, a lower degree leaves room for more, and
+# these show more (docs/results.md, "How many SH bands?"); at least WORTH times as many, or nothing is gained
+FEW, FEWER_BANDS, WORTH = 0.125, 2, 1.1
 # on the error in SH, if more bytes are needed than foreseen
 FACTORS = (1.0, 1.1, 1.25, 1.6, 2.0, 2.5, 3.2, 4.0)
 
@@ -35,8 +39,24 @@ class FileSize:
     bytes: float
     splat_format: SplatFormat
     degree: int
+    asked: bool = True  # whether the degree is that of --sh-degree
     later: bool = False  # it is written from the result, by views or without them
     suffix: str = ""  # of the file, if the format has several
+
+    def planned(self, plan: Plan, scene: Scene, cameras: Sequence[Camera]) -> tuple[Plan, list[str]]:
+        """The plan with as many Gaussians as fit; where they are few, with fewer SH bands, and a sentence
+        that says so. Raises SceneError, FormatError."""
+        count, degree = self.count_of(scene, cameras), min(self.degree, scene.sh_degree)
+        if self.asked or degree <= FEWER_BANDS or count >= FEW * scene.count:
+            return replace(plan, target=count), []
+        more = replace(self, degree=FEWER_BANDS).count_of(scene, cameras)
+        if more < WORTH * count:
+            return replace(plan, target=count), []
+        sentence = (
+            f"spherical harmonics end at degree {FEWER_BANDS}: {more:,} Gaussians fit, and {count:,} with"
+            f" those of degree {degree}, which show less; --sh-degree {degree} keeps them"
+        )
+        return replace(plan, target=more, sh_degree=FEWER_BANDS), [sentence]
 
     def count_of(self, scene: Scene, cameras: Sequence[Camera]) -> int:
         """How many Gaussians fit, 1 to N, of a file that is written by what the views see. Raises SceneError,
@@ -122,4 +142,5 @@ def asked_size(options: PruneOptions) -> FileSize | None:
         raise SceneError(f"{options.out}: --target-size is about one file, and this output has several")
     degree = min(degree_to_keep(options), splat_format.most_degree)
     later = options.out is None or splat_format != format_to_write(options.out)
-    return FileSize(options.target_size * 1e6, splat_format, degree, later, split_name(name)[1])
+    asked = options.sh_degree is not None
+    return FileSize(options.target_size * 1e6, splat_format, degree, asked, later, split_name(name)[1])

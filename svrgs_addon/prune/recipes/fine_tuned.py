@@ -268,7 +268,7 @@ class FineTuned(Tuned):
     def check(self):
         source, dataset = self.source, self.dataset
         if self.size:
-            self.plan = replace(self.plan, target=self.size.count_of(source, dataset.training_cameras))
+            self.plan, self.notes = self.size.planned(self.plan, source, dataset.training_cameras)
         plan = self.plan
         check_request(dataset, plan)
         refuse_lost_order(plan, self.job)
