@@ -6,11 +6,19 @@ from .. import __version__
 from ..native.outputs import PICTURES
 from ..prune.options import OUTPUT, DatasetOptions, PruneOptions, TrainOptions
 from ..prune.selection.options import SelectOptions
-from ..system.file_names import extended
-from ..system.option_kinds import COLOUR, POSITIVE, options_of
+from ..system.option_kinds import COLOUR, PATH, POSITIVE, options_of
 from .convert_options import ConvertOptions
 from .farm_arguments import farm, large
-from .option_parser import Parser, add_option, add_options, command_of, data_of, reader, threads_of
+from .option_parser import (
+    Parser,
+    add_flags,
+    add_option,
+    add_options,
+    add_value,
+    command_of,
+    data_of,
+    threads_of,
+)
 
 
 def parser() -> Parser:
@@ -21,53 +29,34 @@ def parser() -> Parser:
     )
     root.add_argument("--version", action="version", version=__version__)
     commands = root.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for add in (
-        _info,
-        _render,
-        _train,
-        _prune,
-        _select,
-        _convert,
-        _rig,
-        _eval,
-        _compare,
-        _view,
-        _methods,
-        farm,
-        large,
-        _bench,
-    ):
+    adders = (
+        _info, _render, _train, _prune, _select, _convert, _rig, _eval, _compare, _view, _methods, farm,
+        large, _bench,
+    )  # fmt: skip
+    for add in adders:
         add(commands)
     return root
 
 
 def _info(commands):
-    command = command_of(
-        commands,
-        "info",
-        "Describes a splat file: format, number of Gaussians, degree of the spherical harmonics.",
-    )
+    text = "Describes a splat file: format, number of Gaussians, degree of the spherical harmonics."
+    command = command_of(commands, "info", text)
     threads_of(command)
-    command.add_argument("scene", type=extended, help="splat file")
+    add_value(command, "scene", PATH, "splat file")
 
 
 def _render(commands):
-    command = command_of(
-        commands, "render", "Renders a scene from its cameras: colours, spatial mask, depth, alpha."
-    )
+    text = "Renders a scene from its cameras: colours, spatial mask, depth, alpha."
+    command = command_of(commands, "render", text)
     threads_of(command)
-    command.add_argument("scene", type=extended, help="splat file")
+    add_value(command, "scene", PATH, "splat file")
     cameras = command.add_mutually_exclusive_group(required=True)
     data_of(command, cameras, "dataset, COLMAP model or transforms.json; photographs are not needed")
-    cameras.add_argument(
-        "--cameras",
-        type=extended,
-        metavar="JSON",
-        help=(
-            'cameras.json of a 3DGS run, or transforms.json; in a view of the first with "orthographic":'
-            " true, fx and fy are pixels per unit of length"
-        ),
+    help_ = (
+        'cameras.json of a 3DGS run, or transforms.json; in a view of the first with "orthographic": true, fx'
+        " and fy are pixels per unit of length"
     )
+    add_value(cameras, "--cameras", PATH, help_, metavar="JSON")
     command.add_argument(
         "--views",
         default="all",
@@ -82,117 +71,72 @@ def _render(commands):
         default="png",
         help="file format; exr and npy hold exact values (default: png)",
     )
-    command.add_argument(
-        "--background",
-        type=reader(COLOUR),
-        default=(0.0, 0.0, 0.0),
-        metavar="R,G,B",
-        help="background colour, 0..1 each (default: black)",
-    )
-    command.add_argument(
-        "--out", type=extended, required=True, metavar="DIR", help="folder to write the images to"
-    )
+    help_ = "background colour, 0..1 each (default: black)"
+    add_value(command, "--background", COLOUR, help_, default=(0.0, 0.0, 0.0))
+    add_value(command, "--out", PATH, "folder to write the images to", metavar="DIR", required=True)
 
 
 def _train(commands):
-    add_options(
-        command_of(
-            commands, "train", "Trains a scene from photographs and the sparse points of their dataset.", True
-        ),
-        TrainOptions,
-    )
+    text = "Trains a scene from photographs and the sparse points of their dataset."
+    add_options(command_of(commands, "train", text, grouped=True), TrainOptions)
 
 
 def _prune(commands):
     command = command_of(commands, "prune", "Prunes trained scenes and recovers their quality.", grouped=True)
-    command.add_argument(
-        "scenes", type=extended, nargs="+", metavar="SCENE",
-        help="splat file, or folder that holds a splat and its dataset, or folder that holds such folders",
-    )  # fmt: skip
+    help_ = "splat file, or folder that holds a splat and its dataset, or folder that holds such folders"
+    add_value(command, "scenes", PATH, help_, metavar="SCENE", nargs="+")
     add_options(command, PruneOptions, data=False)
-    command.place(OUTPUT).add_argument(
-        "--out",
-        type=extended,
-        metavar="FILE|DIR",
-        help="file for one scene, folder for several (default: SCENE_pruned.spz; a .ply keeps every value)",
-    )
-    command.place(OUTPUT).add_argument(
-        "--report",
-        type=extended,
-        metavar="DIR",
-        help="folder to write an HTML report to; with several scenes, one folder per scene in it",
-    )
-    command.place("").add_argument(
-        "--overwrite", action="store_true", help="with several scenes: prune those again whose output exists"
-    )
-    command.place("").add_argument(
-        "--batch",
-        action="store_true",
-        help="treat one scene like several: print one JSON line per scene and skip those whose output exists",
+    output = command.place(OUTPUT)
+    help_ = "file for one scene, folder for several (default: SCENE_pruned.spz; a .ply keeps every value)"
+    add_value(output, "--out", PATH, help_, metavar="FILE|DIR")
+    help_ = "folder to write an HTML report to; with several scenes, one folder per scene in it"
+    add_value(output, "--report", PATH, help_, metavar="DIR")
+    add_flags(
+        command.place(""),
+        overwrite="with several scenes: prune those again whose output exists",
+        batch=(
+            "treat one scene like several: print one JSON line per scene and skip those whose output exists"
+        ),
     )
 
 
 def _select(commands):
-    command = command_of(
-        commands,
-        "select",
-        "Selects the Gaussians that fulfil all given criteria, counts them, and writes them to a file.",
-    )
-    command.add_argument("scene", type=extended, help="splat file")
+    text = "Selects the Gaussians that fulfil all given criteria, counts them, and writes them to a file."
+    command = command_of(commands, "select", text)
+    add_value(command, "scene", PATH, "splat file")
     add_options(command, SelectOptions)
 
 
 def _convert(commands):
-    command = command_of(
-        commands, "convert", "Writes splats in another format; with --json, one JSON object for each."
+    text = "Writes splats in another format; with --json, one JSON object for each."
+    command = command_of(commands, "convert", text)
+    help_ = "splat files, folders of them, or patterns such as 'captures/*.ply'"
+    add_value(command, "inputs", PATH, help_, metavar="IN", nargs="+")
+    help_ = (
+        "file to write; with several inputs, a folder, and --to says the format, or the lod-meta.json of a"
+        " streamed SOG, whose levels they become"
     )
-    command.add_argument(
-        "inputs",
-        type=extended,
-        nargs="+",
-        metavar="IN",
-        help="splat files, folders of them, or patterns such as 'captures/*.ply'",
-    )
-    command.add_argument(
-        "out",
-        type=extended,
-        metavar="OUT",
-        help=(
-            "file to write; with several inputs, a folder, and --to says the format, or the lod-meta.json of"
-            " a streamed SOG, whose levels they become"
-        ),
-    )
+    add_value(command, "out", PATH, help_, metavar="OUT")
     add_options(command, ConvertOptions)
 
 
 def _rig(commands):
-    command = command_of(
-        commands, "rig", "Places the cameras that prune uses for a scene without photographs."
-    )
+    text = "Places the cameras that prune uses for a scene without photographs."
+    command = command_of(commands, "rig", text)
     threads_of(command)
-    command.add_argument("scene", type=extended, help="splat file")
-    command.add_argument(
-        "--views",
-        type=reader(POSITIVE),
-        metavar="N",
-        help="number of cameras, each chosen by what it sees (default: 192, those of prune)",
-    )
+    add_value(command, "scene", PATH, "splat file")
+    help_ = "number of cameras, each chosen by what it sees (default: 192, those of prune)"
+    add_value(command, "--views", POSITIVE, help_)
     add_option(command, command, "seed", options_of(PruneOptions)["seed"], 0)
-    command.add_argument(
-        "--out",
-        type=extended,
-        required=True,
-        metavar="JSON",
-        help="cameras.json to write; those held out for testing come last",
-    )
-    command.add_argument("--preview", type=extended, metavar="PNG", help="picture of the cameras to write")
+    help_ = "cameras.json to write; those held out for testing come last"
+    add_value(command, "--out", PATH, help_, metavar="JSON", required=True)
+    add_value(command, "--preview", PATH, "picture of the cameras to write", metavar="PNG")
 
 
 def _eval(commands):
-    command = command_of(
-        commands, "eval", "Measures the quality of a scene on photographs: PSNR, SSIM, LPIPS, FLIP."
-    )
-    command.add_argument("scene", type=extended, help="splat file")
+    text = "Measures the quality of a scene on photographs: PSNR, SSIM, LPIPS, FLIP."
+    command = command_of(commands, "eval", text)
+    add_value(command, "scene", PATH, "splat file")
     add_options(command, DatasetOptions, leave_out=("image_memory",))  # it reads each photograph once
     command.add_argument(
         "--split",
@@ -200,151 +144,84 @@ def _eval(commands):
         default="test",
         help="views to measure on (default: test)",
     )
-    command.add_argument(
-        "--lpips-authors",
-        action="store_true",
-        help="measure LPIPS also with colours in [-1, 1], as its authors say; others give it [0, 1]",
-    )
-    command.add_argument(
-        "--matched",
-        action="store_true",
-        help="measure PSNR also in the colours of the photographs, so that exposure does not count (cc-PSNR)",
-    )
-    command.add_argument(
-        "--aligned",
-        action="store_true",
-        help="measure PSNR also after each view was moved to where the scene shows its photograph",
+    add_flags(
+        command,
+        lpips_authors=(
+            "measure LPIPS also with colours in [-1, 1], as its authors say; others give it [0, 1]"
+        ),
+        matched=(
+            "measure PSNR also in the colours of the photographs, so that exposure does not count (cc-PSNR)"
+        ),
+        aligned="measure PSNR also after each view was moved to where the scene shows its photograph",
     )
 
 
 def _compare(commands):
-    command = command_of(
-        commands,
-        "compare",
-        "Compares two scenes: pictures, differences, spatial masks and figures of quality.",
-    )
-    command.add_argument("a", type=extended, metavar="A", help="first splat file")
-    command.add_argument("b", type=extended, metavar="B", help="second splat file")
+    text = "Compares two scenes: pictures, differences, spatial masks and figures of quality."
+    command = command_of(commands, "compare", text)
+    add_value(command, "a", PATH, "first splat file", metavar="A")
+    add_value(command, "b", PATH, "second splat file", metavar="B")
     add_options(command, DatasetOptions, data=False)
     help_ = (
         "without --data: cameras.json of 3DGS, or transforms.json; B is measured against pictures of A"
         " (default: views that are placed)"
     )
-    command.add_argument("--cameras", type=extended, metavar="JSON", help=help_)
-    command.add_argument(
-        "--out",
-        type=extended,
-        required=True,
-        metavar="DIR",
-        help="folder to write the pictures and the HTML page to",
-    )
+    add_value(command, "--cameras", PATH, help_, metavar="JSON")
+    help_ = "folder to write the pictures and the HTML page to"
+    add_value(command, "--out", PATH, help_, metavar="DIR", required=True)
 
 
 def _view(commands):
-    command = command_of(
-        commands, "view", "Shows one scene, or the original and the pruned one, in the browser, until Ctrl-C."
-    )
-    command.add_argument(
-        "scenes",
-        type=extended,
-        nargs="+",
-        metavar="SCENE",
-        help="splat file; a second one is wiped against it",
+    text = "Shows one scene, or the original and the pruned one, in the browser, until Ctrl-C."
+    command = command_of(commands, "view", text)
+    add_value(
+        command, "scenes", PATH, "splat file; a second one is wiped against it", metavar="SCENE", nargs="+"
     )
     add_options(command, DatasetOptions, leave_out=("image_memory", "lpips_weights"), data=False)
-    command.add_argument(
-        "--cameras",
-        type=extended,
-        metavar="JSON",
-        help="without --data: cameras.json of 3DGS, or transforms.json (default: one view that is placed)",
+    help_ = "without --data: cameras.json of 3DGS, or transforms.json (default: one view that is placed)"
+    add_value(command, "--cameras", PATH, help_, metavar="JSON")
+    add_flags(
+        command,
+        nested="the last scene is a nested result (prune --nested): a slider shows fewer of its Gaussians",
+        force="show scenes also where they explain little of the photographs",
     )
-    command.add_argument(
-        "--nested",
-        action="store_true",
-        help="the last scene is a nested result (prune --nested): a slider shows fewer of its Gaussians",
-    )
-    command.add_argument(
-        "--force", action="store_true", help="show scenes also where they explain little of the photographs"
-    )
-    command.add_argument(
-        "--port",
-        type=reader(POSITIVE),
-        default=8080,
-        metavar="N",
-        help="port, or the next free one (default: 8080)",
-    )
-    command.add_argument("--no-browser", action="store_true", help="only say the address")
-    command.add_argument(
-        "--export",
-        type=extended,
-        metavar="DIR",
-        help="instead, write a page into this folder that any web server shows",
-    )
+    add_value(command, "--port", POSITIVE, "port, or the next free one (default: 8080)", default=8080)
+    add_flags(command, no_browser="only say the address")
+    help_ = "instead, write a page into this folder that any web server shows"
+    add_value(command, "--export", PATH, help_, metavar="DIR")
 
 
 def _methods(commands):
-    command_of(
-        commands, "methods", "Lists the methods: what each does, its paper, and what λ_F and λ_m mean for it."
-    )
+    text = "Lists the methods: what each does, its paper, and what λ_F and λ_m mean for it."
+    command_of(commands, "methods", text)
 
 
 def _bench(commands):
-    command = command_of(
-        commands, "bench", "Measures run time and numerical error, on generated scenes or a given one."
-    )
+    text = "Measures run time and numerical error, on generated scenes or a given one."
+    command = command_of(commands, "bench", text)
     threads_of(command)
-    command.add_argument(
-        "--scene", type=extended, metavar="FILE", help="splat file to measure instead of the generated scenes"
-    )
+    help_ = "splat file to measure instead of the generated scenes"
+    add_value(command, "--scene", PATH, help_, metavar="FILE")
     cameras = command.add_mutually_exclusive_group()
     data_of(command, cameras, "with --scene: use the first view of this COLMAP model or transforms.json")
-    cameras.add_argument(
-        "--cameras",
-        type=extended,
-        metavar="JSON",
-        help="with --scene: use the first camera of this 3DGS cameras.json",
-    )
-    command.add_argument(
-        "--repeat",
-        type=reader(POSITIVE),
-        metavar="N",
-        help="number of times that each stage is measured (default: 9)",
-    )
-    command.add_argument("--quick", action="store_true", help="measure the smallest cases only, 3 times each")
-    command.add_argument(
-        "--knobs",
-        action="store_true",
-        help="also measure other values of the constants that trade time for error; needs a C++ compiler",
-    )
-    command.add_argument(
-        "--skips", action="store_true", help="also measure how much time each kind of skipped work saves"
-    )
-    command.add_argument(
-        "--scaling",
-        action="store_true",
-        help="also measure forward time over image size, up to 4K, and over Gaussians, up to 5 million",
-    )
-    help_ = (
-        "also measure the serial part of a picture and of a step, the speed-up of more threads, and foresee"
-        " it for up to 64"
-    )
-    command.add_argument("--cores", action="store_true", help=help_)
-    command.add_argument(
-        "--interactive",
-        action="store_true",
-        help="also measure frames per second under an orbiting camera, and of a viewport",
-    )
-    command.add_argument(
-        "--stress",
-        action="store_true",
-        help=(
-            "instead: measure errors of extreme scenes, and the drift over 1,000 steps, against float64;"
-            " with --scene: of this scene with extremes put into it"
+    help_ = "with --scene: use the first camera of this 3DGS cameras.json"
+    add_value(cameras, "--cameras", PATH, help_, metavar="JSON")
+    add_value(command, "--repeat", POSITIVE, "number of times that each stage is measured (default: 9)")
+    add_flags(
+        command,
+        quick="measure the smallest cases only, 3 times each",
+        knobs="also measure other values of the constants that trade time for error; needs a C++ compiler",
+        skips="also measure how much time each kind of skipped work saves",
+        scaling="also measure forward time over image size, up to 4K, and over Gaussians, up to 5 million",
+        cores=(
+            "also measure the serial part of a picture and of a step, the speed-up of more threads, and"
+            " foresee it for up to 64"
+        ),
+        interactive="also measure frames per second under an orbiting camera, and of a viewport",
+        stress=(
+            "instead: measure errors of extreme scenes, and the drift over 1,000 steps, against float64; with"
+            " --scene: of this scene with extremes put into it"
         ),
     )
-    command.add_argument(
-        "--plots",
-        type=extended,
-        metavar="DIR",
-        help="folder to write charts to; measures knobs and skips (unless --stress is given)",
-    )
+    help_ = "folder to write charts to; measures knobs and skips (unless --stress is given)"
+    add_value(command, "--plots", PATH, help_, metavar="DIR")

@@ -44,7 +44,6 @@ class ConvertOptions:
         POSITIVE_FLOAT,
         1.0,
         "factor on the error that an SPZ or SOG may make in spherical harmonics: above 1 for smaller files",
-        metavar="FACTOR",
     )
     data: Path | None = option(
         PATH,
@@ -54,22 +53,15 @@ class ConvertOptions:
         metavar="DIR",
     )
     box: tuple | None = option(
-        BOX,
-        None,
-        "keep only the Gaussians inside the box between two opposite corners",
-        metavar="X,Y,Z,X,Y,Z",
+        BOX, None, "keep only the Gaussians inside the box between two opposite corners"
     )
-    scale: float = option(POSITIVE_FLOAT, 1.0, "factor on all lengths, around the origin", metavar="FACTOR")
-    rotate: tuple = option(
-        ANGLES, (0.0, 0.0, 0.0), "degrees around x, then y, then z", metavar="X,Y,Z", default_help="none"
-    )
-    move: tuple = option(
-        POINT, (0.0, 0.0, 0.0), "lengths along x, y and z", metavar="X,Y,Z", default_help="none"
-    )
+    scale: float = option(POSITIVE_FLOAT, 1.0, "factor on all lengths, around the origin")
+    rotate: tuple = option(ANGLES, (0.0, 0.0, 0.0), "degrees around x, then y, then z", default_help="none")
+    move: tuple = option(POINT, (0.0, 0.0, 0.0), "lengths along x, y and z", default_help="none")
     exposure: float = option(NUMBER, 0.0, "stops of light, about: a gain of 2^(stops / 2.2)")
     warmth: float = option(NUMBER, 0.0, "stops of red over blue: above 0 for warmer colours")
     tint: float = option(NUMBER, 0.0, "stops of magenta over green")
     saturation: float = option(WEIGHT, 1.0, "of colours: 0 grey, 1 as it is")
     contrast: float = option(WEIGHT, 1.0, "of colours around middle grey: 1 as it is")
-    opacity: float = option(SHARE, 1.0, "factor on the opacity of every Gaussian")
+    opacity: float = option(SHARE, 1.0, "factor on the opacity of every Gaussian", metavar="OPACITY")
     overwrite: bool = option(FLAG, False, "with several inputs: write those outputs again that exist")

@@ -14,11 +14,19 @@ from dataclasses import fields
 from typing import Any
 
 from ..prune.options import ENGINES, GROUPS, OUTPUT, DatasetOptions, refuse_time_and_steps
+from ..system import option_kinds as kinds
 from ..system.errors import SceneError
 from ..system.exit_status import printable
 from ..system.option_kinds import PATH, Kind, Option, default_of, options_of
 
 CHOICES = {"engine": ENGINES}
+# what --help shows for a value of a kind, where nothing else is said
+METAVARS = {
+    kinds.BOX: "X,Y,Z,X,Y,Z", kinds.COLOUR: "R,G,B", kinds.COUNT: "N", kinds.DECIBELS: "DB",
+    kinds.FACTOR: "X", kinds.FILE: "FILE", kinds.GIGABYTES: "GB", kinds.MEGABYTES: "MB", kinds.POINT: "X,Y,Z",
+    kinds.POSITIVE: "N", kinds.POSITIVE_FLOAT: "FACTOR", kinds.RANGE: "LO,HI", kinds.SECONDS: "SECONDS",
+    kinds.SHARE: "SHARE", kinds.SHARES: "SHARES", kinds.SMALLER_SHARE: "SHARE",
+}  # fmt: skip
 MORE = "More"  # heading of the options that --help leaves out
 FORMER_DATA = {"--colmap": "--data"}
 
@@ -126,10 +134,8 @@ def command_of(commands, name: str, help_: str, grouped: bool = False) -> Parser
     command = commands.add_parser(name, description=help_, help=help_)
     if grouped:
         command.groups()
-    command.place(OUTPUT).add_argument(
-        "--json",
-        action="store_true",
-        help="print the result as one JSON object on stdout, and nothing else there",
+    add_flags(
+        command.place(OUTPUT), json="print the result as one JSON object on stdout, and nothing else there"
     )
     return command
 
@@ -138,10 +144,21 @@ def threads_of(command: Parser):
     add_option(command, command, "threads", options_of(DatasetOptions)["threads"], 0)
 
 
+def add_value(container, name: str, kind: Kind, help_: str, **more: Any):
+    """Adds an argument with a value to the command or group. more: for add_argument()."""
+    container.add_argument(name, type=reader(kind), help=help_, **{"metavar": METAVARS.get(kind)} | more)
+
+
+def add_flags(container, **helps: str):
+    """Adds options without a value to the command or group. helps: their help texts, by their names."""
+    for name, help_ in helps.items():
+        container.add_argument(f"--{name.replace('_', '-')}", action="store_true", help=help_)
+
+
 def data_of(command: Parser, container, help_: str):
     """The option --data of a command that has no dataclass of options."""
     command.former |= FORMER_DATA
-    container.add_argument("--data", dest="data", type=reader(PATH), metavar="DIR", help=help_)
+    add_value(container, "--data", PATH, help_, metavar="DIR")
 
 
 def add_options(command: Parser, cls: type, leave_out: tuple[str, ...] = (), **required: bool):
@@ -177,8 +194,8 @@ def add_option(command: Parser, container, name: str, option: Option, default: A
     }
     if choices := CHOICES.get(name) or option.kind.choices:
         keywords["choices"] = choices
-    elif option.metavar:
-        keywords["metavar"] = option.metavar
+    else:
+        keywords["metavar"] = option.metavar or METAVARS.get(option.kind)
     said = f" (default: {shown})" if shown else ""
     added = container.add_argument(flag, dest=name, help=option.help + said, **keywords)
     added.brief = option.brief + said
