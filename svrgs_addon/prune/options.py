@@ -69,9 +69,9 @@ class DatasetOptions:
         default_help="images",
         in_job=True,
     )
-    holdout: int = option(COUNT, 8, "hold out every N-th view for testing; 0: none", metavar="N", in_job=True)
+    holdout: int = option(COUNT, 8, "hold out every N-th view for testing; 0: none", in_job=True)
     background: tuple[float, float, float] = option(
-        COLOUR, (0.0, 0.0, 0.0), "behind transparent pixels, 0..1 each", metavar="R,G,B", default_help="black"
+        COLOUR, (0.0, 0.0, 0.0), "behind transparent pixels, 0..1 each", default_help="black"
     )
     masks: Path | None = option(
         PATH,
@@ -93,22 +93,17 @@ class DatasetOptions:
         in_job=True,
     )
     image_memory: float = option(
-        GIGABYTES,
-        4.0,
-        "memory for photographs, in GB; if they need more, they are read again for each step",
-        metavar="GB",
+        GIGABYTES, 4.0, "memory for photographs, in GB; if they need more, they are read again for each step"
     )
     lpips_weights: Path | None = option(
         FILE,
         None,
         "file with the VGG weights of LPIPS; eval, compare and reports take what `make lpips` fetched",
-        metavar="FILE",
     )
     threads: int = option(
         COUNT,
         0,
         "number of threads; the result does not depend on it",
-        metavar="N",
         default_help="one per core",
         in_job=True,
     )
@@ -120,7 +115,7 @@ class TuningOptions(DatasetOptions):
 
     method: str = option(TEXT, "", "name of the method")
     seed: int = option(
-        COUNT, 0, "seed of the random numbers; the same seed gives the same result", metavar="N", in_job=True
+        COUNT, 0, "seed of the random numbers; the same seed gives the same result", in_job=True
     )
     engine: str = option(
         TEXT, "native", "what computes the steps: native (C++), or torch (PyTorch, for comparison)"
@@ -180,7 +175,6 @@ class TuningOptions(DatasetOptions):
         1.0,
         "multiply all step counts, pruning events included, but not the spacing of densifications "
         "and opacity resets; a quick try is 0.1",
-        metavar="X",
         steps=True,
     )
     time: float = option(
@@ -188,7 +182,6 @@ class TuningOptions(DatasetOptions):
         0.0,
         "seconds that the job may take: measures the speed of this machine, chooses the schedule "
         "that fits, up to 1, and prints it",
-        metavar="SECONDS",
         default_help="no limit",
         in_job=True,
         group=TIME,
@@ -197,7 +190,6 @@ class TuningOptions(DatasetOptions):
         SHARE,
         None,
         "share of the Gaussians to keep, up to 1",
-        metavar="SHARE",
         default_help="the method decides",
         size=True,
         in_job=True,
@@ -207,7 +199,6 @@ class TuningOptions(DatasetOptions):
         POSITIVE,
         None,
         "number of Gaussians to keep",
-        metavar="N",
         default_help="the method decides",
         size=True,
         in_job=True,
@@ -227,31 +218,18 @@ class TuningOptions(DatasetOptions):
 class TrainOptions(TuningOptions):
     """Options of `svrgs train`."""
 
-    method: str = option(
-        TEXT,
-        "3dgs",
-        "method that prunes while training",
-        metavar="NAME",
-        group=GOAL,
-    )
+    method: str = option(TEXT, "3dgs", "method that prunes while training", metavar="NAME", group=GOAL)
     iterations: int = option(
-        COUNT,
-        ITERATIONS,
-        "number of training steps",
-        metavar="N",
-        steps=True,
-        in_job=True,
-        group=TIME,
+        COUNT, ITERATIONS, "number of training steps", steps=True, in_job=True, group=TIME
     )
     recovery: int | None = option(
         COUNT,
         None,
         "number of recovery steps after the training steps",
-        metavar="N",
         default_help=f"{RECOVERY} for methods that prune, else 0",
         steps=True,
     )
-    coarse_until: int = option(COUNT, 0, "train on photographs of half the size up to this step", metavar="N")
+    coarse_until: int = option(COUNT, 0, "train on photographs of half the size up to this step")
     densify: str = option(
         DENSIFY,
         "3dgs",
@@ -264,14 +242,12 @@ class TrainOptions(TuningOptions):
         COUNT,
         None,
         "end densification before this step",
-        metavar="N",
         default_help="half of the steps, at most 15000; mcmc: 5/6, at most 25000",
     )
     cap: int | None = option(
         POSITIVE,
         None,
         "with --densify mcmc, number of Gaussians up to which the scene grows",
-        metavar="N",
         default_help="with --method 3dgs, that of --target-count",
         in_job=True,
         group=GOAL,
@@ -294,20 +270,10 @@ class PruneOptions(TuningOptions):
         group=GOAL,
     )
     iterations: int = option(
-        COUNT,
-        PRUNE_ITERATIONS,
-        "steps spent deciding which Gaussians to remove",
-        metavar="N",
-        steps=True,
-        in_job=True,
+        COUNT, PRUNE_ITERATIONS, "steps spent deciding which Gaussians to remove", steps=True, in_job=True
     )
     recovery: int = option(
-        COUNT,
-        RECOVERY,
-        "steps after pruning, which recover the quality",
-        metavar="N",
-        steps=True,
-        in_job=True,
+        COUNT, RECOVERY, "steps after pruning, which recover the quality", steps=True, in_job=True
     )
     mask_distractors: bool = option(
         FLAG,
@@ -328,7 +294,6 @@ class PruneOptions(TuningOptions):
         MEGABYTES,
         None,
         "size of the file in MB: as many Gaussians as fit into it",
-        metavar="MB",
         size=True,
         in_job=True,
         group=GOAL,
@@ -346,7 +311,6 @@ class PruneOptions(TuningOptions):
         0.0,
         "lose at most about so many dB of PSNR; the fewest Gaussians that do so on a few test views, "
         "at least 5 %%",
-        metavar="DB",
         default_help="no such limit",
         size=True,
         in_job=True,
@@ -375,7 +339,6 @@ class PruneOptions(TuningOptions):
         None,
         "also train smaller numbers of Gaussians, down to this share of the result: its first rows, "
         "any number, are a good splat",
-        metavar="SHARE",
         default_help="only the result as a whole is trained",
         in_job=True,
     )
@@ -385,7 +348,6 @@ class PruneOptions(TuningOptions):
         "levels of detail, as in 0.5,0.25,0.1: also write these shares of the result, to OUT_50.ply "
         "and so on, or into the streamed SOG "
         "OUT/lod-meta.json: the first rows of a nested result; with --quick, each pruned on its own",
-        metavar="SHARES",
         default_help="none",
         group=OUTPUT,
     )

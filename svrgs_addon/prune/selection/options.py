@@ -19,21 +19,14 @@ class Criteria:
     """What Gaussians must fulfil to be selected: all criteria that are given. Coordinates and sizes are those
     of the file."""
 
-    box: tuple | None = option(
-        BOX, None, "inside the box between two opposite corners", metavar="X,Y,Z,X,Y,Z"
-    )
+    box: tuple | None = option(BOX, None, "inside the box between two opposite corners")
     sphere: tuple | None = option(
         SPHERE, None, "inside the sphere with this centre and radius", metavar="X,Y,Z,R"
     )
     opacity: tuple | None = option(
-        RANGE,
-        None,
-        "opacity in this range, 0..1; either end of a range may be left out, as in ,0.1",
-        metavar="LO,HI",
+        RANGE, None, "opacity in this range, 0..1; either end of a range may be left out, as in ,0.1"
     )
-    size: tuple | None = option(
-        RANGE, None, "largest standard deviation in this range, in units of the file", metavar="LO,HI"
-    )
+    size: tuple | None = option(RANGE, None, "largest standard deviation in this range, in units of the file")
     color: tuple | None = option(
         SPHERE,
         None,
@@ -41,23 +34,19 @@ class Criteria:
         metavar="R,G,B,D",
     )
     contribution: tuple | None = option(
-        RANGE,
-        None,
-        "contribution in this range: the sum of alpha T over all pixels of the views",
-        metavar="LO,HI",
+        RANGE, None, "contribution in this range: the sum of alpha T over all pixels of the views"
     )
     lowest_contribution: float | None = option(
-        SHARE, None, "this share of the Gaussians, those with the lowest contribution", metavar="SHARE"
+        SHARE, None, "this share of the Gaussians, those with the lowest contribution"
     )
     removal_error: tuple | None = option(
         RANGE,
         None,
         "removal error in this range: the squared error of the colours, summed over the views, if only this"
         " Gaussian is removed",
-        metavar="LO,HI",
     )
     lowest_removal_error: float | None = option(
-        SHARE, None, "this share of the Gaussians, those with the lowest removal error", metavar="SHARE"
+        SHARE, None, "this share of the Gaussians, those with the lowest removal error"
     )
     seen_by: str = option(
         TEXT,
