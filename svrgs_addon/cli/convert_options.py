@@ -22,6 +22,9 @@ from ..system.option_kinds import (
     option,
 )
 
+# Of an option: its kind and default, its help text, then the rest.
+# fmt: off
+
 
 @dataclass(frozen=True, kw_only=True)
 class ConvertOptions:
@@ -35,19 +38,16 @@ class ConvertOptions:
         SH_DEGREE, None, "highest degree of the spherical harmonics that is kept", default_help="all"
     )
     spz_version: int | None = option(
-        SPZ_VERSION,
-        None,
+        SPZ_VERSION, None,
         "version of an SPZ: some programs read older ones only",
         default_help="4, and 3 without SH, which Blender 5.3 does not read as 4",
     )
     quantise: float = option(
-        POSITIVE_FLOAT,
-        1.0,
+        POSITIVE_FLOAT, 1.0,
         "factor on the error that an SPZ or SOG may make in spherical harmonics: above 1 for smaller files",
     )
     data: Path | None = option(
-        PATH,
-        None,
+        PATH, None,
         "dataset of the splat, of which cameras are read: an SPZ or SOG is rounded by where they see each"
         " Gaussian from, and so are spherical harmonics that are left out; it loses less",
         metavar="DIR",

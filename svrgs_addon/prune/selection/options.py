@@ -13,6 +13,9 @@ OF_VIEWS = ("contribution", "lowest_contribution", "removal_error", "lowest_remo
 RANKING = OF_VIEWS[:-1]  # those by which Gaussians are ranked, over all views
 OF_ONE = ("box", "sphere", "opacity", "size", "color")  # criteria that judge each Gaussian by itself
 
+# Of an option: its kind and default, its help text, then the rest.
+# fmt: off
+
 
 @dataclass(frozen=True, kw_only=True)
 class Criteria:
@@ -28,8 +31,7 @@ class Criteria:
     )
     size: tuple | None = option(RANGE, None, "largest standard deviation in this range, in units of the file")
     color: tuple | None = option(
-        SPHERE,
-        None,
+        SPHERE, None,
         "base colour, without what depends on the view, within a distance D of this one, display sRGB 0..1",
         metavar="R,G,B,D",
     )
@@ -40,8 +42,7 @@ class Criteria:
         SHARE, None, "this share of the Gaussians, those with the lowest contribution"
     )
     removal_error: tuple | None = option(
-        RANGE,
-        None,
+        RANGE, None,
         "removal error in this range: the squared error of the colours, summed over the views, if only this"
         " Gaussian is removed",
     )
@@ -49,14 +50,12 @@ class Criteria:
         SHARE, None, "this share of the Gaussians, those with the lowest removal error"
     )
     seen_by: str = option(
-        TEXT,
-        "",
+        TEXT, "",
         "seen by one of these views: all, train, test, or names and numbers of views with commas between",
         metavar="VIEWS",
     )
     floaters: bool = option(
-        FLAG,
-        False,
+        FLAG, False,
         "floaters: small groups of Gaussians apart from all others and, with at least 8 views, haze in front"
         " of the cameras",
     )
@@ -73,12 +72,9 @@ class SelectOptions(Criteria):
     """Options of `svrgs select`."""
 
     data: Path | None = option(
-        PATH,
-        None,
+        PATH, None,
         "views: dataset, COLMAP model or transforms.json; photographs are not needed",
-        metavar="DIR",
-        flag="data",
-        former="colmap",
+        metavar="DIR", flag="data", former="colmap",
     )
     cameras: Path | None = option(
         PATH, None, "views: cameras.json of a 3DGS run, or transforms.json", metavar="JSON"
@@ -87,23 +83,18 @@ class SelectOptions(Criteria):
         FLAG, False, "select all other Gaussians instead: with --out, the criteria then say what is deleted"
     )
     measure: bool = option(
-        FLAG,
-        False,
+        FLAG, False,
         "measure in the views how much each Gaussian is needed, and how sure its rank is; --out then holds it"
         " as columns",
     )
     force: bool = option(FLAG, False, "rank Gaussians also where the views see less than half of them")
     threads: int = option(
-        COUNT,
-        0,
+        COUNT, 0,
         "number of threads; the result does not depend on it",
-        metavar="N",
         default_help="one per core",
     )
     out: Path | None = option(
-        PATH,
-        None,
+        PATH, None,
         "splat file to write the selected Gaussians to",
-        metavar="FILE",
-        default_help="only counts are printed",
+        metavar="FILE", default_help="only counts are printed",
     )
