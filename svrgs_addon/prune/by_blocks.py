@@ -16,43 +16,19 @@ from .blocks.request import Request, methods, methods_of_drop
 from .blocks.tasks import progress
 from .context import JobContext
 from .door import given
-from .options import MIN_CONTRIBUTION, PruneOptions
+from .options import PruneOptions
+from .plans import first_cut_of
 from .recipes.by_blocks import Goal, LearnedByBlocks, MergedByBlocks
 
 TAKES = (  # options; with others, the scene must be read as a whole
-    "data",
-    "images",
-    "holdout",
-    "cameras",
-    "seen_from_only",
-    "lpips_weights",
-    "threads",
-    "seed",
-    "target",
-    "target_count",
-    "quiet",
-    "quick",
-    "force",
-    "method",
-    "scene",
-    "out",
-    "resume",
-)
+    "data", "images", "holdout", "cameras", "seen_from_only", "lpips_weights", "threads", "seed", "target",
+    "target_count", "quiet", "quick", "force", "method", "scene", "out", "resume",
+)  # fmt: skip
 OF_QUICK = ("max_drop", "levels")  # options that only a quick job has there
 OF_METHODS = (  # those of methods on photographs
-    "lambda_f",
-    "iterations",
-    "recovery",
-    "schedule",
-    "min_contribution",
-    "background",
-    "masks",
-    "invert_masks",
-    "outside",
-    "image_memory",
-    "visible_mask",
-    "report",
-)
+    "lambda_f", "iterations", "recovery", "schedule", "min_contribution", "background", "masks",
+    "invert_masks", "outside", "image_memory", "visible_mask", "report",
+)  # fmt: skip
 NEEDS_VISIBLE = (
     "with --visible-mask, or with removal to a number or an allowed drop, it would be pruned by blocks"
 )
@@ -114,29 +90,10 @@ def with_advice(error: MemoryShort | TooMany, options: PruneOptions) -> MemorySh
 def request_of(options: PruneOptions) -> Request:
     """What is asked of a method on photographs. Raises SceneError for a method that cannot decide by
     blocks."""
-    method, first_cut = options.method or DEFAULT, options.min_contribution
-    if first_cut is None:
-        first_cut = MIN_CONTRIBUTION * method_named(method).first_cut
-    same = (
-        "iterations",
-        "recovery",
-        "schedule",
-        "images",
-        "holdout",
-        "invert_masks",
-        "outside",
-        "lambda_f",
-        "seed",
-        "image_memory",
-        "background",
-    )
-    request = Request(
-        str(options.data),
-        method,
-        min_contribution=first_cut,
-        masks=str(options.masks or ""),
-        **{name: getattr(options, name) for name in same},
-    )
+    method = method_named(options.method or DEFAULT)
+    same = {name: getattr(options, name) for name in Request.__dataclass_fields__}
+    same |= {"data": str(options.data), "masks": str(options.masks or "")}
+    request = Request(**same | {"method": method.name, "min_contribution": first_cut_of(options, method)})
     request.plan()
     return request
 

@@ -66,20 +66,21 @@ def plan_of_pruning(options: PruneOptions) -> Plan:
     """The plan of `svrgs prune`. Raises SceneError if the options contradict each other; FormatError if a
     share of the scene is the target and the file cannot be read."""
     method, allowed = method_of(options), allowed_loss(options)
-    first_cut = (
-        options.min_contribution
-        if options.min_contribution is not None
-        else MIN_CONTRIBUTION * method.first_cut
-    )
     more: dict[str, Any] = {
         "target": _target(options, method),
         "max_loss": allowed.loss,
         "measure": allowed.measure,
-        "min_contribution": first_cut,
+        "min_contribution": first_cut_of(options, method),
         "nested": _nested(options),
         "sh_degree": degree_to_keep(options),
     }
     return prune_plan(method, options.iterations, options.recovery, **_settings(options), **more)
+
+
+def first_cut_of(options: PruneOptions, method: Method) -> float:
+    """The least alpha T that a Gaussian must have in a pixel to pass the first cut; 0: no such cut."""
+    given = options.min_contribution
+    return MIN_CONTRIBUTION * method.first_cut if given is None else given
 
 
 def method_of(options: TuningOptions) -> Method:
