@@ -80,49 +80,16 @@ PRUNE, TRAIN = "prune", "train"  # kinds of a job
 OPTIONS = {PRUNE: PruneOptions, TRAIN: TrainOptions}
 METRICS = ("iteration", "count", "loss", "psnr")
 FACTS = {  # keys of state.json and of messages that are read, and their types
-    "state": str,
-    "text": str,
-    "pid": int,
-    "iteration": int,
-    "total": int,
-    "phase": str,
-    "count": int,
-    "loss": float,
-    "psnr": float,
-    "seconds_left": float,
-    "finishing": bool,
-    "note": str,
-    "asked": float,
-    "foreseen": float,
-    "schedule": float,
-    "share": float,
-}
+    "state": str, "text": str, "pid": int, "iteration": int, "total": int, "phase": str, "count": int,
+    "loss": float, "psnr": float, "seconds_left": float, "finishing": bool, "note": str, "asked": float,
+    "foreseen": float, "schedule": float, "share": float,
+}  # fmt: skip
 _FILES = (
-    "state.json",
-    "scene.ply",
-    "recovered.ply",
-    "messages.jsonl",
-    "log.txt",
-    "metrics.csv",
-    "ranking.npz",
-    "pruned.ply",
-    "kept.npy",
-    "score.npy",
-    "probability.npy",
-    "trained.ply",
-    "*_exposure.json",
-    "*_refined_cameras.json",
-    "recovered_distractor_masks/**/*.png",
-    "result.json",
-    MERGED,
-    ORDER,
-    CAMERAS,
-    STOP,
-    ".svrgs-*",
-    "previews/[0-9]*.png",
-    "previews/.svrgs-*",
-    "job.json",
-)
+    "state.json", "scene.ply", "recovered.ply", "messages.jsonl", "log.txt", "metrics.csv", "ranking.npz",
+    "pruned.ply", "kept.npy", "score.npy", "probability.npy", "trained.ply", "*_exposure.json",
+    "*_refined_cameras.json", "recovered_distractor_masks/**/*.png", "result.json", MERGED, ORDER, CAMERAS,
+    STOP, ".svrgs-*", "previews/[0-9]*.png", "previews/.svrgs-*", "job.json",
+)  # fmt: skip
 
 
 class JobFolder:

@@ -22,14 +22,8 @@ from ..system.option_kinds import SWITCH, default_of, flag_of, options_of
 from .options import DatasetOptions, PruneOptions
 
 OF_PHOTOGRAPHS = (  # options
-    "images",
-    "masks",
-    "invert_masks",
-    "outside",
-    "exposure",
-    "refine_poses",
-    "mask_distractors",
-)
+    "images", "masks", "invert_masks", "outside", "exposure", "refine_poses", "mask_distractors",
+)  # fmt: skip
 
 
 def check_files(scene: Path | None, outs: Sequence[Path], further: Sequence[Path] = ()):

@@ -40,17 +40,10 @@ WIDTH = sum(GEOMETRY.values())
 OPACITY = WIDTH - 1  # its column
 OWN_COLUMNS = "svrgs_"  # how columns begin that a job has added to its splat
 NUMBER = "number.json"  # of Gaussians that an allowed drop leaves
-OWN_FILES = (
-    INDEX,
-    NUMBER,
-    *(
-        f"[0-9]*.{name}"
-        for name in ("geometry", "sh", "rows", "visibility", "order.npz", "picture.npy", "blended.npy")
-    ),
-    "scores_*_of_*.npy",
-    "reduced.json",
-    "error.json",
-)  # files of prune/blocks/
+OWN_FILES = (  # files of prune/blocks/
+    INDEX, NUMBER, "scores_*_of_*.npy", "reduced.json", "error.json", "[0-9]*.geometry", "[0-9]*.sh",
+    "[0-9]*.rows", "[0-9]*.visibility", "[0-9]*.order.npz", "[0-9]*.picture.npy", "[0-9]*.blended.npy",
+)  # fmt: skip
 Progress = Callable[[str, float], None]  # what is done now, and the share of the work that is done
 ProgressOf = Callable[[str], Progress]  # of the name of a step
 # of the number of Gaussians and the SH coefficients per channel of a scene: Gaussians of a block, at most

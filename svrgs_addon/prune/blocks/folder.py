@@ -20,13 +20,8 @@ from .request import Request
 from .tasks import FILE as TASKS
 from .tuning import CUT, MIXED, TUNED
 
-SCORED, MEASURED, RESULT, LEVEL, HELD = (
-    "scored_views.json",
-    "measured_views.json",
-    "result",
-    "level_{}.ply",
-    "held",
-)
+SCORED, MEASURED = "scored_views.json", "measured_views.json"
+RESULT, LEVEL, HELD = "result", "level_{}.ply", "held"
 
 
 def blocks_of(out: Path) -> Path:

@@ -57,28 +57,10 @@ STEPS, MOST_STEPS = 60, 120  # of fine-tuning, with USUAL of the Gaussians and a
 # least distance of a camera from the scene, in near depths: smaller scenes are measured enlarged
 NEAREST = 20.0
 TAKES = (  # options; others are refused
-    "data",
-    "images",
-    "holdout",
-    "background",
-    "threads",
-    "lpips_weights",
-    "seed",
-    "target",
-    "target_count",
-    "target_size",
-    "target_format",
-    "max_drop",
-    "max_flip",
-    "max_lpips",
-    "sh_degree",
-    "quiet",
-    "quick",
-    "force",
-    "scene",
-    "out",
-    "levels",
-)
+    "data", "images", "holdout", "background", "threads", "lpips_weights", "seed", "target", "target_count",
+    "target_size", "target_format", "max_drop", "max_flip", "max_lpips", "sh_degree", "quiet", "quick",
+    "force", "scene", "out", "levels",
+)  # fmt: skip
 SMALLEST = 0.01  # share of the Gaussians down to which an order is kept
 LIKELY = 0.25  # share of the Gaussians that an allowed drop leaves, to foresee the time
 NOT_FINISHED = "stopped; nothing was written, and a quick job has no checkpoint: start it again"

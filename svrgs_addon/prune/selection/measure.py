@@ -21,14 +21,9 @@ from ...system.errors import SceneError
 
 EXACT_VIEWS = 8  # views in which float64 is compared: it takes 16 times as long
 ERROR, RANK, VIEW, VIEWS, BY_VIEWS, BY_SIZE, BY_PRECISION = NAMES = (
-    "removal_error",
-    "removal_rank",
-    "deciding_view",
-    "deciding_views",
-    "rank_spread_views",
-    "rank_spread_size",
-    "rank_spread_precision",
-)
+    "removal_error", "removal_rank", "deciding_view", "deciding_views", "rank_spread_views",
+    "rank_spread_size", "rank_spread_precision",
+)  # fmt: skip
 SPREADS = (BY_VIEWS, BY_SIZE, BY_PRECISION)
 
 
