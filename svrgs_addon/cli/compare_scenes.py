@@ -41,10 +41,8 @@ def _views_alone(args: argparse.Namespace) -> Dataset:
     """Given or placed cameras, without photographs. Raises SplatError."""
     refuse_without_data(options_from(DatasetOptions, args), (*OF_PHOTOGRAPHS, "holdout"))
     if args.cameras:
-        cameras, where = (
-            [camera.fitted(MAX_SIDE_PIXELS) for camera in evenly(load_cameras(args.cameras), MAX_VIEWS)],
-            f"from {args.cameras.name}",
-        )
+        cameras = [camera.fitted(MAX_SIDE_PIXELS) for camera in evenly(load_cameras(args.cameras), MAX_VIEWS)]
+        where = f"from {args.cameras.name}"
     else:
         scene, enlarged = sample_of(args.a)
         cameras, where = place_rig(scene, enlarged=enlarged).held_out, "that were placed"

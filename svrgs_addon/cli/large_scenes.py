@@ -39,16 +39,10 @@ def large(args: argparse.Namespace) -> dict[str, Any]:
     """Does one step, or all. Raises SplatError."""
     library.set_threads(args.threads)
     steps = {
-        "divide": _divide,
-        "score": _score,
-        "reduce": _reduce,
-        "merge": _merge,
-        "decide": _decide,
-        "cut": _cut,
-        "tune": _tune,
-        "finish": _finish,
-    }
-    return (steps | {"prune": _prune})[args.action](args)
+        "prune": _prune, "divide": _divide, "score": _score, "reduce": _reduce, "merge": _merge,
+        "decide": _decide, "cut": _cut, "tune": _tune, "finish": _finish,
+    }  # fmt: skip
+    return steps[args.action](args)
 
 
 def as_text(args: argparse.Namespace, result: dict[str, Any]) -> str:
@@ -61,29 +55,25 @@ def as_text(args: argparse.Namespace, result: dict[str, Any]) -> str:
         return result["scores"]
     if args.action in ("reduce", "merge", "decide", "cut", "tune"):
         return f"{result['blocks']} blocks done in {result['work']}"
-    before, after = result["before"], result["after"]
-    measure = f"the photographs, the original {before['psnr']:.2f} dB" if "psnr" in before else "the original"
-    merged = (
-        f" ({result['psnr_merged']:.2f} dB before fine-tuning)" if result["psnr_merged"] is not None else ""
-    )
-    psnr = result["psnr"]
-    against = "" if psnr is None else f"; PSNR {psnr:.2f} dB against {measure}{merged}"
+    before, after, psnr = result["before"], result["after"], result["psnr"]
+    against = ""
+    if psnr is not None:
+        against = f"; PSNR {psnr:.2f} dB against the "
+        against += f"photographs, the original {before['psnr']:.2f} dB" if "psnr" in before else "original"
+        if result["psnr_merged"] is not None:
+            against += f" ({result['psnr_merged']:.2f} dB before fine-tuning)"
     lines = [
         f"kept {after['count']:,} of {before['count']:,} Gaussians"
         f" ({after['count'] / before['count']:.1%}){against}; saved {result['out']}"
     ]
     for level in result.get("levels", ()):
-        lines.append(
-            f"level {level['share']:g}: {level['count']:,} Gaussians"
-            + ("" if level["psnr"] is None else f", PSNR {level['psnr']:.2f} dB")
-            + f"; saved {level['out']}"
-        )
+        psnr = "" if level["psnr"] is None else f", PSNR {level['psnr']:.2f} dB"
+        lines.append(f"level {level['share']:g}: {level['count']:,} Gaussians{psnr}; saved {level['out']}")
     return "\n".join([*lines, *result["notes"]])
 
 
 def _prune(args: argparse.Namespace) -> dict[str, Any]:
-    options, request = options_from(PruneOptions, args), _request(args)
-    goal = Goal(args.target_count or 0, args.target or 0.0, args.max_drop or 0.0, args.levels)
+    request, goal = _request(args), _goal(args)
     if request is None and not (goal.count or goal.share or goal.max_drop):
         raise SceneError("how many Gaussians stay is not given: add --target, --target-count or --max-drop")
     if request is not None and (args.steps is not None or goal.levels):
@@ -95,7 +85,7 @@ def _prune(args: argparse.Namespace) -> dict[str, Any]:
             "--resume is for methods that decide on photographs: removals and merges begin again"
         )
     job = JobContext(args.out, resume=args.resume, force=args.force, part=Messages(args.messages).progress)
-    views, more = partial(_views, args, options), {"work": args.work, "block": args.block}
+    views, more = partial(_views, args), {"work": args.work, "block": args.block}
     if request is not None:
         return run(LearnedByBlocks(args.scene, job, goal, views, request=request, **more))
     return run(MergedByBlocks(args.scene, job, goal, views, steps=args.steps, **more))
@@ -124,7 +114,7 @@ def _divide(args: argparse.Namespace) -> dict[str, Any]:
     dataset = None if request is None else request.dataset()  # raises before anything is written
     sample, enlarged = sample_of(args.scene)
     check_visible(sample, str(args.scene))
-    scored, measured, *_ = _views(args, options_from(PruneOptions, args), sample, enlarged)
+    scored, measured, *_ = _views(args, sample, enlarged)
     if request is None:
         check_seen(seen_of(sample, scored), str(args.scene), args.force)
     prepare(args.work, scored, measured, request)
@@ -135,21 +125,13 @@ def _divide(args: argparse.Namespace) -> dict[str, Any]:
         except SceneError:
             remove(args.work)
             raise
-    return {
-        "work": str(args.work),
-        "count": divided.count,
-        "blocks": len(divided.blocks),
-        "views": len(scored),
-    }
+    facts = {"count": divided.count, "blocks": len(divided.blocks), "views": len(scored)}
+    return {"work": str(args.work)} | facts
 
 
 def _score(args: argparse.Namespace) -> dict[str, Any]:
-    divided = Divided.read(args.work)
-    return {
-        "scores": str(
-            score(divided, scored_views(args.work), args.part, args.parts, _progress_of(args, "score"))
-        )
-    }
+    divided, views = Divided.read(args.work), scored_views(args.work)
+    return {"scores": str(score(divided, views, args.part, args.parts, _progress_of(args, "score")))}
 
 
 def _reduce(args: argparse.Namespace) -> dict[str, Any]:
@@ -160,7 +142,7 @@ def _reduce(args: argparse.Namespace) -> dict[str, Any]:
 
 def _merge(args: argparse.Namespace) -> dict[str, Any]:
     divided, progress = Divided.read(args.work), _progress_of(args, "merge")
-    numbers = range(len(divided.blocks))[args.part :: args.parts]
+    numbers = _numbers(args, divided)
     for place, number in enumerate(numbers):
         progress(f"block {number}", place / len(numbers))
         merge(divided, number)
@@ -168,16 +150,12 @@ def _merge(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def _decide(args: argparse.Namespace) -> dict[str, Any]:
-    divided, request, goal = (
-        Divided.read(args.work),
-        Request.read(args.work),
-        Goal(args.target_count or 0, args.target or 0.0),
-    )
+    divided, request, goal = Divided.read(args.work), Request.read(args.work), _goal(args)
     if request is None:
         raise SceneError(f"{args.work}: was divided without --method, so no method decides: merge and cut it")
     wanted = goal.number(divided.count) if goal.count or goal.share else 0
     plan, dataset, targets_of = request.plan(), request.dataset(), targets(divided, wanted)
-    numbers = range(len(divided.blocks))[args.part :: args.parts]
+    numbers = _numbers(args, divided)
     for number in numbers:
         decide(divided, number, dataset, plan, targets_of[number], _progress_of(args, "decide"))
     return {"work": str(args.work), "blocks": len(numbers)}
@@ -188,7 +166,7 @@ def _cut(args: argparse.Namespace) -> dict[str, Any]:
     if Request.read(args.work) is not None:
         prepare_around(divided, _progress_of(args, "cut"))
         return {"work": str(args.work), "blocks": len(divided.blocks), "count": divided.count}
-    goal = Goal(args.target_count or 0, args.target or 0.0)
+    goal = _goal(args)
     if not (goal.count or goal.share):
         raise SceneError("how many Gaussians stay is not given: add --target or --target-count")
     left = cut(divided, scored_views(args.work), goal.number(divided.count), _progress_of(args, "cut"))
@@ -202,7 +180,7 @@ def _tune(args: argparse.Namespace) -> dict[str, Any]:
     steps = EPOCHS * len(cameras) if args.steps is None else args.steps
     if not steps:
         clear(args.work / TUNED)  # no steps: remove what an earlier call has tuned
-    numbers = range(len(divided.blocks))[args.part :: args.parts] if steps else range(0)
+    numbers = _numbers(args, divided) if steps else range(0)
     for number in numbers:
         tune(divided, number, cameras, steps, _progress_of(args, "tune"))
     return {"work": str(args.work), "blocks": len(numbers)}
@@ -214,11 +192,8 @@ def _recover(args: argparse.Namespace, divided: Divided, request: Request) -> di
             "--tuning-steps is for removals and merges: leave it out; --recovery of svrgs large divide gives"
             " the steps of a method"
         )
-    numbers, plan, dataset = (
-        range(len(divided.blocks) if request.recovery else 0)[args.part :: args.parts],
-        request.plan(),
-        request.dataset(),
-    )
+    numbers = _numbers(args, divided) if request.recovery else range(0)
+    plan, dataset = request.plan(), request.dataset()
     for number in numbers:
         recover(divided, number, dataset, plan, _progress_of(args, "recover"))
     return {"work": str(args.work), "blocks": len(numbers)}
@@ -236,8 +211,20 @@ def _finish(args: argparse.Namespace) -> dict[str, Any]:
     return result | {"views": len(scored_views(args.work))}
 
 
-def _views(args: argparse.Namespace, options: PruneOptions, sample: Scene, enlarged: float) -> Views:
+def _goal(args: argparse.Namespace) -> Goal:
+    """How many Gaussians stay. Only `prune` takes a drop and levels."""
+    drop, levels = getattr(args, "max_drop", None), getattr(args, "levels", ())
+    return Goal(args.target_count or 0, args.target or 0.0, drop or 0.0, levels)
+
+
+def _numbers(args: argparse.Namespace, divided: Divided) -> range:
+    """The blocks of the part of the work."""
+    return range(len(divided.blocks))[args.part :: args.parts]
+
+
+def _views(args: argparse.Namespace, sample: Scene, enlarged: float) -> Views:
     """The views of a sample of the scene, and a message before some are placed."""
+    options = options_from(PruneOptions, args)
     if not (options.data or options.cameras):
         _progress_of(args, "rig")("looks for places of cameras", 0.0)
     return job_views.large(options, sample, enlarged)

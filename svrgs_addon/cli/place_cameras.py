@@ -55,10 +55,8 @@ def _scene(path: Path) -> tuple[Scene, float]:
 def as_text(result: dict) -> str:
     where = "within the scene" if result["inside_out"] else "around the scene"
     lines = [
-        (
-            f"{result['views']} cameras {where}, and {result['held_out']} others for testing,"
-            f" {result['width']} x {result['height']} pixels"
-        ),
+        f"{result['views']} cameras {where}, and {result['held_out']} others for testing,"
+        f" {result['width']} x {result['height']} pixels",
         f"at least three of them show {result['seen']:.2%} of what can be seen",
         *(f"saved {result[name]}" for name in ("out", "preview") if result[name]),
     ]

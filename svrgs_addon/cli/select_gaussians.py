@@ -114,10 +114,8 @@ def _selected(
             mask = selected(part, options, lambda named: choose(cameras, named) if named else cameras)
         if options.invert:
             mask = ~mask & ~bad
-        result["count"], result["unusable"] = (
-            result["count"] + part.count,
-            result["unusable"] + int(bad.sum()),
-        )
+        result["count"] += part.count
+        result["unusable"] += int(bad.sum())
         result["selected"] += int(mask.sum())
         yield part.select(mask) if options.out else part
 
