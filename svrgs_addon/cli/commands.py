@@ -34,9 +34,8 @@ def render(args: argparse.Namespace) -> int:
 
     _set_threads(args)
     saved = render_views(args)
-    return _print(
-        {"files": [str(path) for path in saved]}, args, "\n".join(f"Saved: '{path}'" for path in saved)
-    )
+    text = "\n".join(f"Saved: '{path}'" for path in saved)
+    return _print({"files": [str(path) for path in saved]}, args, text)
 
 
 def train(args: argparse.Namespace) -> int:
@@ -62,11 +61,9 @@ def prune(args: argparse.Namespace) -> int:
     for item in items:
         line = {"scene": str(item.scene), "out": str(item.out)}
         if item.out.exists() and not args.overwrite and not batch_list.same_file(item.out, item.scene):
-            line["skipped"] = (
-                "the output exists"
-                if all(level.exists() for level in item.levels)
-                else "the output exists, not all its levels: add --overwrite"
-            )
+            line["skipped"] = "the output exists"
+            if not all(level.exists() for level in item.levels):
+                line["skipped"] += ", not all its levels: add --overwrite"
         else:
             status, result = run_in_child(_of_item(options, item, args.report and args.report / item.name))
             line, failed, stopped = {**line, **result}, failed or status != 0, status == STOPPED
@@ -149,17 +146,8 @@ def compare(args: argparse.Namespace) -> int:
 
     _set_threads(args)
     result = compare_scenes(args)
-    return _print(
-        result,
-        args,
-        "\n".join(
-            [
-                *(f"{name}: {_figures(result[name])}" for name in ("a", "b")),
-                *result["notes"],
-                result["report"],
-            ]
-        ),
-    )
+    figures = (f"{name}: {_figures(result[name])}" for name in ("a", "b"))
+    return _print(result, args, "\n".join([*figures, *result["notes"], result["report"]]))
 
 
 def methods(args: argparse.Namespace) -> int:
@@ -204,6 +192,21 @@ COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
 }  # fmt: skip
 
 
+# of a result, as text; what is None was not measured
+FIGURES = {
+    "count": "{:,} Gaussians",
+    "psnr": "PSNR {:.2f} dB",
+    "ssim": "SSIM {:.4f}",
+    "flip": "FLIP {:.4f}",
+    "psnr_matched": "PSNR in the photographs' colours {:.2f} dB",
+    "psnr_aligned": "PSNR after alignment {:.2f} dB",
+    "lpips": "LPIPS {:.4f}",
+    "lpips_authors": "LPIPS of colours in [-1, 1] {:.4f}",
+    "bytes": "{}",
+    "ms_per_frame": "{:.1f} ms per frame",
+}
+
+
 def _set_threads(args: argparse.Namespace):
     from ..native import library
 
@@ -212,33 +215,16 @@ def _set_threads(args: argparse.Namespace):
 
 def _figures(result: dict, lpips_missing: str = "") -> str:
     """The figures of a result as text."""
-    parts = [f"{result['count']:,} Gaussians"]
-    if result.get("psnr") is not None:  # not of a scene whose own pictures are the measure
-        parts += [f"PSNR {result['psnr']:.2f} dB", f"SSIM {result['ssim']:.4f}", f"FLIP {result['flip']:.4f}"]
-    if result.get("psnr_matched") is not None:
-        parts.append(f"PSNR in the photographs' colours {result['psnr_matched']:.2f} dB")
-    if result.get("psnr_aligned") is not None:
-        parts.append(f"PSNR after alignment {result['psnr_aligned']:.2f} dB")
-    if result.get("lpips") is not None:
-        parts.append(f"LPIPS {result['lpips']:.4f}")
-    if "lpips_authors" in result:
-        parts.append(f"LPIPS of colours in [-1, 1] {result['lpips_authors']:.4f}")
-    parts.append(memory.size_text(result["bytes"]))
-    if result.get("ms_per_frame") is not None:
-        parts.append(f"{result['ms_per_frame']:.1f} ms per frame")
-    before = result.get("before")
-    # the quick way measures against the original itself
-    measured = before if before and "psnr" in before else None
-    lines = ([f"before  {_figures(measured)}"] if measured else []) + [
-        ("after   " if measured else "") + ", ".join(parts)
-    ]
-    if before and not measured:
-        lines.append(f"kept {result['count'] / before['count']:.1%} of the Gaussians")
-    if measured:
-        lines.append(
-            f"kept {result['count'] / measured['count']:.1%} of the Gaussians at"
-            f" {result['psnr'] - measured['psnr']:+.2f} dB"
-        )
+    facts = result | {"bytes": memory.size_text(result["bytes"])}
+    known = (text.format(facts[name]) for name, text in FIGURES.items() if facts.get(name) is not None)
+    before, figures = result.get("before"), ", ".join(known)
+    if not before:
+        lines = [figures]
+    elif "psnr" in before:
+        change = f"{result['psnr'] - before['psnr']:+.2f} dB"
+        lines = [f"before  {_figures(before)}", f"after   {figures}", f"{_kept(result)} at {change}"]
+    else:  # the quick way measures against the original itself
+        lines = [figures, _kept(result)]
     lines += [
         f"level {level['share']:g}: {_figures(level)}; saved {level['out']}"
         for level in result.get("levels", ())
@@ -251,6 +237,10 @@ def _figures(result: dict, lpips_missing: str = "") -> str:
     if "seconds" in result:
         lines.append(f"{result['seconds']:.0f} s; saved {result['out']}")
     return "\n".join(lines + ([f"LPIPS left out: {lpips_missing}"] if lpips_missing else []))
+
+
+def _kept(result: dict) -> str:
+    return f"kept {result['count'] / result['before']['count']:.1%} of the Gaussians"
 
 
 def _print(result: dict, args: argparse.Namespace, text: str) -> int:
