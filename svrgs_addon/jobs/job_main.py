@@ -111,13 +111,8 @@ class JobMain:
                         self._write_state()
             if self._stage == "finishing" or self.ending:
                 continue
-            asked = (
-                "stopped"
-                if (self.folder / STOP).exists()
-                else "interrupted"
-                if self._parent_gone.is_set()
-                else ""
-            )
+            stopped = (self.folder / STOP).exists()
+            asked = "stopped" if stopped else "interrupted" if self._parent_gone.is_set() else ""
             if asked and self._stage == "preparing":
                 self._end_now(asked)
             elif asked:

@@ -92,11 +92,9 @@ class Job:
     @property
     def progress(self) -> float:
         """The share of the steps that are done, 0..1; of a job by blocks, of its tasks."""
-        done, total = (
-            (self.facts.get("iteration", 0), self.facts["total"])
-            if "total" in self.facts
-            else (self.facts.get("share", 0.0), 1)
-        )
+        done, total = self.facts.get("share", 0.0), 1
+        if "total" in self.facts:
+            done, total = self.facts.get("iteration", 0), self.facts["total"]
         return max(0, min(done, total)) / max(1, total)
 
     def resume_point(self) -> tuple[str, dict]:
@@ -108,11 +106,8 @@ class Job:
                 "done": tasks,
                 "tasks": of,
             }
-        saved, total, done = (
-            self.folder.checkpoint(),
-            self.facts.get("total", 0) or self._steps(),
-            self.facts.get("iteration", 0),
-        )
+        saved, done = self.folder.checkpoint(), self.facts.get("iteration", 0)
+        total = self.facts.get("total", 0) or self._steps()
         if not saved:
             return (
                 "Resume starts it from the beginning: no checkpoint was saved"
@@ -171,24 +166,19 @@ class Job:
         self.folder.lower_flag()
         (self.folder / "messages.jsonl").write_bytes(b"")
         self.folder.write_json("state.json", {"state": "starting"})
-        self.facts, self.result, self._read, self._stopping = (
-            {"state": "starting", "text": "Starting"},
-            None,
-            0,
-            None,
-        )
-        self._why = ""
+        self.facts = {"state": "starting", "text": "Starting"}
+        self.result, self._read, self._stopping, self._why = None, 0, None, ""
         with (
             open(self.folder / "messages.jsonl", "ab") as messages,
             open(self.folder / "log.txt", "ab") as log,
         ):
             self._log_begin = log.tell()
-            command, variables = (
-                [sys.executable, "-m", MODULE, str(self.folder.path)],
-                subprocess_python.environment() | {"PYTHONIOENCODING": "utf-8"},
-            )
             self._process = ProcessGroup(
-                command, stdin=subprocess.PIPE, stdout=messages, stderr=log, env=variables
+                [sys.executable, "-m", MODULE, str(self.folder.path)],
+                stdin=subprocess.PIPE,
+                stdout=messages,
+                stderr=log,
+                env=subprocess_python.environment() | {"PYTHONIOENCODING": "utf-8"},
             )
         self._started = time.monotonic()
 

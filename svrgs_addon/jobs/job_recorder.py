@@ -193,10 +193,8 @@ class PruneRecorder(JobRecorder):
             source, self.run.dataset, Rasterizer(), render_options(source, self.run.plan.background)
         )
         if self.run.plan.nested:  # its rows are in the order of importance
-            rank[rows], recovered = (
-                np.linspace(1, 0, recovered.count, dtype=np.float32),
-                recovered.select(np.argsort(rows)),
-            )
+            rank[rows] = np.linspace(1, 0, recovered.count, dtype=np.float32)
+            recovered = recovered.select(np.argsort(rows))
         _save(self.folder / "kept.npy", kept)
         _save(self.folder / "score.npy", self.ranking.scores(kept, rank, nested=self.run.plan.nested > 0))
         probability = self.ranking.probabilities()
@@ -206,11 +204,9 @@ class PruneRecorder(JobRecorder):
 
     def _write_pruned(self, recovered: Scene, result: dict) -> dict:
         """Writes the splat and result.json, and deletes recovered.ply. Returns the JSON result."""
-        write_scene(self.folder / "pruned.ply", without_rows(recovered))
-        result |= {
-            "out": str(self.folder / "pruned.ply"),
-            "bytes": (self.folder / "pruned.ply").stat().st_size,
-        }
+        pruned = self.folder / "pruned.ply"
+        write_scene(pruned, without_rows(recovered))
+        result |= {"out": str(pruned), "bytes": pruned.stat().st_size}
         result["after"] = result["after"] | {"bytes": result["bytes"]}
         result["before"] = result["before"] | {"bytes": result["before"]["bytes"] - row_bytes(self.count)}
         result = self._write_result(result)

@@ -29,10 +29,8 @@ class DiskRoom:
     checkpoints: their folder."""
 
     def __init__(self, out: Path, checkpoints: Path):
-        self._out, self._folders = (
-            out,
-            (existing_parent(real(out).parent), existing_parent(checkpoints.parent)),
-        )
+        self._out = out
+        self._folders = existing_parent(real(out).parent), existing_parent(checkpoints.parent)
         # of the scene: SH coefficients per channel, bytes per Gaussian in a file
         self._coefficients, self._row = 1, 0.0
         self._averaged = 0  # Gaussians whose values will be averaged
@@ -47,11 +45,8 @@ class DiskRoom:
     def hold_for(self, scene: Scene, count: int, averaged: int):
         """Holds room for `count` Gaussians with the columns of the scene. averaged:
         Settings.averaged_count(). Raises SceneError if there is too little."""
-        self._coefficients, self._row, self._averaged = (
-            scene.sh.shape[1],
-            file_size(scene) / max(1, scene.count),
-            averaged,
-        )
+        self._coefficients, self._averaged = scene.sh.shape[1], averaged
+        self._row = file_size(scene) / max(1, scene.count)
         self.hold(count)
 
     def hold(self, count: int):

@@ -178,16 +178,11 @@ class Pace:
 def pace_of(scene: Scene, dataset: Dataset, plan: Plan, lpips: Callable | None = None) -> Pace:
     """Measures the speeds, within one or two seconds, on a copy of the scene. Raises FormatError,
     SceneError."""
-    train, test = (
-        dataset.train_indices or list(range(len(dataset.cameras))),
-        dataset.test_indices or dataset.train_indices,
-    )
+    train = dataset.train_indices or list(range(len(dataset.cameras)))
+    test = dataset.test_indices or dataset.train_indices
     shown, photograph = _read_some(dataset, spread(train))
-    views, options, rasterizer = (
-        spread(test)[:MEASURED],
-        render_options(scene, dataset.background),
-        Rasterizer(),
-    )
+    views, rasterizer = spread(test)[:MEASURED], Rasterizer()
+    options = render_options(scene, dataset.background)
     _read_some(dataset, views)
     ranked_views = [dataset.cameras[index] for index in spread(train)[:RANKED_VIEWS]]
     passes = bool(plan.method.ranking_passes(plan, max(1, plan.total), 1.0))

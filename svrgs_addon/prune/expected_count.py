@@ -56,11 +56,8 @@ def seen_by_some(scene: Scene, dataset: Dataset, plan: Plan) -> Seen:
     """What some training views see, as many as time allows."""
     rasterizer, options = Rasterizer(), render_options(scene, dataset.background)
     chosen = spread(_views(dataset))[: RANKING_VIEWS if plan.method.learns_masks else VIEWS]
-    sums, peaks, hits = (
-        np.zeros(scene.count),
-        np.zeros(scene.count, np.float32),
-        np.zeros(scene.count, np.int64),
-    )
+    sums, hits = np.zeros(scene.count), np.zeros(scene.count, np.int64)
+    peaks = np.zeros(scene.count, np.float32)
     views, end = 0, time.monotonic() + VIEW_SECONDS
     for index in chosen:
         found = scores.contribution(scene, [_reduced(dataset.cameras[index])], rasterizer, options)

@@ -99,10 +99,8 @@ def _window(
 def _blended(divided: Divided, view: int, camera: Camera, rasterizer: Rasterizer) -> list[np.ndarray]:
     """Of each block, the places of the Gaussians that a view blends, ascending, int64. Whoever needs them
     first writes them into the folder. Raises SplatError."""
-    path, firsts = (
-        divided.folder / BLENDED.format(view),
-        np.cumsum([0, *(block.count for block in divided.blocks)]),
-    )
+    path = divided.folder / BLENDED.format(view)
+    firsts = np.cumsum([0, *(block.count for block in divided.blocks)])
     if not path.exists():
         found = shown(divided, camera, rasterizer)
         places = [firsts[block.number] + some for block, some in zip(found.blocks, found.places, strict=True)]
@@ -112,9 +110,5 @@ def _blended(divided: Divided, view: int, camera: Camera, rasterizer: Rasterizer
         blended = np.load(path, allow_pickle=False).astype(np.int64)
     except (OSError, ValueError, EOFError) as error:
         raise FormatError(f"{path}: cannot be read ({error}); remove it, and start the step again") from None
-    return [
-        some - first
-        for some, first in zip(
-            np.split(blended, np.searchsorted(blended, firsts[1:-1])), firsts, strict=False
-        )
-    ]
+    parts = np.split(blended, np.searchsorted(blended, firsts[1:-1]))
+    return [some - first for some, first in zip(parts, firsts, strict=False)]

@@ -45,13 +45,8 @@ class Tasks:
 
     def __init__(self, folder: Path, identity: str, resume: bool):
         """identity: of settings and inputs. Raises FormatError if the job in the folder is another one."""
-        self._path, self._identity, self.total, self.done, self._most = (
-            folder / FILE,
-            identity,
-            0,
-            list[str](),
-            0.0,
-        )
+        self._path, self._identity = folder / FILE, identity
+        self.total, self.done, self._most = 0, list[str](), 0.0
         found = _read(self._path) if resume else None
         if found is None:
             self._path.unlink(missing_ok=True)
