@@ -72,8 +72,8 @@ class Likeness:
 
     def psnrs(self, scene: Renderable, step: str = "compare") -> list[float]:
         """PSNR in dB of each view; infinite where the pictures are equal. Raises SplatError."""
-        pairs = zip(self._pairs(scene, step), self.views, strict=True)
-        return [psnr(picture, original, camera.valid_share) for (picture, original, _), camera in pairs]
+        pairs = self._pairs(scene, step)
+        return [psnr(picture, original, camera.valid_share) for camera, picture, original, _ in pairs]
 
     def psnr(self, scene: Renderable) -> float:
         """Mean PSNR in dB, that of equal pictures as EQUAL, of at least one view. Raises SplatError."""
@@ -84,16 +84,15 @@ class Likeness:
         original had the error PHOTOGRAPHED. measure: a key of MEASURES. Raises SplatError."""
         if measure == "psnr":
             return assumed_psnr(self.psnrs(scene))
-        pairs = zip(self._pairs(scene, "compare"), self.views, strict=True)
         return fmean(
             quality_of_view(picture, original, camera, measure, 0.0, number)
-            for number, ((picture, original, _), camera) in enumerate(pairs)
+            for number, (camera, picture, original, _) in enumerate(self._pairs(scene, "compare"))
         )
 
     def worst(self, scene: Renderable) -> Worst | None:
         """Where a scene differs most. Raises SplatError."""
-        pairs = zip(self._pairs(scene, "compare"), self.views, strict=True)
-        return worst_of((camera.name, original, picture) for (picture, original, _), camera in pairs)
+        pairs = self._pairs(scene, "compare")
+        return worst_of((camera.name, original, picture) for camera, picture, original, _ in pairs)
 
     def measured(self, scene: Renderable) -> dict[str, Any]:
         """Means over the views: psnr (dB, that of equal pictures as EQUAL), ssim, lpips (None if it is not
@@ -102,8 +101,7 @@ class Likeness:
         milliseconds: list[float] = []
 
         def pairs() -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray | None]]:
-            pairs = zip(self._pairs(scene, "measure"), self.views, strict=True)
-            for (picture, original, seconds), camera in pairs:
+            for camera, picture, original, seconds in self._pairs(scene, "measure"):
                 milliseconds.append(1e3 * seconds)
                 yield picture, original, camera.valid
 
@@ -133,21 +131,19 @@ class Likeness:
             if not almost_empty(picture, self._background)
         ]
 
-    def _pairs(self, scene: Renderable, step: str) -> Iterator[tuple[np.ndarray, np.ndarray, float]]:
-        """Of each view the picture of the scene, that of the original, and the seconds of the first one."""
+    def _pairs(self, scene: Renderable, step: str) -> Iterator[tuple[Camera, np.ndarray, np.ndarray, float]]:
+        """Of each view its camera, the picture of the scene, that of the original, and the seconds of the
+        first one."""
         pictures = self._pictures(scene, self.views, step)
-        for (picture, seconds), (_, original) in zip(pictures, self._originals, strict=True):
-            yield picture, original, seconds
+        for (picture, seconds), (camera, original) in zip(pictures, self._originals, strict=True):
+            yield camera, picture, original, seconds
 
     def _pictures(
         self, scene: Renderable, views: Sequence[Camera], step: str
     ) -> Iterator[tuple[np.ndarray, float]]:
         """What each view shows, (H, W, 3), rounded to 8 bits, and the seconds to render it."""
-        renderer, options, progress = (
-            self._renderer_of(),
-            picture_options(scene, self._background),
-            self._progress_of(step),
-        )
+        renderer, progress = self._renderer_of(), self._progress_of(step)
+        options = picture_options(scene, self._background)
         for number, camera in enumerate(views):
             progress(f"renders the view {camera.name or number}", number / len(views))
             started = time.perf_counter()
