@@ -29,6 +29,12 @@ from .options import (
 )
 from .progress import Reporter
 
+# options that a plan takes as they are; and those of a pruning that its context does
+SAME = (
+    "lambda_f", "lambda_m", "seed", "background", "views_by_loss", "exposure", "refine_poses", "schedule",
+)  # fmt: skip
+OF_CONTEXT = ("report", "force", "scene", "levels")
+
 
 def plan_of_training(options: TrainOptions) -> Plan:
     """The plan of `svrgs train`. Raises SceneError if the options contradict each other."""
@@ -135,16 +141,9 @@ def _settings(options: TuningOptions) -> dict[str, Any]:
     a number of steps."""
     refuse_time_and_steps(type(options), given(options))
     return {
-        "lambda_f": options.lambda_f,
-        "lambda_m": options.lambda_m,
-        "seed": options.seed,
+        **{name: getattr(options, name) for name in SAME},
         "full": not options.visible_mask,
-        "background": options.background,
-        "views_by_loss": options.views_by_loss,
-        "exposure": options.exposure,
-        "refine_poses": options.refine_poses,
         "mask_distractors": isinstance(options, PruneOptions) and options.mask_distractors,
-        "schedule": options.schedule,
     }
 
 
@@ -172,10 +171,12 @@ def context_of(options: TrainOptions | PruneOptions) -> JobContext:
     """Where a job writes, what it reads, and its progress on stderr."""
     assert options.out is not None
     reporter = Reporter(options.quiet)
-    prunes = options if isinstance(options, PruneOptions) else None
-    asked = options.lpips_weights is not None or bool(prunes and prunes.max_lpips)
+    of_pruning: dict[str, Any] = {}
+    if isinstance(options, PruneOptions):
+        of_pruning = {name: getattr(options, name) for name in OF_CONTEXT}
+    asked = options.lpips_weights is not None or bool(getattr(options, "max_lpips", 0.0))
     try:  # it takes seconds a view: unasked, it is measured for a report alone
-        measured = asked or (prunes and prunes.report)
+        measured = asked or of_pruning.get("report")
         lpips, missing = load_lpips(options.lpips_weights or (None if measured else ""))
     except FormatError as error:
         if asked:
@@ -183,12 +184,9 @@ def context_of(options: TrainOptions | PruneOptions) -> JobContext:
         lpips, missing = None, str(error)
     return JobContext(
         options.out,
-        prunes.report if prunes else None,
-        options.resume,
-        options.engine,
-        force=prunes.force if prunes else False,
-        scene=prunes.scene if prunes else None,
-        levels=prunes.levels if prunes else (),
+        resume=options.resume,
+        engine=options.engine,
+        **of_pruning,
         lpips=lpips,
         lpips_asked=asked,
         lpips_missing=missing,
