@@ -100,19 +100,15 @@ class Pace:
     def training(self, plan: Plan, recorded: tuple[int, int] = (0, 0)) -> float:
         """Seconds of `svrgs train` without reading the points and writing the splat. recorded: as for
         pruning()."""
-        grown = (
-            max((growth(phase, self.count)[1] for phase in plan.phases), default=1.0) ** (1 / GROWTH_POWER)
-            * self.count
-        )
+        longest = max((growth(phase, self.count)[1] for phase in plan.phases), default=1.0)
+        grown = longest ** (1 / GROWTH_POWER) * self.count
         share = plan.share or (plan.target / grown if plan.target else UNKNOWN_SHARE)
         return self._measuring(1) + self._run(plan, min(1.0, share), recorded[0])
 
     def _run(self, plan: Plan, share: float, recorded: int) -> float:
         """Seconds of all steps of the plan and of what is done between them."""
-        # of a step
-        point = (self.point + recorded * self.drawn) * min(
-            CURVE_POINTS / max(1, plan.total), 1 / LEAST_BETWEEN
-        )
+        points = min(CURVE_POINTS / max(1, plan.total), 1 / LEAST_BETWEEN)  # of the curves, for each step
+        point = (self.point + recorded * self.drawn) * points
         total, grown, left = 0.0, 1.0, share if plan.method.ranks and not plan.prunes else 1.0
         for phase in plan.phases:
             passes = plan.method.ranking_passes(plan, phase.steps, share) if phase.active else []
@@ -120,9 +116,9 @@ class Pace:
                 passes = [(1.0, after) for _, after in passes]
             parts = gradual(share) if phase.active and not passes else between(passes, left)
             mean, grown = growth(phase, self.count) if phase.densify else (grown, grown)
-            total += phase.steps * (self.step + point) * mean * sum(
-                length * n**self.power for length, n in parts
-            ) + grown * self._ranking_seconds(passes, left)
+            pace = sum(length * n**self.power for length, n in parts)
+            total += phase.steps * (self.step + point) * mean * pace
+            total += grown * self._ranking_seconds(passes, left)
             left = share if phase.active else left
         return total + self._ordering(plan, left) + self._drop(plan, share) + self._reading(plan.total)
 
@@ -133,15 +129,9 @@ class Pace:
     def _cut(self, plan: Plan, share: float) -> float:
         """Seconds of what precedes the steps: the first cut, and the cut of a method that ranks."""
         first = self.train_views * self.drawn if plan.min_contribution else 0.0
-        return (
-            first
-            + MERGING_STEPS * plan.method.merges * self.step
-            + (
-                self._ranking_seconds(plan.method.ranking_passes(plan, 0, share), 1.0)
-                if plan.method.ranks
-                else 0.0
-            )
-        )
+        merging = MERGING_STEPS * plan.method.merges * self.step
+        passes = plan.method.ranking_passes(plan, 0, share) if plan.method.ranks else []
+        return first + merging + self._ranking_seconds(passes, 1.0)
 
     def _ranking_seconds(self, passes: list[tuple[float, float]], left: float) -> float:
         """Seconds of ranking passes. left: Gaussians before the first one."""
@@ -152,10 +142,8 @@ class Pace:
     def _ordering(self, plan: Plan, left: float) -> float:
         """Seconds of the order of a nested result: ranking passes over fewer and fewer Gaussians.
         Its quicker steps are not foreseen."""
-        passes = (
-            [(0.0, left * plan.nested ** (k / SIZES)) for k in range(1, SIZES + 1)] if plan.nested else []
-        )
-        return self._ranking_seconds(passes, left)
+        sizes = range(1, SIZES + 1) if plan.nested else ()
+        return self._ranking_seconds([(0.0, left * plan.nested ** (k / SIZES)) for k in sizes], left)
 
     def _drop(self, plan: Plan, share: float) -> float:
         """Seconds of holding a loss of quality: its measure on a few views, and ranking passes in the
@@ -186,15 +174,15 @@ def pace_of(scene: Scene, dataset: Dataset, plan: Plan, lpips: Callable | None =
     _read_some(dataset, views)
     ranked_views = [dataset.cameras[index] for index in spread(train)[:RANKED_VIEWS]]
     passes = bool(plan.method.ranking_passes(plan, max(1, plan.total), 1.0))
-    ranking = lambda: (plan.method.score if passes else removal_errors)(
-        scene, ranked_views, rasterizer, options
-    )
+    look = plan.method.score if passes else removal_errors
+    ranking = lambda: look(scene, ranked_views, rasterizer, options)
     drawn = _seconds(lambda: mean_quality(scene, dataset, views, rasterizer, options)) / len(views)
     measure = lambda: evaluate(
         scene, dataset, views, rasterizer, lpips, plan.exposure == "on", plan.refine_poses == "on"
     )
     judge = lambda: mean_quality(scene, dataset, views, rasterizer, options, measure=plan.measure)
     judging = min(len(quality_views(dataset)), BLOCKS if plan.measure == "lpips" else VIEWS) / len(views)
+    in_memory = sum(3 * dataset.cameras[index].width * dataset.cameras[index].height for index in train)
     step = _step(scene, replace(dataset, train_indices=shown), plan)
     return Pace(
         count=scene.count,
@@ -207,12 +195,7 @@ def pace_of(scene: Scene, dataset: Dataset, plan: Plan, lpips: Callable | None =
         photograph=photograph,
         train_views=len(train),
         test_views=len(test),
-        uncached=max(
-            0.0,
-            1
-            - dataset.memory_budget
-            / sum(3 * dataset.cameras[index].width * dataset.cameras[index].height for index in train),
-        ),
+        uncached=max(0.0, 1 - dataset.memory_budget / in_memory),
         step=step,
         power=_power(step, scene, replace(dataset, train_indices=shown), plan),
     )
