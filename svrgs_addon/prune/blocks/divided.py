@@ -114,31 +114,27 @@ class Divided:
                 Block(folder, k, int(n), np.array(low), np.array(high), float(size))
                 for k, (n, low, high, size) in enumerate(found["blocks"])
             )
-            facts = {
-                "source_bytes": int(found["source_bytes"]),
-                "count": int(found["count"]),
-                "coefficients": int(found["coefficients"]),
-            }
-            return cls(
-                folder, Path(found["source"]), **facts, antialiased=bool(found["antialiased"]), blocks=blocks
-            )
+            facts = {name: int(found[name]) for name in ("source_bytes", "count", "coefficients")}
+            antialiased = bool(found["antialiased"])
+            return cls(folder, Path(found["source"]), **facts, antialiased=antialiased, blocks=blocks)
         except (KeyError, TypeError, ValueError):
             raise FormatError(
                 f"{path}: is no divided scene of this version; divide the scene again"
             ) from None
 
-    def facts(self) -> dict[str, Any]:
-        """The contents of blocks.json."""
-        blocks = [[one.count, one.low.tolist(), one.high.tolist(), one.largest] for one in self.blocks]
-        return {
+    def write(self):
+        """Writes blocks.json. Raises SceneError."""
+        facts = {
             "schema": SCHEMA,
             "source": str(self.source),
             "source_bytes": self.source_bytes,
             "count": self.count,
             "coefficients": self.coefficients,
             "antialiased": self.antialiased,
-            "blocks": blocks,
+            "blocks": [[one.count, one.low.tolist(), one.high.tolist(), one.largest] for one in self.blocks],
         }
+        with atomic_write(self.folder / INDEX) as file:
+            file.write(json.dumps(facts).encode())
 
     @property
     def bytes(self) -> int:
@@ -195,13 +191,9 @@ def divide(
     means, coefficients, antialiased = _means(source, read)
     size = len(means) * 4 * (WIDTH + 3 * coefficients + 1)
     check_space(folder / INDEX, size)
-    parts = list(
-        leaves(
-            means,
-            np.arange(len(means), dtype=np.uint32),
-            most if isinstance(most, int) else most(len(means), coefficients),
-        )
-    )
+    if not isinstance(most, int):
+        most = most(len(means), coefficients)
+    parts = list(leaves(means, np.arange(len(means), dtype=np.uint32), most))
     block_of = np.empty(len(means), np.uint32)
     for number, rows in enumerate(parts):
         block_of[rows] = number
@@ -223,8 +215,7 @@ def divide(
         Block(folder, k, n, low, high, float(largest[k])) for k, (low, high, n) in enumerate(boxes)
     )
     divided = Divided(folder, source, size_on_disk(source), len(block_of), coefficients, antialiased, blocks)
-    with atomic_write(folder / INDEX) as file:
-        file.write(json.dumps(divided.facts()).encode())
+    divided.write()
     return divided
 
 
@@ -254,15 +245,10 @@ def gathered(folder: Path, like: Divided) -> Divided:
                 f"{folder}: the block {number} is missing; do the step before it first"
             ) from None
         one = Block(folder, number, count, np.zeros(3), np.zeros(3), 0.0)
-        means = one.geometry[:, :3]
-        blocks.append(
-            replace(
-                one, low=means.min(axis=0), high=means.max(axis=0), largest=float(one.geometry[:, 3:6].max())
-            )
-        )
+        means, largest = one.geometry[:, :3], float(one.geometry[:, 3:6].max())
+        blocks.append(replace(one, low=means.min(axis=0), high=means.max(axis=0), largest=largest))
     divided = replace(like, folder=folder, count=sum(one.count for one in blocks), blocks=tuple(blocks))
-    with atomic_write(folder / INDEX) as file:
-        file.write(json.dumps(divided.facts()).encode())
+    divided.write()
     return divided
 
 

@@ -38,14 +38,13 @@ from ...finetune.plan import Plan, scaled
 from ...finetune.run import Run
 from ...finetune.settings import Phase
 from ...scene.gaussians import Scene
-from ...system import memory
 from ...system.errors import Cancelled, FormatError, SceneError
 from ...views.dataset import Dataset
 from ..first_cut import first_cut
 from .divided import Divided, Progress, clear, gathered, write_block
 from .merging import counts
 from .surroundings import BLENDED, Around
-from .tuning import CUT, TUNED, emptied, level, write_own
+from .tuning import CUT, TUNED, emptied, level, refuse_tuning, write_own
 
 # folder of the level of detail that takes the place of other blocks, and its share of the Gaussians
 AROUND, AROUND_SHARE = "around", 0.25
@@ -62,17 +61,11 @@ class BlockViews(Dataset):
     @classmethod
     def of(cls, dataset: Dataset, around: Around) -> BlockViews:
         """around: of the training views."""
-        windows = {
-            view: window.slices
-            for view, window in zip(dataset.train_indices, around.windows, strict=True)
-            if window
-        }
+        pairs = zip(dataset.train_indices, around.windows, strict=True)
+        windows = {view: window.slices for view, window in pairs if window}
         same = {field.name: getattr(dataset, field.name) for field in fields(dataset)}
-        return cls(
-            **same | {"train_indices": list(windows), "test_indices": []},
-            windows=windows,
-            extent_of_all=dataset.extent,
-        )
+        same |= {"train_indices": list(windows), "test_indices": []}
+        return cls(**same, windows=windows, extent_of_all=dataset.extent)
 
     @property
     def extent(self) -> float:
@@ -129,8 +122,7 @@ def decide(
     scene, (first, end) = around.scene, around.own
     inside = np.zeros(scene.count, bool)
     inside[first:end] = True
-    cameras = [views.cameras[view] for view in views.train_indices]
-    kept = ~inside | first_cut(scene, cameras, plan, target, inside)
+    kept = ~inside | first_cut(scene, views.training_cameras, plan, target, inside)
     scene, own = scene if kept.all() else scene.select(kept), (first, first + int(kept[first:end].sum()))
     frozen = 0 if plan.method.learns_masks else scene.count - (own[1] - own[0])
     run_plan = _of_part(plan, True, _share(views, dataset), own, target and target + frozen)
@@ -170,9 +162,7 @@ def _around(
 ) -> tuple[Around, BlockViews]:
     """What is around a block in the training views, with all of the block; and the views that show it.
     others: as for Around.of()."""
-    around = Around.of(
-        divided, number, [dataset.cameras[view] for view in dataset.train_indices], progress, others
-    )
+    around = Around.of(divided, number, dataset.training_cameras, progress, others)
     around.there[number][:] = True
     return around, BlockViews.of(dataset, around)
 
@@ -206,12 +196,7 @@ def _run(
 ) -> tuple[Scene, np.ndarray]:
     """The scene after all steps of the plan, and the rows of the block in it. The arrays of the given scene
     are changed. kept_at: folder of the checkpoints."""
-    cameras = [views.cameras[view] for view in views.train_indices]
-    needed = memory.tuning(scene.count, divided.coefficients, cameras, views.memory_budget)
-    memory.refuse_excess(
-        f"{divided.source}: fine-tuning the {scene.count:,} Gaussians in and around the block {number}",
-        needed,
-    )
+    refuse_tuning(divided, number, scene, views.training_cameras, views.memory_budget)
     run = Run(Model.of(scene, copy=False), views, plan, NativeEngine(), scene.antialiased)
     identity = checkpoint.identity_of(run.model, views, plan, "native")
     try:
@@ -227,10 +212,8 @@ def _run(
 
     def observe(reached: loop.Progress):
         try:
-            progress(
-                f"block {number}, {reached.count:,} Gaussians: {reached.label}",
-                0.5 + 0.5 * reached.iteration / reached.total,
-            )
+            text = f"block {number}, {reached.count:,} Gaussians: {reached.label}"
+            progress(text, 0.5 + 0.5 * reached.iteration / reached.total)
         except Cancelled:
             save()
             raise

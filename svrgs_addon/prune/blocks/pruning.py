@@ -41,9 +41,8 @@ def finish(divided: Divided, likeness: Likeness, out: Path, progress_of: Progres
     JSON result. Raises SplatError.
     """
     facts = write_left(divided, likeness, out)
-    result = facts | _figures(
-        divide(out, divided.folder / RESULT, progress=progress_of("read")), likeness, out, size_on_disk(out)
-    )
+    written = divide(out, divided.folder / RESULT, progress=progress_of("read"))
+    result = facts | _figures(written, likeness, out, size_on_disk(out))
     return result | {"notes": result_notes(likeness, result)}
 
 
@@ -67,11 +66,8 @@ def finish_learned(
     gathered(divided.folder / CUT, divided)
     result = finish(divided, likeness, out, progress_of)
     before = {**likeness.measured(divided), "ms_per_frame": None, **result["before"]}
-    notes = [
-        *dataset.notes,
-        *check_explained(divided, dataset, str(divided.source), True, BlockRasterizer()),
-        *result["notes"],
-    ]
+    doubts = check_explained(divided, dataset, str(divided.source), True, BlockRasterizer())
+    notes = [*dataset.notes, *doubts, *result["notes"]]
     return result | {"method": request.method, "seed": request.seed, "before": before, "notes": notes}
 
 
@@ -81,13 +77,8 @@ def write_left(divided: Divided, likeness: Likeness, out: Path) -> dict[str, Any
     left, facts = _settled(divided, likeness)
     write_joined(left, out)
     before = {"count": divided.count, "bytes": divided.source_bytes}
-    return {
-        "scene": str(divided.source),
-        "method": "merge",
-        "blocks": len(divided.blocks),
-        **facts,
-        "before": before,
-    }
+    what = {"scene": str(divided.source), "method": "merge", "blocks": len(divided.blocks)}
+    return what | facts | {"before": before}
 
 
 def _figures(written: Divided, likeness: Likeness, out: Path, size: int) -> dict[str, Any]:
@@ -124,9 +115,8 @@ def join_levels(
     """Writes levels of detail as one streamed SOG, and measures each. files: their PLYs, the finest one
     first. Returns for each the part of finish()'s result that comes from the output. Raises SplatError."""
     with contextlib.ExitStack() as stack:
-        streamed_sog.write_levels(
-            out, [stack.enter_context(mapped_scene(load_parts(path), out)) for path in files]
-        )
+        levels = [stack.enter_context(mapped_scene(load_parts(path), out)) for path in files]
+        streamed_sog.write_levels(out, levels)
     results = []
     for level in range(len(files)):
         read = partial(streamed_sog.read_level, level=level, max_count=MAX_IN_PARTS)

@@ -119,6 +119,5 @@ def _scores(path: Path, count: int) -> np.ndarray:
 
 def _key(divided: Divided, cameras: Sequence[Camera]) -> str:
     """Of the scene and the cameras, in hexadecimal digits: sums of others are not added."""
-    return hashlib.sha256(divided.digest.encode() + b"".join(camera.key for camera in cameras)).hexdigest()[
-        :16
-    ]
+    digest = hashlib.sha256(divided.digest.encode() + b"".join(camera.key for camera in cameras))
+    return digest.hexdigest()[:16]

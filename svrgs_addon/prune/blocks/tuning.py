@@ -84,9 +84,8 @@ def _error(divided: Divided, left: Divided, views: Sequence[Camera]) -> float:
     for view in evenly(range(len(views)), ERROR_VIEWS):
         scene, _ = seen(left, views[view], rasterizer)
         picture = rasterizer.forward(scene, views[view], picture_options(scene))["rgb"]
-        squares.append(
-            float(np.square(picture - _picture(divided, view, views[view])).mean(dtype=np.float64))
-        )
+        difference = picture - _picture(divided, view, views[view])
+        squares.append(float(np.square(difference).mean(dtype=np.float64)))
     return fmean(squares) ** 0.5
 
 
@@ -102,19 +101,21 @@ def tune(
         for view, (camera, window) in enumerate(zip(views, around.windows, strict=True))
     ]
     scene, (first, end) = around.scene, around.own
-    needed = memory.tuning(
-        scene.count, left.coefficients, views, sum(one.picture.nbytes for one in training if one)
-    )
-    memory.refuse_excess(
-        f"{divided.source}: fine-tuning the {scene.count:,} Gaussians in and around the block {number}",
-        needed,
-    )
+    refuse_tuning(divided, number, scene, views, sum(one.picture.nbytes for one in training if one))
     middle = middle_scale(np.concatenate([block.geometry[:, 3:6] for block in left.blocks]))
     progress(f"block {number}, {scene.count:,} Gaussians", 0.5)
-    tuned = refit(
-        scene, training, steps, pace_for(_error_of(left)), middle, render_options(scene), 0, lambda: False
-    )
+    pace = pace_for(_error_of(left))
+    tuned = refit(scene, training, steps, pace, middle, render_options(scene), 0, lambda: False)
     write_own(left, number, around.there[number], tuned.select(np.arange(first, end)))
+
+
+def refuse_tuning(divided: Divided, number: int, scene: Scene, views: Sequence[Camera], kept: int):
+    """Raises MemoryShort if memory is too short to fine-tune a block with what is around it, in these views.
+    kept: bytes of pictures that stay in memory."""
+    memory.refuse_excess(
+        f"{divided.source}: fine-tuning the {scene.count:,} Gaussians in and around the block {number}",
+        memory.tuning(scene.count, divided.coefficients, views, kept),
+    )
 
 
 def _error_of(left: Divided) -> float:
@@ -133,12 +134,8 @@ def mixed(divided: Divided, tuned: Divided, share: float) -> Divided:
         return tuned if share else left
     folder.mkdir(exist_ok=True)
     for one, other in zip(left.blocks, tuned.blocks, strict=True):
-        write_block(
-            folder,
-            one.number,
-            interpolated(scene_of(left, one), scene_of(tuned, other), share),
-            int(one.rows[0]),
-        )
+        scene = interpolated(scene_of(left, one), scene_of(tuned, other), share)
+        write_block(folder, one.number, scene, int(one.rows[0]))
     return gathered(folder, left)
 
 
@@ -149,11 +146,10 @@ def tuned_blocks(divided: Divided) -> Divided | None:
 
 
 def _training_view(divided: Divided, view: int, camera: Camera, window: Window | None) -> TrainingView | None:
-    return (
-        TrainingView(camera, _picture(divided, view, camera)[window.slices].astype(np.float32), window.slices)
-        if window
-        else None
-    )
+    if window is None:
+        return None
+    picture = _picture(divided, view, camera)[window.slices].astype(np.float32)
+    return TrainingView(camera, picture, window.slices)
 
 
 def _picture(divided: Divided, view: int, camera: Camera) -> np.ndarray:

@@ -9,7 +9,7 @@ small, or too faint.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -49,17 +49,13 @@ def shown(divided: Divided, camera: Camera, rasterizer: Rasterizer) -> Shown:
     """What a view shows. Raises SplatError."""
     near, places = _in_view(divided, camera)
     blended = [np.zeros(block.count, bool) for block in near]
-    for window, some in _parts(
-        near, places, camera, Window.of(camera), _portion(sum(map(len, places)), camera)
-    ):
-        for marked, part, found in zip(
-            blended, some, _blended(divided, near, some, camera, window, rasterizer), strict=True
-        ):
-            marked[part[found]] = True
-    kept = [
-        (block, np.flatnonzero(marked)) for block, marked in zip(near, blended, strict=True) if marked.any()
-    ]
-    blocks, places = [block for block, _ in kept], [some for _, some in kept]
+    portion = _portion(sum(map(len, places)), camera)
+    for window, some in _parts(near, places, camera, Window.of(camera), portion):
+        found = _blended(divided, near, some, camera, window, rasterizer)
+        for marked, part, in_part in zip(blended, some, found, strict=True):
+            marked[part[in_part]] = True
+    blocks = [block for block, marked in zip(near, blended, strict=True) if marked.any()]
+    places = [np.flatnonzero(marked) for marked in blended if marked.any()]
     return Shown(blocks, places, *_read(divided, blocks, places, camera))
 
 
@@ -67,15 +63,8 @@ def seen(divided: Divided, camera: Camera, rasterizer: Rasterizer) -> tuple[Scen
     """The Gaussians that a view blends or that stop its rays, and perhaps a few others, in the order of the
     file, in colours as it sees them (SH degree 0), and their rows in the file (n,). Raises SplatError."""
     found = shown(divided, camera, rasterizer)
-    with ThreadPoolExecutor(threads()) as pool:
-        sh = _joined(
-            list(
-                pool.map(
-                    lambda block, some: _colors(block, some, divided, camera), found.blocks, found.places
-                )
-            ),
-            (1, 3),
-        )
+    colours = _each(lambda block, some: _colors(block, some, divided, camera), found.blocks, found.places)
+    sh = _joined(colours, (1, 3))
     return replace(found.scene, sh=sh[found.order]), found.rows
 
 
@@ -88,22 +77,25 @@ def spatial_mask(divided: Divided, camera: Camera, rasterizer: Rasterizer) -> np
     for block, places in zip(*_in_view(divided, camera), strict=True):
         for start in range(0, len(places), PORTION):
             _, _, scene = _read(divided, [block], [places[start : start + PORTION]], camera)
-            found = rasterizer.forward(
-                scene, camera, picture_options(scene, mask_kind="svr"), outputs=("hits", "transmittance")
-            )
+            options = picture_options(scene, mask_kind="svr")
+            found = rasterizer.forward(scene, camera, options, outputs=("hits", "transmittance"))
             hits += found["hits"]
             transmittance *= found["transmittance"]
-    return np.divide(hits - 1 + transmittance, np.log1p(hits), out=np.zeros(shape), where=hits > 0).astype(
-        np.float32
-    )
+    mask = np.divide(hits - 1 + transmittance, np.log1p(hits), out=np.zeros(shape), where=hits > 0)
+    return mask.astype(np.float32)
 
 
 def _in_view(divided: Divided, camera: Camera) -> tuple[list[Block], list[np.ndarray]]:
     """The blocks that a view may show, and of each the places of the Gaussians that it may show,
     ascending."""
     near = [block for block in divided.blocks if may_show(block, camera)]
+    return near, _each(lambda block: places_in(block, camera), near)
+
+
+def _each(work: Callable[..., np.ndarray], *arguments: Sequence) -> list[np.ndarray]:
+    """What the work gives for each of the arguments, by all threads."""
     with ThreadPoolExecutor(threads()) as pool:
-        return near, list(pool.map(lambda block: places_in(block, camera), near))
+        return list(pool.map(work, *arguments))
 
 
 def _portion(count: int, camera: Camera) -> int:
@@ -127,12 +119,7 @@ def _parts(
         yield window, places
         return
     for half in window.halves():
-        with ThreadPoolExecutor(threads()) as pool:
-            inside = list(
-                pool.map(
-                    lambda some, block, half=half: places_among(some, block, camera, half), places, blocks
-                )
-            )
+        inside = _each(lambda some, block, half=half: places_among(some, block, camera, half), places, blocks)
         yield from _parts(blocks, inside, camera, half, portion)
 
 
@@ -159,10 +146,8 @@ def _blended(
 
 def _wide(block: Block, some: np.ndarray, camera: Camera) -> np.ndarray:
     """Which of these Gaussians of a block reach farther than REACH, (n,) bool."""
-    discs = [
-        Discs.of_geometry(block.geometry[some[start : start + PART]], camera)
-        for start in range(0, len(some), PART)
-    ]
+    parts = (block.geometry[some[start : start + PART]] for start in range(0, len(some), PART))
+    discs = (Discs.of_geometry(part, camera) for part in parts)
     return np.concatenate([np.zeros(0, bool), *(disc.right - disc.left > 2 * REACH for disc in discs)])
 
 
@@ -176,11 +161,9 @@ def _read(
         f"{divided.source}: rendering the {count:,} Gaussians of the view {camera.name}",
         _needed(count, camera),
     )
-    with ThreadPoolExecutor(threads()) as pool:
-        geometry = _joined(list(pool.map(lambda block, some: block.geometry[some], blocks, places)), (WIDTH,))
-    rows = _joined([block.rows[some] for block, some in zip(blocks, places, strict=True)], ()).astype(
-        np.uint32
-    )
+    geometry = _joined(_each(lambda block, some: block.geometry[some], blocks, places), (WIDTH,))
+    rows = _joined([block.rows[some] for block, some in zip(blocks, places, strict=True)], ())
+    rows = rows.astype(np.uint32)
     order = np.argsort(rows, kind="stable")
     scene = Scene(
         **arrays_of(geometry[order]), sh=np.zeros((count, 1, 3), np.float32), antialiased=divided.antialiased

@@ -198,14 +198,9 @@ class MergedByBlocks(ByBlocks):
         for share, path in zip(self.shares, self.files, strict=True):
             left = cut(divided, self.scored, max(1, round(share * self.count)), progress_of("cut"))
             wanted = EPOCHS * len(self.scored) if self.steps is None else self.steps
-            for number in range(len(left.blocks) if wanted and left.count < divided.count else 0):
-                tune(
-                    divided,
-                    number,
-                    self.scored,
-                    wanted,
-                    _part(progress_of("tune"), number, len(left.blocks)),
-                )
+            for number in range(len(left.blocks)) if wanted and left.count < divided.count else ():
+                progress = _part(progress_of("tune"), number, len(left.blocks))
+                tune(divided, number, self.scored, wanted, progress)
             write = write_left if self.streamed else partial(finish, progress_of=progress_of)
             self.results.append(write(divided, self.likeness, path))
         if self.streamed:
@@ -374,11 +369,8 @@ def _identity(
     """Digest of all that must be the same in a job that is continued; where its files lie may differ. Raises
     SceneError."""
     settings = replace(request, data="", images="", masks="", image_memory=0.0)
-    digest = hashlib.sha256(
-        repr(
-            (scene_sha256(source), goal, block, settings, [[camera.key for camera in some] for some in views])
-        ).encode()
-    )
+    cameras = [[camera.key for camera in some] for some in views]
+    digest = hashlib.sha256(repr((scene_sha256(source), goal, block, settings, cameras)).encode())
     for part in dataset.inputs():
         digest.update(part)
     return digest.hexdigest()
