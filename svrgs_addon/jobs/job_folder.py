@@ -46,7 +46,6 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -134,16 +133,8 @@ class JobFolder:
         return folder
 
     def _write_request(self, kind: str, name: str, count: int, options: dict, digest: str = ""):
-        request = {
-            "schema": SCHEMA,
-            "version": __version__,
-            "kind": kind,
-            "name": name,
-            "count": count,
-            "digest": digest,
-            "options": options,
-        }
-        self.write_json("job.json", request)
+        request = {"schema": SCHEMA, "version": __version__, "kind": kind, "name": name, "count": count}
+        self.write_json("job.json", request | {"digest": digest, "options": options})
         self.write_json("state.json", {"state": "new"})
 
     def __truediv__(self, name: str) -> Path:
@@ -151,17 +142,11 @@ class JobFolder:
 
     def request(self) -> dict:
         """job.json, checked: kind, name, count (0 for a job that trains), options. Raises FormatError."""
-        request = self._json("job.json")
-        if request is None or request.get("schema") != SCHEMA:
+        request = self._json("job.json") or {}
+        kind, count = request.get("kind"), request.get("count")
+        if request.get("schema") != SCHEMA or kind not in (PRUNE, TRAIN):
             raise FormatError(f"{self / 'job.json'}: is no job of this version")
-        kind = request.get("kind")
-        if not isinstance(kind, str) or kind not in OPTIONS:
-            raise FormatError(f"{self / 'job.json'}: is no job of this version")
-        if (
-            not isinstance(request.get("name"), str)
-            or not _is(int, request.get("count"))
-            or request["count"] < (kind == PRUNE)
-        ):
+        if not isinstance(request.get("name"), str) or not _is(int, count) or count < (kind == PRUNE):
             raise FormatError(
                 f"{self / 'job.json'}: the name of the splat or its number of Gaussians is missing"
             )
@@ -184,12 +169,11 @@ class JobFolder:
     def options(self) -> PruneOptions | TrainOptions:
         """All options of the job, with the paths of its input and output. Raises FormatError."""
         request = self.request()
-        paths: dict[str, Any] = {"out": self / "recovered.ply"} | (
-            {"scene": self / "scene.ply"} if request["kind"] == PRUNE else {}
-        )
-        cls = OPTIONS[request["kind"]]
-        if request["kind"] == PRUNE and (self / CAMERAS).is_file():
-            paths["cameras"] = self / CAMERAS
+        cls, paths = OPTIONS[request["kind"]], {"out": self / "recovered.ply"}
+        if request["kind"] == PRUNE:
+            paths["scene"] = self / "scene.ply"
+            if (self / CAMERAS).is_file():
+                paths["cameras"] = self / CAMERAS
         options = check_mapping(cls, request["options"])
         # a quick job has no checkpoints
         return cls(**(options | paths), resume=not options.get("quick"), quiet=True)
@@ -211,11 +195,8 @@ class JobFolder:
         count, file = self.request()["count"], self / "scene.ply"
         try:
             with open_regular(file) as stream:
-                (stored,) = [
-                    element.count
-                    for element in parse_header(stream.read(MAX_HEADER_BYTES)).elements
-                    if element.name == "vertex"
-                ]
+                elements = parse_header(stream.read(MAX_HEADER_BYTES)).elements
+            (stored,) = [element.count for element in elements if element.name == "vertex"]
         except (OSError, ValueError, FormatError) as error:
             raise FormatError(f"{file}: cannot be read ({error}); discard the job and start again") from None
         if stored != count:
@@ -227,8 +208,7 @@ class JobFolder:
     def state(self) -> dict:
         """The keys of state.json. "state" is "interrupted" if the job has not ended but was not renewed for
         STALE seconds; "missing" without a job."""
-        state = self._json("state.json")
-        state = facts_of(state or {})
+        state = facts_of(self._json("state.json") or {})
         if "state" not in state:
             return {"state": "interrupted" if (self / "job.json").exists() else "missing"}
         if state["state"] not in ENDED and not self.alive():
@@ -285,9 +265,8 @@ class JobFolder:
         """The last lines of log.txt that are not blank."""
         with contextlib.suppress(OSError), open_regular(self / "log.txt") as file:
             file.seek(max(0, file.seek(0, io.SEEK_END) - 4096))
-            return [line for line in file.read().decode(errors="replace").splitlines() if line.strip()][
-                -lines:
-            ]
+            tail = file.read().decode(errors="replace").splitlines()
+            return [line for line in tail if line.strip()][-lines:]
         return []
 
     def write_json(self, name: str, value: dict):
@@ -319,9 +298,8 @@ class JobFolder:
         total = 0
         for entry in self._entries():
             with contextlib.suppress(OSError):  # removed meanwhile
-                total += (
-                    entry.stat(follow_symlinks=False).st_size if entry.is_file(follow_symlinks=False) else 0
-                )
+                if entry.is_file(follow_symlinks=False):
+                    total += entry.stat(follow_symlinks=False).st_size
         return total
 
     def discard(self):

@@ -77,11 +77,9 @@ class JobMain:
             self.tell("STATUS", text="Rendering pictures of the splat")
         recorder = RECORDERS[kind](self.folder, self)
         run: Any = {PRUNE: prune_scene, TRAIN: train_scene}[kind]
+        adapt = lambda job: replace(recorder.attached(job), stop=lambda: job.stop() or bool(self.ending))
         try:
-            result = run(
-                options,
-                lambda job: replace(recorder.attached(job), stop=lambda: job.stop() or bool(self.ending)),
-            )
+            result = run(options, adapt)
         except Cancelled:
             recorder.flush()
             self.tell("STATUS", state=self.ending or "interrupted", text="")
@@ -92,14 +90,11 @@ class JobMain:
     def progress(self, stage: str, label: str, **facts):
         """The loop's progress, told now and then; stage: "looping", or "finishing" when nothing can be taken
         up again."""
-        self._stage = stage
-        now = time.monotonic()
-        if now > self._told + TELL_EVERY or stage == "finishing":
+        self._stage, now, finishing = stage, time.monotonic(), stage == "finishing"
+        if finishing or now > self._told + TELL_EVERY:
             self._told = now
-            finishing = stage == "finishing"
-            self.tell(
-                "PROGRESS", **facts, finishing=finishing, text="Measuring the result" if finishing else label
-            )
+            text = "Measuring the result" if finishing else label
+            self.tell("PROGRESS", **facts, finishing=finishing, text=text)
 
     def _poll_flag(self):
         while True:
@@ -133,9 +128,8 @@ class JobMain:
 
     def _write_state(self):
         self._written = time.monotonic()
-        self.folder.write_json(
-            "state.json", {name: value for name, value in self._state.items() if name != "result"}
-        )
+        state = {name: value for name, value in self._state.items() if name != "result"}
+        self.folder.write_json("state.json", state)
 
 
 def _say(kind: str, facts: dict):

@@ -21,12 +21,8 @@ def draw(metrics: dict[str, np.ndarray], total: int) -> np.ndarray:
     for name, part in (("psnr", picture[:half]), ("count", picture[half:])):
         part[:: half // 4] = GRID
         known = np.isfinite(metrics[name])
-        _line(
-            part,
-            np.clip(metrics["iteration"][known] / max(1, total), 0, 1),
-            metrics[name][known],
-            COLORS[name],
-        )
+        share = np.clip(metrics["iteration"][known] / max(1, total), 0, 1)
+        _line(part, share, metrics[name][known], COLORS[name])
     return picture
 
 
@@ -39,8 +35,7 @@ def _line(part: np.ndarray, x: np.ndarray, y: np.ndarray, color: tuple):
     low, high = y.min(), y.max()
     share = (y - low) / (high - low) if high > low else np.full(len(y), 0.5)
     columns = np.arange(int(x[0] * (width - 1)), int(x[-1] * (width - 1)) + 1)
-    rows = np.interp(columns / (width - 1), x, (MARGIN + (1 - 2 * MARGIN) * share) * (height - THICK)).astype(
-        int
-    )
+    heights = (MARGIN + (1 - 2 * MARGIN) * share) * (height - THICK)
+    rows = np.interp(columns / (width - 1), x, heights).astype(int)
     for column, row, before in zip(columns, rows, np.r_[rows[:1], rows[:-1]], strict=True):
         part[min(row, before) : max(row, before) + THICK, column] = color

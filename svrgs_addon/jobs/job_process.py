@@ -102,10 +102,8 @@ class Job:
         their values."""
         tasks, of = self.folder.tasks()
         if tasks and of:
-            return "Resume continues: {done} of {tasks} tasks by blocks are done", {
-                "done": tasks,
-                "tasks": of,
-            }
+            text = "Resume continues: {done} of {tasks} tasks by blocks are done"
+            return text, {"done": tasks, "tasks": of}
         saved, done = self.folder.checkpoint(), self.facts.get("iteration", 0)
         total = self.facts.get("total", 0) or self._steps()
         if not saved:
@@ -195,10 +193,8 @@ class Job:
             self._ended(status)
         elif self.facts["state"] == "starting" and time.monotonic() > self._started + START_SECONDS:
             self._process.kill()
-            self.facts |= {
-                "state": "failed",
-                "text": f"the process did not start within {START_SECONDS:.0f} s",
-            }
+            text = f"the process did not start within {START_SECONDS:.0f} s"
+            self.facts |= {"state": "failed", "text": text}
         elif (
             self._stopping is not None
             and min(time.monotonic() - self._stopping, self.seconds_silent) > NO_REACTION
@@ -214,13 +210,12 @@ class Job:
         except OSError:  # the disk is full: the end of stdin has the same effect
             self._close_stdin()
         self._stopping = time.monotonic()
-        self.facts["text"] = (
-            "Stopping: a checkpoint is being saved"
-            if self.facts.get("iteration")
-            else "Stopping: no step was done yet"
-        )
         if "share" in self.facts:  # by blocks: not every job can be continued
             self.facts["text"] = "Stopping"
+        elif self.facts.get("iteration"):
+            self.facts["text"] = "Stopping: a checkpoint is being saved"
+        else:
+            self.facts["text"] = "Stopping: no step was done yet"
 
     def kill(self, why: str = ""):
         """Ends the process at once. Its last checkpoint stays. why: a sentence for the user."""
@@ -283,17 +278,11 @@ class Job:
         elif self._stopping is not None:
             self.facts |= {"state": "stopped", "text": self._why}
         elif killed_from_outside(status, silent=self._log_size() == self._log_begin):
-            self.facts |= {
-                "state": "interrupted",
-                "text": (
-                    "the process was killed from outside; if memory ran out, use fewer or smaller photographs"
-                ),
-            }
+            text = "the process was killed from outside; if memory ran out, use fewer or smaller photographs"
+            self.facts |= {"state": "interrupted", "text": text}
         else:
-            self.facts |= {
-                "state": "failed",
-                "text": f"the job's process ended early: {log[0] if log else f'exit status {status}'}",
-            }
+            why = log[0] if log else f"exit status {status}"
+            self.facts |= {"state": "failed", "text": f"the job's process ended early: {why}"}
         # if the disk is full: a state that is not renewed counts as interrupted
         with contextlib.suppress(SceneError):
             self.folder.write_json("state.json", self.facts)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Protocol
 
 import numpy as np
@@ -69,9 +69,7 @@ class JobRecorder:
         self.listener.progress("looping", text, share=share)
 
     def _planned(self, planned: TimePlan, _):
-        self.listener.tell(
-            "STATUS", asked=planned.asked, foreseen=planned.foreseen, schedule=planned.schedule
-        )
+        self.listener.tell("STATUS", **asdict(planned))
 
     def begin(self, run: Run, notes: list[str]):
         self.run = run
@@ -89,9 +87,8 @@ class JobRecorder:
         psnr = curves.psnr[-1] if curves.psnr else None
         count = int(masks.most_probable(run.model).sum()) if run.model.learns_masks else run.model.count
         if new_point or progress.iteration % max(1, progress.total // METRIC_ROWS) == 0:
-            self._metrics.append(
-                _line((progress.iteration, count, progress.loss, psnr if new_point else None))
-            )
+            row = progress.iteration, count, progress.loss, psnr if new_point else None
+            self._metrics.append(_line(row))
             self._unwritten = True
             if new_point or run.finished or time.monotonic() > self._stored + METRICS_EVERY:
                 self._write_metrics()
@@ -189,9 +186,8 @@ class PruneRecorder(JobRecorder):
         rank = np.zeros(self.count, np.float32)
         source = load_scene(self.folder / "scene.ply")
         source_rows = self._checked_rows(source.attributes.get(ROW))
-        rank[source_rows] = importance(
-            source, self.run.dataset, Rasterizer(), render_options(source, self.run.plan.background)
-        )
+        options = render_options(source, self.run.plan.background)
+        rank[source_rows] = importance(source, self.run.dataset, Rasterizer(), options)
         if self.run.plan.nested:  # its rows are in the order of importance
             rank[rows] = np.linspace(1, 0, recovered.count, dtype=np.float32)
             recovered = recovered.select(np.argsort(rows))
@@ -235,11 +231,8 @@ RECORDERS: dict[str, type[JobRecorder]] = {PRUNE: PruneRecorder, TRAIN: TrainRec
 def without_rows(scene: Scene) -> Scene:
     """The scene without the column of source rows (ROW)."""
     attributes = {name: column for name, column in scene.attributes.items() if name != ROW}
-    return replace(
-        scene,
-        attributes=attributes,
-        property_order=tuple(name for name in scene.property_order if name != ROW),
-    )
+    order = tuple(name for name in scene.property_order if name != ROW)
+    return replace(scene, attributes=attributes, property_order=order)
 
 
 def row_bytes(count: int) -> int:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -41,16 +42,13 @@ def read_in_child(folder: str, images: str) -> Views:
 
 def _write_views(request: dict) -> dict:
     views = sample_views(load_dataset(request["folder"], request["images"] or None))
-    photos = {f"photo{number}": photo for number, (_, photo) in enumerate(views)}
-    photos |= {
-        f"valid{k}": camera.valid_bits for k, (camera, _) in enumerate(views) if camera.valid_bits is not None
-    }
-    np.savez(
-        request["out"],
-        viewmats=[camera.viewmat for camera, _ in views],
-        Ks=[camera.K for camera, _ in views],
-        **photos,
-    )
+    arrays: dict[str, Any] = {"viewmats": [camera.viewmat for camera, _ in views]}
+    arrays["Ks"] = [camera.K for camera, _ in views]
+    for number, (camera, photo) in enumerate(views):
+        arrays[f"photo{number}"] = photo
+        if camera.valid_bits is not None:
+            arrays[f"valid{number}"] = camera.valid_bits
+    np.savez(request["out"], **arrays)
     return {}
 
 

@@ -97,9 +97,8 @@ class Ranking:
         order = np.lexsort((importance, probability, np.where(kept, ALIVE, self.dropped)))
         score, removed = np.empty(len(kept), np.float32), len(kept) - int(kept.sum())
         score[order[:removed]] = 0.5 * np.arange(removed) / max(1, removed)
-        score[order[removed:]] = 0.5 + 0.5 * np.arange(1, len(kept) - removed + 1) / max(
-            1, len(kept) - removed
-        )
+        stays = len(kept) - removed
+        score[order[removed:]] = 0.5 + 0.5 * np.arange(1, stays + 1) / max(1, stays)
         return score
 
     def probabilities(self) -> np.ndarray | None:
