@@ -23,7 +23,7 @@ import json
 import os
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -85,34 +85,22 @@ class FarmJob:
         ):
             raise FormatError(f"{path}: is no farm job of this version; make it again with svrgs farm export")
         try:
-            return cls(
-                folder,
-                extended(root or contents["root"]),
-                tuple(_checked(one) for one in contents["tasks"]),
-                contents["to"],
-            )
+            tasks = tuple(map(_checked, contents["tasks"]))
+            return cls(folder, extended(root or contents["root"]), tasks, contents["to"])
         except SceneError as error:
             raise FormatError(f"{path}: {error}") from None
 
     def write(self):
         """Writes job.json. Raises SceneError."""
-        tasks = [{"name": task.name, "scene": task.scene, "options": task.options} for task in self.tasks]
-        write_json(
-            self.folder / JOB,
-            {"schema": SCHEMA, "version": __version__, "root": str(self.root), "to": self.to, "tasks": tasks},
-        )
+        facts = {"schema": SCHEMA, "version": __version__, "root": str(self.root), "to": self.to}
+        write_json(self.folder / JOB, facts | {"tasks": [asdict(task) for task in self.tasks]})
 
     def options(self, task: Task) -> PruneOptions:
         """The options of the task on this machine; a run of it that was interrupted goes on."""
         values = check_mapping(PruneOptions, task.options, in_job=False)
         values |= {name: self._place(task.options[name]) for name in INSIDE if task.options.get(name)}
-        return PruneOptions(
-            **values,
-            scene=self._place(task.scene),
-            out=self.out(task),
-            resume=not values.get("quick", False),
-            quiet=True,
-        )
+        values |= {"scene": self._place(task.scene), "out": self.out(task)}
+        return PruneOptions(**values, resume=not values.get("quick", False), quiet=True)
 
     def out(self, task: Task) -> Path:
         """Raises FormatError, as result_path(), if a link is on the way."""
@@ -160,21 +148,12 @@ def tasks_of(
     }
     tasks = []
     for name, scene, dataset in scenes:
+        placed = {"data": relative(root, dataset)} if dataset else {}
         for way in ways:
-            placed = {"data": relative(root, dataset)} if dataset else {}
-            title = "-".join(
-                [
-                    name,
-                    *(
-                        f"{100 * value:g}" if isinstance(value, float) else str(value)
-                        for value in way.values()
-                    ),
-                ]
-            )
-            title = UNUSUAL.sub("_", title)
-            tasks.append(
-                _checked({"name": title, "scene": relative(root, scene), "options": common | placed | way})
-            )
+            words = (f"{100 * word:g}" if isinstance(word, float) else str(word) for word in way.values())
+            title = UNUSUAL.sub("_", "-".join([name, *words]))
+            task = {"name": title, "scene": relative(root, scene), "options": common | placed | way}
+            tasks.append(_checked(task))
     refuse_same_names([task.name for task in tasks])
     return tuple(tasks)
 
@@ -213,11 +192,8 @@ def _plain(value: Any) -> Any:
 
 def _checked(found: Any) -> Task:
     """A task of job.json. Raises SceneError (without the name of the file)."""
-    if (
-        not isinstance(found, dict)
-        or not isinstance(found.get("name"), str)
-        or not isinstance(found.get("scene"), str)
-    ):
+    named = isinstance(found, dict) and isinstance(found.get("name"), str)
+    if not named or not isinstance(found.get("scene"), str):
         raise SceneError("has a task without a name or a scene")
     if not NAME.fullmatch(found["name"]):
         raise SceneError(f"the name of a task, '{found['name'][:60]}', is no plain name of a file")

@@ -19,11 +19,5 @@ def write_submission(job: FarmJob, name: str):
         "svrgs": "svrgs",
     }
     platform = "windows" if WINDOWS else "darwin" if MACOS else "linux"
-    submission = {
-        "name": name,
-        "type": TYPE,
-        "priority": PRIORITY,
-        "submitter_platform": platform,
-        "settings": settings,
-    }
-    write_json(job.folder / "flamenco.json", submission)
+    submission = {"name": name, "type": TYPE, "priority": PRIORITY, "submitter_platform": platform}
+    write_json(job.folder / "flamenco.json", submission | {"settings": settings})

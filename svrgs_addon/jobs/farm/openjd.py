@@ -27,10 +27,8 @@ def write_bundle(job: FarmJob, name: str, memory: int):
         "Captures": str(job.root),
         "LastTask": len(job.tasks) - 1,
     }
-    write_json(
-        job.folder / "parameter_values.json",
-        {"parameterValues": [{"name": key, "value": value} for key, value in values.items()]},
-    )
+    parameters = [{"name": key, "value": value} for key, value in values.items()]
+    write_json(job.folder / "parameter_values.json", {"parameterValues": parameters})
     folders = {"inputs": {"directories": [str(job.root)]}, "outputs": {"directories": [str(job.folder)]}}
     write_json(job.folder / "asset_references.json", {"assetReferences": folders})
 

@@ -96,16 +96,10 @@ def _run(job: FarmJob, task: Task, messages: Messages) -> dict[str, Any]:
     except SplatError as error:
         raise type(error)(f"task {task.name}: {error}") from None
     digest = sha256(out)
-    facts = {
-        "task": {"scene": task.scene, "options": task.options},
-        **inputs,
-        "sha256": digest,
-        "result": result,
-    }
-    write_json(job.result_path(task), facts)
-    messages.tell(
-        f"{task.name}: keeps {result['after']['count']:,} of {result['before']['count']:,} Gaussians", 1.0
-    )
+    facts = {"task": {"scene": task.scene, "options": task.options}, **inputs, "sha256": digest}
+    write_json(job.result_path(task), facts | {"result": result})
+    before, after = result["before"]["count"], result["after"]["count"]
+    messages.tell(f"{task.name}: keeps {after:,} of {before:,} Gaussians", 1.0)
     return {"name": task.name, "out": str(out), "sha256": digest, "done_before": False}
 
 

@@ -88,12 +88,8 @@ def _means(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     scenes = len({row["scene"] for row in rows})
     names = ("kept", "loss", "seconds")
     return [
-        {
-            "method": method,
-            "target": target,
-            "scenes": len(some),
-            **{name: fmean(row[name] for row in some) for name in names},
-        }
+        {"method": method, "target": target, "scenes": len(some)}
+        | {name: fmean(row[name] for row in some) for name in names}
         for (method, target), some in ways.items()
         if len({row["scene"] for row in some}) == scenes
     ]
@@ -108,22 +104,14 @@ def _chart(rows: list[dict[str, Any]], means: list[dict[str, Any]]) -> str:
     named = [Point(100 * row["kept"], row["loss"], row["method"]) for row in means]
     single = [Point(100 * row["kept"], row["loss"], "") for row in _measured(rows)]
     x, y = Axis("Gaussians kept, %", from_zero=True), Axis("loss of PSNR, dB")
-    return chart(
-        "Loss over what is kept: means over all scenes; rings: single tasks",
-        named or single,
-        x,
-        y,
-        front(named),
-        single if named else (),
-    )
+    title = "Loss over what is kept: means over all scenes; rings: single tasks"
+    return chart(title, named or single, x, y, front(named), single if named else ())
 
 
 def _markdown(rows: list[dict[str, Any]]) -> list[str]:
     head = [f"| {' | '.join(COLUMNS)} |", f"|---|---|{'---:|' * (len(COLUMNS) - 2)}"]
-    return head + [
-        f"| {' | '.join(text(row).replace('|', chr(92) + '|') for text in COLUMNS.values())} |"
-        for row in rows
-    ]
+    cells = lambda row: (text(row).replace("|", r"\|") for text in COLUMNS.values())
+    return head + [f"| {' | '.join(cells(row))} |" for row in rows]
 
 
 def _page(rows: list[dict[str, Any]], means: list[dict[str, Any]], missing: list[str]) -> str:
