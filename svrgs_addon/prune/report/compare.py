@@ -80,24 +80,16 @@ def compare(
         versions={"SVR-GS": __version__}, swing=swung, files=(str(a), str(b)),
     )  # fmt: skip
     path = write_report(out, page)
-    return {
-        "a": figures[0],
-        "b": figures[1],
-        "report": str(path),
-        "pictures": [str(file) for file in files],
-        "notes": notes,
-    }
+    facts = {"report": str(path), "pictures": [str(file) for file in files], "notes": notes}
+    return {"a": figures[0], "b": figures[1]} | facts
 
 
 def _of_pictures(views: Dataset, scene: Renderable, rasterizer: Renderer) -> RenderedDataset:
     """The same views with pictures of the scene as photographs."""
-    train, test = (
-        [views.cameras[k] for k in indices] for indices in (views.train_indices, views.test_indices)
-    )
     return RenderedDataset.of(
         scene,
-        train,
-        test,
+        views.training_cameras,
+        [views.cameras[k] for k in views.test_indices],
         background=views.background,
         memory_budget=views.memory_budget,
         notes=views.notes,

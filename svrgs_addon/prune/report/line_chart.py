@@ -39,19 +39,13 @@ def line_chart(series: Series, marks: tuple[tuple[int, str], ...] = ()) -> str:
     course = f"from {y[0]:.6g} to {y[-1]:.6g} {series.unit}".rstrip()
     summary = f"{series.title}: {course} over {x[-1] - x[0]:.0f} iterations"
     parts = [f'<svg viewBox="0 0 {FRAME.width} {FRAME.height}" role="img" aria-label="{escape(summary)}">']
-    parts += (
-        FRAME.y_axis(_ticks(y_range), y_range)
-        + FRAME.x_axis(_ticks(x_range), x_range, "iteration")
-        + _marks(marks, x_range)
-    )
-    parts.append(
-        '<polyline class="curve"'
-        f' points="{" ".join(f"{a:.1f},{b:.1f}" for a, b in zip(px, py, strict=True))}"/>'
-    )
-    if len(px) <= 40:
-        parts += [
-            f'<circle class="dot" cx="{a:.1f}" cy="{b:.1f}" r="2.5"/>' for a, b in zip(px, py, strict=True)
-        ]
+    parts += FRAME.y_axis(_ticks(y_range), y_range)
+    parts += FRAME.x_axis(_ticks(x_range), x_range, "iteration")
+    parts += _marks(marks, x_range)
+    places = list(zip(px, py, strict=True))
+    parts.append(f'<polyline class="curve" points="{" ".join(f"{a:.1f},{b:.1f}" for a, b in places)}"/>')
+    if len(places) <= 40:
+        parts += [f'<circle class="dot" cx="{a:.1f}" cy="{b:.1f}" r="2.5"/>' for a, b in places]
     return "".join(parts) + "</svg>"
 
 

@@ -281,10 +281,9 @@ def _views(report: Report) -> str:
 def _mask_range(views: tuple[View, ...]) -> float | None:
     """The value of F with the brightest colour. All masks on the page share it, so that their colours can be
     compared. None without masks."""
-    masks = [
-        mask.ravel() for view in views for mask in (view.mask_before, view.mask_after) if mask is not None
-    ]
-    return float(np.percentile(np.concatenate(masks), MASK_PERCENTILE)) if masks else None
+    masks = (mask for view in views for mask in (view.mask_before, view.mask_after))
+    known = [mask.ravel() for mask in masks if mask is not None]
+    return float(np.percentile(np.concatenate(known), MASK_PERCENTILE)) if known else None
 
 
 def _view(view: View, names: tuple[str, str], mask_top: float | None) -> str:
@@ -297,9 +296,8 @@ def _view(view: View, names: tuple[str, str], mask_top: float | None) -> str:
     for name, mask in zip(names, (view.mask_before, view.mask_after), strict=True):
         if mask is not None and mask_top is not None:
             title = f"spatial mask F, {name}: mean {float(mask.mean()):.3g}"
-            figures.append(
-                _figure(title, view.name, mask_to_rgb(mask, mask_top), below=_colour_bar(mask_top))
-            )
+            colours, bar = mask_to_rgb(mask, mask_top), _colour_bar(mask_top)
+            figures.append(_figure(title, view.name, colours, below=bar))
     pictures, across = "\n".join(figures), 4 if len(figures) == 4 else 3
     return (
         f'<section class="view card"><header><h3>{escape(view.name)}</h3>{_view_psnr(view)}</header>\n'

@@ -34,6 +34,8 @@ from .line_chart import Series
 from .page import Phase, Report, View, write_report
 from .swing import swing
 
+# fields of a report that a result has under the same name
+OF_RESULT = ("method", "lambda_f", "seconds", "iterations_per_second", "peak_memory_bytes", "seed")
 REPORT_VIEWS = 3  # number of views with pictures
 Opens = Callable[[Path, str, Callable[[int], int]], AbstractContextManager[tuple[Renderable, Renderer]]]
 
@@ -67,16 +69,11 @@ def write_prune_report(
         scene=name,
         before=figures[0],
         after=figures[1],
-        method=result["method"],
-        lambda_f=result["lambda_f"],
         lpips_missing=lpips_missing,
         notes=[*result["notes"], *notes],
         phases=_phases(run, result["seconds_by_phase"]),
-        seconds=result["seconds"],
-        iterations_per_second=result["iterations_per_second"],
-        peak_memory_bytes=result["peak_memory_bytes"],
-        seed=result["seed"],
         versions=_versions(),
+        **{field: result[field] for field in OF_RESULT},
         curves=_series(run),
         views=tuple(views),
         swing=swung,
@@ -90,12 +87,10 @@ def write_report_of_files(folder: Path, dataset: Dataset, result: dict, opened: 
     opened: opens a scene to render it, as blocks.block_rasterizer.opened() does. lpips_missing: why LPIPS was
     not measured. Raises SplatError."""
     shown = [dataset.cameras[i] for i in report_indices(dataset)]
-    size, pictures = (max(camera.width for camera in shown), max(camera.height for camera in shown)), []
+    width, height = max(camera.width for camera in shown), max(camera.height for camera in shown)
+    needed, pictures = lambda count: memory.rendering(count, width, height), []
     for path in (result["scene"], result["out"]):
-        with opened(Path(path), "rendering", lambda count: memory.rendering(count, *size)) as (
-            scene,
-            rasterizer,
-        ):
+        with opened(Path(path), "rendering", needed) as (scene, rasterizer):
             pictures.append(report_pictures(scene, dataset, rasterizer))
     before, after = pictures
     page = Report(
@@ -136,12 +131,9 @@ def _series(run: Run) -> tuple[Series, ...]:
     if not curves.iteration:
         return ()
     count = Series("Gaussians", curves.iteration, curves.count, from_zero=True)
-    psnrs = (
-        [Series("PSNR", curves.iteration, curves.psnr, "dB")]
-        if any(value is not None for value in curves.psnr)
-        else []
-    )
-    return (count, *psnrs, Series("Loss", curves.iteration, curves.loss))
+    quality = Series("PSNR", curves.iteration, curves.psnr, "dB")
+    measured = any(value is not None for value in curves.psnr)
+    return (count, *([quality] if measured else []), Series("Loss", curves.iteration, curves.loss))
 
 
 def report_indices(dataset: Dataset) -> list[int]:
@@ -180,9 +172,8 @@ def report_views(before: list, after: list, dataset: Dataset) -> Iterator[View]:
     """The views of the report, from report_pictures() of both scenes. Pictures of the scene itself are not
     shown as photographs."""
     own = isinstance(dataset, RenderedDataset)
-    for i, (rgb_before, mask_before), (rgb_after, mask_after) in zip(
-        report_indices(dataset), before, after, strict=True
-    ):
+    pairs = zip(report_indices(dataset), before, after, strict=True)
+    for i, (rgb_before, mask_before), (rgb_after, mask_after) in pairs:
         photo, share = to_float(dataset.image(i)), dataset.cameras[i].valid_share
         psnr_before = None if own else psnr(rgb_before, photo, share)
         yield View(

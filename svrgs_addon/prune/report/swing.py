@@ -24,16 +24,9 @@ def swing(scenes: Sequence[Renderable], camera: Camera, background=(0.0, 0.0, 0.
     distance = _distance(scenes[0], camera, rasterizer)
     if distance is None:
         return None
-    return np.stack([
-        np.concatenate(
-            [
-                to_bytes(rasterizer.forward(scene, view, picture_options(scene, background))["rgb"])
-                for scene in scenes
-            ],
-            axis=1,
-        )
-        for view in cameras(camera, distance)
-    ])  # fmt: skip
+    picture = lambda scene, view: rasterizer.forward(scene, view, picture_options(scene, background))["rgb"]
+    beside = lambda view: np.concatenate([to_bytes(picture(scene, view)) for scene in scenes], axis=1)
+    return np.stack([beside(view) for view in cameras(camera, distance)])
 
 
 def cameras(camera: Camera, distance: float) -> list[Camera]:
