@@ -268,20 +268,9 @@ def _step(scene: Scene, dataset: Dataset, plan: Plan) -> float:
     """Seconds of a step. For methods that learn no masks, steps of plain 3DGS are measured, which are nearly
     the same."""
     method = plan.method if plan.method.learns_masks else method_named("3dgs")
-    run = Run(
-        Model.of(scene),
-        dataset,
-        prune_plan(
-            method,
-            STEPS + 2,
-            STEPS + 2,
-            background=plan.background,
-            exposure=plan.exposure,
-            refine_poses=plan.refine_poses,
-        ),
-        NativeEngine(),
-        scene.antialiased,
-    )
+    same = {name: getattr(plan, name) for name in ("background", "exposure", "refine_poses")}
+    steps = prune_plan(method, STEPS + 2, STEPS + 2, **same)
+    run = Run(Model.of(scene), dataset, steps, NativeEngine(), scene.antialiased)
     seconds: list[float] = []
     try:
         run.advance()

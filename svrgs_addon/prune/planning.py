@@ -41,21 +41,12 @@ def pruning_within(
     # writing a file with all values takes about as long as reading
     others = read + _rounding(banded, dataset, kept, job.out)
     others += 2 * REPORT_VIEWS * pace.measured if job.report else 0.0
-    fit = lambda: fitted(
-        seconds,
-        plan,
-        lambda some: pace.pruning(some, kept / scene.count, job.recorded),
-        job.seconds() + others,
-    )
+    seconds_of = lambda some: pace.pruning(some, kept / scene.count, job.recorded)
+    fit = lambda: fitted(seconds, plan, seconds_of, job.seconds() + others)
     found, quality = fit(), None
     if is_foreseen(some := at_schedule(plan, found.schedule)):
-        quality = forecast(
-            scene,
-            dataset,
-            some,
-            expected_order(plan, scene, dataset, seen_by_some(scene, dataset, plan)),
-            kept,
-        )
+        order = expected_order(plan, scene, dataset, seen_by_some(scene, dataset, plan))
+        quality = forecast(scene, dataset, some, order, kept)
         found = fit()  # the forecast has taken some of the time
     psnr = f"PSNR about {quality.after:.1f} dB or more (now {quality.before:.1f} dB)" if quality else ""
     return _with(found, plan, job, f"about {kept:,} of {scene.count:,} Gaussians stay", psnr)
@@ -81,15 +72,10 @@ def training_within(
     if found := of_checkpoint(seconds, job.folder) if job.resume else None:
         return _with(found, plan, job, "the job goes on as it was planned")
     growth = plan.phases[0].densify or Densify()
-    pace = pace_of(
-        scene_from_points(dataset.points, dataset.point_colors, sh_degree, *growth.INITIAL),
-        dataset,
-        plan,
-        job.lpips,
-    )
-    found = fitted(
-        seconds, plan, lambda some: pace.training(some, job.recorded), job.seconds(), TRAINING_MARGIN
-    )
+    start = scene_from_points(dataset.points, dataset.point_colors, sh_degree, *growth.INITIAL)
+    pace = pace_of(start, dataset, plan, job.lpips)
+    seconds_of = lambda some: pace.training(some, job.recorded)
+    found = fitted(seconds, plan, seconds_of, job.seconds(), TRAINING_MARGIN)
     return _with(found, plan, job, "a quarter more or less, as the scene grows")
 
 

@@ -81,7 +81,7 @@ class Tuned(Recipe):
     run: Run
     given: Dataset  # as it was read; from check() on
 
-    def __init__(self, plan: Plan, job: JobContext, seconds: float = 0.0, size: FileSize | None = None):
+    def __init__(self, plan: Plan, job: JobContext, seconds: float, size: FileSize | None = None):
         """seconds: that the job may take; 0: no limit. size: of the file, if that is the goal."""
         self.plan, self.job, self.seconds, self.size = plan, job, seconds, size
         self.clock, self.room = Clock(), DiskRoom(job.out, job.folder)
@@ -323,9 +323,8 @@ class FineTuned(Tuned):
             start = first_scene(source, self.dataset, self.plan)
             self.notes += lost_columns(source, start, (*NORMALS, ROW))
             # the dataset renders the source, so that the steps must not change its arrays
-            shown = isinstance(self.dataset, RenderedDataset) and np.may_share_memory(
-                start.means, source.means
-            )
+            own = isinstance(self.dataset, RenderedDataset)
+            shown = own and np.may_share_memory(start.means, source.means)
             self.model, self.cut = Model.of(start, copy=shown), source.count - start.count
 
     def write(self):
@@ -336,9 +335,8 @@ class FineTuned(Tuned):
                 level = self.scene.select(np.arange(max(1, round(share * self.scene.count))))
                 seen = seen_from(level, self.run.training_cameras, path)
                 write_scene(path, level, quantise=self.quantise, seen=seen)
-                self.levels.append(
-                    {"share": share, "out": str(path), **self.measured(read_back(path, level), path)}
-                )
+                figures = self.measured(read_back(path, level), path)
+                self.levels.append({"share": share, "out": str(path), **figures})
 
     def pictures_of(self, scene: Scene) -> Iterator[np.ndarray]:
         """What some of the views that measure show, (H, W, 3), rounded to 8 bits; large ones reduced."""
@@ -419,11 +417,7 @@ def refuse_lost_order(plan: Plan, job: JobContext):
     """Raises SceneError if the order of the Gaussians is what is asked for, and the format of the output has
     one of its own."""
     if plan.nested and not job.level_files and "order" not in format_to_write(job.out).carries:
-        fitting = [
-            splat_format.suffixes[0]
-            for splat_format in FORMATS
-            if splat_format.write and "order" in splat_format.carries
-        ]
+        fitting = [one.suffixes[0] for one in FORMATS if one.write and "order" in one.carries]
         raise SceneError(
             f"{job.out}: this format has an order of its own, and a nested result is an order of the"
             f" Gaussians: write a {' or '.join(fitting)}"
@@ -494,7 +488,6 @@ def curve_psnr(run: Run) -> float | None:
     if not (views := spaced(dataset.test_indices, CURVE_VIEWS)):
         return None
     kept = run.method.current_mask(model) if model.learns_masks else None
+    mask = None if kept is None else kept.astype(np.uint8)
     options = RenderOptions(antialiased=run.antialiased, background=run.plan.background)
-    return mean_quality(
-        model, dataset, views, run.engine.rasterizer, options, None if kept is None else kept.astype(np.uint8)
-    )
+    return mean_quality(model, dataset, views, run.engine.rasterizer, options, mask)

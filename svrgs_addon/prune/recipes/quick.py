@@ -114,10 +114,8 @@ class Quick(Recipe):
         least = max(1, math.floor(min(options.levels, default=1) * self.wanted))
         first = self.hidden and least < scene.count
         others = f"; the other {self.hidden:,} are removed or merged first" if first else ""
-        self.notes += [
-            self.seen.sentence() + others,
-            *check_seen(self.seen, str(options.scene), options.force),
-        ]
+        self.notes.append(self.seen.sentence() + others)
+        self.notes += check_seen(self.seen, str(options.scene), options.force)
         kept = min(least, math.ceil(SMALLEST * scene.count)) if job.order else least
         degree = degree_to_keep(options)
         banded = fewer_bands(self.enlarged, degree, self.cameras)
@@ -187,20 +185,9 @@ class Quick(Recipe):
         facts["worst"] = worst and worst.facts()
         lost = after[self.allowed.measure] if self.allowed.loss else None
         facts["drop"] = assumed_drop(lost) if lost is not None and self.allowed.measure == "psnr" else lost
-        notes = [
-            *self.notes,
-            *self.likeness.notes(),
-            *self._result_notes(),
-            *missed_loss(facts["drop"], *self.allowed),
-        ]
-        return {
-            **after,
-            "scene": str(options.scene),
-            "before": before,
-            "after": after,
-            **facts,
-            "notes": notes,
-        }
+        notes = [*self.notes, *self.likeness.notes(), *self._result_notes()]
+        facts["notes"] = [*notes, *missed_loss(facts["drop"], *self.allowed)]
+        return {**after, "scene": str(options.scene), "before": before, "after": after, **facts}
 
     def _psnr(self, scene: Scene) -> float:
         """PSNR in dB on some views, if the original had the error PHOTOGRAPHED."""
