@@ -17,19 +17,18 @@ from ..prune.options import DatasetOptions
 from ..prune.plans import dataset_of
 from ..prune.report.compare import compare
 from ..scene.camera import evenly
-from ..system.errors import SceneError
 from ..views.camera_files import load_cameras
 from ..views.dataset import Dataset
 from ..views.rig import place_rig
 from .option_parser import options_from
+from .render_views import refuse_both_views
 
 MAX_VIEWS = 32  # given views, evenly spread in the file
 
 
 def compare_scenes(args: argparse.Namespace) -> dict:
     """Writes the report. Returns the result of report.compare.compare(). Raises SplatError."""
-    if args.data and args.cameras:
-        raise SceneError("--data and --cameras both name views; leave one out")
+    refuse_both_views(args)
     check_writable(args.out / "index.html")  # before cameras are placed
     for path in (args.a, args.b):
         check_readable(path)

@@ -33,6 +33,7 @@ from ..system.file_names import extended, real
 from ..views.dataset import load_dataset
 from .convert_options import ConvertOptions
 from .option_parser import options_from
+from .render_views import memory_of
 
 LARGE = 1 << 28  # bytes of a file that is read in parts, by way of the disk
 
@@ -152,8 +153,7 @@ def _by_views(
         )
     cameras = [camera.moved(_to_original(options)) for camera in _training_cameras(options.data)]
     check_views(scene, cameras, cameras, str(path))
-    largest = max(cameras, key=lambda camera: camera.width * camera.height)
-    needed = memory.rendering(scene.count, largest.width, largest.height) + bytes_of(scene.count, cameras)
+    needed = memory_of(scene.count, cameras) + bytes_of(scene.count, cameras)
     memory.refuse_excess(f"{path}: rendering it", needed)
     seen = seen_of(scene, cameras)
     if seen.share < MIN_SEEN:
@@ -190,8 +190,7 @@ def _degree(options: ConvertOptions) -> int:
 @cache
 def _training_cameras(data: Path) -> list[Camera]:
     """Of the dataset, which is read once for all inputs. Raises SceneError, FormatError."""
-    dataset = load_dataset(data, cameras_only=True)
-    return dataset.training_cameras
+    return load_dataset(data, cameras_only=True).training_cameras
 
 
 def _to_original(options: ConvertOptions) -> np.ndarray:

@@ -80,15 +80,13 @@ class Parser(argparse.ArgumentParser):
         formatter = self._get_formatter()
         formatter.add_usage(" ".join([self.prog, *map(_shown, positionals), "[options]"]), [], [])
         formatter.add_text(self.description)
-        for title, actions in [("", positionals), *((name, self._of(name)) for name in GROUPS)]:
+        groups = ((name, self.grouped[name]._group_actions) for name in GROUPS)
+        for title, actions in [("", positionals), *groups]:
             formatter.start_section(title or None)
             formatter.add_arguments([_briefly(action) for action in actions])
             formatter.end_section()
         formatter.add_text("All options: --help-all. The methods: svrgs methods.")
         return formatter.format_help()
-
-    def _of(self, group: str) -> list[argparse.Action]:
-        return self.grouped[group]._group_actions
 
 
 class _HelpAll(argparse.Action):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -27,12 +28,10 @@ def render_views(args: argparse.Namespace) -> list[Path]:
     of a ray. Raises SplatError."""
     outputs = _outputs(args.outputs)
     check_writable(args.out / "view.png")
-    chosen = choose(_cameras(args), args.views)
+    chosen = choose(cameras_of(args), args.views)
     refuse_same_stems(chosen, "render them one at a time, into separate folders")
-    largest = max(chosen, key=lambda camera: camera.width * camera.height)
-    with opened(
-        args.scene, "rendering", lambda count: memory.rendering(count, largest.width, largest.height)
-    ) as (scene, rasterizer):
+    needed = lambda count: memory_of(count, chosen)
+    with opened(args.scene, "rendering", needed) as (scene, rasterizer):
         settings = picture_options(scene, args.background, "svr" if "mask" in outputs else "none")
         saved = []
         for camera in chosen:
@@ -49,10 +48,23 @@ def _outputs(text: str) -> tuple[str, ...]:
     return names
 
 
-def _cameras(args: argparse.Namespace) -> list[Camera]:
+def cameras_of(args: argparse.Namespace) -> list[Camera]:
+    """Those of --cameras, or of the dataset. Raises SceneError, FormatError."""
     if args.cameras:
         return load_cameras(args.cameras)
     return load_dataset(args.data, cameras_only=True).cameras
+
+
+def refuse_both_views(args: argparse.Namespace):
+    """Raises SceneError if a dataset and a file of cameras are both given."""
+    if args.data and args.cameras:
+        raise SceneError("--data and --cameras both name views; leave one out")
+
+
+def memory_of(count: int, cameras: Sequence[Camera]) -> int:
+    """Bytes of memory needed to render so many Gaussians in the largest of the views."""
+    largest = max(cameras, key=lambda camera: camera.width * camera.height)
+    return memory.rendering(count, largest.width, largest.height)
 
 
 def choose(cameras: list[Camera], views: str) -> list[Camera]:

@@ -23,10 +23,8 @@ from ..scene.camera import Camera
 from ..scene.gaussians import Scene
 from ..system import memory
 from ..system.errors import SceneError
-from ..views.camera_files import load_cameras
-from ..views.dataset import load_dataset
 from .option_parser import options_from
-from .render_views import choose
+from .render_views import cameras_of, choose, memory_of, refuse_both_views
 
 MEASURED = (
     "the tenth of the Gaussians that are needed most has {share_of_tenth:.0%} of the removal error;"
@@ -45,8 +43,7 @@ def select_gaussians(args: argparse.Namespace) -> dict:
     (prune/belonging.py), and notes; with --measure, measured: the summary of prune/selection/measure.py.
     """
     options = options_from(SelectOptions, args)
-    if options.data and options.cameras:
-        raise SceneError("--data and --cameras both name views; leave one out")
+    refuse_both_views(args)
     if options.invert and not options.given():
         raise SceneError("--invert needs a criterion; choose at least one, such as an opacity or a box")
     if options.measure and options.out and "attributes" not in format_to_write(options.out).carries:
@@ -57,7 +54,13 @@ def select_gaussians(args: argparse.Namespace) -> dict:
 
 def _select(args: argparse.Namespace, options: SelectOptions) -> dict:
     needs_views = options.measure or any(name in OF_VIEWS for name in options.given())
-    cameras = views_of(args) if needs_views or options.data or options.cameras else []
+    has_views = bool(options.data or options.cameras)
+    if needs_views and not has_views:
+        raise SceneError(
+            "contribution, removal error, seen-by and --measure need views; name them with --data or"
+            " --cameras"
+        )
+    cameras = cameras_of(args) if has_views else []
     result = {"count": 0, "selected": 0, "unusable": 0, "out": options.out and str(options.out)}
     some = _selected(args.scene, _parts(args.scene, options, cameras), options, cameras, result)
     if options.out:
@@ -88,10 +91,7 @@ def _parts(path: Path, options: SelectOptions, cameras: list[Camera]) -> Iterato
         return
     scene = read_scene(path)
     if cameras:
-        largest = max(cameras, key=lambda camera: camera.width * camera.height)
-        memory.refuse_excess(
-            f"{path}: rendering it", memory.rendering(scene.count, largest.width, largest.height)
-        )
+        memory.refuse_excess(f"{path}: rendering it", memory_of(scene.count, cameras))
     yield scene
 
 
@@ -132,18 +132,6 @@ def _measured(scene: Scene, cameras: list[Camera]) -> tuple[Scene, dict]:
     for name, values in found.items():
         columns[name][mask] = values
     return replace(scene, attributes=scene.attributes | columns), summary(found)
-
-
-def views_of(args: argparse.Namespace) -> list[Camera]:
-    """The views that criteria are measured in: those of --data or --cameras. Raises SceneError if neither
-    is given."""
-    if args.cameras:
-        return load_cameras(args.cameras)
-    if args.data:
-        return load_dataset(args.data, cameras_only=True).cameras
-    raise SceneError(
-        "contribution, removal error, seen-by and --measure need views; name them with --data or --cameras"
-    )
 
 
 def as_text(result: dict) -> str:

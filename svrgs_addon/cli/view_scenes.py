@@ -22,6 +22,7 @@ from ..viewer.source import Source
 from ..viewer.web_page import NAMES, export, program_bytes
 from ..views.camera_files import load_cameras
 from .option_parser import options_from
+from .render_views import refuse_both_views
 
 LAST_PORT = 65_000  # others are left for those that are taken
 
@@ -70,8 +71,7 @@ def export_page(args: argparse.Namespace):
 
 def source_of(args: argparse.Namespace) -> Source:
     """What the arguments name, read and checked. Raises SplatError."""
-    if args.data and args.cameras:
-        raise SceneError("--data and --cameras both name views; leave one out")
+    refuse_both_views(args)
     if len(args.scenes) > 2:
         raise SceneError("at most two scenes are shown: the original and the pruned one")
     if args.port > LAST_PORT:
