@@ -109,16 +109,11 @@ class JobMain:
             stopped = (self.folder / STOP).exists()
             asked = "stopped" if stopped else "interrupted" if self._parent_gone.is_set() else ""
             if asked and self._stage == "preparing":
-                self._end_now(asked)
+                self.tell("STATUS", state=asked, text="")
+                os._exit(0)  # no file is damaged: every file is replaced as a whole
             elif asked:
                 self.tell("STATUS", text="Saving what is done so far")
                 self.ending = asked
-
-    def _end_now(self, state: str):
-        """Ends the process at once. No file is damaged, because every file is replaced as a whole; the last
-        checkpoint stays."""
-        self.tell("STATUS", state=state, text="")
-        os._exit(0)
 
     def _wait_for_end_of_stdin(self):
         # not sys.stdin.read(): it would hold a lock, and Python would abort when it ends

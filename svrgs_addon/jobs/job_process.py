@@ -188,7 +188,9 @@ class Job:
         status = self._process.poll()  # before reading, so that all messages of an ended process are read
         messages = self._messages()
         for message in messages:
-            self._receive(message)
+            self.facts |= facts_of(message)
+            if message["type"] == "DONE":
+                self.result = message.get("result")
         if status is not None:
             self._ended(status)
         elif self.facts["state"] == "starting" and time.monotonic() > self._started + START_SECONDS:
@@ -258,11 +260,6 @@ class Job:
         data = data[: data.rfind(b"\n") + 1]
         self._read += len(data)
         return [message for line in data.splitlines() if (message := _message(line)) is not None]
-
-    def _receive(self, message: dict):
-        self.facts |= facts_of(message)
-        if message["type"] == "DONE":
-            self.result = message.get("result")
 
     def _log_size(self) -> int:
         with contextlib.suppress(OSError):

@@ -19,7 +19,6 @@ from ..native.rasterizer import Rasterizer, RenderOptions
 from ..prune.context import JobContext
 from ..prune.disk_room import ROW
 from ..prune.report.pictures import png_bytes
-from ..prune.time_plan import TimePlan
 from ..render.metrics.evaluate import render_options
 from ..scene.gaussians import Scene
 from ..system.errors import FormatError, SceneError
@@ -60,16 +59,10 @@ class JobRecorder:
             order=self.folder.path,
             begin=self.begin,
             observe=self.observe,
-            part=self._part,
-            tell=self._planned,
+            part=lambda text, share: self.listener.progress("looping", text, share=share),
+            tell=lambda planned, _: self.listener.tell("STATUS", **asdict(planned)),
             recorded=RECORDED,
         )
-
-    def _part(self, text: str, share: float):
-        self.listener.progress("looping", text, share=share)
-
-    def _planned(self, planned: TimePlan, _):
-        self.listener.tell("STATUS", **asdict(planned))
 
     def begin(self, run: Run, notes: list[str]):
         self.run = run
@@ -204,7 +197,8 @@ class PruneRecorder(JobRecorder):
         write_scene(pruned, without_rows(recovered))
         result |= {"out": str(pruned), "bytes": pruned.stat().st_size}
         result["after"] = result["after"] | {"bytes": result["bytes"]}
-        result["before"] = result["before"] | {"bytes": result["before"]["bytes"] - row_bytes(self.count)}
+        rows = 4 * self.count + len(f"property uint {ROW}\n")  # bytes of their column
+        result["before"] = result["before"] | {"bytes": result["before"]["bytes"] - rows}
         result = self._write_result(result)
         (self.folder / "recovered.ply").unlink()
         return result
@@ -233,11 +227,6 @@ def without_rows(scene: Scene) -> Scene:
     attributes = {name: column for name, column in scene.attributes.items() if name != ROW}
     order = tuple(name for name in scene.property_order if name != ROW)
     return replace(scene, attributes=attributes, property_order=order)
-
-
-def row_bytes(count: int) -> int:
-    """Bytes that the column of source rows takes in a PLY file of `count` Gaussians."""
-    return 4 * count + len(f"property uint {ROW}\n")
 
 
 def _line(row) -> str:

@@ -189,10 +189,6 @@ class Quick(Recipe):
         facts["notes"] = [*notes, *missed_loss(facts["drop"], *self.allowed)]
         return {**after, "scene": str(options.scene), "before": before, "after": after, **facts}
 
-    def _psnr(self, scene: Scene) -> float:
-        """PSNR in dB on some views, if the original had the error PHOTOGRAPHED."""
-        return assumed_psnr(self.likeness.deciding.psnrs(scene))
-
     def _tuned(self, small: Scene, shown: list[TrainingView]) -> Scene:
         """The scene fine-tuned on the pictures. Where that does harm in other views, it is interpolated with
         the scene before the steps. Raises Cancelled."""
@@ -208,7 +204,8 @@ class Quick(Recipe):
         if not self.likeness.deciding.views:
             return tuned
         mixed = lambda part: interpolated(small, tuned, part) if part < 1 else tuned
-        return mixed(best_share(lambda part: self._psnr(mixed(part)))[0])
+        quality = lambda part: assumed_psnr(self.likeness.deciding.psnrs(mixed(part)))
+        return mixed(best_share(quality)[0])
 
     def _result_notes(self) -> Iterator[str]:
         """What the user must know of the result that was written."""
