@@ -92,8 +92,7 @@ def _convert_levels(paths: list[Path], out: Path, options: ConvertOptions) -> di
         check_files(path, [out])
     with outputs(None, [out]):
         scenes = sorted(
-            (_changed(registry.load_scene(path), options) for path in paths),
-            key=lambda scene: -scene.count,
+            (_changed(registry.load_scene(path), options) for path in paths), key=lambda scene: -scene.count
         )
         if not scenes[-1].count:
             raise SceneError(

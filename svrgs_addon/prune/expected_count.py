@@ -17,12 +17,7 @@ from ..finetune.plan import Plan
 from ..finetune.quality import MIN_SHARE, fewest, quality_views
 from ..finetune.saliency import saliency
 from ..native.rasterizer import Rasterizer
-from ..render.metrics.evaluate import (
-    picture_options,
-    quality_of_view,
-    render_options,
-    rounded_to_8_bits,
-)
+from ..render.metrics.evaluate import picture_options, quality_of_view, render_options, rounded_to_8_bits
 from ..scene.camera import Camera, spaced
 from ..scene.gaussians import Scene
 from ..views.dataset import Dataset

@@ -35,12 +35,7 @@ def refuse_bands(order: Order, quality_of: Callable[[Scene], float], out: Path, 
 
 
 def smallest_file(
-    order: Order,
-    least: int,
-    quality_of: Callable[[Scene], float],
-    out: Path,
-    allowed: Allowed,
-    unit: float,
+    order: Order, least: int, quality_of: Callable[[Scene], float], out: Path, allowed: Allowed, unit: float
 ) -> tuple[int, float]:
     """(count, quantise) of the smallest file that holds the allowed loss before the steps of
     fine-tuning, which win a part of it back. At least `least` Gaussians. A coarser factor is tried as long as

@@ -5,7 +5,7 @@ needs to know is in job.json.
                          prune`
     results/NAME.spz     what a task wrote, in the format of `to`; results/NAME.json, its result, is written
                          last
-    prune/report/              table and chart over all tasks (summary.py)
+    report/              table and chart over all tasks (summary.py)
     captures/            the splats of a job that Blender made
     template.json, parameter_values.json, asset_references.json      the job in Open Job Description
                                                                      (openjd.py)

@@ -59,12 +59,7 @@ def fewest_within(
 
 
 def floor_on_photographs(
-    divided: Divided,
-    likeness: Likeness,
-    allowed: float,
-    plan: Plan,
-    out: Path,
-    progress_of: ProgressOf,
+    divided: Divided, likeness: Likeness, allowed: float, plan: Plan, out: Path, progress_of: ProgressOf
 ) -> float:
     """The PSNR in dB against photographs that a removal may leave without any learning, for an allowed drop
     at the end of the plan. What the format of the output loses of the whole scene counts. Raises SplatError;

@@ -33,15 +33,7 @@ from ..blocks.allowed_drop import (
 from ..blocks.block_rasterizer import BlockRasterizer, opened
 from ..blocks.block_size import as_memory_allows
 from ..blocks.divided import Divided, Progress, ProgressOf, divide
-from ..blocks.folder import (
-    LEVEL,
-    SCORED,
-    blocks_of,
-    prepare,
-    refuse_foreign,
-    remove,
-    scored_views,
-)
+from ..blocks.folder import LEVEL, SCORED, blocks_of, prepare, refuse_foreign, remove, scored_views
 from ..blocks.learning import AROUND_SHARE, decide, prepare_around, recover, targets
 from ..blocks.merging import merge, reduce, with_seen
 from ..blocks.pruning import finish, finish_learned, join_levels, original_likeness, result_notes, write_left

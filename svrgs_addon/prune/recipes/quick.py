@@ -18,14 +18,7 @@ import numpy as np
 from ...files.level_files import write_with_levels
 from ...files.ply import NORMALS
 from ...files.registry import format_to_write, higher_bands, invisible, load_scene, size_on_disk
-from ...finetune.decimate.order import (
-    MOST_HIDDEN,
-    Order,
-    hidden,
-    lost_columns,
-    order_of,
-    visibility_sums,
-)
+from ...finetune.decimate.order import MOST_HIDDEN, Order, hidden, lost_columns, order_of, visibility_sums
 from ...finetune.decimate.saved_order import write_order
 from ...finetune.quality import MIN_SHARE, best_share
 from ...finetune.refit import USUAL, TrainingView, interpolated, middle_scale, pace_at, refit
