@@ -111,11 +111,8 @@ def _scenes(path: Path, out: Path | None) -> list[tuple[str, Path]]:
     own = _splat_in(path)
     if own:
         return [(path.name, own)]
-    folders = [
-        folder
-        for folder in sorted(path.iterdir())
-        if folder.is_dir() and not (out and same_file(folder, out))
-    ]
+    inside = (folder for folder in sorted(path.iterdir()) if folder.is_dir())
+    folders = [folder for folder in inside if not (out and same_file(folder, out))]
     below = [(folder.name, splat) for folder in folders if (splat := _splat_in(folder))]
     if not below:
         raise SceneError(
@@ -138,11 +135,8 @@ def _splat_in(folder: Path) -> Path | None:
     numbered = [p for p, number in trained.items() if number.isdecimal()]
     if numbered:  # the folder of a 3DGS run also holds input.ply, which has only sparse points
         return max(numbered, key=lambda p: int(trained[p]))
-    files = [
-        p
-        for p in sorted(_splats(folder, "*"))
-        if not OUTPUT.search(registry.split_name(p)[0]) and not p.name.startswith(".")
-    ]
+    other = lambda p: OUTPUT.search(registry.split_name(p)[0]) or p.name.startswith(".")
+    files = [p for p in sorted(_splats(folder, "*")) if not other(p)]
     return folder if len(files) > 1 else files[0] if files else None
 
 

@@ -49,16 +49,8 @@ def _views_alone(args: argparse.Namespace) -> Dataset:
         f"no photographs: {args.b.name} is measured against pictures of {args.a.name}, in {len(cameras)}"
         f" views {where}"
     )
-    points = np.empty((0, 3))
-    budget = int(args.image_memory * 1e9)
+    points, colours = np.empty((0, 3), np.float32), np.empty((0, 3), np.uint8)
+    indices, budget = list(range(len(cameras))), int(args.image_memory * 1e9)
     return Dataset(
-        cameras,
-        points.astype(np.float32),
-        points.astype(np.uint8),
-        [],
-        list(range(len(cameras))),
-        [],
-        args.background,
-        budget,
-        (note,),
+        cameras, points, colours, [], indices, background=args.background, memory_budget=budget, notes=(note,)
     )

@@ -91,9 +91,8 @@ def _convert_levels(paths: list[Path], out: Path, options: ConvertOptions) -> di
     for path in paths:
         check_files(path, [out])
     with outputs(None, [out]):
-        scenes = sorted(
-            (_changed(registry.load_scene(path), options) for path in paths), key=lambda scene: -scene.count
-        )
+        changed = (_changed(registry.load_scene(path), options) for path in paths)
+        scenes = sorted(changed, key=lambda scene: -scene.count)
         if not scenes[-1].count:
             raise SceneError(
                 f"{out}: no Gaussian of one of the levels is inside the box, so no file was written"
@@ -101,17 +100,10 @@ def _convert_levels(paths: list[Path], out: Path, options: ConvertOptions) -> di
         views = [_by_views(one, out, out, options) for one in scenes]
         scenes = [scene for scene, *_ in views]
         write_levels(out, scenes, options.quantise, [seen for _, seen, _ in views])
-    facts = {
-        "scene": ", ".join(map(str, paths)),
-        "out": str(out),
-        "count": scenes[0].count,
-        "sh_degree": scenes[0].sh_degree,
-    }
-    return facts | {
-        "bytes_before": sum(map(registry.size_on_disk, paths)),
-        "bytes": registry.size_on_disk(out),
-        "levels": [scene.count for scene in scenes],
-    }
+    facts: dict = {"scene": ", ".join(map(str, paths)), "out": str(out)}
+    facts |= {"count": scenes[0].count, "sh_degree": scenes[0].sh_degree}
+    facts |= {"bytes_before": sum(map(registry.size_on_disk, paths)), "bytes": registry.size_on_disk(out)}
+    return facts | {"levels": [scene.count for scene in scenes]}
 
 
 @contextlib.contextmanager
@@ -240,13 +232,8 @@ def _pairs(inputs: list[Path], out: Path, options: ConvertOptions) -> list[tuple
 def _files(path: Path) -> list[Path]:
     """The files of a path, a folder or a pattern. Raises SceneError if there are none."""
     if path.is_dir() and not registry.is_splat_folder(path):
-        found = sorted(
-            one
-            for one in path.iterdir()
-            if one.is_file()
-            and one.name.lower().endswith(registry.suffixes())
-            and not one.name.startswith(".")
-        )
+        named = lambda one: one.name.lower().endswith(registry.suffixes()) and not one.name.startswith(".")
+        found = sorted(one for one in path.iterdir() if one.is_file() and named(one))
     elif not path.exists() and glob.has_magic(str(path)):
         found = [extended(name) for name in sorted(glob.glob(str(path)))]
     else:

@@ -38,11 +38,9 @@ def as_text(args: argparse.Namespace, result: dict[str, Any]) -> str:
             f"tasks: {result['tasks']}; memory of each: up to {size_text(result['memory'])}; saved"
             f" {result['folder']}"
         )
-    return (
-        result["report"]
-        if args.action == "report"
-        else "\n".join(f"{one['sha256']}  {one['out']}" for one in result["tasks"])
-    )
+    if args.action == "report":
+        return result["report"]
+    return "\n".join(f"{one['sha256']}  {one['out']}" for one in result["tasks"])
 
 
 def _export(args: argparse.Namespace) -> dict[str, Any]:
@@ -79,12 +77,8 @@ def _write(job: FarmJob) -> dict[str, Any]:
     job.write()
     write_bundle(job, job.folder.name, needed)
     write_submission(job, job.folder.name)
-    return {
-        "folder": str(job.folder),
-        "tasks": len(job.tasks),
-        "memory": needed,
-        "names": [task.name for task in job.tasks],
-    }
+    facts = {"folder": str(job.folder), "tasks": len(job.tasks), "memory": needed}
+    return facts | {"names": [task.name for task in job.tasks]}
 
 
 def _ways(args: argparse.Namespace) -> Iterator[dict[str, Any]]:

@@ -94,11 +94,5 @@ def source_of(args: argparse.Namespace) -> Source:
         for note in check_explained(scene, dataset, str(path), args.force) if dataset else ():
             logging.warning("%s", note)
         scenes.append(scene)
-    return Source(
-        tuple(path.name for path in args.scenes),
-        tuple(scenes),
-        cameras,
-        dataset,
-        args.nested,
-        args.background,
-    )
+    names = tuple(path.name for path in args.scenes)
+    return Source(names, tuple(scenes), cameras, dataset, args.nested, args.background)

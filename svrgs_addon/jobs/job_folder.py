@@ -341,11 +341,8 @@ class JobFolder:
                 yield from entries
 
     def _checkpoints(self) -> Iterator[Path]:
-        return (
-            path
-            for path in self.path.glob("recovered.ply.job/" + "[0-9]" * 7)
-            if path.is_dir() and not is_link(path)
-        )
+        paths = self.path.glob("recovered.ply.job/" + "[0-9]" * 7)
+        return (path for path in paths if path.is_dir() and not is_link(path))
 
     def _array(self, name: str, dtype: type) -> np.ndarray:
         """The array (N,) in NAME.npy, one value per source Gaussian. Raises FormatError if it is missing or

@@ -44,22 +44,15 @@ def possible(options: PruneOptions) -> bool:
             options.visible_mask or _to_number(options)
         )
     merges = options.quick or (options.data is None and options.method in ("", "merge"))
-    return (
-        merges
-        and bool(options.quick or _number(options))
-        and _has_only(options, (*TAKES, *(OF_QUICK if options.quick else ())))
-    )
+    takes = (*TAKES, *OF_QUICK) if options.quick else TAKES
+    return merges and bool(options.quick or _number(options)) and _has_only(options, takes)
 
 
 def was_begun(options: PruneOptions) -> bool:
     """Whether a job that is resumed was begun by blocks."""
     assert options.out is not None
-    return (
-        options.resume
-        and _learns(options)
-        and possible(options)
-        and bool(progress(blocks_of(options.out))[0])
-    )
+    learns = options.resume and _learns(options) and possible(options)
+    return learns and bool(progress(blocks_of(options.out))[0])
 
 
 def _learns(options: PruneOptions) -> bool:

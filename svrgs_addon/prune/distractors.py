@@ -73,10 +73,8 @@ def write_masks(folder: Path, cameras: Sequence[Camera]):
 
 def _resized(marked: np.ndarray, camera: Camera) -> np.ndarray:
     """The marks (h, w) of a reduced view in the view, (H, W)."""
-    rows, columns = (
-        np.arange(new) * old // new
-        for new, old in zip((camera.height, camera.width), marked.shape, strict=True)
-    )
+    sides = zip((camera.height, camera.width), marked.shape, strict=True)
+    rows, columns = (np.arange(new) * old // new for new, old in sides)
     return marked[rows][:, columns]
 
 

@@ -40,10 +40,8 @@ class BlockRasterizer:
         if not colours:
             return mask
         scene, _ = seen(divided, camera, self._rasterizer)
-        return (
-            self._rasterizer.forward(scene, camera, replace(options, mask_kind="none"), outputs=colours)
-            | mask
-        )
+        plain = replace(options, mask_kind="none")
+        return self._rasterizer.forward(scene, camera, plain, outputs=colours) | mask
 
 
 @contextlib.contextmanager

@@ -169,11 +169,8 @@ def arrays_of(geometry: np.ndarray) -> dict[str, Any]:
 
 def scene_of(divided: Divided, block: Block) -> Scene:
     """The Gaussians of a block, in memory."""
-    return Scene(
-        **arrays_of(np.array(block.geometry)),
-        sh=np.array(block.sh(divided.coefficients)),
-        antialiased=divided.antialiased,
-    )
+    sh = np.array(block.sh(divided.coefficients))
+    return Scene(**arrays_of(np.array(block.geometry)), sh=sh, antialiased=divided.antialiased)
 
 
 def divide(
@@ -222,12 +219,8 @@ def divide(
 def write_block(folder: Path, number: int, scene: Scene, start: int):
     """Writes the Gaussians of a block; their rows begin with `start`. gathered() makes a divided scene of all
     blocks. Raises SceneError."""
-    arrays = {
-        "geometry": _geometry(scene),
-        "sh": scene.sh,
-        "rows": np.arange(start, start + scene.count, dtype=np.uint32),
-    }
-    for name, array in arrays.items():
+    rows = np.arange(start, start + scene.count, dtype=np.uint32)
+    for name, array in (("geometry", _geometry(scene)), ("sh", scene.sh), ("rows", rows)):
         check_space(folder / f"{number}.{name}", array.nbytes)
         with atomic_write(folder / f"{number}.{name}") as file:
             file.write(np.ascontiguousarray(array).data.cast("B"))

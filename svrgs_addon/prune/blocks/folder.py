@@ -70,11 +70,8 @@ def remove_blocks(out: Path):
 def folders(work: Path) -> list[Path]:
     """The folders in which a job writes, whether they are there or not: of scenes, and of checkpoints."""
     scenes = _scenes(work)
-    return [
-        *scenes,
-        *(folder / HELD for folder in scenes),
-        *(found for folder in scenes for found in folder.glob(f"{RUNS}/**/")),
-    ]
+    runs = (found for folder in scenes for found in folder.glob(f"{RUNS}/**/"))
+    return [*scenes, *(folder / HELD for folder in scenes), *runs]
 
 
 def _scenes(work: Path) -> list[Path]:
@@ -93,13 +90,9 @@ def remove(work: Path):
         for name in (HELD, RUNS):
             if not remove_link(folder / name):
                 shutil.rmtree(folder / name, ignore_errors=True)
+        levels = folder.glob(LEVEL.format("[0-9]*"))
         # SCORED last: by it, the folder is known
-        for path in (
-            folder / MEASURED,
-            folder / REQUEST,
-            *folder.glob(LEVEL.format("[0-9]*")),
-            folder / SCORED,
-        ):
+        for path in (folder / MEASURED, folder / REQUEST, *levels, folder / SCORED):
             path.unlink(missing_ok=True)
         with contextlib.suppress(OSError):
             folder.rmdir()

@@ -57,11 +57,8 @@ class Around:
             progress(f"block {number}, view {camera.name or view}", 0.5 * view / len(views))
             places = _blended(divided, view, camera, rasterizer)
             if others is not None:
-                places = [
-                    *(around := _blended(others, view, camera, rasterizer))[:number],
-                    places[number],
-                    *around[number + 1 :],
-                ]
+                places, own = _blended(others, view, camera, rasterizer), places[number]
+                places[number] = own
             windows.append(_window(blocks, number, camera, places, there))
         return cls(divided, number, blocks, windows, there)
 

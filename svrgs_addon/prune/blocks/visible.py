@@ -112,10 +112,8 @@ def _parts(
 ) -> Iterator[tuple[Window, Sequence[np.ndarray]]]:
     """Parts of the window, and the places in each block of the Gaussians that they may show, if possible not
     more than `portion`. places: those of the window."""
-    if (
-        sum(map(len, places)) <= portion
-        or max(window.right - window.left, window.bottom - window.top) < 2 * MIN_SIDE_PIXELS
-    ):
+    longest = max(window.right - window.left, window.bottom - window.top)
+    if sum(map(len, places)) <= portion or longest < 2 * MIN_SIDE_PIXELS:
         yield window, places
         return
     for half in window.halves():
@@ -157,10 +155,8 @@ def _read(
     """Gaussians of blocks: their rows in the file, ascending, their order, and themselves, without colours,
     as in Shown. Raises SceneError if memory is too short to render them."""
     count = sum(map(len, places))
-    memory.refuse_excess(
-        f"{divided.source}: rendering the {count:,} Gaussians of the view {camera.name}",
-        _needed(count, camera),
-    )
+    what = f"{divided.source}: rendering the {count:,} Gaussians of the view {camera.name}"
+    memory.refuse_excess(what, _needed(count, camera))
     geometry = _joined(_each(lambda block, some: block.geometry[some], blocks, places), (WIDTH,))
     rows = _joined([block.rows[some] for block, some in zip(blocks, places, strict=True)], ())
     rows = rows.astype(np.uint32)

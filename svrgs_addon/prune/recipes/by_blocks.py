@@ -273,31 +273,27 @@ class LearnedByBlocks(ByBlocks):
     def budget(self):
         divided = self.divided
         if self.goal.max_drop:
-            self.tasks.once(
-                ALLOWED,
-                lambda: write_number(
-                    divided.folder,
-                    fewest_above(divided, self.likeness.deciding, self.floor, self.progress_of),
-                ),
-            )
+
+            def find():
+                number = fewest_above(divided, self.likeness.deciding, self.floor, self.progress_of)
+                write_number(divided.folder, number)
+
+            self.tasks.once(ALLOWED, find)
             self.wanted = read_number(divided.folder)
 
     def select(self):
         divided, plan = self.divided, self.request.plan()
         self.tasks.once("around", lambda: prepare_around(divided, self.progress_of("merge")))
         for number, target in enumerate(targets(divided, self.wanted)):
-            self.tasks.once(
-                f"decide {number}",
-                partial(decide, divided, number, self.dataset, plan, target, self.progress_of("decide")),
-            )
+            progress = self.progress_of("decide")
+            work = partial(decide, divided, number, self.dataset, plan, target, progress)
+            self.tasks.once(f"decide {number}", work)
 
     def tune(self):
         plan = self.request.plan()
         for number in range(len(self.divided.blocks) if self.request.recovery else 0):
-            self.tasks.once(
-                f"recover {number}",
-                partial(recover, self.divided, number, self.dataset, plan, self.progress_of("recover")),
-            )
+            work = partial(recover, self.divided, number, self.dataset, plan, self.progress_of("recover"))
+            self.tasks.once(f"recover {number}", work)
 
     def write(self):
         job = self.job

@@ -64,8 +64,5 @@ def _fulfilled(
     if name == "floaters":
         return criteria.floaters(scene, views(""))
     measured = values[name.removeprefix("lowest_")]()
-    return (
-        criteria.lowest(measured, limits)
-        if name.startswith("lowest_")
-        else criteria.between(measured, limits)
-    )
+    judge = criteria.lowest if name.startswith("lowest_") else criteria.between
+    return judge(measured, limits)
