@@ -6,14 +6,14 @@ from .. import __version__
 from ..native.outputs import PICTURES
 from ..prune.options import OUTPUT, DatasetOptions, PruneOptions, TrainOptions
 from ..prune.selection.options import SelectOptions
-from ..system.option_kinds import COLOUR, PATH, POSITIVE, options_of
+from ..system.option_kinds import COLOUR, PATH, POSITIVE
 from .convert_options import ConvertOptions
 from .farm_arguments import farm, large
 from .option_parser import (
     Parser,
     add_flags,
-    add_option,
     add_options,
+    add_some,
     add_value,
     command_of,
     data_of,
@@ -127,7 +127,7 @@ def _rig(commands):
     add_value(command, "scene", PATH, "splat file")
     help_ = "number of cameras, each chosen by what it sees (default: 192, those of prune)"
     add_value(command, "--views", POSITIVE, help_)
-    add_option(command, command, "seed", options_of(PruneOptions)["seed"], 0)
+    add_some(command, PruneOptions, "seed")
     help_ = "cameras.json to write; those held out for testing come last"
     add_value(command, "--out", PATH, help_, metavar="JSON", required=True)
     add_value(command, "--preview", PATH, "picture of the cameras to write", metavar="PNG")

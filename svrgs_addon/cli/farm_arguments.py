@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from ..jobs.farm.engine_messages import KINDS as MESSAGES
 from ..prune.options import GOAL, INPUT, OUTPUT, PruneOptions
-from ..system.option_kinds import COUNT, DECIBELS, PATH, POSITIVE, SHARE, SHARES, default_of, options_of
+from ..system.option_kinds import COUNT, DECIBELS, PATH, POSITIVE, SHARE, SHARES
 from .option_parser import (
     Parser,
     add_flags,
-    add_option,
     add_options,
+    add_some,
     add_value,
     command_of,
     data_of,
@@ -121,12 +121,10 @@ def _scene(command: Parser):
         " (default: removals and merges by their costs)"
     )
     command.add_argument("--method", default="", metavar="NAME", help=help_)
-    names = (
-        "lambda_f", "iterations", "recovery", "schedule", "min_contribution", "images", "holdout", "masks",
-        "invert_masks", "outside", "background", "image_memory", "seed", "force",
+    add_some(
+        command, PruneOptions, "lambda_f", "iterations", "recovery", "schedule", "min_contribution", "images",
+        "holdout", "masks", "invert_masks", "outside", "background", "image_memory", "seed", "force",
     )  # fmt: skip
-    for name in names:
-        add_option(command, command, name, options_of(PruneOptions)[name], default_of(PruneOptions, name))
     cameras = command.add_mutually_exclusive_group()
     help_ = (
         "dataset, COLMAP model or transforms.json, for its cameras; with --method, for its photographs too"

@@ -28,7 +28,6 @@ METAVARS = {
     kinds.SHARE: "SHARE", kinds.SHARES: "SHARES", kinds.SMALLER_SHARE: "SHARE",
 }  # fmt: skip
 MORE = "More"  # heading of the options that --help leaves out
-FORMER_DATA = {"--colmap": "--data"}
 
 
 class Parser(argparse.ArgumentParser):
@@ -139,7 +138,7 @@ def command_of(commands, name: str, help_: str, grouped: bool = False) -> Parser
 
 
 def threads_of(command: Parser):
-    add_option(command, command, "threads", options_of(DatasetOptions)["threads"], 0)
+    add_some(command, DatasetOptions, "threads")
 
 
 def add_value(container, name: str, kind: Kind, help_: str, **more: Any):
@@ -155,8 +154,14 @@ def add_flags(container, **helps: str):
 
 def data_of(command: Parser, container, help_: str):
     """The option --data of a command that has no dataclass of options."""
-    command.former |= FORMER_DATA
+    command.former["--colmap"] = "--data"
     add_value(container, "--data", PATH, help_, metavar="DIR")
+
+
+def add_some(command: Parser, cls: type, *names: str):
+    """Adds the options of the dataclass with these names to the command."""
+    for name in names:
+        add_option(command, command, name, options_of(cls)[name], default_of(cls, name))
 
 
 def add_options(command: Parser, cls: type, leave_out: tuple[str, ...] = (), **required: bool):

@@ -56,7 +56,7 @@ class DatasetOptions:
     data: Path | None = option(
         PATH, None,
         "folder of the dataset (COLMAP or Nerfstudio): photographs, and a COLMAP model or transforms.json",
-        metavar="DIR", required=True, in_job=True, group=INPUT, flag="data", former="colmap",
+        metavar="DIR", required=True, in_job=True, group=INPUT, former="colmap",
     )
     images: str = option(
         TEXT, "",

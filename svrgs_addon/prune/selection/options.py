@@ -74,7 +74,7 @@ class SelectOptions(Criteria):
     data: Path | None = option(
         PATH, None,
         "views: dataset, COLMAP model or transforms.json; photographs are not needed",
-        metavar="DIR", flag="data", former="colmap",
+        metavar="DIR", former="colmap",
     )
     cameras: Path | None = option(
         PATH, None, "views: cameras.json of a 3DGS run, or transforms.json", metavar="JSON"
