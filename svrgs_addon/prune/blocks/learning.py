@@ -26,7 +26,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator
 from copy import copy
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -55,7 +55,7 @@ RUNS = "runs"  # folder of the checkpoints
 class BlockViews(Dataset):
     """The views of a dataset that show a block, and the part of each in which it is seen."""
 
-    windows: dict[int, tuple[slice, slice]] | None = None
+    windows: dict[int, tuple[slice, slice]] = field(default_factory=dict)  # by the number of the view
     extent_of_all: float = 0.0
 
     @classmethod
@@ -63,7 +63,7 @@ class BlockViews(Dataset):
         """around: of the training views."""
         pairs = zip(dataset.train_indices, around.windows, strict=True)
         windows = {view: window.slices for view, window in pairs if window}
-        same = {field.name: getattr(dataset, field.name) for field in fields(dataset)}
+        same = {one.name: getattr(dataset, one.name) for one in fields(dataset)}
         same |= {"train_indices": list(windows), "test_indices": []}
         return cls(**same, windows=windows, extent_of_all=dataset.extent)
 
@@ -72,12 +72,12 @@ class BlockViews(Dataset):
         return self.extent_of_all
 
     def window(self, index: int) -> tuple[slice, slice] | None:
-        return (self.windows or {})[index]
+        return self.windows[index]
 
     def inputs(self) -> Iterator[bytes]:
         """Texts of all cameras, windows and photographs; of a photograph its name, size and time, because
         each block would read all of them for a digest. Raises SceneError if a photograph is missing."""
-        for index, window in (self.windows or {}).items():
+        for index, window in self.windows.items():
             photo = self.photos[index]
             yield repr((self.cameras[index].key, window, _stamp(photo.path))).encode()
             yield b"" if photo.unpainted is None else photo.unpainted.tobytes()

@@ -62,10 +62,8 @@ class Request:
             )
         if not self.iterations:
             raise SceneError("by blocks, a method decides in steps: give --iterations a number above 0")
-        settings: dict[str, Any] = {
-            name: getattr(self, name)
-            for name in ("lambda_f", "seed", "background", "min_contribution", "schedule")
-        }
+        names = ("lambda_f", "seed", "background", "min_contribution", "schedule")
+        settings: dict[str, Any] = {name: getattr(self, name) for name in names}
         return prune_plan(method_named(self.method), self.iterations, self.recovery, full=False, **settings)
 
     def refuse_drop(self):
