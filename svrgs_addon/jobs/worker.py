@@ -31,8 +31,7 @@ def run_in_child(options: PruneOptions) -> tuple[int, dict]:
 
     The status is STOPPED if a stop was requested, even if the job still finished and its result is complete.
     """
-    values = asdict(options).items()
-    request = json.dumps({name: str(value) if isinstance(value, Path) else value for name, value in values})
+    request = json.dumps(asdict(options), default=str)  # paths as text
     command = [sys.executable, "-m", "svrgs_addon.jobs.worker"]
     with ChildProcess(
         command, encoding="utf-8", stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment()

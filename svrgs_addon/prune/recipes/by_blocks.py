@@ -131,7 +131,7 @@ class ByBlocks(Recipe):
         """The result with what `svrgs prune` adds to that of `svrgs large prune`. how: for the note."""
         if not self.reason:
             return result
-        after = {name: result[name] for name in FIGURES} | {"ms_per_frame": None, **result["after"]}
+        after = _figures(result)
         notes = [f"{self.reason}; so it was pruned by blocks{how}", *self.notes, *result["notes"]]
         facts = {"seconds": time.perf_counter() - self.begun, "notes": notes}
         return {**result, **after, "after": after, **facts}
@@ -202,7 +202,7 @@ class MergedByBlocks(ByBlocks):
     def measure(self) -> dict[str, Any]:
         goal, results = self.goal, self.results
         levels = [
-            {"share": share, **_figures(result)}
+            {"share": share, "out": result["out"], **_figures(result)}
             for share, result in zip(goal.levels, results[1:], strict=True)
         ]
         notes = [*self.forced, *result_notes(self.likeness, results[0])]
@@ -365,5 +365,5 @@ def _identity(
 
 
 def _figures(result: dict[str, Any]) -> dict[str, Any]:
-    """Of a level, as `svrgs prune` has them."""
-    return {name: result[name] for name in ("out", *FIGURES)} | {"ms_per_frame": None, **result["after"]}
+    """As `svrgs prune` has them."""
+    return {name: result[name] for name in FIGURES} | {"ms_per_frame": None, **result["after"]}
