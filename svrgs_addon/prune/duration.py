@@ -116,8 +116,8 @@ class Pace:
                 passes = [(1.0, after) for _, after in passes]
             parts = gradual(share) if phase.active and not passes else between(passes, left)
             mean, grown = growth(phase, self.count) if phase.densify else (grown, grown)
-            pace = sum(length * n**self.power for length, n in parts)
-            total += phase.steps * (self.step + point) * mean * pace
+            fraction = sum(length * n**self.power for length, n in parts)
+            total += phase.steps * (self.step + point) * mean * fraction
             total += grown * self._ranking_seconds(passes, left)
             left = share if phase.active else left
         return total + self._ordering(plan, left) + self._drop(plan, share) + self._reading(plan.total)
