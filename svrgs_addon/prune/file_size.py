@@ -26,7 +26,7 @@ MOST, TRIES = 1 << 16, 6  # Gaussians of a part of the scene that is written; pa
 ROOM, ROOM_LATER, ALMOST_ALL = 0.94, 0.85, 0.998
 CLOSE = 0.01  # change of the count in a try after which no other follows
 # where less than FEW of the scene's Gaussians fit with all SH bands, a lower degree leaves room for more, and
-# these show more (docs/results.md, "Fewer bands, more Gaussians?"); at least WORTH times as many, or nothing is gained
+# these show more (docs/results.md, "Fewer bands, more Gaussians?"), if they are at least WORTH times as many
 FEW, FEWER_BANDS, WORTH = 0.125, 2, 1.1
 # on the error in SH, if more bytes are needed than foreseen
 FACTORS = (1.0, 1.1, 1.25, 1.6, 2.0, 2.5, 3.2, 4.0)
