@@ -6,7 +6,9 @@ in PyTorch; this engine is tested against it.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -38,7 +40,7 @@ class Step:
     lambda_m: float = 0.0  # weight of (mean M)^2
     # masks multiply the scale too, and have a gradient only where they are 1 (Compact3DGS)
     gates: bool = False
-    penalty: Penalty | tuple[Penalty, ...] | None = None  # one term, or several
+    penalties: tuple[Penalty, ...] = ()
     # (N,) bool: Gaussians that are rendered, but not updated. Not in a step that densifies. None: none
     frozen: np.ndarray | None = None
     update: bool = True  # False: gradients only (3DGS takes no optimiser step in a step that densifies)
@@ -59,10 +61,14 @@ class Step:
         """(mean M)^2 (MaskGaussian)."""
         return float(self.masks.mean()) ** 2 if self.masks is not None else 0.0
 
-    @property
-    def penalties(self) -> tuple[Penalty, ...]:
-        """The terms of `penalty`."""
-        return self.penalty if isinstance(self.penalty, tuple) else (self.penalty,) if self.penalty else ()
+    def penalised(self, values: Mapping[str, Any], ids) -> list[tuple[Penalty, Any]]:
+        """The penalties that have a value, each with the rows of its parameter that it is given. values: all
+        parameters by name. ids: the rows that the view sees. Arrays or tensors."""
+        return [
+            (p, values[p.parameter][ids] if p.seen else values[p.parameter])
+            for p in self.penalties
+            if len(ids) or not p.seen
+        ]
 
     def not_frozen(self, ids: np.ndarray) -> np.ndarray:
         """Those of the rows `ids` that are not frozen."""
@@ -89,7 +95,7 @@ class StepResult:
     exposure: np.ndarray | None = None  # (3, 4) dL/dexposure
     camera: np.ndarray | None = None  # (6,) dL/d(the camera's motion), see Camera.displaced
     global_loss: float = 0.0  # (mean M)^2
-    penalty: float = 0.0  # value of Step.penalty, its weight included
+    penalty: float = 0.0  # value of Step.penalties, their weights included
     nonfinite: int = 0  # rows that were not updated because their gradient was not finite
 
     def image_loss(self, step: Step) -> float:
@@ -127,9 +133,8 @@ class NativeEngine:
             mask_loss, image_grads["mask"] = r.mask_loss(images["mask"], step.lambda_f)
         result = StepResult(l1, ssim, mask_loss, step.not_frozen(r.visible()), global_loss=step.global_loss)
         result.exposure = d_exposure
-        result.penalty = float(
-            sum(penalty.value(rows, np) for penalty, rows in _penalised(model, step, result.visible))
-        )
+        penalised = step.penalised(model.values, result.visible)
+        result.penalty = float(sum(penalty.value(rows, np) for penalty, rows in penalised))
         asked = {"means2d": step.want_means2d, "camera": step.want_camera}
         wanted = tuple(name for name in asked if asked[name])
         if step.update:
@@ -195,7 +200,7 @@ class NativeEngine:
         number of rows that were not finite."""
         added = [
             (penalty.seen, penalty.grad(values))
-            for penalty, values in _penalised(model, step, ids)
+            for penalty, values in step.penalised(model.values, ids)
             if penalty.parameter == name
         ]
         for grad in (grad for seen, grad in added if seen):
@@ -215,15 +220,6 @@ class NativeEngine:
         settings = {"lr": _row_rates(name, step.rates, model), "step": step.number}
         values, moments = model.values[name], model.moments[name]
         return self.rasterizer.adam(values, moments, rows, ids, **settings, betas=BETAS, eps=EPS)
-
-
-def _penalised(model: Model, step: Step, ids: np.ndarray) -> list[tuple[Penalty, np.ndarray]]:
-    """The penalties of the step that have a value, each with the rows of its parameter that it is given."""
-    return [
-        (p, model.values[p.parameter][ids] if p.seen else model.values[p.parameter])
-        for p in step.penalties
-        if len(ids) or not p.seen
-    ]
 
 
 def mask_logit_rows(step: Step, grads: dict[str, np.ndarray], ids: np.ndarray) -> np.ndarray:

@@ -233,7 +233,7 @@ class Run:
         )
         step = replace(step, **self.method.terms(self, phase, number)) if phase.active else step
         if isinstance(phase.densify, MCMC):
-            return replace(step, penalty=(*mcmc.penalties(phase.densify), *step.penalties))
+            return replace(step, penalties=(*mcmc.penalties(phase.densify), *step.penalties))
         return step
 
     def render_options(self, phase: Phase, number: int) -> RenderOptions:

@@ -134,12 +134,7 @@ class TorchEngine:
         loss, l1, similarity, mask_loss = self.loss(step, images, masks)
         visible = step.not_frozen(self.rasterizer.visible())
         ids = _indices(visible)
-        given = [
-            (p, leaves[p.parameter][ids] if p.seen else leaves[p.parameter])
-            for p in step.penalties
-            if len(ids) or not p.seen
-        ]
-        penalty = sum((p.value(values, torch) for p, values in given), torch.zeros(()))
+        penalty = sum((p.value(rows, torch) for p, rows in step.penalised(leaves, ids)), torch.zeros(()))
         loss = loss + penalty
         loss.backward()
         result = StepResult(

@@ -46,7 +46,7 @@ class Compact3DGS(Masked):
             "masks": open_.astype(np.uint8),
             "slope": slope,
             "gates": True,
-            "penalty": MeanExistence(run.plan.lambda_m * run.strength),
+            "penalties": (MeanExistence(run.plan.lambda_m * run.strength),),
             "rates": rates,
         }
 

@@ -98,7 +98,7 @@ class GNS(Method):
             return {}
         early = number <= phase.steps * EASE / STEPS
         r = run.plan.lambda_m * self.factor
-        return {"penalty": OpacityPressure(r if early else 3 * r, early)}
+        return {"penalties": (OpacityPressure(r if early else 3 * r, early),)}
 
     def after_step(self, run: RunView, phase: Phase, number: int) -> Keep:
         if self.trimmed:

@@ -28,7 +28,7 @@ class POPSpa(Stepwise):
 
     def terms(self, run: RunView, phase: Phase, number: int) -> dict:
         pull = (admm.pull(run.model, RHO),) if self.count and self._pulls(phase, number) else ()
-        return {"penalty": (EffectiveRank(), *pull)} if self.count else {}
+        return {"penalties": (EffectiveRank(), *pull)} if self.count else {}
 
     def ranking_passes(self, settings: Settings, steps: int, share: float) -> list[tuple[float, float]]:
         first, last = super().ranking_passes(settings, steps, share)

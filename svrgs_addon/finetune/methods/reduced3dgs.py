@@ -27,7 +27,7 @@ class Reduced3DGS(Stepwise):
         return []  # its events render nothing
 
     def terms(self, run: RunView, phase: Phase, number: int) -> dict:
-        return {"penalty": MeanSeenOpacity(run.plan.lambda_m)}
+        return {"penalties": (MeanSeenOpacity(run.plan.lambda_m),)}
 
     def after_densification(self, run: RunView, phase: Phase, number: int) -> Keep:
         due = phase.densify and number % (10 * EVERY) == 0 and number % phase.densify.reset_every
