@@ -12,7 +12,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from ..scene.gaussians import Scene
+from ..scene.gaussians import Scene, parameter_shapes
 from ..system.errors import FormatError
 from .ply_header import ENCODINGS, Header
 
@@ -21,10 +21,8 @@ BLOCK_ROWS = 4096  # rows per block, about 1 MB; it stays in the cache
 
 
 def empty_arrays(count: int, coefficients: int) -> dict[str, np.ndarray]:
-    """Uninitialised arrays of a Scene, by name, for `count` Gaussians with `coefficients` (K) SH coefficients
-    per channel."""
-    shapes = {"means": (3,), "log_scales": (3,), "quats": (4,), "opacity_logits": (), "sh": (coefficients, 3)}
-    return {name: np.empty((count, *shape), np.float32) for name, shape in shapes.items()}
+    """Uninitialised arrays of a Scene, by name; see parameter_shapes()."""
+    return {n: np.empty(shape, np.float32) for n, shape in parameter_shapes(count, coefficients).items()}
 
 
 def named_columns(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..scene.gaussians import PARAMETERS, Scene
+from ..scene.gaussians import Scene, parameter_shapes
 from .library import DecimationStruct, MergesStruct, best_level, call_library, check, levels
 from .rasterizer import VISIBILITY
 
@@ -45,12 +45,12 @@ def decimate(
     TypeError for arrays of another type or shape.
     """
     n, steps = scene.count, max(scene.count - least, 0)  # the library refuses a wrong `least`
-    shapes = {name: (n, *getattr(scene, name).shape[1:]) for name in PARAMETERS}
+    shapes = parameter_shapes(n, scene.sh.shape[1])
     request = DecimationStruct(
         n,
         scene.sh.shape[1],
         scene.antialiased,
-        *(check(getattr(scene, name), name, shapes[name], np.float32) for name in PARAMETERS),
+        *(check(getattr(scene, name), name, shape, np.float32) for name, shape in shapes.items()),
         check(visibility, "visibility", (n, len(VISIBILITY)), np.float64),
         (c.c_double * 3)(*map(float, middle)),
         unit,

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..scene.camera import Camera
-from ..scene.gaussians import PARAMETERS
+from ..scene.gaussians import PARAMETERS, parameter_shapes
 from ..system.errors import NativeError
 from .library import (
     GRADS,
@@ -201,7 +201,7 @@ class Rasterizer:
             names = ", ".join(sorted(both))
             raise ValueError(f"these tensors are updated, so their gradients are not stored: {names}")
         grads_in, grads, grads_out = self._gradients(image_grads, wanted)
-        columns, update = {}, UpdateStruct(adam=_adam_settings(None, betas, eps, step))
+        columns, update = {}, UpdateStruct(adam=AdamStruct(None, *betas, eps, step))
         for name, (param, moments) in tensors.items():
             columns[name] = _rates(rates[name], self._shapes[name])
             addresses = self._trained(param, moments, self._shapes[name], f" of {name}")
@@ -327,7 +327,7 @@ class Rasterizer:
         shape = np.shape(param)
         rates = _rates(lr, shape)
         rows = len(param) if ids is None else len(ids)
-        settings = _adam_settings(rates.ctypes.data, betas, eps, step, shared=len(shape) == 3)
+        settings = AdamStruct(rates.ctypes.data, *betas, eps, step, len(shape) == 3)
         bad = c.c_int64()
         addresses: list[int | None] = [*self._trained(param, moments, shape)]
         addresses.append(check(grad, "grad", (rows, *shape[1:]), self.dtype))
@@ -357,9 +357,9 @@ class Rasterizer:
             for name, g in image_grads.items()
         }
         count = self.work()["visible"]
-        widths = {"means": (3,), "log_scales": (3,), "quats": (4,), "sh": (coefficients, 3), "means2d": (2,)}
-        widths["camera"] = (6,)
-        grads = {name: self._buffer(name, (count, *widths.get(name, ()))) for name in wanted}
+        shapes = parameter_shapes(count, coefficients) | {"masks": (count,), "means2d": (count, 2)}
+        shapes["camera"] = (count, 6)
+        grads = {name: self._buffer(name, shapes[name]) for name in wanted}
         addresses = {name: rows.ctypes.data for name, rows in grads.items()}
         return ImageGradsStruct(**given), grads, GradsStruct(**addresses)
 
@@ -367,14 +367,7 @@ class Rasterizer:
         """The struct of a scene whose arrays were checked. The arrays are kept alive until the next view."""
         arrays = {name: getattr(scene, name) for name in PARAMETERS}
         n, k = len(arrays["means"]), np.shape(arrays["sh"])[1] if np.ndim(arrays["sh"]) == 3 else 1
-        self._shapes = {
-            "means": (n, 3),
-            "log_scales": (n, 3),
-            "quats": (n, 4),
-            "opacity_logits": (n,),
-            "sh": (n, k, 3),
-            "masks": (n,),
-        }
+        self._shapes = parameter_shapes(n, k) | {"masks": (n,)}
         pointers = {name: check(arrays[name], name, self._shapes[name], self.dtype) for name in PARAMETERS}
         if masks is not None:
             pointers["masks"] = check(masks, "masks", (n,), np.uint8)
@@ -418,10 +411,6 @@ def _rates(lr, shape: tuple) -> np.ndarray:
     """One learning rate per column of a tensor (N, ...) with flattened rows, float64."""
     width = int(np.prod(shape[1:], dtype=np.int64))
     return np.ascontiguousarray(np.broadcast_to(np.asarray(lr, np.float64), (width,)))
-
-
-def _adam_settings(rates: int | None, betas, eps: float, step: int, shared: bool = False) -> c.Structure:
-    return AdamStruct(rates, *betas, eps, step, shared)
 
 
 def _image_shape(name: str, height: int, width: int) -> tuple:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from .gaussians import Scene
+from .gaussians import Scene, parameter_shapes
 
 
 def concatenated(scenes: Sequence[Scene], columns: bool = False) -> Scene:
@@ -24,21 +24,18 @@ def concatenated(scenes: Sequence[Scene], columns: bool = False) -> Scene:
     if len(scenes) == 1:
         return first if columns else replace(first, attributes={}, comments=(), property_order=())
     ends = np.cumsum([scene.count for scene in scenes])
-    shapes = {"means": (3,), "log_scales": (3,), "quats": (4,), "opacity_logits": ()}
-    arrays: dict[str, Any] = {
-        name: np.empty((ends[-1], *shape), np.float32) for name, shape in shapes.items()
-    }
-    sh = np.zeros((ends[-1], max(scene.sh.shape[1] for scene in scenes), 3), np.float32)
+    shapes = parameter_shapes(ends[-1], max(scene.sh.shape[1] for scene in scenes))
+    arrays: dict[str, Any] = {name: np.zeros(shape, np.float32) for name, shape in shapes.items()}
 
     def copy(scene: Scene, end: int):
         rows = slice(end - scene.count, end)
-        for name, array in arrays.items():
-            array[rows] = getattr(scene, name)
-        sh[rows, : scene.sh.shape[1]] = scene.sh
+        for name in shapes.keys() - {"sh"}:
+            arrays[name][rows] = getattr(scene, name)
+        arrays["sh"][rows, : scene.sh.shape[1]] = scene.sh
 
     with ThreadPoolExecutor(os.cpu_count()) as threads:  # the memory is new, and most of the time is for that
         list(threads.map(copy, scenes, ends))
-    whole = Scene(**arrays, sh=sh, antialiased=all(scene.antialiased for scene in scenes))
+    whole = Scene(**arrays, antialiased=all(scene.antialiased for scene in scenes))
     if not columns:
         return whole
     alike = all(scene.property_order == first.property_order for scene in scenes)

@@ -15,6 +15,13 @@ SH_COEFFICIENTS = (1, 4, 9, 16)
 PARAMETERS = ("means", "log_scales", "quats", "opacity_logits", "sh")  # arrays of a scene
 
 
+def parameter_shapes(count: int, coefficients: int) -> dict[str, tuple[int, ...]]:
+    """The shapes of the PARAMETERS of `count` Gaussians with `coefficients` (K) SH coefficients per
+    channel."""
+    widths: tuple[tuple[int, ...], ...] = ((3,), (3,), (4,), (), (coefficients, 3))
+    return {name: (count, *width) for name, width in zip(PARAMETERS, widths, strict=True)}
+
+
 @dataclass(frozen=True)
 class Scene:
     """N Gaussians as 3DGS stores them. All parameter arrays are float32 and C-contiguous.
@@ -37,23 +44,18 @@ class Scene:
     property_order: tuple[str, ...] = ()  # order of columns in the source file; empty: the order of 3DGS
 
     def __post_init__(self):
-        n = len(self.means)
-        shapes = {"means": (n, 3), "log_scales": (n, 3), "quats": (n, 4), "opacity_logits": (n,)}
-        for name, shape in shapes.items():
-            self._check(name, shape)
-        k = self.sh.shape[1] if self.sh.ndim == 3 else -1
+        n, k = len(self.means), self.sh.shape[1] if self.sh.ndim == 3 else -1
         if k not in SH_COEFFICIENTS:
             raise SceneError(f"sh has shape {self.sh.shape}; expected (N, K, 3) with K in {SH_COEFFICIENTS}")
-        self._check("sh", (n, k, 3))
+        for name, shape in parameter_shapes(n, k).items():
+            array = getattr(self, name)
+            if array.shape != shape or array.dtype != np.float32 or not array.flags.c_contiguous:
+                raise SceneError(
+                    f"{name} is {array.dtype}{array.shape}; expected C-contiguous float32{shape}"
+                )
         for name, column in self.attributes.items():
             if column.shape != (n,):
                 raise SceneError(f"attribute {name} has shape {column.shape}; expected ({n},)")
-
-    def _check(self, name: str, shape: tuple[int, ...]):
-        """Raises SceneError if an array is not C-contiguous float32 of this shape."""
-        array = getattr(self, name)
-        if array.shape != shape or array.dtype != np.float32 or not array.flags.c_contiguous:
-            raise SceneError(f"{name} is {array.dtype}{array.shape}; expected C-contiguous float32{shape}")
 
     @classmethod
     def of(cls, means, log_scales, quats, opacity_logits, sh) -> Scene:
