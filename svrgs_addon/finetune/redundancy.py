@@ -55,7 +55,7 @@ def pixel_footprints(points: np.ndarray, cameras: list[Camera]) -> np.ndarray:
     in world units."""
     smallest = np.full(len(points), UNSEEN)
     for camera in cameras:
-        x, y, z = (points.astype(np.float64) @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]).T
+        x, y, z = camera.local(points.astype(np.float64)).T
         seen = z > thresholds().near
         z = np.where(seen, z, 1)
         u, v = camera.K[0, 0] * x / z + camera.K[0, 2], camera.K[1, 1] * y / z + camera.K[1, 2]

@@ -69,7 +69,8 @@ def beside(camera: Camera, other: Camera, means: np.ndarray) -> float:
     points = in_view(means, camera)
     if not len(points):
         return 0.0
-    return float(np.median(np.linalg.norm(_pixels(other, points) - _pixels(camera, points), axis=1)))
+    shown, elsewhere = (one.pixels(one.local(points)) for one in (camera, other))
+    return float(np.median(np.linalg.norm(elsewhere - shown, axis=1)))
 
 
 def error_of(
@@ -126,9 +127,7 @@ def _matched(picture: np.ndarray, photo: np.ndarray, weights: np.ndarray) -> tup
 def in_view(means: np.ndarray, camera: Camera) -> np.ndarray:
     """(n, 3) float64, world: some of the centres (N, 3) that the camera sees."""
     points = means[:: max(1, len(means) // POINTS)].astype(np.float64)
-    local = points @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
-    inside = (local[:, 2] > 0) & ((pixels := camera.pixels(local)) >= 0).all(axis=1)
-    return points[inside & (pixels < (camera.width, camera.height)).all(axis=1)]
+    return points[camera.shows(camera.local(points))]
 
 
 def pixel_motion(camera: Camera, points: np.ndarray) -> np.ndarray:
@@ -136,7 +135,3 @@ def pixel_motion(camera: Camera, points: np.ndarray) -> np.ndarray:
     perspective, and in which points (n, 3), world, are seen."""
     depth = float(np.median(points @ camera.viewmat[2, :3] + camera.viewmat[2, 3]))
     return np.repeat([1.0, depth], 3) / camera.K[0, 0]
-
-
-def _pixels(camera: Camera, points: np.ndarray) -> np.ndarray:
-    return camera.pixels(points @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3])

@@ -53,10 +53,9 @@ def median_depth(camera: Camera, points: np.ndarray, weights: np.ndarray | None 
     points: (P, 3), world. weights: as in robust_box.
     """
     points, weights = _usable(points, weights)
-    local = points @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
-    (x, y), z = camera.pixels(local).T, local[:, 2]
-    shown = (z > 0) & (x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height)
-    return float(weighted_quantiles(z[shown], weights[shown], 0.5)) if shown.any() else None
+    local = camera.local(points)
+    shown = camera.shows(local)
+    return float(weighted_quantiles(local[shown, 2], weights[shown], 0.5)) if shown.any() else None
 
 
 def corners(box: np.ndarray, matrix: np.ndarray) -> np.ndarray:

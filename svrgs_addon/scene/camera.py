@@ -77,6 +77,16 @@ class Camera:
             b"" if self.valid_bits is None else self.valid_bits.tobytes()
         )
 
+    def local(self, points: np.ndarray) -> np.ndarray:
+        """World points (N, 3) in the camera frame, (N, 3) float64."""
+        return points @ self.viewmat[:3, :3].T + self.viewmat[:3, 3]
+
+    def shows(self, points: np.ndarray) -> np.ndarray:
+        """(N,) bool: whether points (N, 3) of the camera frame are in front of it and in its picture."""
+        pixels = self.pixels(points)
+        inside = (pixels >= 0).all(axis=1) & (pixels < (self.width, self.height)).all(axis=1)
+        return inside & (points[:, 2] > 0)
+
     def pixels(self, points: np.ndarray) -> np.ndarray:
         """Projects points (..., 3) of the camera frame. Returns pixel coordinates (..., 2), float64, which
         are meaningless where z <= 0."""

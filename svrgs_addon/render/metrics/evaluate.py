@@ -260,9 +260,7 @@ def any_in_view(points: np.ndarray, cameras: Sequence[Camera], some: Sequence[Ca
     reach = VISIBLE_REACH * np.linalg.norm(centres - centres.mean(axis=0), axis=1).max() or np.inf
     near, points = thresholds().near, points[:: max(1, len(points) // VISIBLE_POINTS)].astype(np.float64)
     for camera in some:
-        local = points @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
-        x, y, z = *camera.pixels(local).T, local[:, 2]
-        inside = (z > near) & (z < reach) & (x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height)
-        if inside.any():
+        local = camera.local(points)
+        if (camera.shows(local) & (local[:, 2] > near) & (local[:, 2] < reach)).any():
             return True
     return False

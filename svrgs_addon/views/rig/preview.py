@@ -62,7 +62,7 @@ def _draw(
     """Draws the pyramids where nothing is in front of them. walls: (H, W), depth up to which a pixel shows
     what is drawn."""
     points = np.concatenate([_pyramid(each, length) for each in cameras]) if cameras else np.empty((0, 3))
-    local = points @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
+    local = camera.local(points)
     local = local[local[:, 2] > 0]
     x, y = camera.pixels(local).astype(np.int64).T
     inside = (x >= 0) & (x < camera.width - 1) & (y >= 0) & (y < camera.height - 1)
