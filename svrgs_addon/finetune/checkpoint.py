@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from ..files.atomic import atomic_write, check_space
+from ..files.digests import sha256
 from ..files.npz import write_arrays
 from ..scene.gaussians import PARAMETERS
 from ..system.errors import OtherRun, SceneError
@@ -75,7 +76,7 @@ def _write(run: Run, target: Path, identity: str, time: dict | None):
         "schema": SCHEMA,
         "identity": identity,
         "time": time,
-        "sha256": _digest(target / "arrays.npz"),
+        "sha256": sha256(target / "arrays.npz"),
         **{name: getattr(run, name) for name in _NUMBERS},
         "epoch": [run.views.epoch, run.views.position],
         "averaged": run.average.samples,
@@ -182,7 +183,7 @@ def read_manifest(folder: Path) -> dict | None:
         if (
             manifest["schema"] == SCHEMA
             and own == text_digest(manifest)
-            and manifest["sha256"] == _digest(folder / "arrays.npz")
+            and manifest["sha256"] == sha256(folder / "arrays.npz")
         ):
             return manifest
     except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
@@ -193,8 +194,3 @@ def read_manifest(folder: Path) -> dict | None:
 def text_digest(manifest: dict) -> str:
     """SHA-256 of the manifest as JSON. The manifest must not contain its digest yet."""
     return hashlib.sha256(json.dumps(manifest).encode()).hexdigest()
-
-
-def _digest(path: Path) -> str:
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
