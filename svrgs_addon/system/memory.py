@@ -90,7 +90,7 @@ def tuning(
     return int(
         (row + moments) * count
         + besides
-        + (TUNED_PIXEL + MEASURED_PIXEL) * _pixels(cameras)
+        + (TUNED_PIXEL + MEASURED_PIXEL) * _largest(cameras)
         + _kept(cameras, kept_photographs)
     )
 
@@ -101,15 +101,14 @@ def decimating(count: int, coefficients: int, cameras: Sequence[View]) -> int:
 
     coefficients: SH coefficients per channel, K. cameras: all views.
     """
-    pictures = 12 * sum(camera.width * camera.height for camera in cameras)
-    return max(ordering(count, coefficients, cameras), tuning(count, coefficients, cameras, 0)) + pictures
+    work = max(ordering(count, coefficients, cameras), tuning(count, coefficients, cameras, 0))
+    return work + 12 * sum(_pixels(cameras))
 
 
 def ordering(count: int, coefficients: int, cameras: Sequence[View]) -> int:
     """Bytes of memory needed to order removals and merges. coefficients, cameras: as for decimating()."""
-    return (DECIMATED + _trained_row(coefficients)[0]) * count + (RENDERED_PIXEL + KEPT_PIXEL) * _pixels(
-        cameras
-    )
+    pixels = (RENDERED_PIXEL + KEPT_PIXEL) * _largest(cameras)
+    return (DECIMATED + _trained_row(coefficients)[0]) * count + pixels
 
 
 def ranking(count: int, coefficients: int) -> int:
@@ -124,13 +123,13 @@ def measuring(count: int, cameras: Sequence[View], kept_photographs: int, lpips:
 
     kept_photographs: as for tuning(). lpips: whether LPIPS is measured too.
     """
-    pixels = (RENDERED_PIXEL + MEASURED_PIXEL) * _pixels(cameras) + perceiving(cameras, lpips)
+    pixels = (RENDERED_PIXEL + MEASURED_PIXEL) * _largest(cameras) + perceiving(cameras, lpips)
     return PROJECTED * count + pixels + _kept(cameras, kept_photographs)
 
 
 def perceiving(cameras: Sequence[View], lpips: bool = True) -> int:
     """Bytes of memory that LPIPS needs in addition, if it is measured. cameras: the largest one counts."""
-    return LPIPS_PIXEL * _pixels(cameras) if lpips else 0
+    return LPIPS_PIXEL * _largest(cameras) if lpips else 0
 
 
 def comparing(
@@ -141,8 +140,7 @@ def comparing(
 
     cameras, kept_photographs, lpips: as for measuring(). shown: the views with pictures.
     """
-    pictures = COMPARED_PIXEL * sum(camera.width * camera.height for camera in shown)
-    return measuring(count, cameras, kept_photographs, lpips) + pictures
+    return measuring(count, cameras, kept_photographs, lpips) + COMPARED_PIXEL * sum(_pixels(shown))
 
 
 def growing(count: int, added: int, coefficients: int, cameras: Sequence[View]) -> int:
@@ -153,7 +151,7 @@ def growing(count: int, added: int, coefficients: int, cameras: Sequence[View]) 
     """
     (row, moments), largest = _trained_row(coefficients), 4 * 3 * coefficients
     new = (1 + ADDED_COPIES) * row + moments + PROJECTED
-    return new * added + largest * (count + added) + MEASURED_PIXEL * _pixels(cameras)
+    return new * added + largest * (count + added) + MEASURED_PIXEL * _largest(cameras)
 
 
 def checkpoint(count: int, coefficients: int, averaged: int = 0) -> int:
@@ -211,12 +209,17 @@ def refuse_few_addresses(least: int) -> None:
 
 def _kept(cameras: Sequence[View], budget: int) -> int:
     """Bytes of cached photographs of 8 bits per channel within the budget."""
-    return min(budget, 3 * sum(camera.width * camera.height for camera in cameras))
+    return min(budget, 3 * sum(_pixels(cameras)))
 
 
-def _pixels(cameras: Sequence[View]) -> int:
+def _pixels(cameras: Sequence[View]) -> list[int]:
+    """Number of pixels of each view."""
+    return [camera.width * camera.height for camera in cameras]
+
+
+def _largest(cameras: Sequence[View]) -> int:
     """Number of pixels of the largest view."""
-    return max((camera.width * camera.height for camera in cameras), default=0)
+    return max(_pixels(cameras), default=0)
 
 
 def size_text(value: float) -> str:
