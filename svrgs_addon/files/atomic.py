@@ -105,9 +105,8 @@ def reserved(path: str | os.PathLike) -> Iterator[None]:
     empty. Does nothing on file systems without locks. Raises SceneError if the path is reserved.
     """
     target = file_names.real(path)
-    lock = target.with_name(
-        f"{HIDDEN_PREFIX}{hashlib.sha256(os.fsencode(target.name)).hexdigest()[:16]}.lock"
-    )
+    digest = hashlib.sha256(os.fsencode(target.name)).hexdigest()
+    lock = target.with_name(f"{HIDDEN_PREFIX}{digest[:16]}.lock")
     new_folders = list(itertools.takewhile(lambda folder: not folder.exists(), target.parents))
     try:
         with _errors_of(path):

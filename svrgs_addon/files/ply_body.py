@@ -15,6 +15,7 @@ import numpy as np
 from ..scene.gaussians import Scene, parameter_shapes
 from ..system.errors import FormatError
 from .ply_header import ENCODINGS, Header
+from .reading import SHORTER
 
 MAX_ASCII_BYTES = 64 * 2**20
 BLOCK_ROWS = 4096  # rows per block, about 1 MB; it stays in the cache
@@ -142,7 +143,7 @@ class Body:
         file: Any = self.file  # typing.BinaryIO lacks readinto
         for rows, part in blocks(self.count, dtype):
             if file.readinto(rows.view(np.uint8)) != rows.nbytes:
-                raise FormatError("became shorter while it was read; try again when no program writes it")
+                raise FormatError(SHORTER)
             yield rows, part
 
     def _convert(self, rows: np.ndarray, scene: Scene, part: slice):

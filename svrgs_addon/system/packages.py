@@ -30,15 +30,11 @@ def load(name: str, purpose: str) -> ModuleType:
     try:
         with uninterrupted():
             return importlib.import_module(name)
-    except ModuleNotFoundError as error:
-        if error.name == package:
-            remedy = (
-                os.environ.get(MISSING_VARIABLE)
-                or f"run {sys.executable} -m pip install {ON_PYPI.get(package, package)}"
-            )
-            raise SceneError(f"{purpose} needs the package {package}: {remedy}") from None
-        raise NativeError(f"the package {package} cannot be loaded ({import_reason(error)})") from error
     except (ImportError, RuntimeError) as error:  # pycolmap turns an ImportError into a RuntimeError
+        if isinstance(error, ModuleNotFoundError) and error.name == package:
+            install = f"run {sys.executable} -m pip install {ON_PYPI.get(package, package)}"
+            remedy = os.environ.get(MISSING_VARIABLE) or install
+            raise SceneError(f"{purpose} needs the package {package}: {remedy}") from None
         raise NativeError(f"the package {package} cannot be loaded ({import_reason(error)})") from error
 
 
