@@ -146,8 +146,7 @@ MachineStruct = _struct("MachineStruct", (_double, "fma read update"))
 
 @functools.cache
 def library() -> c.CDLL:
-    """The loaded library. Raises NativeError if it is missing, does not load, or has another interface
-    version."""
+    """The loaded library. Raises NativeError if it is missing, does not load, or has another version."""
     path = library_path()
     try:
         loaded = c.CDLL(str(path))
@@ -168,8 +167,7 @@ def library() -> c.CDLL:
 
 
 def call_library(name: str, *arguments):
-    """Calls a function of the library that returns a status. Raises Cancelled, or NativeError with the
-    sentence of the library."""
+    """Calls a function that returns a status. Raises Cancelled, or NativeError with its sentence."""
     loaded = library()
     status = getattr(loaded, name)(*arguments)
     if status == _CANCELLED:
@@ -179,8 +177,7 @@ def call_library(name: str, *arguments):
 
 
 def check(array: np.ndarray, name: str, shape: tuple, dtype) -> int:
-    """The address of `array`. Raises TypeError if it is not a C-contiguous array of exactly this shape and
-    dtype."""
+    """The address of `array`. Raises TypeError unless it is C-contiguous, of this shape and dtype."""
     if (
         not isinstance(array, np.ndarray)
         or array.dtype != dtype
@@ -255,14 +252,12 @@ def levels() -> dict[str, int]:
 
 
 def mask_kinds() -> dict[str, int]:
-    """Forms of the spatial mask F and its gradient as {name: number in the interface}; svrgs_mask_kind in
-    svrgs.h."""
+    """Forms of the spatial mask F and its gradient as {name: number}; svrgs_mask_kind in svrgs.h."""
     return {name: number for number, name in enumerate(_names(_MASK_KIND_NAMES))}
 
 
 def skips() -> dict[str, int]:
-    """Work that the rasterizer skips because it cannot change the result, as {name: bit}; svrgs_skip in
-    svrgs.h."""
+    """Work that the rasterizer skips, since it changes nothing, as {name: bit}; svrgs_skip in svrgs.h."""
     return {name: 1 << number for number, name in enumerate(_names(_SKIP_NAMES))}
 
 
@@ -295,10 +290,8 @@ def peaks(level: str) -> dict[str, float]:
 
 def set_threads(count: int):
     """Sets the size of the thread pool; 0: one thread per core that this process may use. Results do not
-    depend on it.
-
-    More than 32 threads, or 8 per core, would only slow each other down: a larger count is taken as this one.
-    """
+    depend on it. More than 32 threads, or 8 per core, would only slow each other down: that many are taken
+    then."""
     library().svrgs_set_threads(min(count, 2**31 - 1))
 
 
@@ -308,8 +301,7 @@ def threads() -> int:
 
 
 def traced(call: Callable[[], object]) -> list[np.ndarray]:
-    """The seconds of each task of the thread pool while call() runs: one array for each job. Nothing with
-    more than one thread."""
+    """Seconds of each task of the thread pool during call(), an array per job. Nothing with more threads."""
     lib, seconds, count = library(), c.POINTER(c.c_double)(), c.c_int64()
     lib.svrgs_trace(1)
     try:

@@ -1,5 +1,4 @@
-"""The images that one forward pass can compute: name, shape, render pass in Blender, and how each is shown as
-a picture."""
+"""The images of a forward pass: name, shape, render pass in Blender, and how each is shown as a picture."""
 
 from __future__ import annotations
 

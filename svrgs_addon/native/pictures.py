@@ -213,8 +213,7 @@ def exposed_vjp(
     valid: np.ndarray | None,
     level: str | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """dL/drgb (H, W, 3) and dL/dmatrix (3, 4) float64, of dL/dseen (H, W, 3) of exposed(). Raises as that
-    does."""
+    """dL/drgb (H, W, 3), dL/dmatrix (3, 4) float64, of dL/dseen (H, W, 3). Raises as exposed() does."""
     number, dtype = _level(level)
     d_rgb, d_matrix, rows = np.empty_like(rgb), np.empty((3, 4)), np.ascontiguousarray(matrix, np.float64)
     call_library(

@@ -140,8 +140,7 @@ class Rasterizer:
         return images
 
     def visible(self) -> np.ndarray:
-        """Row numbers of the V Gaussians that can reach the smallest rectangle that holds all
-        pixels that count, (V,) uint32, ascending."""
+        """Rows (V,) uint32, ascending, of Gaussians that can reach the rectangle of pixels that count."""
         ids, count = c.POINTER(c.c_uint32)(), c.c_int64()
         _call("svrgs_visible", self._context, c.byref(ids), c.byref(count))
         return np.ctypeslib.as_array(ids, (count.value,)).copy() if count.value else np.empty(0, np.uint32)
@@ -279,8 +278,7 @@ class Rasterizer:
         _call(function, self._context, address)
 
     def _count(self, purpose: str) -> int:
-        """The number of Gaussians in the last view. Raises NativeError if there is none. purpose: verb of the
-        message."""
+        """The number of Gaussians in the last view. Raises NativeError without one. purpose: a verb."""
         if self._view is None:
             raise NativeError(f"there is no rendered view to {purpose}: call forward() first")
         return len(self._view[0])
@@ -344,8 +342,7 @@ class Rasterizer:
         return address, check_out(moments, f"moments{of}", *moments_like(shape, self.dtype))
 
     def _gradients(self, image_grads: dict, wanted):
-        """The struct of image gradients, the arrays {name: (V, ...)} for the gradients, and the struct of
-        their addresses."""
+        """The struct of image gradients, arrays {name: (V, ...)} for the gradients, and their struct."""
         if unknown := {*image_grads} - {*LOSS_IMAGES} | {*wanted} - {*GRADS}:
             raise ValueError(
                 f"{', '.join(sorted(unknown))}: unknown gradient; image_grads may hold"
@@ -383,8 +380,7 @@ class Rasterizer:
         return images, ImagesStruct(**{name: image.ctypes.data for name, image in images.items()})
 
     def _buffer(self, name: str, shape: tuple) -> np.ndarray:
-        """An array of this shape in a buffer that only grows, so that large gradients are not allocated again
-        at every step."""
+        """An array of this shape in a buffer that only grows: steps do not allocate it again."""
         size = int(np.prod(shape, dtype=np.int64))
         if name not in self._buffers or self._buffers[name].size < size:
             self._buffers[name] = np.empty(size + size // 4, self.dtype)

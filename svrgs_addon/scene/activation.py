@@ -16,8 +16,7 @@ TOLERANCE = 2e-6  # relative difference of activated values; exp differs less be
 
 
 def scales(log_scales: np.ndarray) -> np.ndarray:
-    """Scales exp(log_scales), float32, in units of length of the scene; values beyond the range of float32
-    become infinite."""
+    """Scales exp(log_scales), float32, in units of length of the scene; infinite beyond float32."""
     with np.errstate(over="ignore"):
         return np.exp(log_scales)
 
@@ -38,8 +37,7 @@ def rotations(quats: np.ndarray) -> np.ndarray:
 
 
 def raw_scales(values: np.ndarray, kept: np.ndarray | None = None) -> np.ndarray:
-    """Log-scales (N, 3) float32 of scales; equal to `kept` where exp(kept) still equals the scale. kept: raw
-    values (N, 3) or None."""
+    """Log-scales (N, 3) float32 of scales; `kept`, (N, 3) or None, where exp(kept) still equals the scale."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return _restore(np.log(values), kept, lambda raw: _same(scales(raw), values))
 
@@ -55,8 +53,7 @@ def raw_opacities(values: np.ndarray, kept: np.ndarray | None = None) -> np.ndar
 
 
 def raw_rotations(values: np.ndarray, kept: np.ndarray | None = None) -> np.ndarray:
-    """Quaternions (N, 4) float32 of any length; equal to `kept` where kept / |kept| still equals the row of
-    `values`."""
+    """Quaternions (N, 4) float32 of any length; `kept` where kept / |kept| still equals the row."""
     return _restore(
         values, kept, lambda raw: (np.abs(rotations(raw) - values) <= TOLERANCE).all(axis=1, keepdims=True)
     )

@@ -17,10 +17,8 @@ BLOCK = 65_536  # Gaussians that are computed at a time
 
 
 def stretch(matrix: np.ndarray) -> float:
-    """Largest over smallest singular value of the linear part of a 4x4 matrix; 1 if it keeps shapes.
-
-    Raises SceneError if the matrix is singular or not finite.
-    """
+    """Largest over smallest singular value of the linear part of a 4x4 matrix; 1 if it keeps shapes. Raises
+    SceneError if the matrix is singular or not finite."""
     scales = np.linalg.svd(_linear(matrix), compute_uv=False)
     return float(scales[0] / scales[-1])
 
@@ -77,10 +75,8 @@ def _linear(matrix: np.ndarray) -> np.ndarray:
 
 
 def _stretched(scene: Scene, A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Log-scales (N, 3) and quaternions (N, 4), float64, of the covariances A Σ Aᵀ.
-
-    With Σ = R S S Rᵀ, they are the singular values and the left singular vectors of A R S.
-    """
+    """Log-scales (N, 3) and quaternions (N, 4), float64, of the covariances A Σ Aᵀ. With Σ = R S S Rᵀ, they
+    are the singular values and the left singular vectors of A R S."""
     log_scales, quats = np.empty((scene.count, 3)), np.empty((scene.count, 4))
     for start in range(0, scene.count, BLOCK):
         part = slice(start, start + BLOCK)

@@ -46,10 +46,8 @@ Get = Callable[[str], np.ndarray | None]  # the values of an attribute by name, 
 
 
 def to_attributes(scene: Scene) -> Iterator[tuple[str, str, np.ndarray]]:
-    """Yields (name, Blender's data type, values with one row per Gaussian) of each attribute.
-
-    FLOAT_COLOR may be replaced by FLOAT4 in versions of Blender that have it.
-    """
+    """Yields (name, Blender's data type, values with one row per Gaussian) of each attribute. FLOAT_COLOR may
+    be replaced by FLOAT4 in versions of Blender that have it."""
     yield POSITION, "FLOAT_VECTOR", scene.means
     yield SCALE, "FLOAT_VECTOR", activation.scales(scene.log_scales)
     yield ROTATION, "QUATERNION", activation.rotations(scene.quats)
@@ -68,8 +66,7 @@ def to_attributes(scene: Scene) -> Iterator[tuple[str, str, np.ndarray]]:
 
 
 def notes_of(scene: Scene) -> str:
-    """Types, order and comments of the file and the antialiased flag, as JSON. The data-block keeps this text
-    as a property."""
+    """Types, order and comments of the file and the antialiased flag, as the data-block keeps them: JSON."""
     return json.dumps(
         {
             "antialiased": scene.antialiased,
@@ -119,10 +116,8 @@ def _required(get: Get, name: str) -> np.ndarray:
 
 
 def _extra_columns(scene: Scene) -> dict[str, tuple[str, str]]:
-    """Further columns as {name in the file: (name of the attribute, NumPy type code in the file)}.
-
-    Names that are too long or reserved become ply:0, ply:1, ...
-    """
+    """Further columns as {name in the file: (name of the attribute, NumPy type code in the file)}. Names that
+    are too long or reserved become ply:0, ply:1, ..."""
     free = lambda name: len(name.encode()) <= NAME_LIMIT and not RESERVED.match(name)
     return {
         name: (name if free(name) else f"ply:{i}", column.dtype.str[1:])

@@ -47,11 +47,8 @@ def body_box(points: np.ndarray, weights: np.ndarray | None = None) -> np.ndarra
 
 
 def median_depth(camera: Camera, points: np.ndarray, weights: np.ndarray | None = None) -> float | None:
-    """The weighted median of the distances, along the axis of the camera, of the points that it shows; None
-    if it shows none.
-
-    points: (P, 3), world. weights: as in robust_box.
-    """
+    """The weighted median of the distances, along the axis of the camera, of the points (P, 3), world, that
+    it shows; None if it shows none. weights: as in robust_box."""
     points, weights = _usable(points, weights)
     local = camera.local(points)
     shown = camera.shows(local)
@@ -66,8 +63,7 @@ def corners(box: np.ndarray, matrix: np.ndarray) -> np.ndarray:
 
 
 def sphere_around(points: np.ndarray) -> tuple[np.ndarray, float]:
-    """Centre (3,) of the box around the points (P, 3), and the radius of the sphere around it that holds them
-    all."""
+    """Centre (3,) of the box around the points (P, 3), and the radius of the sphere around it with all."""
     centre = (points.min(axis=0) + points.max(axis=0)) / 2
     return centre, float(np.linalg.norm(points - centre, axis=1).max())
 
@@ -84,10 +80,7 @@ def viewing_distance(radius: float, lens: float, width: int, height: int, sensor
 
 def clipping(distance: float, start: float, end: float) -> tuple[float, float]:
     """Near and far clipping distances that suit a view from this distance: `start` and `end`, widened where
-    that is needed.
-
-    Their ratio stays below CLIP_RATIO, for the precision of the depth buffer.
-    """
+    that is needed. Their ratio stays below CLIP_RATIO, for the precision of the depth buffer."""
     end = max(end, CLIP_FAR * distance)
     return max(min(start, CLIP_NEAR * distance), end / CLIP_RATIO), end
 
@@ -104,8 +97,7 @@ def _usable(points: np.ndarray, weights: np.ndarray | None) -> tuple[np.ndarray,
 def weighted_quantiles(
     values: np.ndarray, weights: np.ndarray, shares: float | tuple[float, ...]
 ) -> np.ndarray:
-    """The values below which these shares of the weights lie, in the shape of `shares`. values, weights:
-    (P,), P > 0."""
+    """The values (P,), P > 0, below which these shares of the weights (P,) lie, shaped as `shares`."""
     order = np.argsort(values, kind="stable")
     total = np.cumsum(weights[order])
     return np.interp(shares, (total - weights[order] / 2) / total[-1], values[order])

@@ -39,8 +39,7 @@ class Camera:
 
     @property
     def valid(self) -> np.ndarray | None:
-        """(H, W) uint8, 1 for the pixels that count. The others show nothing, and nothing is learned from
-        them. None: all count."""
+        """(H, W) uint8, 1 for the pixels that count; nothing is learned from the others. None: all count."""
         if self.valid_bits is None:
             return None
         return np.unpackbits(self.valid_bits, axis=1, count=self.width)
@@ -63,8 +62,7 @@ class Camera:
 
     @property
     def usable(self) -> bool:
-        """Whether pose and intrinsics are finite and not absurdly large, and both focal lengths are
-        positive."""
+        """Whether pose and intrinsics are finite, not absurdly large, and focal lengths positive."""
         in_range = (np.abs(self.K) < MAX_PIXELS).all() and (np.abs(self.viewmat) < MAX_DISTANCE).all()
         return bool(in_range and self.K[0, 0] > 0 and self.K[1, 1] > 0)
 
@@ -88,15 +86,13 @@ class Camera:
         return inside & (points[:, 2] > 0)
 
     def pixels(self, points: np.ndarray) -> np.ndarray:
-        """Projects points (..., 3) of the camera frame. Returns pixel coordinates (..., 2), float64, which
-        are meaningless where z <= 0."""
+        """Pixels (..., 2) float64 of points (..., 3) of the camera frame; meaningless where z <= 0."""
         with np.errstate(divide="ignore", invalid="ignore"):
             plane = points[..., :2] if self.orthographic else points[..., :2] / points[..., 2:]
         return plane @ self.K[:2, :2].T + self.K[:2, 2]
 
     def directions(self, points: np.ndarray) -> np.ndarray:
-        """Unit view directions (N, 3), from the camera to world points (N, 3), in world coordinates and in
-        the dtype of the points."""
+        """Unit directions (N, 3) from the camera to world points (N, 3), world, in the points' dtype."""
         if self.orthographic:
             return np.broadcast_to(self.viewmat[2, :3].astype(points.dtype), points.shape)
         rays = points - self.position.astype(points.dtype)
@@ -127,8 +123,7 @@ class Camera:
         return replace(self, viewmat=moved @ self.viewmat)
 
     def resized(self, width: int, height: int) -> Camera:
-        """The same view with another image size in pixels. fx, cx are scaled by the ratio of the widths, fy,
-        cy by that of the heights."""
+        """The same view with another image size in pixels; K is scaled by the ratios of the sides."""
         scale = np.diag([width / self.width, height / self.height, 1.0])
         whole = replace(self, K=scale @ self.K, width=width, height=height, valid_bits=None)
         return whole if (valid := self.valid) is None else whole.masked(resized_valid(valid, width, height))
@@ -176,8 +171,7 @@ def evenly(views: Sequence[View], count: int) -> list[View]:
 
 
 def apart(views: Sequence[View], most: int) -> tuple[list[View], list[View]]:
-    """Up to half of the views, `most` at the most, evenly spread, to decide in; and the others, to measure
-    in."""
+    """Up to half of the views, at most `most`, evenly spread, to decide in; and the others, to measure in."""
     chosen = evenly(range(len(views)), min(most, len(views) // 2))
     return [views[k] for k in chosen], [view for k, view in enumerate(views) if k not in chosen]
 
@@ -204,8 +198,7 @@ def halfway(cameras: Sequence[Camera]) -> list[Camera]:
 
 
 def view_stem(name: str) -> str:
-    """The image name without its extension. Folders are kept. A suffix that is a number, as in 'frame.0001',
-    is no extension and is kept."""
+    """The image name, with its folders, without an extension; a number, as in 'frame.0001', is none."""
     path = PurePosixPath(name)
     return str(path if path.suffix[1:].isdecimal() else path.with_suffix(""))
 

@@ -1,5 +1,4 @@
-"""A splat scene: the raw parameters that 3DGS stores (logits, logarithms), and the further contents of its
-file."""
+"""A splat scene: the raw parameters of 3DGS (logits, logarithms), and the further contents of its file."""
 
 from __future__ import annotations
 
@@ -16,8 +15,7 @@ PARAMETERS = ("means", "log_scales", "quats", "opacity_logits", "sh")  # arrays 
 
 
 def parameter_shapes(count: int, coefficients: int) -> dict[str, tuple[int, ...]]:
-    """The shapes of the PARAMETERS of `count` Gaussians with `coefficients` (K) SH coefficients per
-    channel."""
+    """The shapes of the PARAMETERS of `count` Gaussians. coefficients: SH coefficients per channel, K."""
     widths: tuple[tuple[int, ...], ...] = ((3,), (3,), (4,), (), (coefficients, 3))
     return {name: (count, *width) for name, width in zip(PARAMETERS, widths, strict=True)}
 

@@ -32,10 +32,7 @@ def morton_order(means: np.ndarray) -> np.ndarray:
 
 def morton_codes(means: np.ndarray) -> np.ndarray:
     """Morton code of each mean (N, 3), (N,) int64: its position on the curve through a box of 2^21 cells per
-    side.
-
-    The box has its centre and size from central_box(). NaN is clamped to the low side of the box.
-    """
+    side, whose centre and size are from central_box(). NaN is clamped to the low side of the box."""
     centre, extent = central_box(means)
     codes = np.empty(len(means), np.int64)
     for start in range(0, len(means), BLOCK):
@@ -56,10 +53,7 @@ def _codes(means: np.ndarray, centre: np.ndarray, extent: float) -> np.ndarray:
 
 def central_box(means: np.ndarray) -> tuple[np.ndarray, float]:
     """Centre (3,) and longest side of the box between the 25th and 75th percentile of the finite means (N, 3)
-    per axis, float64.
-
-    The side is never 0. Without finite means the result is (0, 0, 0) and 1.
-    """
+    per axis, float64. The side is never 0. Without finite means: (0, 0, 0) and 1."""
     known = np.isfinite(means)
     finite = (means if known.all() else means[known.all(axis=1)]).astype(np.float64)
     if not len(finite):

@@ -26,10 +26,7 @@ BLOCK = 65_536  # points that are computed at a time
 
 def follow_points(scene: Scene, before: np.ndarray) -> tuple[Scene, int]:
     """The scene with the shapes and view-dependent colours that belong to its means, and the number of
-    Gaussians that were transformed.
-
-    before: (N, 3) float32, the means to which the shapes and colours of the scene belong.
-    """
+    Gaussians that were transformed. before: (N, 3) float32, the means to which they belong so far."""
     if np.array_equal(before, scene.means):
         return scene, 0
     names, count = ("log_scales", "quats", "sh"), 0
@@ -55,8 +52,7 @@ def moved_parts(before: np.ndarray, after: np.ndarray) -> Iterator[tuple[np.ndar
 
 
 def common_motion(before: np.ndarray, after: np.ndarray) -> np.ndarray | None:
-    """The one matrix (4, 4) float64 that moves all points before (N, 3) float32 to after; None if there is
-    none, or too few points."""
+    """The matrix (4, 4) float64 that moves all points before (N, 3) float32 to after; None: there is none."""
     if np.array_equal(before, after):
         return np.eye(4)
     _, matrix = next(_groups(before, after), (None, None))
@@ -100,8 +96,7 @@ def _all_moved_by(matrix: np.ndarray, before: np.ndarray, after: np.ndarray, row
 
 
 def _most_common(x: np.ndarray, y: np.ndarray, rng: np.random.Generator) -> np.ndarray | None:
-    """The matrix (4, 4) that moves most of the points x (n, 3) to y, as far as is found; None if no matrix
-    moves several."""
+    """The matrix (4, 4) that moves most points x (n, 3) to y, as far as is found; None if none does."""
     matrix, count = _refined(x, y, np.ones(len(x), bool))
     if count == len(x):
         return matrix
@@ -117,8 +112,7 @@ def _most_common(x: np.ndarray, y: np.ndarray, rng: np.random.Generator) -> np.n
 
 
 def _guesses(count: int, rng: np.random.Generator) -> Iterator[np.ndarray]:
-    """Rows of small samples: neighbours in the list (joined splats lie one after the other), and rows from
-    anywhere."""
+    """Rows of small samples: neighbours in the list (joined splats follow each other), or from anywhere."""
     size = min(count, max(MIN_POINTS.values()))
     for _ in range(TRIES):
         yield rng.integers(0, count - size + 1) + np.arange(size)
@@ -143,8 +137,7 @@ def _refined(x: np.ndarray, y: np.ndarray, some: np.ndarray) -> tuple[np.ndarray
 
 
 def _moves(matrix: np.ndarray, x: np.ndarray, y: np.ndarray, tolerance: float) -> np.ndarray:
-    """Whether the matrix moves x (n, 3) to y, (n,) bool. tolerance: relative to the numbers that are
-    added."""
+    """Whether the matrix moves x (n, 3) to y, (n,) bool. tolerance: relative to what is added."""
     A, t = matrix[:3, :3], matrix[:3, 3]
     size = np.abs(x) @ np.abs(A).T + np.abs(t) + np.abs(y)
     return (np.abs(x @ A.T + t - y) <= tolerance * size.max(axis=1, keepdims=True)).all(axis=1)
@@ -173,8 +166,7 @@ def _affine(x: np.ndarray, y: np.ndarray) -> np.ndarray | None:
 
 
 def _similarity(x: np.ndarray, y: np.ndarray) -> np.ndarray | None:
-    """The rotation, with or without mirroring, and uniform scale of least squares (Umeyama 1991), (4, 4);
-    None if they are not defined."""
+    """Rotation, perhaps mirroring, and scale of least squares (Umeyama 1991), (4, 4); None: undefined."""
     centre_x, centre_y = x.mean(axis=0), y.mean(axis=0)
     variance = ((x - centre_x) ** 2).sum()
     if len(x) < 3 or not variance > 0:

@@ -16,8 +16,7 @@ FIRST = 16  # leaves that are searched first where there are many
 
 
 def nearest_distances(points: np.ndarray, count: int) -> np.ndarray:
-    """The distances (P, count) float64, ascending, of each point to its nearest other ones. points: (P, 3)
-    finite, P > count."""
+    """Distances (P, count) float64, ascending, to the nearest other points (P, 3), finite, P > count."""
     result = np.empty((len(points), count))
     for own, squares, places, _ in _searches(points, count):
         result[own] = np.sqrt(_smallest(squares, count, places))
@@ -25,8 +24,7 @@ def nearest_distances(points: np.ndarray, count: int) -> np.ndarray:
 
 
 def nearest_rows(points: np.ndarray, count: int) -> np.ndarray:
-    """The rows (P, count) int64 of the nearest other points of each point, in no order. points: (P, 3)
-    finite, P > count."""
+    """Rows (P, count) int64, in no order, of the nearest other points (P, 3), finite, P > count."""
     result = np.empty((len(points), count), np.int64)
     for own, squares, places, others in _searches(points, count):
         squares[np.arange(len(own)), places] = np.inf
@@ -101,8 +99,7 @@ def _reach(own: np.ndarray, others: np.ndarray, count: int, places: np.ndarray) 
 
 
 def _any_within(points: np.ndarray, lows: np.ndarray, highs: np.ndarray, reach: np.ndarray) -> np.ndarray:
-    """(B,) bool: the boxes with corners (B, 3) that one of the points (A, 3) reaches. reach: (A,) squared
-    distances."""
+    """(B,) bool: boxes with corners (B, 3) within the squared distances reach (A,) of points (A, 3)."""
     gap = np.maximum(np.maximum(lows - points[:, None], points[:, None] - highs), 0)
     return ((gap**2).sum(axis=2) <= reach[:, None]).any(axis=0)
 

@@ -1,5 +1,4 @@
-"""Rotates view-dependent colours: real spherical harmonics of degree 0 to 3 under rotations and
-reflections."""
+"""Rotates view-dependent colours: real spherical harmonics of degree 0 to 3, also by reflections."""
 
 from __future__ import annotations
 
@@ -58,10 +57,7 @@ def band_rotation(degree: int, R: np.ndarray) -> np.ndarray:
 
 def rotate_sh(sh: np.ndarray, R: np.ndarray) -> np.ndarray:
     """SH coefficients (N, K, 3) float32 of a scene whose points move from x to R x. R (3, 3) is orthogonal
-    and may mirror.
-
-    Computed in float64.
-    """
+    and may mirror. Computed in float64."""
     rotated = sh.copy()
     for degree in range(1, SH_COEFFICIENTS.index(sh.shape[1]) + 1):
         columns = slice(degree**2, (degree + 1) ** 2)

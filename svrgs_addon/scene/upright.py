@@ -40,8 +40,7 @@ def up_direction(rotations: np.ndarray) -> np.ndarray | None:
 
 
 def levelled(matrix: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """The affine matrix (4, 4), turned the shortest way so that it maps the direction `up` (3,) to +z. Scale
-    and origin stay."""
+    """The affine matrix (4, 4), turned the shortest way to map `up` (3,) to +z; scale and origin stay."""
     turned = np.array(matrix, np.float64)
     now = turned[:3, :3] @ up
     turned[:3, :3] = _shortest_turn(now / np.linalg.norm(now)) @ turned[:3, :3]
@@ -84,8 +83,7 @@ def _fitted(right: np.ndarray, top: np.ndarray, forward: np.ndarray) -> np.ndarr
 
 
 def _median_direction(directions: np.ndarray) -> np.ndarray:
-    """The direction (3,) with the smallest sum of distances to unit vectors (V, 3): few outliers do not move
-    it."""
+    """The direction (3,) with the smallest sum of distances to unit vectors (V, 3)."""
     middle = directions.mean(axis=0)
     for _ in range(ROUNDS):
         weights = 1 / np.maximum(np.linalg.norm(directions - middle, axis=1), 1e-6)
@@ -94,8 +92,7 @@ def _median_direction(directions: np.ndarray) -> np.ndarray:
 
 
 def _shortest_turn(start: np.ndarray) -> np.ndarray:
-    """The rotation (3, 3) by the smallest angle that takes the unit vector `start` to +z; from -z, half a
-    turn about x."""
+    """The smallest rotation (3, 3) that takes the unit vector `start` to +z; from -z, half a turn about x."""
     x, y, z = start
     if z < -1 + 1e-12:
         return np.diag([1.0, -1.0, -1.0])

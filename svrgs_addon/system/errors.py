@@ -1,5 +1,4 @@
-"""The exceptions of the product. Each message is one sentence: it names the file, the fault, and what to do
-about it."""
+"""The exceptions of the product. Each message is a sentence: the file, the fault, what to do about it."""
 
 from __future__ import annotations
 
@@ -7,8 +6,7 @@ from .file_names import shown
 
 
 class SplatError(Exception):
-    """Base class of errors that a user can cause and correct. The command line prints the message and exits
-    with status 2."""
+    """Base class of errors that a user can cause and correct. The command line exits with status 2."""
 
     def __str__(self) -> str:
         return shown(super().__str__())
@@ -27,8 +25,7 @@ class OtherRun(FormatError):
 
 
 class SceneError(SplatError):
-    """The files can be read, but the request cannot be carried out: they do not belong together, or nothing
-    would be left of the scene."""
+    """The files can be read, but do not belong together, or nothing would be left of the scene."""
 
 
 class MemoryShort(SceneError):
@@ -37,15 +34,9 @@ class MemoryShort(SceneError):
 
 class NativeError(Exception):
     """The native library is missing, has another interface version or reports a failure; or a package cannot
-    be loaded.
-
-    The command line exits with status 1.
-    """
+    be loaded. The command line exits with status 1."""
 
 
 class Cancelled(Exception):
-    """The user asked to stop. Files that were written before are complete. The command line exits with status
-    130.
-
-    It may carry a sentence on what is left of the work; without one, there is a checkpoint.
-    """
+    """The user asked to stop. Files written before are complete. The command line exits with status 130. It
+    may carry a sentence on what is left of the work; without one, there is a checkpoint."""

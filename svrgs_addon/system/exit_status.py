@@ -28,10 +28,7 @@ CONTROLS = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069
 
 def guarded(run: Callable[[], int], report: Callable[[str], None]) -> int:
     """Calls run() and returns its exit status. An expected error is passed to report() as one sentence and
-    becomes a status (see above).
-
-    Other exceptions pass through.
-    """
+    becomes a status (see above). Other exceptions pass through."""
     try:
         return run()
     except SplatError as error:
@@ -66,9 +63,8 @@ def guarded(run: Callable[[], int], report: Callable[[str], None]) -> int:
 
 
 def printable(text: str) -> str:
-    """The text with control characters replaced by escapes such as \\x1b, so that a name in it cannot command
-    the terminal or add a line, and without the middle of one that is very long. Paths are as the user wrote
-    them."""
+    """The text with control characters as escapes such as \\x1b, so that a name in it cannot command the
+    terminal or add a line, and without the middle if it is very long. Paths are as the user wrote them."""
     if len(text) > LONGEST:
         text = f"{text[:KEPT]} … {text[-KEPT:]}"
     return CONTROLS.sub(lambda found: found[0].encode("unicode_escape").decode(), shown(text))
@@ -89,8 +85,7 @@ def log_to_stderr() -> None:
 
 
 def use_utf_8() -> None:
-    """stdin and stdout are UTF-8 from here on, whatever the locale says: they are pipes to another process of
-    this product."""
+    """From here on stdin and stdout, pipes to another process of this product, are UTF-8 in any locale."""
     for stream in (sys.stdin, sys.stdout):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(encoding="utf-8")
@@ -98,10 +93,7 @@ def use_utf_8() -> None:
 
 def answer(work: Callable[[dict], dict]) -> int:
     """The main function of a child process: it gives work() the JSON object on stdin, and prints its result
-    as JSON on stdout.
-
-    An expected error is printed as {"error": sentence}. Returns the exit status.
-    """
+    as JSON on stdout, or an expected error as {"error": sentence}. Returns the exit status."""
     log_to_stderr()
     use_utf_8()
     request, result = json.load(sys.stdin), {}

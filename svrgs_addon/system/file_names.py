@@ -50,8 +50,7 @@ def extended(path: str | os.PathLike) -> Path:
 
 
 def real(path: str | os.PathLike) -> Path:
-    """The absolute path without symbolic links, in the form of extended(). Where Windows cannot follow links,
-    as on some drives, they stay."""
+    """The absolute path without symbolic links, as extended(). Links that Windows cannot follow stay."""
     try:
         return extended(os.path.realpath(path))
     except OSError:
@@ -72,8 +71,7 @@ def remove_link(path: Path) -> bool:
 
 
 def shown(text: str) -> str:
-    """The text of a message, with its paths as the user wrote them: without the prefix of extended().
-    Python's own errors double each backslash."""
+    """The text with its paths as the user wrote them. Python's own errors double each backslash."""
     if here.WINDOWS:
         for single in ("\\\\", "\\"):
             prefix = PREFIX.replace("\\", single)

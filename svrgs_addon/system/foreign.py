@@ -30,8 +30,7 @@ def open_regular(path: str | os.PathLike) -> BinaryIO:
 
 
 def check_name(name: str, kind: str = "file") -> None:
-    """Raises FormatError if a name leads out of its folder, on POSIX or on Windows, or cannot be that of a
-    file. kind: of the file, in the sentence."""
+    """Raises FormatError if a name cannot be a file's, or leads out of its folder. kind: of the file."""
     try:
         possible = b"\0" not in os.fsencode(name)
     except UnicodeEncodeError:  # half of a pair of surrogates
@@ -44,8 +43,7 @@ def check_name(name: str, kind: str = "file") -> None:
 
 
 def inside(folder: Path, name: str) -> Path:
-    """A path in the folder, to read it. Raises FormatError (without the name of the folder) if its name or a
-    link leads out of the folder."""
+    """A path in the folder, to read it. Raises FormatError, without the folder, if it leads out of it."""
     check_name(name)
     path = folder / name
     if not real(path).is_relative_to(real(folder)):
@@ -66,8 +64,7 @@ def own(folder: Path, *names: str) -> Path:
 
 
 def refuse_entry(entry: os.DirEntry) -> None:
-    """Raises FormatError for an entry of a folder that is a link, a pipe or a device: writing to it would
-    change something elsewhere."""
+    """Raises FormatError for a link, pipe or device: writing to it would change something elsewhere."""
     own(Path(entry.path).parent, entry.name)
     if not (entry.is_file(follow_symlinks=False) or entry.is_dir(follow_symlinks=False)):
         raise FormatError(f"{entry.path}: is a pipe or a device; remove it")

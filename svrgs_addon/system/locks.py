@@ -28,10 +28,7 @@ PATIENCE_S, PAUSE_S = 0.5, 0.05
 
 def create_owned(path: Path) -> BinaryIO:
     """Creates a new empty file that this process owns until the returned file is closed. Meanwhile it can be
-    opened, written and renamed.
-
-    Raises FileExistsError if there is one, OSError if it cannot be created.
-    """
+    opened, written and renamed. Raises FileExistsError if there is one, OSError if it cannot be created."""
     if here.WINDOWS:
         access = windows.GENERIC_READ | windows.GENERIC_WRITE
         return open(windows.create_file(path, access, windows.SHARE_ALL, windows.CREATE_NEW), "wb")
@@ -59,10 +56,7 @@ def remove_abandoned(path: Path) -> None:
 @contextlib.contextmanager
 def exclusive(path: Path) -> Iterator[bool]:
     """Context manager: owns the file, which is created if it is missing and removed at the end. Yields False
-    if another one owns it.
-
-    The other one may be a thread of this process. Raises OSError if the file cannot be created.
-    """
+    if another process, or thread, owns it. Raises OSError if it cannot be created."""
     file = _open_alone(path) if here.WINDOWS else _lock(path)
     if file is None:
         yield False

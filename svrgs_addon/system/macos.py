@@ -1,5 +1,4 @@
-"""The functions of macOS that Python does not offer, through ctypes. Nothing here is called on another
-system."""
+"""Functions of macOS that Python does not offer, through ctypes. Not called on another system."""
 
 from __future__ import annotations
 
@@ -41,8 +40,7 @@ def _host() -> int:
 
 
 def available_memory() -> int | None:
-    """Bytes that are free, or hold what can be dropped or written elsewhere (inactive); None if the kernel
-    does not say."""
+    """Bytes that are free, or can be dropped or written elsewhere; None if the kernel does not say."""
     pages, size = VirtualMemory(), ctypes.c_uint32(ctypes.sizeof(VirtualMemory) // 4)
     if system_library().host_statistics64(
         ctypes.c_uint32(_host()), _HOST_VM_INFO64, ctypes.byref(pages), ctypes.byref(size)

@@ -14,8 +14,7 @@ from .memory_limits import address_limit, available
 
 
 class View(Protocol):
-    """Anything with the size of a picture, in pixels: a Camera. Importing that, and with it NumPy, needs
-    memory."""
+    """Anything of a size in pixels: a Camera. Importing that, and with it NumPy, needs memory."""
 
     @property
     def width(self) -> int: ...
@@ -70,8 +69,7 @@ def texturing(count: int, coefficients: int) -> int:
 
 
 def rendering(count: int, width: int, height: int) -> int:
-    """Bytes of memory needed to render one view of width x height pixels of `count` Gaussians that are in
-    memory already."""
+    """Bytes of memory needed to render one view of `count` Gaussians that are in memory already."""
     return PROJECTED * count + RENDERED_PIXEL * width * height
 
 
@@ -97,10 +95,8 @@ def tuning(
 
 def decimating(count: int, coefficients: int, cameras: Sequence[View]) -> int:
     """Bytes of memory needed to remove and merge Gaussians (finetune/decimate/) and to fine-tune those that
-    are left, on pictures that are all kept.
-
-    coefficients: SH coefficients per channel, K. cameras: all views.
-    """
+    are left, on pictures that are all kept. coefficients: SH coefficients per channel, K. cameras: all
+    views."""
     work = max(ordering(count, coefficients, cameras), tuning(count, coefficients, cameras, 0))
     return work + 12 * sum(_pixels(cameras))
 
@@ -119,10 +115,7 @@ def ranking(count: int, coefficients: int) -> int:
 
 def measuring(count: int, cameras: Sequence[View], kept_photographs: int, lpips: bool) -> int:
     """Bytes of memory needed to evaluate `count` Gaussians that are in memory already. cameras: the views;
-    the largest one counts.
-
-    kept_photographs: as for tuning(). lpips: whether LPIPS is measured too.
-    """
+    the largest one counts. kept_photographs: as for tuning(). lpips: whether LPIPS is measured too."""
     pixels = (RENDERED_PIXEL + MEASURED_PIXEL) * _largest(cameras) + perceiving(cameras, lpips)
     return PROJECTED * count + pixels + _kept(cameras, kept_photographs)
 
@@ -136,10 +129,7 @@ def comparing(
     count: int, cameras: Sequence[View], shown: Sequence[View], kept_photographs: int, lpips: bool
 ) -> int:
     """Bytes of memory needed to compare two scenes in memory, the larger one with `count` Gaussians, in
-    figures and pictures.
-
-    cameras, kept_photographs, lpips: as for measuring(). shown: the views with pictures.
-    """
+    figures and pictures. shown: the views with pictures; others: as for measuring()."""
     return measuring(count, cameras, kept_photographs, lpips) + COMPARED_PIXEL * sum(_pixels(shown))
 
 
@@ -173,14 +163,12 @@ IN_PARTS = "svrgs convert and svrgs large read it in parts"
 
 
 def without_advice(sentence: str) -> str:
-    """The sentence of an error without BY_BLOCKS or IN_PARTS at its end: for work that then goes on in this
-    way."""
+    """The sentence of an error without BY_BLOCKS or IN_PARTS at its end: for work that goes on so."""
     return sentence.removesuffix(f"; {BY_BLOCKS}").removesuffix(f"; {IN_PARTS}")
 
 
 def shortage(what: str, needed: int) -> str:
-    """A sentence if `needed` bytes exceed the available memory, else ''. what: subject of the sentence, such
-    as 'pruning a.ply'."""
+    """A sentence if `needed` bytes exceed the available memory, else ''. what: 'pruning a.ply'."""
     free = available()
     if free is None or needed <= free:
         return ""

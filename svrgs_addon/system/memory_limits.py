@@ -90,15 +90,13 @@ def _system_available() -> int | None:
 
 
 def proc_bytes(file: str, name: str) -> int:
-    """Bytes in the line `name` of /proc/`file`. Raises OSError or ValueError if there is no such file or
-    line."""
+    """Bytes in the line `name` of /proc/`file`. Raises OSError or ValueError if it is not there."""
     text = Path("/proc", file).read_text(encoding="utf-8", errors="surrogateescape")
     return 1024 * int(text.partition(f"{name}:")[2].partition("kB")[0])
 
 
 def _cgroup_available() -> int | None:
-    """Bytes below the nearest limit of the containers (cgroups, version 1 or 2), where cached files count as
-    free; None without a limit."""
+    """Bytes below the nearest limit of the cgroups, cached files being free; None without a limit."""
     left = [_below_limit(folder, *names) for folder, names in _cgroups()]
     return min((value for value in left if value is not None), default=None)
 

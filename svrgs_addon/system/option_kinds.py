@@ -50,8 +50,7 @@ class Kind:
         return value
 
     def fits(self, value: Any) -> bool:
-        """Whether a value that was read from JSON is valid: finite numbers, bool only for flags, text for
-        paths."""
+        """Whether a value from JSON is valid: finite numbers, bool only for flags, text for paths."""
         if self.type is float:
             right = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
         elif self.type is Path:
@@ -189,10 +188,8 @@ def flag_of(cls: type, name: str) -> str:
 
 def check_mapping(cls: type, values: object, in_job: bool = True) -> dict[str, Any]:
     """Checks options that were read from JSON by name, type and range and returns them. Texts of path options
-    become Path, empty ones None, lists tuples. in_job: only options that are allowed in a job folder.
-
-    Raises SceneError with one sentence.
-    """
+    become Path, empty ones None, lists tuples. in_job: only options that are allowed in a job folder. Raises
+    SceneError."""
     if not isinstance(values, dict):
         raise SceneError("the job has no options")
     known, checked = options_of(cls), {}

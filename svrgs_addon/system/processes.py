@@ -17,10 +17,8 @@ from . import here, windows
 
 
 class ChildProcess(subprocess.Popen):
-    """A child in the group of this process: Ctrl-C in a terminal reaches both. It opens no console window.
-
-    On Windows it ends with this process, however that ends.
-    """
+    """A child in the group of this process: Ctrl-C in a terminal reaches both. It opens no console window. On
+    Windows it ends with this process, however that ends."""
 
     def __init__(self, command: Sequence[str | os.PathLike], **options: Any):
         super().__init__(
@@ -31,15 +29,13 @@ class ChildProcess(subprocess.Popen):
         self._job = _job_of(self, dies_with_parent=True)
 
     def ask_to_stop(self):
-        """Requests a clean stop (SIGTERM). On Windows the console has told the child already when it told
-        this process."""
+        """Requests a clean stop (SIGTERM). On Windows the console has told the child already."""
         if not here.WINDOWS:
             self.terminate()
 
 
 class ProcessGroup(subprocess.Popen):
-    """A child that leads a group of its own: Ctrl-C in a terminal does not reach it, and it outlives this
-    process. It opens no console window."""
+    """A child without a console window that Ctrl-C does not reach and that outlives this process."""
 
     def __init__(self, command: Sequence[str | os.PathLike], **options: Any):
         own_group = _flags(windows.CREATE_NO_WINDOW | windows.CREATE_NEW_PROCESS_GROUP) or {
@@ -85,8 +81,7 @@ def stop_signals() -> tuple[int, ...]:
 
 @contextlib.contextmanager
 def interrupting() -> Iterator[None]:
-    """Within its block, each of the stop_signals() raises KeyboardInterrupt, as Ctrl-C does: what was begun
-    is tidied up."""
+    """Within its block, each of the stop_signals() raises KeyboardInterrupt, as Ctrl-C does."""
     old = {number: signal.signal(number, signal.default_int_handler) for number in stop_signals()}
     try:
         yield

@@ -20,8 +20,7 @@ Result = TypeVar("Result")
 
 
 def patiently(action: Callable[[], Result]) -> Result:
-    """Calls the action. On Windows, after a PermissionError, again and again for PATIENCE_S seconds; then the
-    error is raised."""
+    """Calls the action; on Windows, after a PermissionError, again for PATIENCE_S seconds, then raises it."""
     end = time.monotonic() + PATIENCE_S
     while here.WINDOWS:
         try:

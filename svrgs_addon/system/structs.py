@@ -6,6 +6,5 @@ from typing import Any
 
 
 def fields(*of_types: tuple[Any, str]) -> list[tuple[str, Any]]:
-    """The _fields_ of a ctypes.Structure. of_types: a type, and the names of the fields that have it, in the
-    order of the struct."""
+    """The _fields_ of a ctypes.Structure, in the order of the struct. of_types: types, names of fields."""
     return [(name, kind) for kind, names in of_types for name in names.split()]

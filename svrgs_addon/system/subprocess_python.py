@@ -87,11 +87,9 @@ def _result(status: int, last: str, error_lines: list[str]) -> dict:
 
 def environment(packages: Mapping[str, Path] | None = None) -> dict[str, str]:
     """The environment variables of this process, with a PYTHONPATH on which a child process finds this
-    package and those it needs, and with what to do about packages that are missing. Files in the current
-    folder, such as a json.py, are not taken for modules.
-
-    packages: {package: its folder}. Default: where this process finds them.
-    """
+    package and those it needs, and with what to do about missing ones. Files in the current folder, such as a
+    json.py, are not taken for modules. packages: {package: its folder}; None: where this process finds
+    them."""
     found = importable() if packages is None else packages
     paths = [ROOT, *found.values(), os.environ.get("PYTHONPATH")]
     remedy = os.environ.get(MISSING_VARIABLE) or missing(found)

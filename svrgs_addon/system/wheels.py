@@ -61,8 +61,7 @@ def find(folders: Iterable[Path] = (), extensions: Iterable[Path] = ()) -> dict[
 
 
 def missing(found: Iterable[str], extensions: Iterable[Path] = ()) -> str:
-    """The sentence that says which of the PACKAGES this Python lacks, and what to do; empty if all are in
-    `found`."""
+    """Which of the PACKAGES this Python lacks, and what to do: a sentence; '' if all are in `found`."""
     lacking = [name for name in PACKAGES if name not in found]
     wheels = [wheel for wheel in _wheels(extensions) if _package(wheel) != NATIVE]
     return _what_to_do(lacking, wheels) if lacking else ""
@@ -131,8 +130,7 @@ def _what_to_do(lacking: list[str], wheels: list[Path]) -> str:
 
 
 def cache_folder() -> Path:
-    """The folder of this product in the user's cache. It can be deleted at any time. Raises SceneError if the
-    user has no folder."""
+    """This product's folder in the user's cache; it can be deleted. Raises SceneError without a home."""
     try:
         return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "svrgs"
     except RuntimeError:
@@ -143,10 +141,7 @@ def cache_folder() -> Path:
 
 def _unpacked(wheel: Path) -> Path:
     """The folder in the cache that holds the files of the wheel. It is filled under another name and then
-    renamed.
-
-    Raises SceneError if the wheel is damaged or the folder cannot be written.
-    """
+    renamed. Raises SceneError if the wheel is damaged or the folder cannot be written."""
     folder = cache_folder() / wheel.stem
     if folder.is_dir():
         return folder

@@ -65,8 +65,7 @@ class JobLimits(ctypes.Structure):
 
 @functools.cache
 def kernel32() -> Any:
-    """The library kernel32, with the results that are handles declared: their default type would cut them
-    off."""
+    """The library kernel32. Results that are handles are declared: their default type would cut them."""
     module: Any = ctypes
     library = module.WinDLL("kernel32", use_last_error=True)
     handle, number, text, pointer = ctypes.c_void_p, ctypes.c_uint32, ctypes.c_wchar_p, ctypes.c_void_p
@@ -138,9 +137,7 @@ def own_job_limits() -> JobLimits | None:
 
 class Job:
     """A job object: a process with all the children it will start. end() ends them all at once.
-
-    dies_with_parent: they end with this process too, however it ends. Raises OSError if Windows refuses.
-    """
+    dies_with_parent: they end with this process too, however it ends. Raises OSError if Windows refuses."""
 
     def __init__(self, process: int, dies_with_parent: bool):
         library = kernel32()
