@@ -47,10 +47,7 @@ def atomic_write(path: str | os.PathLike, keep: bool = True) -> Iterator[BinaryI
 
 def start_writeback(file: BinaryIO, size: int) -> None:
     """Asks the system to store the last `size` bytes of the file now, so that the final fsync takes less
-    time.
-
-    With POSIX_FADV_DONTNEED, Linux starts to write dirty pages; it drops only clean ones.
-    """
+    time. With POSIX_FADV_DONTNEED, Linux starts to write dirty pages; it drops only clean ones."""
     if hasattr(os, "posix_fadvise"):
         with contextlib.suppress(OSError):
             os.posix_fadvise(file.fileno(), file.tell() - size, size, os.POSIX_FADV_DONTNEED)
@@ -58,8 +55,7 @@ def start_writeback(file: BinaryIO, size: int) -> None:
 
 @contextlib.contextmanager
 def atomic_path(path: str | os.PathLike, keep: bool = True) -> Iterator[Path]:
-    """As atomic_write, for libraries that write by file name: yields the path of an empty temporary file with
-    the same suffix."""
+    """As atomic_write, for libraries: yields the path of an empty file with the same suffix."""
     target = file_names.real(path)  # if path is a symbolic link, its target is replaced
     _check_target(path, target)
     with _errors_of(path):
@@ -170,8 +166,7 @@ def check_space(path: str | os.PathLike, needed_bytes: int) -> None:
 
 
 def _check_target(path: str | os.PathLike, target: Path) -> None:
-    """Raises SceneError for a folder, a device, a pipe, a write-protected file, and a name that the file
-    system does not allow."""
+    """Raises SceneError for a folder, a device, a pipe, a write-protected file, a forbidden name."""
     if os.path.isdir(target):
         raise SceneError(f"{path}: is a folder; give the name of a file")
     try:
@@ -188,10 +183,8 @@ def _check_target(path: str | os.PathLike, target: Path) -> None:
 
 @contextlib.contextmanager
 def _hidden_file_next_to(target: Path) -> Iterator[Path]:
-    """Yields a new empty hidden file that this process owns; it is removed at the end if it was not renamed.
-
-    It is in the folder of the target, because os.replace is atomic only within one file system.
-    """
+    """Yields a new empty hidden file that this process owns, removed at the end if it was not renamed. It is
+    in the folder of the target, because os.replace is atomic only within one file system."""
     suffix = target.suffix if len(target.suffix) <= LONGEST_SUFFIX else ""
     temporary = file_names.extended(target.with_name(f"{HIDDEN_PREFIX}{secrets.token_hex(8)}{suffix}"))
     owned = locks.create_owned(temporary)
@@ -220,8 +213,7 @@ def _sync(path: Path, flags: int) -> None:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Makes the rename durable (POSIX). Errors are ignored, because the new file is complete and some file
-    systems cannot do this."""
+    """Makes the rename durable (POSIX). Errors are ignored: some file systems cannot do this."""
     if not here.WINDOWS:
         with contextlib.suppress(OSError):
             _sync(folder, os.O_RDONLY)
@@ -238,10 +230,8 @@ def _check_new(check: Callable[[Path], None], temporary: Path, target: Path) -> 
 
 def _replace(temporary: Path, target: Path, path: str | os.PathLike | None) -> None:
     """Renames the temporary file. If Windows does not replace the old file, the new one gets another name,
-    and SceneError says which.
-
-    path: how the message names the target; None: the new file is not kept, and the OSError is raised.
-    """
+    and SceneError says which. path: how the message names the target; None: the new file is not kept, and the
+    OSError is raised."""
     try:
         replacing.replace(temporary, target)
     except PermissionError:

@@ -22,8 +22,7 @@ def turned_over(scene: Scene) -> Scene:
 
 
 def turned_around(scene: Scene) -> Scene:
-    """The scene after half a turn around y, which turns right and back to left and forward. It is its own
-    inverse."""
+    """The scene after half a turn around y: right becomes left, back forward. It is its own inverse."""
     return _turned(scene, AROUND_Y)
 
 

@@ -113,8 +113,7 @@ def write(path: str | os.PathLike, scene: Scene):
 
 
 def limits(scene: Scene) -> list[str]:
-    """A sentence if Gaussians are smaller than the steps in which their chunk stores positions, and one if SH
-    are clipped."""
+    """A sentence if Gaussians are smaller than the steps of their positions, and one if SH are clipped."""
     order = morton_order(scene.means)
     means, starts = scene.means[order], np.arange(0, scene.count, CHUNK)
     extents = np.maximum.reduceat(means, starts) - np.minimum.reduceat(means, starts)
@@ -166,8 +165,7 @@ def _checked(file: BinaryIO, max_count: int) -> _Layout:
 
 
 def _checked_elements(header: Header) -> tuple[int, int, int]:
-    """(count, columns of ranges, K) of a header that has the elements of this format. Raises FormatError
-    (without the name of the file)."""
+    """(count, columns of ranges, K) of a header with the elements of this format. Raises FormatError."""
     if header.encoding != "binary_little_endian":
         raise FormatError(f"is a compressed PLY in {header.encoding}, which no program writes{BROKEN}")
     names = [element.name for element in header.elements]
@@ -249,8 +247,7 @@ def _packed(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _bits(shares: np.ndarray, bits: tuple[int, int, int]) -> np.ndarray:
-    """(N,) uint32: three shares (N, 3), 0 to 1, rounded to so many bits each, the first one in the highest
-    bits."""
+    """(N,) uint32: shares (N, 3), 0 to 1, rounded to so many bits each, the first in the highest bits."""
     packed = np.zeros(len(shares), np.uint32)
     for share, width in zip(shares.T, bits, strict=True):
         whole = np.clip(np.rint(share * (2**width - 1)), 0, 2**width - 1).astype(np.uint32)

@@ -15,8 +15,7 @@ def sha256(path: Path) -> str:
 
 
 def scene_sha256(path: Path) -> str:
-    """Of a splat, in hexadecimal digits: of its file, or of all files in its folder. Empty if there is none;
-    reading it then says so."""
+    """Of a splat, in hexadecimal digits: of its file, or of all in its folder. Empty if there is none."""
     folder = path if path.is_dir() else path.parent if path.name in INDEXES else None
     files = [path] if folder is None else sorted(one for one in folder.rglob("*") if one.is_file())
     if files and files[0].is_file():

@@ -42,8 +42,7 @@ class HeldSpace:
 
 
 def refuse_shortage(path: str | os.PathLike, needed: dict[Path, int], purpose: str):
-    """Raises SceneError, which names `path`, if a disk has less than the bytes needed in its folders.
-    purpose: what they are for."""
+    """Raises SceneError, naming `path`, if a disk lacks the bytes needed in its folders for a purpose."""
     totals: Counter[int] = Counter()
     for folder, size in needed.items():
         place = existing_parent(folder)
@@ -65,7 +64,6 @@ def shortage(path: str | os.PathLike, size: int, purpose: str, folder: Path, fre
 
 
 def existing_parent(folder: Path) -> Path:
-    """The folder, or the nearest folder above it that exists; the folder itself if none does, as on a drive
-    that Windows does not have."""
+    """The folder, or the nearest one above that exists; itself if none does, as on a missing drive."""
     folder = real(folder)
     return next((place for place in (folder, *folder.parents) if place.is_dir()), folder)

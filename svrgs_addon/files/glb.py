@@ -103,8 +103,7 @@ def _arrays(scene: Scene) -> dict[str, np.ndarray]:
 
 
 def contents(scene: Scene) -> dict[str, Any]:
-    """The JSON of one mesh with the Gaussians as points: all but buffers and their views, one for each
-    accessor."""
+    """The JSON of a mesh with the Gaussians as points, without buffers; a view for each accessor."""
     ends = [np.zeros(3), np.zeros(3)]
     if scene.count:
         ends = [scene.means.min(axis=0) * AXES, scene.means.max(axis=0) * AXES]

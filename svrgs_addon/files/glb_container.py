@@ -1,5 +1,4 @@
-"""The container of a .glb: a header of 12 bytes, a chunk of JSON, a chunk of bytes; and arrays in these
-bytes, found by accessors."""
+"""The container of a .glb: 12 bytes, a chunk of JSON, a chunk of bytes with the arrays of accessors."""
 
 from __future__ import annotations
 
@@ -85,8 +84,7 @@ class Glb:
         return count
 
     def values(self, number: Any, width: int, count: int | None = None) -> np.ndarray:
-        """The elements of an accessor, (count, width) float32; whole numbers as the shares that they stand
-        for if they are normalised."""
+        """The elements of an accessor, (count, width) float32; normalised whole numbers as shares."""
         accessor = self.of(self.items("accessors"), number)
         found, kind = self.count(number), KINDS.get(str(accessor.get("componentType")))
         if (

@@ -22,8 +22,7 @@ VERSION = 2  # of the SPZ
 
 
 def write(path: str | os.PathLike, scene: Scene, quantise: float = 1.0, seen: SeenFrom | None = None):
-    """Writes the scene atomically, with its Gaussians in Morton order. quantise, seen: as of an SPZ. Raises
-    SceneError."""
+    """Writes the scene atomically, in Morton order. quantise, seen: as of an SPZ. Raises SceneError."""
     data = spz.content(path, scene, VERSION, quantise, lambda part: turned_around(turned_over(part)), seen)
     contents = glb.contents(scene)
     for accessor in contents["accessors"]:

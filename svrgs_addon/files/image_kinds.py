@@ -28,11 +28,8 @@ KINDS: dict[str, tuple[re.Pattern[bytes], tuple[str, ...]]] = {
 
 
 def has_right_suffix(path: str | os.PathLike) -> bool:
-    """Whether the suffix of an image file is that of its kind. Raises FormatError if its first bytes are
-    those of no known kind.
-
-    Also if it cannot be read, or is larger than MISNAMED_BYTES and has a wrong suffix.
-    """
+    """Whether the suffix of an image file is that of its kind. Raises FormatError if it begins as no known
+    kind, cannot be read, or is larger than MISNAMED_BYTES and has a wrong suffix."""
     if not os.path.isfile(path):
         raise FormatError(f"{path}: is not a file")
     with readable(path), open(path, "rb") as file:

@@ -44,8 +44,7 @@ def image_size(path: str | os.PathLike) -> tuple[int, int]:
 
 
 def read_image(path: str | os.PathLike, background: tuple[float, float, float] = (0, 0, 0)) -> np.ndarray:
-    """Reads an image as (H, W, 3) float32 in 0..1, display sRGB; `background` as in read_pixels.
-    Raises FormatError."""
+    """Reads an image as (H, W, 3) float32 in 0..1, display sRGB. background, errors: as of read_pixels."""
     return to_float(read_pixels(path, background))
 
 
@@ -139,8 +138,7 @@ def _library() -> ModuleType:
 
 
 def lack() -> str:
-    """Why WebP with alpha is neither read nor written as it is; "" if it is. Raises SceneError, NativeError
-    if OpenImageIO is not there."""
+    """Why WebP with alpha is not read or written exactly, or "". Raises SceneError, NativeError."""
     oiio = _library()
     if oiio.VERSION >= EXACT_WEBP:
         return ""
@@ -229,8 +227,7 @@ def _read_channels(source: ImageInput, channels: list[int], path: str | os.PathL
 def _composite(
     pixels: np.ndarray, alpha_channel: int, source: ImageInput, background: tuple[float, float, float]
 ) -> np.ndarray:
-    """Composites colours over the background in display sRGB, in which Gaussians are blended too. (H, W, 3),
-    uint8 or float32."""
+    """Colours over the background in display sRGB, as Gaussians are blended. (H, W, 3), uint8 or float32."""
     linear = source.format_name() in LINEAR_FORMATS
     colour = pixels[:, :, :3] if pixels.shape[2] >= 3 else pixels[:, :, :1].repeat(3, axis=2)
     if alpha_channel >= 0:
@@ -246,8 +243,7 @@ def _composite(
 
 
 def _is_associated(source: ImageInput) -> bool:
-    """Whether colours are multiplied by alpha. In WebP they are not, because _open() asks for that, but its
-    reader does not report it."""
+    """Whether colours are multiplied by alpha. The reader of WebP does not report that they are not."""
     return source.format_name() != "webp" and not source.spec().get_int_attribute("oiio:UnassociatedAlpha", 0)
 
 
@@ -276,8 +272,7 @@ def _write(
 
 
 def _stored_correctly(path: str | os.PathLike, pixels: np.ndarray) -> bool:
-    """Whether the file has exactly these pixels and, for a PNG, its end marker. OpenImageIO does not report a
-    full disk."""
+    """Whether the file has these pixels and, a PNG, its end. OpenImageIO does not report a full disk."""
     with open(path, "rb") as file:
         if file.read(len(PNG_BEGIN)) == PNG_BEGIN and not file.read().endswith(PNG_END):
             return False

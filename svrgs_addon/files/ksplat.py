@@ -147,8 +147,7 @@ def _refuse_buckets(section: _Section, level: int):
 
 
 def _within(file: BinaryIO, at: int, dtype: np.dtype, count: int, size: int) -> np.ndarray:
-    """`count` values of the file from a place on. Raises FormatError before it allocates memory if the file
-    of `size` bytes ends before."""
+    """`count` values from a place on. Raises FormatError before allocating if `size` bytes end before."""
     if at + dtype.itemsize * count > size:
         raise FormatError(
             f"is incomplete: {size:,} of at least {at + dtype.itemsize * count:,} bytes; copy or export it"

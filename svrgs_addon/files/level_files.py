@@ -14,8 +14,7 @@ from .sh_rounding import SeenFrom
 
 
 def level_files(out: Path, shares: Iterable[float]) -> dict[float, Path]:
-    """The file of each level of detail by its share of the result: OUT_50.ply for 0.5. None if the output
-    holds all levels."""
+    """The file of each level of detail by its share: OUT_50.ply for 0.5. None if the output holds all."""
     if holds_levels(out):
         return {}
     name, suffix = split_name(out)

@@ -52,8 +52,7 @@ def mapped_scene(parts: Iterable[Scene], out: str | os.PathLike) -> Iterator[Sce
 
 
 def array_for(shape: tuple[int, ...], dtype: Any, out: str | os.PathLike) -> np.ndarray:
-    """An array to be filled: in memory, or, if it is LARGE, in a file beside the output. Raises SceneError if
-    there is no space for that."""
+    """An array to be filled, in memory or, if LARGE, in a file beside the output. Raises SceneError."""
     size = int(np.prod(shape)) * np.dtype(dtype).itemsize
     if size < LARGE:
         return np.empty(shape, dtype)

@@ -1,5 +1,4 @@
-"""Tables and palettes of values: the few values that stand for many with the least weighted squared error
-(k-means)."""
+"""Tables and palettes: the few values that stand for many with the least weighted squared error (k-means)."""
 
 from __future__ import annotations
 
@@ -19,8 +18,7 @@ WINDOW = 1 << 10  # entries whose neighbours are searched together
 
 
 def table(values: np.ndarray, weights: np.ndarray, size: int) -> np.ndarray:
-    """(size,) float32, increasing: the levels that stand for values (N,) of these weights (N,). Equal levels
-    follow if there are fewer values."""
+    """(size,) float32, increasing: levels that stand for values (N,) of weights (N,); the last repeats."""
     different = np.unique(values[:: max(1, len(values) // BINS)]) if len(values) > BINS else np.unique(values)
     if len(different) <= size and np.isin(values, different).all():
         return np.pad(different, (0, size - len(different)), "edge").astype(np.float32)
@@ -39,8 +37,7 @@ def table(values: np.ndarray, weights: np.ndarray, size: int) -> np.ndarray:
 
 
 def nearest(values: np.ndarray, levels: np.ndarray) -> np.ndarray:
-    """Number of the nearest one of the levels (L,), which increase, of each value: uint8, the shape of
-    values."""
+    """Number of the nearest of the increasing levels (L,) to each value: uint8, shaped as values."""
     return np.searchsorted((levels[1:] + levels[:-1]) / 2, values).astype(np.uint8)
 
 

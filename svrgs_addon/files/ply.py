@@ -71,8 +71,7 @@ def read_ply_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Itera
 
 
 def _tell_of_steps(path: str | os.PathLike, body: Body, scene: Scene):
-    """A warning where positions of double precision, such as those of a map, are too far from the origin for
-    float32."""
+    """A warning where positions of double precision, as of a map, are too far away for float32."""
     if not body.has_double_positions or not scene.count:
         return
     step, small = float(np.spacing(np.abs(scene.means).max())), small_scale(scene)
@@ -88,10 +87,7 @@ def _tell_of_steps(path: str | os.PathLike, body: Body, scene: Scene):
 
 def write_ply(path: str | os.PathLike, scene: Scene) -> None:
     """Writes a binary-little-endian 3DGS PLY atomically. Columns are in scene.property_order, or in the order
-    of 3DGS if it is empty.
-
-    Raises SceneError if the file cannot be written, or if a PLY cannot store an attribute or comment.
-    """
+    of 3DGS if it is empty. Raises SceneError, also if a PLY cannot store an attribute or comment."""
     columns = _file_columns(scene)
     header, dtype = _layout(scene, columns)
     check_space(path, len(header) + scene.count * dtype.itemsize)
@@ -118,8 +114,7 @@ def _layout(scene: Scene, columns: dict[str, np.ndarray]) -> tuple[bytes, np.dty
 
 
 def _checked_body(file: BinaryIO, path: str | os.PathLike, max_count: int) -> Body:
-    """Checks header and size. The file is then at its first Gaussian. Raises FormatError (without the name of
-    the file)."""
+    """Checks header and size; the file is then at its first Gaussian. Raises FormatError without its name."""
     header = parse_header(file.read(MAX_HEADER_BYTES))
     vertex = _vertex_element(header)
     coefficients = _check_properties(vertex)
@@ -153,8 +148,7 @@ def _vertex_element(header: Header) -> Element:
 
 
 def _check_properties(vertex: Element) -> int:
-    """Checks names and types of the 3DGS properties. Returns K, the number of SH coefficients per channel.
-    Raises FormatError."""
+    """Checks the 3DGS properties. Returns K, SH coefficients per channel. Raises FormatError."""
     types = dict(vertex.properties)
     rest = [name for name in types if name.startswith("f_rest_")]
     coefficients = 1 + len(rest) // 3
@@ -169,8 +163,7 @@ def _check_properties(vertex: Element) -> int:
 
 
 def _check_size(header: Header, vertex: Element, file_size: int) -> None:
-    """Compares the declared count with the size of the file in bytes, before memory is allocated. Raises
-    FormatError."""
+    """Compares count and size of the file in bytes, before memory is allocated. Raises FormatError."""
     available = file_size - header.size
     if header.encoding == "ascii":
         if available > MAX_ASCII_BYTES:
@@ -196,8 +189,7 @@ def _check_size(header: Header, vertex: Element, file_size: int) -> None:
 
 
 def _file_columns(scene: Scene) -> dict[str, np.ndarray]:
-    """All columns to write as {property name: (N,) array} in file order. Raises SceneError for an attribute
-    that a PLY cannot store."""
+    """{property name: (N,) array} in file order. Raises SceneError for an attribute that no PLY can store."""
     columns = named_columns(vars(scene))
     for name, column in scene.attributes.items():
         if name in columns or not re.fullmatch("[!-~]+", name) or column.dtype.str[1:] not in TYPE_NAMES:

@@ -1,5 +1,4 @@
-"""The body of a 3DGS PLY: the array of each property, and the conversion of rows to arrays in blocks that fit
-into the cache."""
+"""The body of a 3DGS PLY: its properties, and rows converted to arrays in blocks that fit into the cache."""
 
 from __future__ import annotations
 
@@ -27,8 +26,7 @@ def empty_arrays(count: int, coefficients: int) -> dict[str, np.ndarray]:
 
 
 def named_columns(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """The columns {property name: (N,) view of the arrays of a Scene} in the order of 3DGS. In the file,
-    f_rest is channel-major."""
+    """{property name: (N,) view of the arrays of a Scene} in the order of 3DGS; f_rest is channel-major."""
     sh = arrays["sh"]
     rest = sh.shape[1] - 1
     columns = {name: arrays["means"][:, i] for i, name in enumerate("xyz")}
@@ -40,8 +38,7 @@ def named_columns(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def blocks(count: int, dtype: np.dtype) -> Iterator[tuple[np.ndarray, slice]]:
-    """Yields (buffer, slice) for each block of rows: a structured or plain buffer that is reused, and its
-    part of the columns."""
+    """Yields (buffer, slice) for each block of rows: a buffer that is reused, its part of the columns."""
     buffer = np.empty(min(count, BLOCK_ROWS), dtype)
     for start in range(0, count, BLOCK_ROWS):
         part = slice(start, min(start + BLOCK_ROWS, count))
@@ -80,11 +77,8 @@ class Body:
         return scene
 
     def parts(self) -> Iterator[Scene]:
-        """Yields all Gaussians in parts of BLOCK_ROWS (ASCII: in one part). Each part overwrites the arrays
-        of the previous one.
-
-        There is at least one part. Raises FormatError (without the name of the file).
-        """
+        """Yields all Gaussians in parts of BLOCK_ROWS (ASCII: in one part), at least one. Each overwrites the
+        arrays of the previous one. Raises FormatError (without the name of the file)."""
         if self.header.encoding == "ascii" or not self.count:
             yield self.whole()
             return
@@ -97,8 +91,7 @@ class Body:
             yield scene
 
     def _empty_scene(self, count: int) -> Scene:
-        """A scene of `count` Gaussians with uninitialised arrays, and with the comments and property order of
-        the file."""
+        """A scene with uninitialised arrays, and the comments and property order of the file."""
         attributes = {name: np.empty(count, code) for name, code in self._extra_properties}
         return Scene(
             **empty_arrays(count, self.coefficients), antialiased=self.antialiased, attributes=attributes,
@@ -128,16 +121,14 @@ class Body:
 
     @cached_property
     def _row_positions(self) -> dict[str, np.ndarray]:
-        """For each array of a Scene: the positions of its values in a row of the file, in the order of
-        memory."""
+        """For each array of a Scene: the places of its values in a row of the file, as in memory."""
         places = empty_arrays(1, self.coefficients)
         for name, column in named_columns(places).items():
             column[0] = self._column_index[name]
         return {name: array.ravel().astype(np.intp) for name, array in places.items()}
 
     def _blocks(self) -> Iterator[tuple[np.ndarray, slice]]:
-        """Yields (rows, slice) of a binary file; rows are (n, properties) float32 if all properties are, else
-        structured."""
+        """Yields (rows, slice) of a binary file; rows: (n, properties) float32, else structured."""
         floats = np.dtype((np.float32, len(self._types)))
         dtype = floats if self._all_float32 else np.dtype(list(self._types.items()))
         file: Any = self.file  # typing.BinaryIO lacks readinto
@@ -181,8 +172,7 @@ def _columns(scene: Scene) -> dict[str, np.ndarray]:
 
 
 def parse_numbers(text: bytes) -> np.ndarray:
-    """Numbers separated by white space, float64. Raises FormatError at other text, for which NumPy gives a
-    warning or an error."""
+    """Numbers with white space between, float64. Raises FormatError where NumPy warns or fails."""
     with warnings.catch_warnings():
         warnings.simplefilter("error", DeprecationWarning)
         try:

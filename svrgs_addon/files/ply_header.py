@@ -50,8 +50,7 @@ class Header:
 
 
 def parse_header(data: bytes) -> Header:
-    """Parses a header from the first MAX_HEADER_BYTES bytes of a file. Raises FormatError (without the name
-    of the file)."""
+    """The header in the first MAX_HEADER_BYTES of a file. Raises FormatError (without its name)."""
     lines, size = _split_lines(data)
     encodings: list[str] = []
     elements: list[Element] = []
@@ -81,8 +80,7 @@ def parse_header(data: bytes) -> Header:
 
 
 def format_header(comments: list[str], *elements: tuple[str, int, list[tuple[str, str]]]) -> bytes:
-    """A binary-little-endian header. elements: name, number of rows, and (name, NumPy type code) of each
-    property."""
+    """A binary-little-endian header. elements: name, rows, and (name, NumPy type code) of properties."""
     lines = ["ply", "format binary_little_endian 1.0"]
     lines += [f"comment {text}" for text in comments]
     for element, count, properties in elements:
@@ -95,10 +93,7 @@ def format_header(comments: list[str], *elements: tuple[str, int, list[tuple[str
 
 def written_comments(scene: Scene) -> list[str]:
     """The comments to write: those that were read, with the antialiasing comment corrected if the flag has
-    changed.
-
-    Raises SceneError for a comment that a PLY cannot store.
-    """
+    changed. Raises SceneError for a comment that a PLY cannot store."""
     comments = list(scene.comments)
     if scene.antialiased != is_mip(comments):
         comments = [text for text in comments if not MODE_PATTERN.fullmatch(text)]
@@ -116,8 +111,7 @@ def is_mip(comments: Iterable[str]) -> bool:
 
 
 def is_comment(text: str) -> bool:
-    """Whether the text can be stored as a comment: one line, of any bytes of a header that was read or of
-    UTF-8."""
+    """Whether it can be stored as a comment: one line of UTF-8, or of any bytes of a header that was read."""
     try:
         return b"\n" not in text.encode(errors="surrogateescape")
     except UnicodeEncodeError:

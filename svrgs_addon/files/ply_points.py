@@ -19,10 +19,8 @@ GREY = 128  # of points without colours
 
 def read_points(path: str | os.PathLike) -> tuple[np.ndarray, np.ndarray]:
     """Positions (P, 3) float32 and colours (P, 3) uint8 RGB of a PLY point cloud, binary or ASCII up to 64
-    MiB.
-
-    Colours are whole numbers 0..255 or floats 0..1 in the file. Raises FormatError, which names the file.
-    """
+    MiB; in the file colours are whole numbers 0..255 or floats 0..1. Raises FormatError, which names the
+    file."""
     with readable(path):
         try:
             with open(path, "rb") as file:
@@ -33,8 +31,7 @@ def read_points(path: str | os.PathLike) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _columns(file: BinaryIO) -> dict[str, np.ndarray]:
-    """The columns (P,) of the vertices by name, in the types of the file. Raises FormatError (without the
-    name of the file)."""
+    """The vertices' columns (P,) by name, in the file's types. Raises FormatError (without its name)."""
     header = parse_header(file.read(MAX_HEADER_BYTES))
     vertices = header.elements[0] if header.elements else None
     known = {name for name, _ in vertices.properties} if vertices and vertices.name == "vertex" else set()

@@ -38,8 +38,7 @@ def logits_of_opacities(opacities: np.ndarray) -> np.ndarray:
 
 
 def logits_of(alphas: np.ndarray) -> np.ndarray:
-    """Opacity logits, float32, of opacities in 8 bits. 0 and 255 count as a quarter of a step inside: 0 stays
-    invisible."""
+    """Opacity logits, float32, of 8-bit opacities; 0 and 255 count as a quarter of a step inside."""
     share = np.clip(np.arange(256), SPARED, 255 - SPARED) / 255
     return np.log(share / (1 - share)).astype(np.float32)[alphas]
 
@@ -50,8 +49,7 @@ def alphas_of(logits: np.ndarray) -> np.ndarray:
 
 
 def logs_of(scales: np.ndarray) -> np.ndarray:
-    """Logarithms of scales, finite also for one of 0. Those of a damaged file may be negative or no
-    numbers."""
+    """Logarithms of scales, finite also of 0. Damaged files have negative ones, or no numbers."""
     with np.errstate(invalid="ignore"):
         return np.log(np.maximum(scales, MIN_SCALE))
 
@@ -119,8 +117,7 @@ def widest_logs(scene: Scene) -> np.ndarray:
 
 
 def small_scale(scene: Scene) -> float:
-    """The scale of small Gaussians: of each the largest of its three, of which 5 % are smaller. 1 if there
-    are none."""
+    """The scale, of each the largest of three, of small Gaussians: 5 % have a smaller one; 1 without any."""
     logs = widest_logs(scene)
     logs = logs[np.isfinite(logs)]
     return float(np.exp(np.clip(np.quantile(logs, 0.05), -80, 80))) if len(logs) else 1.0

@@ -42,8 +42,7 @@ def open_splat(path: str | os.PathLike) -> Iterator[BinaryIO]:
 
 
 def read_json(path: Path, most: int, what: str) -> Any:
-    """The value in a JSON file of at most so many bytes. what: that it should be, for the sentences. Raises
-    FormatError."""
+    """The value in a JSON file of at most so many bytes, which should be `what`. Raises FormatError."""
     with readable(path), open_regular(path) as file:
         if size_of(file) > most:
             raise FormatError(f"{path}: is larger than {most // 2**20} MiB, so it is not {what}")

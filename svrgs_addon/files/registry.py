@@ -73,10 +73,7 @@ def format_to_write(path: str | Path) -> SplatFormat:
 
 def format_to_read(path: str | Path) -> SplatFormat:
     """The format of an existing file: by its suffix, and by its first bytes if several formats have this
-    suffix.
-
-    Raises SceneError for a missing file or a folder, FormatError for an unknown suffix.
-    """
+    suffix. Raises SceneError for a missing file or a folder, FormatError for an unknown suffix."""
     path = extended(path)
     if not path.exists():
         raise SceneError(f"{path}: there is no such file; check the path")
@@ -108,8 +105,7 @@ def split_name(path: str | Path) -> tuple[str, str]:
 
 
 def is_splat_folder(path: Path) -> bool:
-    """Whether a folder holds one splat of several files, such as a SOG. Datasets may have a meta.json too,
-    but no textures beside it."""
+    """Whether a folder holds one splat of several files, as a SOG: a meta.json with textures beside it."""
     return path.is_dir() and _indexed(path) is not None
 
 
@@ -150,23 +146,19 @@ def read_scene(path: str | Path) -> Scene:
 
 
 def read_parts(path: str | Path) -> Iterator[Scene]:
-    """As read_scene(), in parts in the order of the file; each may overwrite the arrays of the previous
-    one."""
+    """As read_scene(), in parts in the order of the file, which may overwrite the arrays of the last."""
     yield from format_to_read(path).read_parts(extended(path), MAX_IN_PARTS)
 
 
 def check_readable(path: str | Path):
-    """Checks a file by reading its header and at most a few thousand Gaussians. Raises FormatError,
-    SceneError."""
+    """Reads the header and at most a few thousand Gaussians. Raises FormatError, SceneError."""
     next(read_parts(path), None)
 
 
 def load_scene(path: str | Path) -> Scene:
     """Reads a scene and repairs it: bakes the filter of Mip-Splatting, drops Gaussians that are not finite
-    and clamps extreme values (repair.py). All of it is logged.
-
-    Raises FormatError, or SceneError also if no Gaussian is left.
-    """
+    and clamps extreme values (repair.py). All is logged. Raises FormatError, or SceneError also if none is
+    left."""
     [scene] = _repaired(path, map(read_scene, [path]))
     return scene
 
@@ -255,14 +247,12 @@ def _check_written(path: str | Path, written: Path):
 
 
 def read_back(path: str | Path, scene: Scene) -> Scene:
-    """The scene as the file holds it to which it was just written: itself if the format stores all values as
-    they are. Raises FormatError."""
+    """The scene as the file holds it to which it was just written; lossless: itself. Raises FormatError."""
     return scene if format_to_write(path).lossless else read_scene(path)
 
 
 def as_stored(scene: Scene, splat_format: SplatFormat, seen: SeenFrom | None = None) -> Scene:
-    """The scene as a file of the format would hold it. seen: as of write_scene(). Raises SceneError,
-    FormatError."""
+    """The scene as the format would hold it. seen: as of write_scene(). Raises SceneError, FormatError."""
     return scene if splat_format.lossless else round_trip(scene, splat_format, seen=seen)[0]
 
 
@@ -335,8 +325,7 @@ def sampled_size(scene: Scene, splat_format: SplatFormat, quantise: float = 1.0)
 
 
 def invisible(scene: Scene) -> np.ndarray:
-    """Marks Gaussians with an opacity below the rasterizer's alpha cut (1/255), (N,) bool. No pixel shows
-    them."""
+    """(N,) bool: Gaussians that no pixel shows, with an opacity below the alpha cut (1/255)."""
     return too_faint(scene.opacity_logits)
 
 

@@ -62,10 +62,8 @@ def unusable(scene: Scene) -> np.ndarray:
 
 
 def _all_in_row(flags: np.ndarray) -> np.ndarray | np.bool_:
-    """flags.all(axis=1), or a single True if all flags are true.
-
-    NumPy is slow on short rows, and most scenes have no bad values.
-    """
+    """flags.all(axis=1), or a single True if all are true: NumPy is slow on short rows, and most scenes have
+    no bad values."""
     everywhere = flags.all()
     return everywhere if everywhere else flags.all(axis=1)
 
@@ -78,11 +76,8 @@ def drop_nonfinite(scene: Scene) -> tuple[Scene, int]:
 
 
 def clamp_extremes(scene: Scene) -> tuple[Scene, int]:
-    """Replaces opacity logits beyond ±1e6 by ±10 and clamps log-scales to ±30. Returns the scene and the
-    number of changed Gaussians.
-
-    NaN stays NaN. Logits within ±1e6 do not change.
-    """
+    """Replaces opacity logits beyond ±1e6 by ±10 and clamps log-scales to ±30; NaN stays NaN. Returns the
+    scene and the number of changed Gaussians."""
     infinite = np.abs(scene.opacity_logits) > MAX_ABS_LOGIT
     extreme = (np.abs(scene.log_scales) > MAX_ABS_LOG_SCALE).any(axis=1)
     count = int((infinite | extreme).sum())

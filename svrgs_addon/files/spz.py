@@ -69,8 +69,7 @@ def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[
 
 
 def parts_of(data: bytes, max_count: int = MAX_COUNT) -> Iterator[Scene]:
-    """The Gaussians in the bytes of a file, in parts. Raises FormatError (without the name of the file),
-    SceneError."""
+    """The Gaussians in the bytes of a file, in parts. Raises FormatError (without a name), SceneError."""
     header, stored = streams(data, max_count)
     if header.degree > 3:
         logging.warning("spherical harmonics of degree %d are read up to degree 3", header.degree)
@@ -132,8 +131,7 @@ def content(
 
 
 def fraction_bits(largest: float, small: float) -> int:
-    """Bits of the fraction of positions: at least FINER steps in the scales of small Gaussians, as far as the
-    largest position allows."""
+    """Bits of the fraction of positions: FINER steps in small Gaussians, as the largest position allows."""
     fitting = int(np.floor(np.log2(LARGEST_POSITION / max(largest, 1e-30))))
     wanted = int(np.ceil(np.log2(FINER / max(small, 1e-30))))
     return max(0, min(max(wanted, FRACTION_BITS), fitting, MAX_FRACTION_BITS))

@@ -90,8 +90,7 @@ def streams(data: bytes, max_count: int) -> tuple[Header, dict[str, np.ndarray]]
 
 
 def packed(header: Header, rows: dict[str, np.ndarray], path: str | os.PathLike) -> bytes:
-    """The bytes of a file. rows: the streams, (N, bytes) uint8 each. Raises SceneError, which names the
-    file."""
+    """The bytes of a file with these streams, (N, bytes) uint8 each. Raises SceneError, naming the file."""
     names = [name for name, width in header.widths().items() if width * header.count]
     contents = [np.ascontiguousarray(rows[name]).data.cast("B") for name in names]
     flags = ANTIALIASED * header.antialiased
@@ -114,8 +113,7 @@ def packed(header: Header, rows: dict[str, np.ndarray], path: str | os.PathLike)
 
 
 def _check(header: Header, held: int, max_count: int):
-    """Raises FormatError for values that no writer sets, and for more Gaussians than fit into the bytes that
-    the file can hold, at most."""
+    """Raises FormatError for values that no writer sets, and for more Gaussians than can be in the file."""
     if header.degree > MAX_DEGREE or header.fraction_bits > 30:
         raise FormatError(
             f"has SH of degree {header.degree} or {header.fraction_bits} bits of fraction, which no program"

@@ -48,8 +48,7 @@ BROKEN = "; export it again"
 
 
 def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[Scene]:
-    """The Gaussians of the finest level, in parts. path: lod-meta.json, or its folder. Raises FormatError,
-    which names the file."""
+    """The finest level, in parts. path: lod-meta.json, or its folder. Raises FormatError, with its name."""
     path = Path(path)
     return read_level(path / INDEX if path.is_dir() else path, 0, max_count)
 

@@ -48,8 +48,7 @@ BROKEN = "; export it again"
 
 
 def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[Scene]:
-    """All Gaussians as one part. Raises FormatError, which names the file, and SceneError if pxr is
-    missing."""
+    """All Gaussians as one part. Raises FormatError, naming the file, SceneError if pxr is missing."""
     with open_splat(path) as file, _arrays_of(Path(path), size_of(file)) as arrays:
         number = sum(name.endswith(":positions") for name in arrays)
         if not number:
@@ -71,8 +70,7 @@ def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[
 
 @contextlib.contextmanager
 def _arrays_of(path: Path, size: int) -> Iterator[Any]:
-    """The arrays of the stage (usd_arrays.py). Raises FormatError (without the name of the file), as the
-    functions below, and SceneError."""
+    """The arrays of the stage (usd_arrays.py). Raises FormatError (without a name), as below, SceneError."""
     if not packages.is_installed("pxr"):
         module("Usd")  # raises
     with tempfile.TemporaryDirectory() as folder:

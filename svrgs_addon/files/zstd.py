@@ -1,5 +1,4 @@
-"""Zstandard: the module of Python 3.14, or the package zstandard, which Blender brings along. Loaded when it
-is needed."""
+"""Zstandard: the module of Python 3.14, or the package zstandard, as in Blender, loaded when it is needed."""
 
 from __future__ import annotations
 

@@ -62,8 +62,7 @@ def write_cameras_json(path: str | os.PathLike, cameras: Sequence[Camera]):
 
 
 def _read_entries(path: str | os.PathLike) -> list:
-    """The entries of the file, unchecked. Raises FormatError if it is not a JSON list with at least one
-    entry."""
+    """The entries of the file, unchecked. Raises FormatError unless it is a JSON list with entries."""
     entries = read_json(Path(path), MAX_BYTES, "a cameras.json of 3DGS")
     if not isinstance(entries, list) or not entries:
         raise FormatError(f"{path}: holds no list of cameras; give a cameras.json of 3DGS")
@@ -71,8 +70,7 @@ def _read_entries(path: str | os.PathLike) -> list:
 
 
 def _camera(entry: dict) -> Camera:
-    """The camera of one entry. Raises FormatError, KeyError, TypeError, ValueError or OverflowError if it is
-    not usable."""
+    """The camera of an entry. Raises FormatError, KeyError, TypeError, ValueError or OverflowError."""
     if not isinstance(entry, dict):
         raise FormatError("not an object")
     name = str(entry["img_name"])

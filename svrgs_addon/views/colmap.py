@@ -40,8 +40,7 @@ UNUSABLE = (
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """A camera of any model of COLMAP. width, height: of the photograph, in pixels; params: in COLMAP's
-    order."""
+    """A camera of any COLMAP model. width, height: of the photograph, pixels; params: in COLMAP's order."""
 
     model: str  # PINHOLE, OPENCV, ...
     width: int
@@ -67,8 +66,7 @@ class View:
 
 @dataclass(frozen=True)
 class Model:
-    """A sparse model. views: in name order. points: (P, 3) float32, world. point_colors: (P, 3) uint8,
-    RGB."""
+    """A sparse model. views: by name. points: (P, 3) float32, world. point_colors: (P, 3) uint8, RGB."""
 
     views: list[View]
     points: np.ndarray
@@ -77,10 +75,8 @@ class Model:
 
 def find_model(folder: Path) -> Path:
     """The folder with the three files of the model: `folder`, one of MODEL_FOLDERS below it, or the only
-    sparse/N.
-
-    Raises SceneError if there is none, FormatError if there are several sparse/N but no sparse/0.
-    """
+    sparse/N. Raises SceneError if there is none, FormatError if there are several sparse/N but no
+    sparse/0."""
     for below in MODEL_FOLDERS:
         if _has_model(folder / below):
             return folder / below
@@ -101,8 +97,7 @@ def _has_model(folder: Path) -> bool:
 
 
 def read_model(folder: Path) -> Model:
-    """Reads the model in `folder`: the binary files if they exist, else the text files. Raises
-    FormatError."""
+    """Reads the model in `folder`: its binary files, else the text files. Raises FormatError."""
     library = import_pycolmap()
     try:
         with tempfile.TemporaryDirectory() as temp_dir:
@@ -144,8 +139,7 @@ def pinhole_camera(view: View, width: int, height: int) -> tuple[Camera, pycolma
 
 
 def undistort_image(pixels: np.ndarray, distorted: pycolmap.Camera) -> np.ndarray:
-    """Resamples a photograph (H, W, 3) uint8 of the distorted camera (bilinear) to the image (H', W', 3) of
-    its pinhole camera."""
+    """Resamples a photograph (H, W, 3) uint8 bilinearly to (H', W', 3) of its pinhole camera."""
     library = import_pycolmap("undistorting photographs")
     bitmap = library.Bitmap.from_array(pixels)
     return library.undistort_image(library.UndistortCameraOptions(), bitmap, distorted)[0].to_array()
@@ -153,9 +147,7 @@ def undistort_image(pixels: np.ndarray, distorted: pycolmap.Camera) -> np.ndarra
 
 def import_pycolmap(purpose: str = "reading a COLMAP model, unlike a transforms.json,") -> ModuleType:
     """pycolmap. purpose: subject of the sentence if it is missing. The handler of SIGTERM stays as it was.
-
-    Raises SceneError if it is not installed, NativeError if it cannot be loaded.
-    """
+    Raises SceneError if it is not installed, NativeError if it cannot be loaded."""
     before = None if "pycolmap" in sys.modules else signal.getsignal(signal.SIGTERM)
     library = packages.load("pycolmap", purpose)
     if before is not None and threading.current_thread() is threading.main_thread():
@@ -184,8 +176,7 @@ def _convert(reconstruction: pycolmap.Reconstruction, names: dict[int, str]) -> 
 
 
 def _view(name: str, image: pycolmap.Image) -> View:
-    """The view of an image with a pose. Raises FormatError for a name or an image size that is not
-    allowed."""
+    """The view of an image with a pose. Raises FormatError for a forbidden name or image size."""
     check_name(name, "image")
     assert image.camera is not None
     width, height = image.camera.width, image.camera.height
@@ -200,8 +191,7 @@ def _view(name: str, image: pycolmap.Image) -> View:
 def _undistort_camera(
     camera: Intrinsics, scaled: tuple[int, int]
 ) -> tuple[pycolmap.Camera, pycolmap.Camera | None]:
-    """The distorted camera at the scaled (width, height) in pixels, and the pinhole camera that COLMAP makes
-    of it; None of a panorama."""
+    """The distorted camera at the scaled (width, height), and COLMAP's pinhole of it; None of a panorama."""
     library = import_pycolmap("undistorting photographs")
     distorted = library.Camera(**vars(camera))
     if not distorted.is_perspective():
@@ -218,8 +208,7 @@ def _checked_camera(camera: Camera) -> Camera:
 
 
 def _check_aspect(view: View, width: int, height: int) -> None:
-    """Raises SceneError if the photograph is not a scaled copy of the camera's image, up to ROUNDING_PX per
-    side."""
+    """Raises SceneError unless the photograph is a scaled copy, up to ROUNDING_PX per side."""
     sides = ((width, view.camera.width), (height, view.camera.height))
     smallest = max((side - ROUNDING_PX) / full for side, full in sides)
     largest = min((side + ROUNDING_PX) / full for side, full in sides)
@@ -231,7 +220,6 @@ def _check_aspect(view: View, width: int, height: int) -> None:
 
 
 def _param_count(model: int) -> int:
-    """The number of parameters of a camera model, given by its number in COLMAP. Raises ValueError for an
-    unknown one."""
+    """The number of parameters of a camera model, given by COLMAP's number. Raises ValueError."""
     library = import_pycolmap()
     return len(library.Camera.create_from_model_id(0, library.CameraModelId(model), 1.0, 1, 1).params)

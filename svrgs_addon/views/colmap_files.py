@@ -93,11 +93,8 @@ def _camera_copy(params_of: Callable[[int], int]) -> Callable[[bytes, int], Reco
 
 
 def _image_copy(names: dict[int, bytes]) -> Callable[[bytes, int], Record]:
-    """The copier of an image: id, quaternion, translation, camera id, zero-terminated name, then (x, y, point
-    id) of each keypoint.
-
-    Its name is put into `names`.
-    """
+    """The copier of an image: id, quaternion, translation, camera id, zero-terminated name, which is put into
+    `names`, then (x, y, point id) of each keypoint."""
 
     def copy(data: bytes, start: int) -> Record:
         end = data.index(b"\0", start + 64) + 1

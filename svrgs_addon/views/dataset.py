@@ -56,10 +56,8 @@ class Photo:
 @dataclass
 class Dataset:
     """Views in the order of image names, with pinhole cameras for the undistorted and scaled photographs, and
-    sparse points.
-
-    Views whose photograph is missing are left out; `notes` says so. Coordinates are those of the files.
-    """
+    sparse points. Views without photograph are left out; `notes` says so. Coordinates are those of the
+    files."""
 
     cameras: list[Camera]
     points: np.ndarray  # (P, 3) float32
@@ -85,10 +83,7 @@ class Dataset:
     @property
     def extent(self) -> float:
         """Scene extent of 3DGS in world units: 1.1 times the largest distance of a training camera from their
-        mean position.
-
-        Without training cameras, all cameras count.
-        """
+        mean position. Without training cameras, all cameras count."""
         centres = np.array([self.cameras[i].position for i in self.train_indices or range(len(self.cameras))])
         return float(EXTENT_MARGIN * np.linalg.norm(centres - centres.mean(axis=0), axis=1).max())
 
@@ -132,13 +127,11 @@ class Dataset:
 
     @property
     def unexplained(self) -> float:
-        """The mean squared error, colours in 0..1, that an allowed drop counts beside that against the
-        images."""
+        """The mean squared error, colours in 0..1, that an allowed drop counts in addition."""
         return 0.0
 
     def inputs(self) -> Iterator[bytes]:
-        """Digests and texts of all cameras and photographs: equal ones give equal runs. Raises SceneError if
-        a photograph cannot be read."""
+        """Digests and texts of cameras and photographs: equal ones give equal runs. Raises SceneError."""
         if self.tone is not None:
             yield self.tone.tobytes()
         for one in self.cameras:

@@ -21,8 +21,7 @@ SENSOR = 36.0  # millimetres
 
 @dataclass(frozen=True)
 class Lens:
-    """Settings of a perspective or orthographic camera in Blender, with the image size and pixel aspect of
-    Blender's scene."""
+    """A perspective or orthographic camera of Blender, with its scene's image size and pixel aspect."""
 
     width: int  # pixels
     height: int  # pixels
@@ -36,8 +35,7 @@ class Lens:
 
 
 def intrinsics(lens: Lens) -> np.ndarray:
-    """Intrinsics K (3, 3) float64, pixels; orthographic: fx and fy in pixels per unit of length, as in
-    Camera."""
+    """Intrinsics K (3, 3) float64 in pixels, or, orthographic, fx and fy in pixels per unit of length."""
     side, ratio, sensor = _fitted(lens)
     focal = lens.lens * side / sensor if lens.ortho_scale is None else side / lens.ortho_scale
     cx = lens.width / 2 - lens.shift[0] * side
@@ -46,8 +44,7 @@ def intrinsics(lens: Lens) -> np.ndarray:
 
 
 def lens_of(camera: Camera) -> Lens:
-    """The Lens with fit AUTO and the K of a perspective camera. It is exact, except that Blender has no
-    skew."""
+    """The Lens, fit AUTO, of a perspective camera; exact, except that Blender has no skew."""
     (fx, _, cx), (_, fy, cy), _ = camera.K
     aspect = (1.0, 1.0) if abs(fx / fy - 1) < 1e-12 else (max(1.0, fy / fx), max(1.0, fx / fy))
     side, ratio, sensor = _fitted(Lens(camera.width, camera.height, 1.0, aspect=aspect))
@@ -73,8 +70,7 @@ def camera_of_projection(projection: np.ndarray, viewmat: np.ndarray, width: int
 
 
 def step_back(projection: np.ndarray) -> float:
-    """Distance of the near plane of an OpenGL projection matrix (4, 4) behind the eye, in units of length; 0
-    if it is in front."""
+    """Distance of the near plane of an OpenGL projection (4, 4) behind the eye, units of length; or 0."""
     P = np.asarray(projection, np.float64)
     return max(0.0, -(P[2, 3] + P[3, 3]) / (P[2, 2] + P[3, 2]))
 
@@ -93,8 +89,7 @@ def depth_of_projection(projection: np.ndarray, values: np.ndarray) -> np.ndarra
 
 
 def _fitted(lens: Lens) -> tuple[float, float, float]:
-    """Length of the fitted side in pixel widths, height of a pixel over its width, and sensor length of that
-    side in millimetres."""
+    """Fitted side in pixel widths, height of a pixel over its width, sensor length of that side in mm."""
     ratio = lens.aspect[1] / lens.aspect[0]
     horizontal = lens.fit == "HORIZONTAL" or (lens.fit == "AUTO" and lens.width >= ratio * lens.height)
     return lens.width if horizontal else ratio * lens.height, ratio, lens.sensor[lens.fit == "VERTICAL"]

@@ -23,10 +23,8 @@ def reduction_to(side: int, camera: Camera) -> int:
 
 
 def as_real(image: np.ndarray, dtype, factor: int = 1) -> np.ndarray:
-    """A photograph for the loss: (H // factor, W // factor, 3) of the given dtype, display sRGB in 0..1.
-
-    Each pixel is the mean of factor x factor pixels of the photograph (see Camera.reduced).
-    """
+    """A photograph for the loss: (H // factor, W // factor, 3) of the given dtype, display sRGB in 0..1. Each
+    pixel is the mean of factor x factor pixels of the photograph (see Camera.reduced)."""
     scale = dtype.type((1 / 255 if image.dtype == np.uint8 else 1.0) / factor**2)
     if factor == 1:
         return np.ascontiguousarray(image, dtype) if scale == 1 else np.multiply(image, scale, dtype=dtype)

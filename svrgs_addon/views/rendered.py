@@ -1,5 +1,4 @@
-"""A dataset whose photographs are a scene's own pictures, for scenes that have none. They are rendered when
-they are asked for."""
+"""A dataset whose photographs are a scene's own pictures, rendered when they are asked for."""
 
 from __future__ import annotations
 
@@ -23,8 +22,7 @@ PHOTOGRAPHED = 1e-3  # mean squared error of a usual splat against photographs o
 
 @dataclass(kw_only=True)
 class RenderedDataset(Dataset):
-    """Views of a scene. Its pictures are rounded to 8 bits, as photographs are, and cached within the memory
-    budget."""
+    """Views of a scene. Pictures are rounded to 8 bits, as photographs are, and cached as those."""
 
     scene: Scene
     facts: dict = field(default_factory=dict)  # what a JSON result says about the cameras
@@ -48,8 +46,7 @@ class RenderedDataset(Dataset):
 
     @property
     def unexplained(self) -> float:
-        """The scene explains its own pictures without an error, but not the photographs that it was trained
-        on: PHOTOGRAPHED stands for that."""
+        """What it does not explain of the photographs that it was trained on: PHOTOGRAPHED."""
         return PHOTOGRAPHED
 
     def inputs(self) -> Iterator[bytes]:

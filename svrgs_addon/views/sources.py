@@ -54,8 +54,7 @@ def read_source(folder: Path, images: str | None, with_images: bool = True) -> S
 
 
 def find_cameras(folder: Path) -> tuple[Path, bool]:
-    """(folder of the COLMAP model, True), or (transforms.json, False) where there is no model. It reads
-    neither. Raises SceneError."""
+    """(folder of the COLMAP model, True) or (transforms.json, False), reading neither. Raises SceneError."""
     transforms = folder if folder.is_file() else folder / NAME
     try:
         return find_model(folder), True

@@ -43,8 +43,7 @@ UNREADABLE = (KeyError, TypeError, ValueError, OverflowError, FormatError)
 
 @dataclass(frozen=True)
 class Transforms:
-    """The contents of a transforms.json. image_folder: that of all photographs, to which the names of the
-    views are relative."""
+    """What a transforms.json holds. image_folder: to which the names of the views are relative."""
 
     model: Model
     image_folder: Path
@@ -143,8 +142,7 @@ def _pose(rows: object) -> np.ndarray:
 
 
 def _matrix(rows: object) -> np.ndarray:
-    """A (4, 4) matrix of which the last row may be missing. Raises FormatError if a number is not finite or
-    far too large."""
+    """A (4, 4) matrix, perhaps without its last row. Raises FormatError for infinite or huge numbers."""
     matrix, last = np.array(rows, np.float64), [[0, 0, 0, 1]]
     if matrix.shape == (3, 4):
         matrix = np.concatenate([matrix, last])
@@ -210,8 +208,7 @@ def _distortion(facts: Mapping) -> list[float]:
 
 
 def _focal(facts: Mapping, axis: str, side: int) -> float:
-    """The focal length in pixels along an axis: fl_x or fl_y, or from the angle of view over `side`
-    pixels."""
+    """The focal length in pixels along an axis: fl_x or fl_y, or from the angle of view over `side`."""
     if f"fl_{axis}" in facts:
         focal = _number(facts, f"fl_{axis}")
     elif f"camera_angle_{axis}" in facts:
@@ -245,8 +242,7 @@ def _points(path: Path, facts: dict) -> tuple[np.ndarray, np.ndarray, tuple[str,
 
 
 def _in_parser_world(path: Path, facts: dict, model: Model) -> tuple[Model, tuple[str, ...]]:
-    """The model in the world of a splat that Nerfstudio has trained, if dataparser_transforms.json is there,
-    and a sentence that says so."""
+    """The model in the world of a splat trained by Nerfstudio, if that is known, and a sentence on it."""
     file = path.with_name(PARSER_NAME)
     if not file.is_file():
         return model, ()

@@ -46,8 +46,7 @@ class Masks:
     named: dict[str, Path]  # by photograph, as the dataset names them
 
     def file(self, name: str) -> Path | None:
-        """The mask of a photograph: as named, or in the folder NAME.jpg.png (COLMAP), NAME.png or NAME.jpg;
-        None if there is none."""
+        """The mask of a photograph: named, or NAME.jpg.png (COLMAP), NAME.png, NAME.jpg in the folder."""
         if name in self.named and self.named[name].is_file():
             return self.named[name]
         if self.folder is None:
@@ -56,8 +55,7 @@ class Masks:
         return next((path for path in map(self.folder.joinpath, candidates) if path.is_file()), None)
 
     def valid(self, name: str, photo: Path, width: int, height: int) -> np.ndarray | None:
-        """The pixels of a photograph of this size that count, (H, W) uint8 of 0 and 1; None: all. Raises
-        FormatError."""
+        """The pixels of a photograph that count, (H, W) uint8 of 0 and 1; None: all. Raises FormatError."""
         path, alpha = self.file(name), read_alpha(photo) if self.options.outside == IGNORE else None
         opaque = None if alpha is None else (alpha >= 0.5).astype(np.uint8)
         if path is None:
@@ -113,8 +111,7 @@ class Masks:
 
 
 def masks_of(options: MaskOptions, image_folder: Path, named: dict[str, Path]) -> Masks:
-    """named: the masks that the dataset names, by photograph. Raises SceneError if a given folder is
-    missing."""
+    """named: by photograph, as the dataset names them. Raises SceneError without the given folder."""
     if options.folder is not None:
         if not options.folder.is_dir():
             raise SceneError(f"{options.folder}: is no folder; give the folder that holds the masks")

@@ -17,8 +17,7 @@ DISTANCE = 1.6  # of the cameras from the middle, in half diagonals of the box a
 
 
 def middle_and_radius(scene: Scene) -> tuple[np.ndarray, float]:
-    """The middle (3,) of the box around the mass of the scene, and half its diagonal. Raises SceneError for a
-    scene without any."""
+    """Middle (3,) and half diagonal of the box around the scene's mass. Raises SceneError without mass."""
     opacities = 1 / (1 + np.exp(-np.clip(scene.opacity_logits.astype(np.float64), -80, 80)))
     box = robust_box(scene.means, opacities)
     if box is None:

@@ -1,5 +1,4 @@
-"""Which Gaussians a set of candidate views sees, and the choice of the fewest views that see all of them
-several times."""
+"""Which Gaussians candidate views see, and the choice of the fewest that see all of them several times."""
 
 from __future__ import annotations
 
@@ -106,8 +105,7 @@ class Choice:
         return count >= min(most, len(self.seen)) or (count >= least and self.share() >= share)
 
     def _run(self, cap: int, least: int, most: int, share: float):
-        """Chooses until no view adds anything below the cap. Gains only shrink, so that an old one that is
-        still the largest is right."""
+        """Chooses until no view adds anything below the cap. As gains only shrink, old ones are bounds."""
         taken = set(self.chosen)
         heap = [(-self._gain(view, cap), view) for view in range(len(self.seen)) if view not in taken]
         heapq.heapify(heap)

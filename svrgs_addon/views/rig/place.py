@@ -125,8 +125,7 @@ def _coverage(scene: Scene) -> Coverage:
 def _candidates(
     coverage: Coverage, setting: Around | Within, outside: list[View], side: int, rng: np.random.Generator
 ) -> tuple[list[View], Choice]:
-    """The candidate views, those from outside first, and the choice among them. coverage: of the views from
-    outside."""
+    """The candidate views, those from outside first, and the choice. coverage: of those from outside."""
     scene = coverage.scene
     share = min(1.0, max(0.5, LARGE / scene.count))
     within = setting.views(int(share * FIRST), rng)

@@ -44,8 +44,7 @@ def preview(scene: Scene, rig: Rig) -> np.ndarray:
 
 
 def _cut_open(scene: Scene, camera: Camera, middle: np.ndarray, reach: float) -> Scene:
-    """The scene without what is nearer to the camera than the middle (3,) of the rig, or far from it. reach:
-    radius of the rig."""
+    """The scene without what is nearer to the camera than the rig's middle (3,), or beyond its reach."""
     depths = scene.means @ camera.viewmat[2, :3].astype(np.float32) + np.float32(camera.viewmat[2, 3])
     near = np.linalg.norm(scene.means - middle.astype(np.float32), axis=1) < SHOWN * reach
     return scene.select(near & (depths > np.linalg.norm(camera.position - middle)))
@@ -59,8 +58,7 @@ def _draw(
     length: float,
     color: tuple[int, int, int],
 ):
-    """Draws the pyramids where nothing is in front of them. walls: (H, W), depth up to which a pixel shows
-    what is drawn."""
+    """Draws the pyramids where nothing is in front. walls: (H, W), depth up to which a pixel shows them."""
     points = np.concatenate([_pyramid(each, length) for each in cameras]) if cameras else np.empty((0, 3))
     local = camera.local(points)
     local = local[local[:, 2] > 0]

@@ -50,16 +50,14 @@ class Matter:
 
     @property
     def widths(self) -> np.ndarray:
-        """(P,) the width as which a picture shows it: twice the geometric mean of the two larger standard
-        deviations."""
+        """(P,) the width in a picture: twice the geometric mean of the two larger deviations."""
         largest = self.scales.max(axis=1)
         middle = self.scales.sum(axis=1) - largest - self.scales.min(axis=1)
         return 2 * np.sqrt(largest * middle)
 
 
 def usable_rows(scene: Scene) -> np.ndarray:
-    """(N,) bool: Gaussians that are finite and have an opacity of at least 1/255. Raises SceneError if there
-    are none."""
+    """(N,) bool: Gaussians that are finite, with an opacity of at least 1/255. Raises SceneError: none."""
     good = np.isfinite(scene.opacity_logits) & np.isfinite(scene.sh[:, 0]).all(axis=1)
     for array in (scene.means, scene.log_scales, scene.quats):
         good &= np.isfinite(array).all(axis=1)
@@ -145,10 +143,7 @@ class Space:
 
     def free(self) -> np.ndarray:
         """(CELLS, CELLS, CELLS) bool: cells in which a camera may stand: no matter is in them or nearer than
-        a camera can see.
-
-        Where no cell has such a clearance, less of it is asked for, step by step.
-        """
+        a camera can see. Where no cell has such a clearance, less of it is asked for, step by step."""
         empty, solid = self.depth < FREE, self.depth >= SOLID
         cell = 4 / CELLS * self.half
         most = 1 + min(CELLS // 16, int(np.ceil(CLEARANCE * thresholds().near / cell)))
@@ -162,8 +157,7 @@ class Space:
         return empty
 
     def enclosure(self, points: np.ndarray) -> np.ndarray:
-        """(P,) the share of directions in which a ray from the point (P, 3) ends in matter: 0 outside and far
-        away, 1 in a closed room."""
+        """(P,) the share of rays from the point (P, 3) that end in matter: 1 in a closed room."""
         blocked = np.array(
             [self.blocked(points, np.broadcast_to(direction, points.shape)) for direction in sphere(RAYS)]
         )
@@ -182,8 +176,7 @@ class Space:
 
 
 def sphere(count: int, turn: float = 0.0) -> np.ndarray:
-    """(count, 3) unit vectors spread evenly over the sphere (Fibonacci). turn: of all of them around the axis
-    z, in radians."""
+    """(count, 3) unit vectors evenly over the sphere (Fibonacci). turn: of all around z, radians."""
     z = 1 - (2 * np.arange(count) + 1) / count
     angle = turn + np.pi * (3 - np.sqrt(5)) * np.arange(count)
     r = np.sqrt(1 - z * z)
@@ -191,8 +184,7 @@ def sphere(count: int, turn: float = 0.0) -> np.ndarray:
 
 
 def connected(free: np.ndarray, start: int) -> np.ndarray:
-    """(n, n, n) bool: the free cells that are connected, side by side, to the cell with the number `start`,
-    which is free."""
+    """(n, n, n) bool: free cells connected, side by side, to the free cell with the number `start`."""
     n = len(free)
     padded = np.zeros((n + 2,) * 3, bool)
     padded[1:-1, 1:-1, 1:-1] = free

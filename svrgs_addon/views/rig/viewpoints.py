@@ -63,13 +63,11 @@ class Body:
     rows: np.ndarray  # (P,) int64: its Gaussians in Matter
 
     def distance(self, tangent: float) -> float:
-        """The distance from the centre at which the sphere fills a picture, and no part of it is too near to
-        be rendered."""
+        """The distance at which the sphere fills a picture and no part of it is too near."""
         return max(self.radius / math.sin(math.atan(tangent)), self.radius + ROOM * thresholds().near)
 
     def view(self, direction: np.ndarray, nearness: float = 1.0, aim: np.ndarray | float = 0.0) -> View:
-        """The view from a direction (3,), a unit vector. nearness: factor on the distance. aim: (3,) offset
-        of the target from the centre."""
+        """The view from a unit vector (3,). nearness: of the distance. aim: (3,) offset of the target."""
         tangent = math.tan(AROUND_FOV / 2)
         distance = self.distance(tangent)
         # of a small body from as near as can be: a smaller angle
@@ -180,8 +178,7 @@ class Within:
         return rows, np.min([np.linalg.norm(means - place, axis=1) for place in places], axis=0)
 
     def views(self, count: int, rng: np.random.Generator, aimed: int = AIMED) -> list[View]:
-        """About `count` views. aimed: those of each place that are aimed at Gaussians; 0: a few places that
-        look all around."""
+        """About `count` views. aimed: at Gaussians, of each place; 0: a few places look all around."""
         views = []
         per_place = PER_PLACE if aimed else 6
         for place in spread_places(self.places, max(1, count // per_place)):
@@ -230,10 +227,7 @@ def setting_of(matter: Matter, space: Space) -> Around | Within:
 
 def enclosed_share(matter: Matter, space: Space) -> float:
     """The share of the box around the middle of the scene that is empty, with matter in at least half of all
-    directions.
-
-    An object leaves much of its box empty, but outside of it; a room is empty inside.
-    """
+    directions. An object leaves its box empty, but outside of it; a room is empty inside."""
     inside = np.flatnonzero(_in_bulk(matter, space.places(np.arange(CELLS**3))))
     empty = inside[space.depth.reshape(-1)[inside] < FREE]
     if not len(empty):
@@ -243,8 +237,7 @@ def enclosed_share(matter: Matter, space: Space) -> float:
 
 
 def standing_places(matter: Matter, space: Space) -> np.ndarray:
-    """(P, 3) the middles of free cells within the scene, at most STANDING, that are connected to each other.
-    P may be 0."""
+    """(P, 3) the middles of connected free cells within the scene, at most STANDING. P may be 0."""
     free = space.free()
     cells = np.flatnonzero(free.reshape(-1) & _in_bulk(matter, space.places(np.arange(CELLS**3))))
     cells = cells[np.linspace(0, len(cells) - 1, min(STANDING, len(cells))).astype(np.int64)]
@@ -257,8 +250,7 @@ def standing_places(matter: Matter, space: Space) -> np.ndarray:
 
 
 def spread_places(places: np.ndarray, count: int) -> np.ndarray:
-    """At most `count` of the places (P, 3), each as far as possible from those before it; the first is the
-    most central one."""
+    """At most `count` of the places (P, 3), the most central one first, each farthest from those before."""
     chosen = [int(np.argmin(np.linalg.norm(places - np.median(places, axis=0), axis=1)))]
     nearest = np.linalg.norm(places - places[chosen[0]], axis=1)
     while len(chosen) < min(count, len(places)):
@@ -268,8 +260,7 @@ def spread_places(places: np.ndarray, count: int) -> np.ndarray:
 
 
 def bodies_of(matter: Matter, space: Space) -> list[Body]:
-    """The connected parts of the matter that hold at least BODY of it, the largest first; floaters are
-    none."""
+    """Connected parts of the matter with at least BODY of it, the largest first; floaters are none."""
     cells, weights = space.cells(matter.means), matter.opacities * np.minimum(matter.areas, space.half**2)
     mass = np.bincount(cells, weights, CELLS**3)
     left, bodies = (mass > 0).reshape(space.depth.shape), list[tuple[float, Body]]()
