@@ -1,2 +1,1 @@
-"""Fine-tuning of a scene on photographs: one loop (loop.py), two engines (engine.py, torch_engine.py) and the
-methods (methods/)."""
+"""Fine-tuning on photographs: one loop (loop.py), two engines (engine.py, torch_engine.py), methods/."""

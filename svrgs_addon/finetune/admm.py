@@ -21,8 +21,7 @@ def begun(model: Model) -> bool:
 
 
 def project(model: Model, stays: np.ndarray):
-    """z becomes o + u for the Gaussians of `stays` (N,) bool, else 0; then u grows by o - z. The first
-    projection leaves u at 0."""
+    """z becomes o + u for Gaussians of `stays` (N,) bool, else 0; then u, at first 0, grows by o - z."""
     o = sigmoid(model.opacity_logits, np)
     u = model.values[DUAL] if begun(model) else np.zeros_like(o)
     z = np.where(stays, o + u, 0).astype(o.dtype)

@@ -19,15 +19,13 @@ ROWS = 8_192  # Gaussians that are worked on at a time, so that they fit into a 
 
 @dataclass
 class Average:
-    """The mean of the values of a model, whose rows must stay the same. values: arrays as in Model, by name,
-    and their dtype."""
+    """The mean of the values, arrays by name as in Model, whose rows must stay the same."""
 
     values: dict[str, np.ndarray] = field(default_factory=dict)
     samples: int = 0
 
     def add(self, model: Model):
-        """Adds the present values: mean_k = mean_(k-1) + (x_k - mean_(k-1)) / k. It works in blocks of rows:
-        it is faster, and needs little memory."""
+        """Adds the present values: mean_k = mean_(k-1) + (x_k - mean_(k-1)) / k, by blocks of rows."""
         self.samples += 1
         if not self.values:
             self.values = {name: getattr(model, name).copy() for name in PARAMETERS}

@@ -91,8 +91,7 @@ def _write(run: Run, target: Path, identity: str, time: dict | None):
 
 
 def identity_of(start: Model, dataset: Dataset, plan: Plan, engine: str) -> str:
-    """Digest of everything that must be the same in a resumed run: plan, engine, scene, cameras, photographs.
-    Raises SceneError."""
+    """Digest of plan, engine, scene, cameras, photographs: a resumed run has the same. Raises SceneError."""
     digest = hashlib.sha256(
         repr((plan, engine, dataset.train_indices, start.metadata["antialiased"])).encode()
     )
@@ -105,10 +104,8 @@ def identity_of(start: Model, dataset: Dataset, plan: Plan, engine: str) -> str:
 
 def restore(run: Run, folder: Path, identity: str) -> bool:
     """Restores the run from the newest valid checkpoint. Returns False if there is none. Raises FormatError
-    if it is of another run.
-
-    A damaged checkpoint is deleted, with a warning, and the one before it is tried.
-    """
+    if it is of another run. A damaged checkpoint is deleted, with a warning, and the one before it is
+    tried."""
     for candidate in reversed(_folders(folder)):
         manifest = read_manifest(candidate)
         if manifest is None:
@@ -175,8 +172,7 @@ def _folders(folder: Path) -> list[Path]:
 
 
 def read_manifest(folder: Path) -> dict | None:
-    """The manifest of the checkpoint in `folder`, without its digest. None if the checkpoint is incomplete or
-    was changed."""
+    """The manifest of a checkpoint, without its digest; None if that is incomplete or was changed."""
     try:
         manifest = json.loads((folder / "manifest.json").read_bytes())
         own = manifest.pop("digest")

@@ -15,16 +15,14 @@ RESET_OPACITY = 0.01
 
 
 class Statistics:
-    """The mean norm of dL/d(projected centre) of each Gaussian since the last densification, in units of half
-    the image."""
+    """Mean norm of dL/d(projected centre) since the last densification, in units of half the image."""
 
     def __init__(self, count: int):
         self.total = np.zeros(count, np.float32)
         self.views = np.zeros(count, np.int32)
 
     def add(self, visible: np.ndarray, means2d: np.ndarray, width: int, height: int):
-        """Adds one view. visible (V,): rows; means2d (V, 2): gradients per pixel; width, height of the view
-        in pixels."""
+        """Adds one view: visible (V,) rows, means2d (V, 2) gradients per pixel, its size in pixels."""
         rows = visible.astype(np.intp)  # NumPy would convert it at each of the four accesses
         self.total[rows] += np.hypot(means2d[:, 0] * (0.5 * width), means2d[:, 1] * (0.5 * height))
         self.views[rows] += 1
@@ -73,8 +71,7 @@ def keep_mask(model: Model, rule: Densify, extent: float, after_reset: bool) -> 
 
 
 def _place_children(rows: dict[str, np.ndarray], clones: int, rule: Densify, rng: np.random.Generator):
-    """Draws the positions of a split's children from their parent's Gaussian and shrinks them. The first
-    `clones` rows are clones and stay."""
+    """Draws splits' children, all rows but the first `clones`, from their parents and shrinks them."""
     if len(rows["means"]) == clones:
         return
     children = slice(clones, None)

@@ -24,8 +24,7 @@ BETAS, EPS = (0.9, 0.999), 1e-15
 
 @dataclass
 class Step:
-    """The inputs of one optimisation step: a view, its photograph, learning rates, masks and the terms of the
-    loss."""
+    """The inputs of one step: a view, its photograph, learning rates, masks, the terms of the loss."""
 
     camera: Camera
     target: np.ndarray  # (H, W, 3) in the model's dtype, display sRGB 0..1; of the window, if there is one
@@ -111,14 +110,12 @@ class StepResult:
 
 
 def global_mask_grad(masks: np.ndarray, slope: np.ndarray, lambda_m: float) -> np.ndarray:
-    """Gradient of lambda_m (mean M)^2 with respect to the existence logits, (N,) (MaskGaussian). slope:
-    dM/dlogit (N,)."""
+    """Gradient (N,) of lambda_m (mean M)^2 in the existence logits (MaskGaussian). slope: dM/dlogit (N,)."""
     return slope * slope.dtype.type(2 * lambda_m * float(masks.mean()) / len(masks))
 
 
 class NativeEngine:
-    """Forward, loss, backward and a sparse Adam step. Sparse: only the Gaussians that the view sees are
-    updated."""
+    """Forward, loss, backward and a sparse Adam step: only Gaussians that the view sees are updated."""
 
     def __init__(self, level: str | None = None):
         self.rasterizer = Rasterizer(level)
@@ -223,8 +220,7 @@ class NativeEngine:
 
 
 def mask_logit_rows(step: Step, grads: dict[str, np.ndarray], ids: np.ndarray) -> np.ndarray:
-    """dL/d(existence logit) of the visible Gaussians `ids`, (V,). The gradient of a gate also comes from the
-    scale (methods/compact3dgs.py)."""
+    """dL/d(existence logit) of visible Gaussians, (V,). A gate's also comes from the scale (Compact3DGS)."""
     d_masks = grads["masks"] + grads["log_scales"].sum(axis=1) if step.gates else grads["masks"]
     assert step.slope is not None
     return d_masks * step.slope[ids]

@@ -46,8 +46,7 @@ class Exposures(PhotoAdam):
 
 
 def stops(matrices: np.ndarray) -> np.ndarray:
-    """By how many stops (EV) each matrix makes middle grey brighter, (V,): log2 of the ratio of its linear
-    brightness."""
+    """By how many stops (EV) each matrix brightens middle grey, (V,): log2 of its linear brightness."""
     grey = 0.5
     seen = (matrices[:, :, :3].sum(axis=2) * grey + matrices[:, :, 3]).clip(1e-3, None)
     return np.log2(srgb_to_linear(seen).mean(axis=1) / srgb_to_linear(np.array(grey)))

@@ -1,5 +1,4 @@
-"""The loop of every run: it advances the run to its end, calls an observer after each step, measures curves,
-and stops on request."""
+"""The loop of every run: steps, an observer after each, curves, checkpoints, and stops on request."""
 
 from __future__ import annotations
 

@@ -50,8 +50,7 @@ def most_probable(model: Model, target: int = 0, own: np.ndarray | None = None) 
 
 
 def refuse_emptying(keep: np.ndarray, before: int, target: int = 0):
-    """Raises SceneError if `keep` (N,) leaves less than a thousandth of `before` Gaussians and less than the
-    `target`; or no Gaussian at all."""
+    """Raises SceneError if `keep` (N,) leaves none, or less than the target and MIN_SHARE of `before`."""
     left = int(keep.sum())
     if left < max(1, min(before * MIN_SHARE, target or before)):
         raise SceneError(

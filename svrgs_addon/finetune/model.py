@@ -81,13 +81,11 @@ class Model:
                 del arrays[name]
 
     def keep(self, mask: np.ndarray):
-        """Keeps the rows where mask (N,) is True, moments included. It works in place: a copy would raise the
-        peak memory of the run."""
+        """Keeps the rows where mask (N,) is True, with moments; in place, for the peak of memory."""
         self._select(np.flatnonzero(mask), compacted)
 
     def reorder(self, index: np.ndarray):
-        """Permutes the rows, moments included: the new row i is the old row index[i]. index (N,): a
-        permutation. Copies one array at a time."""
+        """Permutes rows and moments, an array at a time: the new row i is the old row index[i], (N,)."""
         self._select(index, lambda array, rows: array.take(rows, axis=0))
 
     def _select(self, rows: np.ndarray, selected: Callable[[np.ndarray, np.ndarray], np.ndarray]):
@@ -138,8 +136,7 @@ class Model:
 
 
 def compacted(array: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """array[rows] for ascending rows, written in place: the result is a view of the first rows of the
-    array."""
+    """array[rows] for ascending rows, written in place: a view of the first rows of the array."""
     for start in range(0, len(rows), BLOCK_ROWS):
         part = rows[start : start + BLOCK_ROWS]
         array[start : start + len(part)] = array[part]

@@ -85,7 +85,6 @@ def _leading_bits(m: np.ndarray) -> np.ndarray:
 
 
 def _noise(bits: np.ndarray, step: int) -> np.ndarray:
-    """32 random bits per value for the stochastic rounding, from the leading bits of m and the step
-    number."""
+    """32 random bits per value for stochastic rounding, from the leading bits of m and the step."""
     x = bits ^ np.uint32(step * 0x9E3779B1 & 0xFFFFFFFF)
     return (x ^ x >> np.uint32(15)) * np.uint32(0x85EBCA6B)

@@ -24,14 +24,12 @@ _STREAM = 5  # of the random numbers that choose the size
 
 
 def smaller_sizes(count: int, smallest: float) -> list[int]:
-    """The numbers of Gaussians that are trained beside all `count`, from large to small. smallest: share of
-    the last."""
+    """The numbers trained beside all `count`, from large to small. smallest: share of the last."""
     return [max(1, round(count * smallest ** (k / SIZES))) for k in range(1, SIZES + 1)]
 
 
 def nested_order(run: RunView) -> np.ndarray:
-    """The rows of the run's Gaussians, (N,), the most important first. Between two sizes they are in Morton
-    order, which is faster."""
+    """The rows of the run's Gaussians, (N,), the most important first; of one size in Morton order."""
     model = run.model
     within, kept = np.zeros(model.count, np.int64), np.ones(model.count, bool)
     for size in smaller_sizes(model.count, run.plan.nested):

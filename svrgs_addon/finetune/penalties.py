@@ -31,8 +31,7 @@ class Penalty(Protocol):
 
 @dataclass(frozen=True)
 class MeanExistence:
-    """weight * mean sigmoid(m), where m are the existence logits (Compact3DGS, arXiv 2311.13681 section
-    3.1)."""
+    """weight * mean sigmoid(m), m the existence logits (Compact3DGS, arXiv 2311.13681 section 3.1)."""
 
     weight: float
     parameter: ClassVar[str] = MASK
@@ -124,8 +123,7 @@ class EffectiveRank:
 
     @staticmethod
     def _shape(log_scales, xp):
-        """[(p_k, log p_k)] of the three axes, the entropy -sum p log p, and the smallest log-scale; (N,)
-        each."""
+        """[(p_k, log p_k)] of three axes, the entropy -sum p log p, the smallest log-scale; (N,) each."""
         a, b, c = log_scales.T
         largest, smallest = xp.maximum(xp.maximum(a, b), c), xp.minimum(xp.minimum(a, b), c)
         # log of the squares, relative to the largest: no square underflows or overflows

@@ -18,8 +18,7 @@ class PhotoAdam:
     steps: np.ndarray
 
     def change(self, number: int, grad: np.ndarray, rate: float) -> np.ndarray:
-        """What a step adds to the values of one photograph, of the shape of grad, its gradient. One that is
-        not finite changes nothing."""
+        """What a step adds to one photograph's values, shaped as grad, its gradient; 0 if not finite."""
         if not np.isfinite(grad).all():
             return np.zeros_like(grad)
         self.steps[number] += 1

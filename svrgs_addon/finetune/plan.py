@@ -116,8 +116,7 @@ def _scaled_densify(d: Densify, steps) -> Densify:
 def weights(
     method: Method, trained: bool, lambda_f: float | None, lambda_m: float | None
 ) -> dict[str, float]:
-    """lambda_f and lambda_m as given, or the method's own if None. Raises SceneError for a weight that the
-    method does not use."""
+    """lambda_f and lambda_m, None: the method's own. Raises SceneError for one that the method lacks."""
     own = dict(zip(("lambda_f", "lambda_m"), method.weights(trained), strict=True))
     if lambda_f is not None and not method.lambda_f:
         raise SceneError(

@@ -45,8 +45,7 @@ class Poses(PhotoAdam):
         return cls(zeros, zeros.copy(), steps, zeros.copy(), units, starts, starts.copy())
 
     def update(self, number: int, camera: Camera, grad: np.ndarray, rate: float) -> Camera:
-        """The camera of one photograph after an Adam step. grad: dL/d(its motion), (6,), radians and world
-        units."""
+        """A photograph's camera after an Adam step. grad: dL/d(motion), (6,), radians and world units."""
         unit = self.units[number]
         self.values[number] += self.change(number, grad * unit, rate)
         motion = (self.values[number] - AHEAD * self.values.mean(axis=0)) * unit

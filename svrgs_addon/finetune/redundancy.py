@@ -41,8 +41,7 @@ def redundancy(model: Model, cameras: list[Camera]) -> np.ndarray:
 
 
 def _meets(model: Model, rows: np.ndarray, others: np.ndarray, radii: np.ndarray) -> np.ndarray:
-    """(A, K) bool: whether the spheres of `rows` (A,) with `radii` (A,) meet the ellipsoids of `others` (A,
-    K)."""
+    """(A, K) bool: whether spheres of `rows` (A,), radii (A,), meet ellipsoids of `others` (A, K)."""
     offsets = model.means[rows, None].astype(np.float64) - model.means[others]
     R = rotation_matrices(model.quats[others.ravel()]).reshape(*others.shape, 3, 3)
     local = np.einsum("akji,akj->aki", R, offsets)
@@ -51,8 +50,7 @@ def _meets(model: Model, rows: np.ndarray, others: np.ndarray, radii: np.ndarray
 
 
 def pixel_footprints(points: np.ndarray, cameras: list[Camera]) -> np.ndarray:
-    """The smallest side of a pixel at each point (N, 3) over all views whose picture it is in, (N,) float64
-    in world units."""
+    """(N,) float64: the smallest side of a pixel, world units, at points (N, 3), over all views with it."""
     smallest = np.full(len(points), UNSEEN)
     for camera in cameras:
         x, y, z = camera.local(points.astype(np.float64)).T

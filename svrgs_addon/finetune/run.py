@@ -190,8 +190,7 @@ class Run:
         return photo_of(self.dataset.cameras[view].reduced(reduction), image, self.model.dtype, reduction)
 
     def _prepare(self, phase: Phase, number: int):
-        """What precedes a step: PSNR at the start, target, the method's own preparation, and the start of the
-        controller."""
+        """What precedes a step: PSNR at the start, target, the method's preparation, the controller's."""
         if self.recovery_pruning:
             self.recovery_pruning.before_step(self)
         if not phase.active:
@@ -342,8 +341,7 @@ class Run:
         self.statistics = densify.Statistics(self.model.count)
 
     def _memory_allows(self, added: int) -> bool:
-        """Whether memory is enough for so many more Gaussians. If not, training goes on without them; the
-        first time it warns."""
+        """Whether memory holds so many more Gaussians. If not, it warns once; training goes on."""
         count, coefficients, _ = self.model.sh.shape
         sentence = memory.shortage(
             f"growing beyond {count:,} Gaussians",
@@ -376,8 +374,7 @@ class Run:
             self._keep(self.recovery_pruning.cut(self, phase, number))
 
     def _average(self, phase: Phase, number: int):
-        """Adds the values to the average if they count; at the end of the phase the average takes their
-        place."""
+        """Averages values that count; at the end of the phase the average takes their place."""
         if phase.samples(number):
             self.average.add(self.model)
         if number == phase.steps:
@@ -396,6 +393,5 @@ class Run:
 
 
 def _densifying(phase: Phase, number: int) -> bool:
-    """Whether step `number` of the phase is before the end of densification and is not the last step of the
-    phase."""
+    """Whether step `number` is before the end of densification and not the last of the phase."""
     return phase.densify is not None and number < min(phase.densify.until, phase.steps)

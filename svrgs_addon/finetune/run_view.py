@@ -32,8 +32,7 @@ class RunView(Protocol):
 
     @property
     def strength(self) -> float:
-        """Factor on the weights of the method's terms: StrengthController.strength, or 1 without a
-        controller."""
+        """Factor on the weights of the method's terms (StrengthController.strength), or 1."""
 
     @property
     def quality_before(self) -> float:
@@ -57,8 +56,7 @@ class RunView(Protocol):
 
     @property
     def protected(self) -> Keep:
-        """(N,) bool: the Gaussians that stay as they are while the method decides: those that are not its
-        own, unless it learns masks. None: none."""
+        """(N,) bool: Gaussians that stay as they are: not its own, unless masks are learned. None: none."""
 
     def quality(self, kept: Keep) -> float:
         """What an allowed loss is taken from (mean_quality()), the higher the better: PSNR in dB, or minus

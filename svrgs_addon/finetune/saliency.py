@@ -56,8 +56,7 @@ def removal_errors(
 def views_that_see(
     scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions
 ) -> np.ndarray:
-    """The number of views in which the removal of each Gaussian would change a pixel, (N,) int64. Views are
-    rendered at half their size."""
+    """In how many views, at half size, the removal of each Gaussian would change a pixel, (N,) int64."""
     views = np.zeros(scene.count, np.int64)
     for view in reduced(cameras):
         rasterizer.forward(scene, view, options, outputs=())

@@ -24,8 +24,7 @@ def contribution(
 def significance(
     scene: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions
 ) -> np.ndarray:
-    """Opacity times the sum of T over all views and the pixels in which the Gaussian is blended, (N,) float64
-    (LightGaussian)."""
+    """Opacity times the sum of T over all pixels in which it is blended, (N,) float64 (LightGaussian)."""
     *_, transmittance = _statistics(scene, cameras, rasterizer, options)
     return transmittance / (1 + np.exp(-scene.opacity_logits.astype(np.float64)))
 
@@ -41,8 +40,7 @@ def slopes(
 def dominance(
     scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions
 ) -> np.ndarray:
-    """The number of pixels of all views in which the Gaussian has the largest alpha T of all, (N,)
-    float64."""
+    """The number of pixels of all views in which the Gaussian has the largest alpha T, (N,) float64."""
     return _sums(scene, cameras, rasterizer, options, rasterizer.add_dominance)
 
 

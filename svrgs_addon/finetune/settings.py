@@ -31,8 +31,7 @@ class Rates:
     decay_every: int = 400
 
     def at(self, step: int, extent: float) -> dict[str, float]:
-        """Rates of step 1, 2, ... of the phase by parameter name. 'sh' is the rate of SH degree 0, 'sh_rest'
-        that of higher degrees."""
+        """Rates of step 1, 2, ... by parameter; 'sh' is that of SH degree 0, 'sh_rest' of higher ones."""
         t = min(step / self.position_steps, 1.0)
         position = self.position_first ** (1 - t) * self.position_last**t * extent
         share = self.decay ** (step // self.decay_every)
@@ -58,8 +57,7 @@ def rates_for(steps: int, rates: Rates) -> Rates:
 
 @dataclass(frozen=True)
 class Densify:
-    """Densification of 3DGS (section 5.2 of the paper): clone, split, prune, opacity reset. Step numbers are
-    those of the phase."""
+    """Densification of 3DGS (section 5.2): clone, split, prune, opacity reset; steps are the phase's."""
 
     start: int = 500
     until: int = 15_000
@@ -97,8 +95,7 @@ class MCMC(Densify):
 
     @classmethod
     def capped(cls, cap: int, iterations: int, until: int | None = None) -> MCMC:
-        """Densification of a run of so many iterations. It ends after 5/6 of them, at most at step 25 000.
-        until: the last step instead."""
+        """It ends after 5/6 of the iterations, at most at step 25 000. until: the last step instead."""
         until = min(cls.until, iterations * 5 // 6) if until is None else until
         return cls(start=min(cls.start, until // 3), until=until, cap=cap)
 
@@ -125,15 +122,13 @@ class Phase:
     label: str = field(default="", repr=False)
 
     def reduction(self, number: int) -> int:
-        """Reduction of the photographs in step `number` (from 1): so many pixels per side are averaged into
-        one."""
+        """Reduction of the photographs, per side, in step `number` (from 1)."""
         if number > self.coarse_until:
             return 1
         return self.coarse_factor >> (number - 1) * (self.coarse_factor.bit_length() - 1) // self.coarse_until
 
     def samples(self, number: int) -> bool:
-        """Whether the values after step `number` (from 1) count in the average: about SAMPLES of the averaged
-        steps do, the last one among them."""
+        """Whether step `number` (from 1) counts in the average: about SAMPLES do, the last among them."""
         left, averaged = self.steps - number, round(self.averaged * self.steps)
         return left < averaged and left % max(1, averaged // SAMPLES) == 0
 

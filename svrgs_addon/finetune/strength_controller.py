@@ -89,7 +89,6 @@ class StrengthController:
 def controller_for(
     settings: Settings, learns_masks: bool, largest_strength: float
 ) -> StrengthController | None:
-    """The controller of a run. None without a target, share or max_loss, and for methods that learn no
-    masks."""
+    """The controller of a run; None without target, share, max_loss, or if no masks are learned."""
     asked = settings.target or settings.share or settings.max_loss
     return StrengthController(largest=math.log(largest_strength)) if learns_masks and asked else None

@@ -193,15 +193,13 @@ def _grad(leaf: Tensor) -> Tensor:
 
 
 def _tensors(arrays: dict[str, np.ndarray]) -> dict[str, Tensor]:
-    """The arrays as tensors on the same memory. SH are split: degree 0 as 'sh', higher degrees as
-    'sh_rest'."""
+    """Tensors on the arrays' memory. SH are split: degree 0 as 'sh', others as 'sh_rest'."""
     tensors = {name: torch.from_numpy(array) for name, array in arrays.items()}
     return tensors | {"sh": tensors["sh"][:, :1], "sh_rest": tensors["sh"][:, 1:]}
 
 
 def _update(model: Model, step: Step, leaves: dict[str, Tensor], ids: Tensor) -> int:
-    """One Adam step on rows `ids`, in the model's memory. Returns the number of rows that were not updated
-    because they were not finite."""
+    """An Adam step on rows `ids`, in the model's memory. Returns the number of rows that were not finite."""
     learned = {name: leaf for name, leaf in leaves.items() if leaf.grad is not None}
     moments = {name: unpacked(array, model.values[name].shape) for name, array in model.moments.items()}
     optimizer = torch.optim.Adam(
@@ -231,8 +229,7 @@ def _update(model: Model, step: Step, leaves: dict[str, Tensor], ids: Tensor) ->
 
 
 def _step_sh(learned: dict[str, Tensor], first: Tensor, second: Tensor, step: Step):
-    """Adam on SH coefficients, which share one second moment per Gaussian (moments.py). first (N, K, 3) and
-    second (N,) are updated in place."""
+    """Adam, in place, on SH, which share one second moment per Gaussian. first: (N, K, 3), second: (N,)."""
     grad = torch.cat([_grad(learned["sh"]), _grad(learned["sh_rest"])], dim=1)
     first.lerp_(grad, 1 - BETAS[0])
     second.lerp_((grad[:, 0] ** 2).mean(dim=1), 1 - BETAS[1])

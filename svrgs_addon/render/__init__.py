@@ -1,2 +1,1 @@
-"""Complete pictures: compositing with meshes, render passes, live views, other colours; and how far two
-pictures differ (metrics/)."""
+"""Complete pictures: over meshes, as render passes, live, recoloured; how far two differ (metrics/)."""

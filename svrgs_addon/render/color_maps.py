@@ -32,18 +32,15 @@ def hex_colors(name: str = "inferno") -> tuple[str, ...]:
 
 
 def pixels(values: np.ndarray, top: float, name: str) -> np.ndarray:
-    """Maps values (H, W) to linear colours (H, W, 3) of the map `name`. If there is no such map, each channel
-    is the value itself."""
+    """Values (H, W) as linear colours (H, W, 3) of the map `name`; without such a map, as they are."""
     if name in NAMES:
         return srgb_to_linear(colored(values, top, name))
     return np.repeat(values[..., None], 3, axis=2)
 
 
 def colored(values: np.ndarray, top: float, name: str = "inferno") -> np.ndarray:
-    """Maps finite values (...) to display sRGB colours (..., 3) float64 in 0..1.
-
-    Values <= 0 have the first colour of the map, values >= top the last one.
-    """
+    """Maps finite values (...) to display sRGB colours (..., 3) float64 in 0..1. Values <= 0 have the first
+    colour of the map, values >= top the last one."""
     table = np.array([list(bytes.fromhex(code)) for code in _HEX[name].split()]) / 255
     scaled = np.asarray(values, np.float64) * ((len(table) - 1) / top if top > 0 else 0)
     return np.stack([np.interp(scaled, np.arange(len(table)), table[:, c]) for c in range(3)], axis=-1)

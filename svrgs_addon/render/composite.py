@@ -41,8 +41,7 @@ class Composite:
 
     @property
     def depth(self) -> np.ndarray:
-        """(H, W) float32: mean camera z of Gaussians and meshes, weighted by their contribution to the pixel;
-        FAR where the pixel is empty."""
+        """(H, W) float32: mean camera z, weighted by contribution to the pixel; FAR where it is empty."""
         return self.images["depth"]
 
     @property
@@ -136,8 +135,7 @@ def _over(
     surface: Surface,
     limit: np.ndarray,
 ) -> dict[str, np.ndarray]:
-    """The sums of a pixel: Gaussians with z < limit (H, W) over the surface, which lies over the
-    background."""
+    """The sums of a pixel: Gaussians with z < limit (H, W) over the surface over the background."""
     limit = np.ascontiguousarray(limit, rasterizer.dtype)
     images = rasterizer.forward(
         scene, camera, replace(options, background=(0.0, 0.0, 0.0)), outputs=outputs, depth_limit=limit

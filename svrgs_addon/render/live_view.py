@@ -51,10 +51,8 @@ class LiveView:
         self._thread.start()
 
     def request(self, key: object, job: Any):
-        """Requests a view. Requests with equal keys have the same picture, so a repeated one is ignored.
-
-        An exact picture of an older view is cancelled. A coarse one is finished and shown.
-        """
+        """Requests a view. Requests with equal keys have the same picture, so a repeated one is ignored. An
+        exact picture of an older view is cancelled. A coarse one is finished and shown."""
         with self._changed:
             if self._wanted is not None and self._wanted[0] == key:
                 return
@@ -108,8 +106,7 @@ class LiveView:
                     break
 
     def _attempt(self, key, job, reduction: int) -> bool:
-        """Draws one picture. Returns False if there is a newer request or drawing failed; the other pictures
-        are then skipped."""
+        """Draws one picture. Returns False, to skip the others, after an error or a newer request."""
         with self._changed:
             if reduction == 1 and not self._wants(key):
                 self._started = None  # it may be wanted again

@@ -26,8 +26,7 @@ LIGHT = np.array([-0.12, -0.18, 0.32])
 
 @dataclass(frozen=True)
 class Triangles:
-    """M opaque triangles in the world of the camera, with z up. Values are those of the corners and are
-    interpolated."""
+    """M opaque triangles in the camera's world, z up. Values are of corners and are interpolated."""
 
     corners: np.ndarray  # (M, 3, 3) float32: triangle, corner, coordinate
     normals: np.ndarray  # (M, 3, 3) float32, unit length

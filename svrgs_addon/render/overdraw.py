@@ -10,8 +10,7 @@ from ..scene.gaussians import Scene
 
 
 def overdraw(scene: Scene, cameras: Sequence[Camera]) -> float:
-    """Gaussians that a pixel of the cameras blends on average: N of the spatial mask (alpha >= 1/255), to the
-    end of each ray."""
+    """Gaussians that a pixel blends on average: N of the spatial mask (alpha >= 1/255), along whole rays."""
     rasterizer, options = (
         Rasterizer(),
         RenderOptions(antialiased=scene.antialiased, full=True, mask_kind="svr", picture_only=True),

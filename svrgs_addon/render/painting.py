@@ -1,5 +1,4 @@
-"""Scenes in other colours: of a value per Gaussian, or tinted where Gaussians are selected; and the colours
-that a camera sees."""
+"""Scenes in other colours: of a value per Gaussian, or tinted where selected; colours that a camera sees."""
 
 from __future__ import annotations
 
@@ -18,10 +17,8 @@ TOP_PERCENTILE = 99.0  # values from this percentile on have the last colour of 
 
 
 def painted(scene: Scene, values: list[np.ndarray | None]) -> Scene:
-    """The scene in colours of a value per Gaussian, with the colour map inferno.
-
-    values: arrays (N_i,) of its parts, one after the other. If one is None, the scene is returned unchanged.
-    """
+    """The scene in colours of a value per Gaussian, with the colour map inferno. values: arrays (N_i,) of its
+    parts, one after the other. If one is None, the scene is returned unchanged."""
     known = [part for part in values if part is not None]
     if len(known) < len(values):
         return scene
@@ -45,16 +42,13 @@ def highlighted(scene: Scene, counts: list[int], values: list[np.ndarray | None]
 
 
 def recolored(scene: Scene, rgb: np.ndarray) -> Scene:
-    """The scene with colours (N, 3), display sRGB in [0, 1], that do not depend on the view direction (SH
-    degree 0)."""
+    """The scene with colours (N, 3), display sRGB in [0, 1], from everywhere the same (SH degree 0)."""
     return replace(scene, sh=np.ascontiguousarray(((rgb - 0.5) / SH_C0)[:, None], np.float32))
 
 
 def colors(scene: Scene, rows: np.ndarray, camera: Camera) -> np.ndarray:
-    """Display sRGB colours (n, 3) float32, >= 0, of some rows of the scene as a camera sees them.
-
-    rows: (n,) int. camera: in the coordinates of the scene. colour = max(0, 0.5 + sum of SH), as in 3DGS.
-    """
+    """Display sRGB colours (n, 3) float32, max(0, 0.5 + sum of SH) as in 3DGS, of rows (n,) int of the scene
+    as a camera, in its coordinates, sees them."""
     result = np.empty((len(rows), 3), np.float32)
     for start in range(0, len(rows), BLOCK):
         part = rows[start : start + BLOCK]

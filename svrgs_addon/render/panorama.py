@@ -53,16 +53,14 @@ class Panorama:
 
     @property
     def focal(self) -> float:
-        """Pixels per radian, the larger number of both axes: the focal length of views with pixels of this
-        size."""
+        """Pixels per radian, the larger of both axes: the focal length of views with such pixels."""
         spans = (abs(last - first) for first, last in (self.longitude, self.latitude))
         return max(side / span for side, span in zip((self.width, self.height), spans, strict=True))
 
 
 @dataclass(frozen=True)
 class Patch:
-    """A perspective view, and its share in each pixel of the panorama: row weight times column weight. All
-    shares of a pixel have the sum 1."""
+    """A perspective view and its share in each pixel: row times column weight; their sum is 1."""
 
     camera: Camera
     turn: np.ndarray  # (3, 3) from the panorama's frame to that of the view
@@ -105,8 +103,7 @@ def _facing(latitude: float, longitude: float) -> np.ndarray:
 
 
 def _view(panorama: Panorama, turn: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> Camera:
-    """The camera of a view, just large enough for its rows (H,) bool and columns (W,) bool of the
-    panorama."""
+    """The camera of a view, just large enough for rows (H,) bool and columns (W,) bool of the panorama."""
     latitudes, longitudes = panorama.latitudes[rows], panorama.longitudes[columns]
     border = [
         directions(latitudes[[0, -1]][:, None], longitudes).reshape(-1, 3),
@@ -123,8 +120,7 @@ def _view(panorama: Panorama, turn: np.ndarray, rows: np.ndarray, columns: np.nd
 
 
 def composite_panorama(draw: Callable[[Camera], Composite], panorama: Panorama) -> Composite:
-    """The picture of a panorama. draw: renders a perspective view. Depths are distances from the camera, as
-    in Cycles' panoramas."""
+    """A panorama's picture; draw() renders a perspective one. Depths are distances, as in Cycles."""
     sums, directions = None, (panorama.latitudes, panorama.longitudes)
     for patch in patches(panorama):
         picture = draw(patch.camera)
@@ -152,8 +148,7 @@ def _layers(picture: Composite) -> np.ndarray:
 
 
 def _picture(layers: np.ndarray, like: Composite) -> Composite:
-    """The inverse of _layers, with values in their ranges, which cubic interpolation leaves. like: a picture
-    with the same images."""
+    """The inverse of _layers, values in their ranges, which cubic interpolation leaves. like: its images."""
     coverage, holes = (layers[..., k].clip(0, 1) for k in (COVERAGE, HOLES))
     depth = np.divide(layers[..., DEPTH], coverage, out=np.full_like(coverage, FAR), where=coverage > 0)
     names = [name for name in like.images if name != "depth"]

@@ -76,8 +76,7 @@ def beside(camera: Camera, other: Camera, means: np.ndarray) -> float:
 def error_of(
     scene, camera: Camera, image: np.ndarray, rasterizer, options: RenderOptions, side: int
 ) -> float:
-    """The mean squared difference that aligned() makes small, of pictures of this size, in the pose of the
-    camera."""
+    """The mean squared difference that aligned() minimises, at this size and in the camera's pose."""
     small, photo = reduced_view(camera, image, side)
     return _error(rasterizer.forward(scene, small, options)["rgb"], photo, _weights(small))
 

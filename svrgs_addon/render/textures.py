@@ -1,5 +1,4 @@
-"""Pictures on triangles: display sRGB with levels of half the size, so that a far surface shows their mean
-and does not flicker."""
+"""Pictures on triangles: sRGB with levels of half the size, so that far surfaces do not flicker."""
 
 from __future__ import annotations
 
@@ -28,8 +27,7 @@ class Texture:
 
 
 def texture(pixels: np.ndarray, repeat: bool = True) -> Texture:
-    """pixels: (H, W, 3) display sRGB, float32 0..1 or uint8, rows from v = 0 (the bottom) on. Means are those
-    of linear colours."""
+    """pixels: (H, W, 3) display sRGB, float32 0..1 or uint8, rows from v = 0 on. Means are linear."""
     levels = [to_bytes(pixels)]
     linear = srgb_to_linear(np.arange(256, dtype=np.float32) / 255)[levels[0]]
     while max(linear.shape[:2]) > 1:

@@ -1,2 +1,1 @@
-"""Fewer Gaussians in seconds: removals and merges in the order of what they change in pictures of the scene;
-no photographs are needed."""
+"""Fewer Gaussians in seconds, without photographs: removals and merges by what they change in pictures."""

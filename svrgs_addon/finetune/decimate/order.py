@@ -38,8 +38,7 @@ class Order:
 
     @cached_property
     def lives(self) -> np.ndarray:
-        """(N + M, 2) int32: the number of operations after which a row is there, and after which it is gone
-        again."""
+        """(N + M, 2) int32: after how many operations a row is there, and is gone again."""
         steps, merged = len(self.merges.a), self.merges.b != REMOVED
         lives = np.zeros((self.scene.count + int(merged.sum()), 2), np.int32)
         lives[self.scene.count :, 0] = np.flatnonzero(merged) + 1
@@ -59,8 +58,7 @@ class Order:
         return replace(whole, **arrays, attributes={}, property_order=())
 
     def rows_at(self, count: int) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """What at() is made of: the rows of the original, (K,) ascending, and the arrays of the merged
-        Gaussians."""
+        """What at() is made of: rows of the original, (K,) ascending, and arrays of merged Gaussians."""
         done = self.scene.count - count
         born, gone = self.lives.T
         there = np.flatnonzero((born <= done) & (gone > done))
@@ -88,15 +86,13 @@ def visibility_sums(
 
 
 def hidden(sums: np.ndarray) -> int:
-    """The number of Gaussians that no view sees, or whose mean transmittance is at most HIDDEN. sums: (N, 9),
-    from visibility_sums()."""
+    """The number of Gaussians of at most HIDDEN mean transmittance. sums (N, 9): of visibility_sums()."""
     columns = dict(zip(VISIBILITY, sums.T, strict=True))
     return int((columns["transmittance"] <= HIDDEN * columns["pixels"]).sum())
 
 
 def order_of(scene: Scene, sums: np.ndarray, least: int) -> Order:
-    """The order that leaves `least` of the Gaussians, 1 to N. sums: from visibility_sums(). Raises SceneError
-    if no view sees any."""
+    """The order that leaves `least` Gaussians. sums: of visibility_sums(). Raises SceneError: none seen."""
     columns = dict(zip(VISIBILITY, sums.T, strict=True))
     seen = columns["views"] > 0
     if not seen.any():
@@ -110,7 +106,6 @@ def order_of(scene: Scene, sums: np.ndarray, least: int) -> Order:
 
 
 def lost_columns(source: Scene, small: Scene, expected: Sequence[str] = NORMALS) -> list[str]:
-    """A sentence on columns of the source that are lost, because merged Gaussians have no values for them;
-    none on `expected` ones."""
+    """A sentence on columns, but `expected` ones, that are lost: merged Gaussians have no values in them."""
     lost = sorted(source.attributes.keys() - small.attributes.keys() - set(expected))
     return [f"these columns of the file were left out: {', '.join(lost)}"] if lost else []

@@ -37,8 +37,7 @@ class SavedOrder:
     most: int
 
     def at(self, count: int) -> Scene:
-        """The scene with `count` Gaussians, or the nearest number from least to most; without further
-        columns."""
+        """The scene with about `count` Gaussians, as clipped() says; without further columns."""
         done = self.most - self.clipped(count)
         return self.scene.select(np.flatnonzero((self.born <= done) & (self.gone > done)))
 

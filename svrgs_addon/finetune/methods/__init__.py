@@ -14,8 +14,7 @@ DEFAULT, PAPER_METHOD = "removal", "svr"
 
 
 def _discovered() -> dict[str, Method]:
-    """All methods by name. Order: the default, the method of the paper, methods that learn, methods that
-    rank, methods that do not prune."""
+    """All methods by name: the default, that of the paper, those that learn, that rank, the others."""
     modules = (
         importlib.import_module(f"{__name__}.{module.name}") for module in pkgutil.iter_modules(__path__)
     )

@@ -1,5 +1,4 @@
-"""The base class of all methods. Its hooks are where a method may differ from plain 3DGS; the run calls them
-and knows no method by name."""
+"""The base class of methods. Its hooks are where one may differ from plain 3DGS; a run knows none by name."""
 
 from __future__ import annotations
 
@@ -61,8 +60,7 @@ class Method:
     def train_phases(
         self, iterations: int, recovery: int, densify: Densify, coarse_until: int
     ) -> list[Phase]:
-        """The phases of `svrgs train`: 3DGS from sparse points, with the method active in every step; then
-        recovery."""
+        """The phases of `svrgs train`: 3DGS from sparse points, the method always active; then recovery."""
         rates = Rates(position_steps=max(1, min(iterations, Rates.position_steps)))
         train = Phase(
             "train",
@@ -108,13 +106,11 @@ class Method:
     # --- a step of an active phase
 
     def budget(self, run: RunView) -> int:
-        """The number of Gaussians to keep if the run has no target. Called before the steps of an active
-        phase. 0: the method needs none."""
+        """The number to keep without a target, asked before steps of an active phase; 0: none needed."""
         return 0
 
     def prepare(self, run: RunView, phase: Phase, number: int):
-        """Called before step `number` (from 1) of the phase. It may change the model and the method's own
-        state."""
+        """Called before step `number` (from 1). It may change the model and the method's own state."""
 
     def terms(self, run: RunView, phase: Phase, number: int) -> dict:
         """The fields of engine.Step, by name, that differ from a step of plain 3DGS. It changes nothing."""
@@ -127,8 +123,7 @@ class Method:
         return None
 
     def after_densification(self, run: RunView, phase: Phase, number: int) -> Keep:
-        """The Gaussians that stay after step `number`, once its densification is done and survivors() has
-        decided."""
+        """The Gaussians that stay after step `number`, its densification and survivors()."""
         return None
 
     def after_step(self, run: RunView, phase: Phase, number: int) -> Keep:
@@ -145,15 +140,13 @@ class Method:
         return None
 
     def expected_count(self, logits: np.ndarray) -> float:
-        """The expected number of Gaussians with these existence logits. Only methods that learn masks have
-        it."""
+        """The expected number of Gaussians with these existence logits. Only where masks are learned."""
         raise NotImplementedError
 
     def score(
         self, scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions
     ) -> np.ndarray:
-        """The score of each Gaussian, (N,); the highest stay. Only methods that rank, or cut in events, have
-        it."""
+        """The score of each Gaussian, (N,); the highest stay. Only where methods rank or cut in events."""
         raise NotImplementedError
 
     def cut(
@@ -170,8 +163,7 @@ class Method:
     def reduced(
         self, scene: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions, count: int
     ) -> Scene:
-        """The scene with `count` Gaussians. Only methods that rank have it. Raises SceneError if almost
-        nothing would stay."""
+        """The scene with `count` Gaussians, of methods that rank. Raises SceneError for almost none."""
         keep = self.cut(scene, cameras, rasterizer, options, count)
         refuse_emptying(keep, scene.count, count)
         return scene.select(keep)

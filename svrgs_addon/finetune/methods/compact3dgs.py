@@ -30,8 +30,7 @@ NEARNESS = 0.2  # width, in logits, of the sigmoid that counts gates near the th
 
 @dataclass
 class Compact3DGS(Masked):
-    """The method. Nothing is sampled. Pruning events and the end of the phase remove the Gaussians with a
-    closed gate."""
+    """Nothing is sampled. Events and the end of the phase remove Gaussians with a closed gate."""
 
     lambda_m: float = 5e-4
     mask_init: float = 1.0
@@ -58,8 +57,7 @@ class Compact3DGS(Masked):
         return model.values[MASK] > THRESHOLD
 
     def expected_count(self, logits: np.ndarray) -> float:
-        """The number of open gates. Gates near the threshold count in part, so that the strength controller
-        can react before they close."""
+        """The number of open gates, those near the threshold in part: the controller can then react."""
         return float(sigmoid((logits - THRESHOLD) / NEARNESS, np).sum(dtype=np.float64))
 
 

@@ -15,14 +15,12 @@ class EfficientGS(Stepwise):
     EVENTS: ClassVar = (0.0, 0.2, 0.4)
 
     def score(self, scene, cameras, rasterizer, options):
-        """The number of dominated pixels. The fraction ranks Gaussians with equal numbers, by the sum of
-        alpha T."""
+        """The number of dominated pixels; equal numbers are ranked by the sum of alpha T, a fraction."""
         sums = contribution(scene, cameras, rasterizer, options)[0]
         return dominance(scene, cameras, rasterizer, options) + sums / (1 + sums.max(initial=0))
 
     def event(self, run: RunView, done: int) -> Keep:
-        """With a target the Gaussians of highest score stay: never fewer, and at the last event not more
-        either."""
+        """With a target those of highest score stay: never fewer, and at the last event not more."""
         score = self.score(run.model, run.training_cameras, run.rasterizer, run.score_options)
         wanted = top(score, run.target)
         return wanted if run.target and done == len(self.EVENTS) else (score >= 1) | wanted

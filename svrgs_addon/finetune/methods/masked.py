@@ -1,5 +1,4 @@
-"""Base class of methods that learn masks: one existence logit per Gaussian, sampled in each step
-(MaskGaussian section 3, SVR-GS section II-A)."""
+"""Base class of methods that learn masks: sampled existence logits (MaskGaussian 3, SVR-GS II-A)."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""MaskGaussian (arXiv 2412.20522): the term lambda_m (mean M)^2 over all Gaussians, in its three schedules
-and its post-training form."""
+"""MaskGaussian (arXiv 2412.20522): the term lambda_m (mean M)^2, in three schedules and as post-training."""
 
 from __future__ import annotations
 

@@ -42,8 +42,7 @@ class Merge(Method):
         return [train, *self.prune_phases(0, recovery, 0)]
 
     def rates(self, run: RunView, phase: Phase, number: int) -> dict[str, float]:
-        """After the cut, positions change by fractions of the middle scale of the Gaussians, whatever the
-        extent of the scene."""
+        """After the cut, positions change by fractions of the middle scale, whatever the extent."""
         rates = super().rates(run, phase, number)
         if phase.active:
             return rates

@@ -1,5 +1,4 @@
-"""PUP 3D-GS (arXiv 2406.10219): ranks by sensitivity to position and size (../sensitivity.py). One cut;
-published with two cuts."""
+"""PUP 3D-GS (arXiv 2406.10219): ranks by ../sensitivity.py. One cut; published with two."""
 
 from ..sensitivity import log_determinants
 from .ranked import Ranked

@@ -1,5 +1,4 @@
-"""Base class of methods that rank: one cut keeps the Gaussians of highest score, as many as the target, and
-recovery follows."""
+"""Base class of methods that rank: one cut keeps those of highest score, as the target; then recovery."""
 
 from __future__ import annotations
 

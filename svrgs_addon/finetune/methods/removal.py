@@ -106,8 +106,7 @@ class Removal(Method):
         ]
 
     def rates(self, run: RunView, phase: Phase, number: int) -> dict[str, float]:
-        """Larger where few Gaussians are left: the distance between those on a surface grows with the root of
-        what went."""
+        """Larger where few are left: distances on a surface grow with the root of what went."""
         rates = super().rates(run, phase, number)
         if phase.densify:
             return rates
@@ -140,8 +139,7 @@ class Removal(Method):
         return int(fewest_within(run, rank, floor_of_drop(run.quality_before, run.plan)).sum())
 
     def prepare(self, run: RunView, phase: Phase, number: int):
-        """Before the first step, lowers the opacities of the Gaussians that a view sees and that are not
-        protected."""
+        """Before the first step, lowers opacities of Gaussians that are seen and not protected."""
         if number == 1:
             self.lowered = _has_opaque(run.model)
             if self.lowered:
@@ -160,8 +158,7 @@ class Removal(Method):
         return self.stays(run, (these + 1) / passes)
 
     def stays(self, run: RunView, done: float) -> np.ndarray:
-        """The Gaussians that stay after a pass, (N,) bool. done: share of the passes that have been, this one
-        included."""
+        """The Gaussians that stay after a pass, (N,) bool. done: share of the passes, with this one."""
         rank = self.score(run.model, run.training_cameras, run.rasterizer, run.score_options)
         rank = rank if run.protected is None else np.where(run.protected, np.inf, rank)
         return top(rank, round(self.count * (min(run.target, self.count) / self.count) ** sqrt(done)))
@@ -170,8 +167,7 @@ class Removal(Method):
         return self.ranking(scene, cameras, rasterizer, options)
 
     def ranking_passes(self, settings: Settings, steps: int, share: float) -> list[tuple[float, float]]:
-        """Also the lowering takes a pass, and so does the budget of an allowed drop; that of lambda_F costs
-        twice as much."""
+        """The lowering and the budget of a drop take a pass each, that of lambda_F two."""
         passes = number_of_passes(steps)
         before = 1 + bool(settings.max_loss) + 2 * self.uses_lambda_f(settings)
         return [(0.0, 1.0)] * before + [(k / passes, share ** sqrt((k + 1) / passes)) for k in range(passes)]

@@ -46,10 +46,7 @@ class Stepwise(Method):
 
     def event(self, run: RunView, done: int) -> Keep:
         """The Gaussians that stay at an event: those of highest score. Their number falls by the same ratio
-        at each event, to the target.
-
-        done: number of events up to and including this one.
-        """
+        at each event, to the target. done: number of events, with this one."""
         return self.highest(run, self.falling(run, done))
 
     def falling(self, run: RunView, done: int) -> int:

@@ -47,9 +47,8 @@ def format_loss(
     measure: str,
     seen: SeenFrom | None = None,
 ) -> float:
-    """What the scene loses in the format of the output; 0 if every value is stored as it is. quality_of: of a
-    scene. seen: from where, for formats that round by it. Raises SceneError if that alone is not less than
-    what is allowed."""
+    """What the scene loses in the format of the output; 0 if it is lossless. quality_of: of a scene. seen: as
+    of as_stored(). Raises SceneError if that alone is not less than what is allowed."""
     splat_format = format_to_write(out)
     if splat_format.lossless:
         return 0.0

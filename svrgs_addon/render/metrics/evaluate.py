@@ -51,18 +51,15 @@ class Renderable(Protocol):
 
 
 class Renderer(Protocol):
-    """Renders a scene: native.rasterizer.Rasterizer, or prune.blocks.block_rasterizer.BlockRasterizer for a
-    divided one."""
+    """Renders a scene: a Rasterizer, or prune.blocks.block_rasterizer.BlockRasterizer a divided one."""
 
     @property
     def forward(self) -> Callable[..., dict[str, Any]]: ...
 
 
 def rounded_to_8_bits(rgb: np.ndarray) -> np.ndarray:
-    """A rendered image (H, W, 3), clamped to 0..1 and rounded to multiples of 1/255, float32.
-
-    Published results are measured on saved 8-bit files.
-    """
+    """A rendered image (H, W, 3), clamped to 0..1 and rounded to multiples of 1/255, float32: published
+    results are measured on saved 8-bit files."""
     image = np.clip(rgb, 0, 1).astype(np.float32, copy=False)
     image *= 255
     np.round(image, out=image)
@@ -71,8 +68,7 @@ def rounded_to_8_bits(rgb: np.ndarray) -> np.ndarray:
 
 
 def render_options(scene: Renderable, background=(0.0, 0.0, 0.0), mask_kind: str = "none") -> RenderOptions:
-    """Options to render the scene as it was trained. background: display sRGB 0..1. mask_kind: form of F, see
-    RenderOptions."""
+    """To render the scene as it was trained. background: display sRGB 0..1. mask_kind: form of F."""
     return RenderOptions(antialiased=scene.antialiased, background=background, mask_kind=mask_kind)
 
 
@@ -235,11 +231,8 @@ def frame_milliseconds(scenes: Sequence[Any], cameras: Sequence[Camera]) -> list
 
 
 def refuse_unseen(scene: Renderable, cameras: Sequence[Camera], name: str):
-    """Raises SceneError if no camera sees the centre of a Gaussian within VISIBLE_REACH: scene and cameras do
-    not belong together.
-
-    name: name of the scene's file, for the message.
-    """
+    """Raises SceneError, naming the scene's file, if no camera sees the centre of a Gaussian within
+    VISIBLE_REACH: scene and cameras do not belong together."""
     some = cameras[:: max(1, len(cameras) // VISIBLE_CAMERAS)]
     if not any_in_view(scene.means, cameras, some):
         near = thresholds().near
@@ -250,11 +243,8 @@ def refuse_unseen(scene: Renderable, cameras: Sequence[Camera], name: str):
 
 
 def any_in_view(points: np.ndarray, cameras: Sequence[Camera], some: Sequence[Camera]) -> bool:
-    """Whether one of the cameras `some` sees one of the points (N, 3), world, where it would be rendered,
-    and within VISIBLE_REACH.
-
-    cameras: all of them, which give the scale. Of many points, about VISIBLE_POINTS are checked.
-    """
+    """Whether one of the cameras `some` sees one of the points (N, 3), world, where it would be rendered, and
+    within VISIBLE_REACH. cameras: all, for the scale. Of many points, about VISIBLE_POINTS are checked."""
     centres = np.array([camera.position for camera in cameras])
     # a single camera gives no scale
     reach = VISIBLE_REACH * np.linalg.norm(centres - centres.mean(axis=0), axis=1).max() or np.inf

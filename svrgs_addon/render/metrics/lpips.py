@@ -60,8 +60,7 @@ class Lpips:
     """The network with loaded weights. Call it with two images."""
 
     def __init__(self, weights: dict[str, np.ndarray], input_range: str = "3dgs"):
-        """weights: all arrays, float32, by the first of the two key names above. input_range: a key of
-        INPUT_RANGES."""
+        """weights: float32 arrays by the first of the key names above. input_range: of INPUT_RANGES."""
         self.input_range = input_range
         # but for the convolutions', of which it keeps panels
         self._weights = {key: w for key, w in weights.items() if key.endswith("bias") or w.shape[0] == 1}
@@ -95,8 +94,7 @@ class Lpips:
             yield x
 
     def _distance(self, k: int, a: np.ndarray, b: np.ndarray) -> float:
-        """Squared difference of normalised feature vectors, weighted per channel, mean over pixels (equation
-        1 of the paper)."""
+        """Squared difference of normalised features, weighted by channel, mean over pixels (equation 1)."""
         weights, total = self._weights[f"lin{k}.model.1.weight"].ravel(), 0.0
         for top in range(0, len(a), ROWS):
             rows = slice(top, top + ROWS)
@@ -182,8 +180,7 @@ def _expected() -> dict[str, tuple[int, ...]]:
 
 
 def _checked(found: dict[str, np.ndarray], key: str, shape: tuple[int, ...], path: Path) -> np.ndarray:
-    """The array of a key as float32. Raises FormatError if it is missing, has another shape or type, or is
-    not finite."""
+    """The array of a key as float32. Raises FormatError if it is missing, another one, or not finite."""
     if key not in found:
         raise FormatError(
             f"{path} lacks {key}, so it is not a complete set of LPIPS-VGG16 weights; write the file again"

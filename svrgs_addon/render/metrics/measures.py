@@ -17,8 +17,7 @@ PIXELS_PER_DEGREE = 0.7 * (3840 / 0.7) * np.pi / 180
 
 
 def image_pair(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Both images as contiguous float32 (H, W, 3). Raises SceneError if their shapes differ or a value is not
-    finite."""
+    """Both images as contiguous float32 (H, W, 3). Raises SceneError if shapes differ or not finite."""
     a, b = np.ascontiguousarray(a, np.float32), np.ascontiguousarray(b, np.float32)
     if a.shape != b.shape or a.ndim != 3 or a.shape[2] != 3 or a.size == 0:
         raise SceneError(f"cannot compare images of shapes {a.shape} and {b.shape}; both must be (H, W, 3)")
@@ -49,8 +48,7 @@ def almost_empty(image: np.ndarray, background: Sequence[float]) -> bool:
 
 
 def with_error(value: float, error: float) -> float:
-    """The PSNR in dB after a mean squared error, colours in 0..1, is added to that of a PSNR. error 0: the
-    same value."""
+    """The PSNR in dB after a mean squared error, colours in 0..1, is added; error 0: the same value."""
     return -10.0 * math.log10(10.0 ** (-value / 10.0) + error) if error else value
 
 
