@@ -17,10 +17,9 @@ from ..system.errors import FormatError
 from .atomic import atomic_write, check_space
 from .quantised import alphas_of, colors_of_sh, logits_of, logs_of, sh_of_colors, to_uint8, unit_quats
 from .reading import MAX_COUNT, open_splat, refuse_unpacking, rows_at, size_of
-from .splat_format import SplatFormat
+from .splat_format import PART, SplatFormat
 
 ROW = np.dtype([("means", "<f4", 3), ("scales", "<f4", 3), ("rgba", "u1", 4), ("quats", "u1", 4)])
-PART = 2**16  # Gaussians that are converted together
 
 
 def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[Scene]:
@@ -70,7 +69,6 @@ FORMAT = SplatFormat(
     name="splat",
     label=".splat",
     suffixes=(".splat",),
-    sniff=lambda head: True,
     read_parts=read_parts,
     write=write,
     size=file_size,

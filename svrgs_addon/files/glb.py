@@ -29,7 +29,7 @@ from .glb_container import Glb, glb_of
 from .memory_mapped import rows
 from .quantised import colors_of_sh, logits_of_opacities, logs_of, opacities_of, to_uint8, unit_quats
 from .reading import MAX_COUNT, open_splat, refuse_whole
-from .splat_format import SplatFormat
+from .splat_format import PART, SplatFormat
 
 EXTENSION = "KHR_gaussian_splatting"
 # names of the draft; the first one is written
@@ -37,7 +37,6 @@ PACKED = (f"{EXTENSION}_compression_spz_2", f"{EXTENSION}_compression_spz")
 COLORS = "srgb_rec709_display"  # display-referred, as in training
 FLOAT, BYTE = 5126, 5121  # types of components
 MAX_NODES, MAX_PACKED = 20_000, 64  # nodes, and packed splats in a file
-PART = 2**16  # Gaussians that are converted together
 
 
 def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[Scene]:

@@ -19,11 +19,10 @@ from ..scene.gaussians import SH_COEFFICIENTS, Scene
 from ..system.errors import FormatError
 from .quantised import logits_of, logs_of, sh_of_colors
 from .reading import MAX_COUNT, open_splat, refuse_many, refuse_unpacking, rows_at, size_of
-from .splat_format import SplatFormat
+from .splat_format import PART, SplatFormat
 
 HEADER, SECTION_HEADER = 4096, 1024  # bytes
 MAX_SECTIONS = 1024
-PART = 2**16  # Gaussians that are converted together
 RANGE_OF_SH = 1.5  # of SH in 8 bits, to both sides, if the header has none
 BROKEN = "; export it again"
 
@@ -207,6 +206,5 @@ FORMAT = SplatFormat(
     name="ksplat",
     label=".ksplat",
     suffixes=(".ksplat",),
-    sniff=lambda head: True,
     read_parts=read_parts,
 )

@@ -41,7 +41,6 @@ from .splat_format import SplatFormat, by_parts
 # most bytes of a file in a bundle: of any, and for each Gaussian; a texture that is not packed has 4
 ALWAYS, OF_GAUSSIAN = 1 << 24, 8
 MANY = 1 << 16  # pixels that any texture may have
-PART = 2**16  # Gaussians that are converted together
 FLOAT_MAX = float(np.finfo(np.float32).max)
 BROKEN = "; export it again"
 # what zipfile raises, also for a password
@@ -83,10 +82,7 @@ def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[
     file = path / META if path.is_dir() else path
     with open_splat(file), _folder(file) as folder:
         sog = _read(folder, max_count)
-    yield from by_parts(
-        lambda start: _scene(sog, slice(start, min(start + PART, sog.count))),
-        range(0, max(sog.count, 1), PART),
-    )
+    yield from by_parts(lambda rows: _scene(sog, rows), sog.count)
 
 
 @contextlib.contextmanager

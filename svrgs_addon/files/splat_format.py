@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +11,8 @@ from pathlib import Path
 from ..scene.concatenate import concatenated
 from ..scene.gaussians import Scene
 from ..system.errors import SceneError
+
+PART = 2**16  # Gaussians that are converted together
 
 
 @dataclass(frozen=True)
@@ -24,9 +26,10 @@ class SplatFormat:
     name: str  # shown by `svrgs info`
     label: str  # shown in menus
     suffixes: tuple[str, ...]  # lower case, with the dot; the first one is written
-    sniff: Callable[[bytes], bool]  # whether a file that begins with these bytes may be of this format
     # of path and the most Gaussians; values as stored, not repaired, in parts of some thousand, at least one
     read_parts: Callable[..., Iterator[Scene]]
+    # whether a file that begins with these bytes may be of this format
+    sniff: Callable[[bytes], bool] = lambda head: True
     # the same as one scene, if each part overwrites the arrays of the previous one
     read: Callable[[Path], Scene] | None = None
     # of path, scene and, by name, what there is of version, quantise and seen; atomic. None: read only
@@ -59,9 +62,10 @@ class SplatFormat:
         return self.read(path) if self.read else concatenated(list(self.read_parts(path)), columns=True)
 
 
-def by_parts(work: Callable[[int], Scene], starts: Sequence[int]) -> Iterator[Scene]:
-    """work(start) of each start in their order, by all cores, a few ahead."""
+def by_parts(work: Callable[[slice], Scene], count: int) -> Iterator[Scene]:
+    """work(rows) of each PART of `count` Gaussians in order, at least one, by all cores, a few ahead."""
     ahead = os.cpu_count() or 1
+    parts = [slice(start, start + PART) for start in range(0, max(count, 1), PART)]
     with ThreadPoolExecutor(ahead) as threads:
-        for first in range(0, len(starts), ahead):
-            yield from threads.map(work, starts[first : first + ahead])
+        for first in range(0, len(parts), ahead):
+            yield from threads.map(work, parts[first : first + ahead])

@@ -44,10 +44,9 @@ from .quantised import (
 )
 from .reading import MAX_COUNT, open_splat
 from .sh_rounding import SeenFrom, rounded
-from .splat_format import SplatFormat, by_parts
+from .splat_format import PART, SplatFormat, by_parts
 from .spz_container import GZIP, MAGIC, NEWEST, SMALLEST_THREE, Header, packed, streams
 
-PART = 2**16  # Gaussians that are converted together
 FRACTION_BITS = 12  # of positions, at least where the scene is small enough
 LARGEST_POSITION = 2**23 - 1
 FINER = 16  # steps of a position, at least, in the scale of a small Gaussian
@@ -74,8 +73,7 @@ def parts_of(data: bytes, max_count: int = MAX_COUNT) -> Iterator[Scene]:
     if header.degree > 3:
         logging.warning("spherical harmonics of degree %d are read up to degree 3", header.degree)
     yield from by_parts(
-        lambda start: _scene(header, {name: rows[start : start + PART] for name, rows in stored.items()}),
-        range(0, max(header.count, 1), PART),
+        lambda part: _scene(header, {name: rows[part] for name, rows in stored.items()}), header.count
     )
 
 

@@ -261,7 +261,6 @@ FORMAT = SplatFormat(
     name="streamed-sog",
     label="Streamed SOG",
     suffixes=(),
-    sniff=lambda _: False,
     read_parts=read_parts,
     write=write,
     quantises=True,

@@ -213,7 +213,6 @@ FORMAT = SplatFormat(
     name="usd",
     label="USD",
     suffixes=(".usd", ".usdc", ".usda"),
-    sniff=lambda head: True,
     read_parts=read_parts,
     write=write,
     carries=("order",),
