@@ -19,22 +19,11 @@ from ..scene.gaussians import SH_COEFFICIENTS, Scene
 from ..system.errors import FormatError
 from ..system.foreign import inside
 from . import images
+from . import sog_layout as layout
 from .images import read_texture
 from .quantised import logits_of, quats_of_three
 from .reading import MAX_COUNT, json_object, open_splat, refuse_unpacking
-from .sog_layout import (
-    HIGHEST,
-    LARGEST_QUAT,
-    MAX_META,
-    META,
-    PALETTE_ROW,
-    ROOT2,
-    SUFFIX,
-    TABLE,
-    VERSION,
-    is_texture,
-    named_in,
-)
+from .sog_layout import META, SUFFIX, VERSION
 from .sog_writer import limits, write
 from .splat_format import SplatFormat, by_parts
 
@@ -102,13 +91,13 @@ def _unpack(file: Path, folder: Path):
     try:
         with zipfile.ZipFile(file) as bundle:
             members = {one.filename: one for one in bundle.infolist()}
-            if META not in members or members[META].file_size > MAX_META:
+            if META not in members or members[META].file_size > layout.MAX_META:
                 return  # _meta() says so
             bundle.extract(members[META], folder)
             meta = _meta(folder / META)
             count = meta.get("count")
             most = max(ALWAYS, OF_GAUSSIAN * count) if isinstance(count, int) else ALWAYS
-            for name in (name for name in named_in(meta) if name in members):
+            for name in (name for name in layout.named_in(meta) if name in members):
                 if members[name].file_size > most:
                     raise FormatError(f"has a texture {name} that is larger than it can be{BROKEN}")
                 bundle.extract(members[name], folder)
@@ -130,7 +119,7 @@ def _read(folder: Path, max_count: int) -> _Sog:
     refuse_unpacking(count, SH_COEFFICIENTS[degree], max_count)
     ranges = np.array([_numbers(_part(meta, "means"), name, 3) for name in ("mins", "maxs")])
     parts = ("scales", "sh0", "shN") if degree else ("scales", "sh0")
-    tables = {name: _numbers(_part(meta, name), "codebook", TABLE) for name in parts}
+    tables = {name: _numbers(_part(meta, name), "codebook", layout.TABLE) for name in parts}
     textures = {name: _texture(folder, _part(meta, part), number, count) for name, part, number in _TEXTURES}
     if degree:
         textures["labels"] = _texture(folder, _part(meta, "shN"), 1, count)
@@ -151,9 +140,9 @@ _TEXTURES = (
 def _meta(path: Path) -> dict[str, Any]:
     if not path.is_file():
         raise FormatError(f"has no {META}, so it is no SOG")
-    meta = json_object(path, MAX_META)
+    meta = json_object(path, layout.MAX_META)
     if meta is None:
-        raise FormatError(f"has no {META} of at most {MAX_META:,} bytes that can be read{BROKEN}")
+        raise FormatError(f"has no {META} of at most {layout.MAX_META:,} bytes that can be read{BROKEN}")
     return meta
 
 
@@ -190,11 +179,11 @@ def _texture(folder: Path, part: dict[str, Any], number: int, count: int) -> np.
 
 def _palette(folder: Path, part: dict[str, Any], coefficients: int) -> np.ndarray:
     """(entries, coefficients, 3) uint8."""
-    image = _image(_file(folder, part, 0), coefficients * (MANY + PALETTE_ROW))
-    if image.shape[1] != PALETTE_ROW * coefficients:
+    image = _image(_file(folder, part, 0), coefficients * (MANY + layout.PALETTE_ROW))
+    if image.shape[1] != layout.PALETTE_ROW * coefficients:
         raise FormatError(
             f"has a palette of SH that is {image.shape[1]} pixels wide, not"
-            f" {PALETTE_ROW * coefficients}{BROKEN}"
+            f" {layout.PALETTE_ROW * coefficients}{BROKEN}"
         )
     return image[:, :, :3].reshape(-1, coefficients, 3)
 
@@ -215,7 +204,7 @@ def _file(folder: Path, part: dict[str, Any], number: int) -> Path:
     """A file that meta.json names, in the folder itself."""
     names = part.get("files")
     name = names[number] if isinstance(names, list) and len(names) > number else None
-    if not isinstance(name, str) or not is_texture(name):
+    if not isinstance(name, str) or not layout.is_texture(name):
         raise FormatError(f"names no texture next to its {META}{BROKEN}")
     path = inside(folder, name)
     if not path.is_file():
@@ -226,12 +215,12 @@ def _file(folder: Path, part: dict[str, Any], number: int) -> Path:
 def _scene(sog: _Sog, rows: slice) -> Scene:
     """The Gaussians of some pixels."""
     pixels = {name: texture[rows] for name, texture in sog.textures.items() if name != "palette"}
-    shares = (pixels["low"][:, :3] + 256.0 * pixels["high"][:, :3]) / HIGHEST
+    shares = (pixels["low"][:, :3] + 256.0 * pixels["high"][:, :3]) / layout.HIGHEST
     stored = sog.ranges[0] + shares * (sog.ranges[1] - sog.ranges[0])
     with np.errstate(over="ignore"):  # ranges of a damaged file
         means = (np.sign(stored) * np.expm1(np.abs(stored))).astype(np.float32)
-    three = (pixels["quats"][:, :3].astype(np.float32) / 255 - np.float32(0.5)) * ROOT2
-    largest = pixels["quats"][:, 3].astype(np.int64) - LARGEST_QUAT
+    three = (pixels["quats"][:, :3].astype(np.float32) / 255 - np.float32(0.5)) * layout.ROOT2
+    largest = pixels["quats"][:, 3].astype(np.int64) - layout.LARGEST_QUAT
     quats = quats_of_three(three, np.maximum(largest, 0))
     quats[largest < 0] = (1, 0, 0, 0)
     sh = np.zeros((len(means), SH_COEFFICIENTS[sog.degree], 3), np.float32)

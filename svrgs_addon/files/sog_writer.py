@@ -24,22 +24,13 @@ from ..scene.gaussians import Scene
 from ..scene.morton_order import morton_order
 from ..system import memory
 from ..system.errors import SceneError
+from . import sog_layout as layout
 from .atomic import atomic_path, atomic_write, check_space
 from .images import write_texture
 from .palette import nearest, palette, refined, table
 from .quantised import alphas_of, picture_weights, small_scale, three_of_quats, to_uint8
 from .sh_rounding import SeenFrom, higher_factors, rounded
-from .sog_layout import (
-    HIGHEST,
-    LARGEST_QUAT,
-    MAX_ENTRIES,
-    META,
-    PALETTE_ROW,
-    ROOT2,
-    TABLE,
-    VERSION,
-    files_of,
-)
+from .sog_layout import META
 
 SHARES = (64, 16, 4)  # Gaussians for each entry of the palette: the first one whose error is small enough
 SMALL_ERROR = 2.5e-3  # weighted mean of the squared errors of all coefficients: about 50 dB in a picture
@@ -87,7 +78,7 @@ def limits(scene: Scene) -> list[str]:
     if not scene.count:
         return []
     stored, small = np.abs(_stored(scene.means)), small_scale(scene)
-    step = float(np.ptp(_stored(scene.means), axis=0).max() / HIGHEST * np.exp(np.median(stored)))
+    step = float(np.ptp(_stored(scene.means), axis=0).max() / layout.HIGHEST * np.exp(np.median(stored)))
     if step <= small / COARSE:
         return []
     return [
@@ -107,8 +98,8 @@ def encoded(
         base = _corrected(scene, higher, seen) if seen else base
     means, ranges = _means(scene)
     three, largest = three_of_quats(scene.quats)
-    three = to_uint8((three / ROOT2 + np.float32(0.5)) * 255)
-    quats = np.column_stack([three, (LARGEST_QUAT + largest).astype(np.uint8)])
+    three = to_uint8((three / layout.ROOT2 + np.float32(0.5)) * 255)
+    quats = np.column_stack([three, (layout.LARGEST_QUAT + largest).astype(np.uint8)])
     logs, scales = _by_table(scene.log_scales, picture_weights(scene, LARGEST_SCALES))
     colors, sh0 = _by_table(base, weights)
     pixels = {
@@ -119,7 +110,7 @@ def encoded(
         "sh0": np.column_stack([sh0, alphas_of(scene.opacity_logits)]),
     }
     meta: dict[str, Any] = {
-        "version": VERSION,
+        "version": layout.VERSION,
         "asset": {"generator": f"SVR-GS {__version__}"},
         "count": scene.count,
         **({"antialias": True} if scene.antialiased else {}),
@@ -141,7 +132,7 @@ def _means(scene: Scene) -> tuple[np.ndarray, dict[str, list[float]]]:
     low, high = (stored.min(axis=0), stored.max(axis=0)) if scene.count else (np.zeros(3), np.zeros(3))
     low, high = low.astype(np.float32).astype(np.float64), high.astype(np.float32).astype(np.float64)
     shares = (stored - low) / np.where(high > low, high - low, 1)
-    whole = np.clip(np.rint(shares * HIGHEST), 0, HIGHEST).astype(np.int64)
+    whole = np.clip(np.rint(shares * layout.HIGHEST), 0, layout.HIGHEST).astype(np.int64)
     return whole, {"mins": low.tolist(), "maxs": high.tolist()}
 
 
@@ -153,9 +144,9 @@ def _stored(means: np.ndarray) -> np.ndarray:
 
 def _by_table(values: np.ndarray, weights: np.ndarray) -> tuple[list[float], np.ndarray]:
     """The table of three columns (N, 3) and the row of each value, (N, 3) uint8."""
-    values, levels = np.nan_to_num(values, posinf=80, neginf=-80), np.zeros(TABLE, np.float32)
+    values, levels = np.nan_to_num(values, posinf=80, neginf=-80), np.zeros(layout.TABLE, np.float32)
     if len(values):
-        levels = table(values.reshape(-1), np.repeat(weights, 3), TABLE)
+        levels = table(values.reshape(-1), np.repeat(weights, 3), layout.TABLE)
     return levels.tolist(), nearest(values, levels)
 
 
@@ -164,15 +155,15 @@ def _higher_bands(scene: Scene, weights: np.ndarray, quantise: float, seen: Seen
     coefficients = scene.sh.shape[1] - 1
     rows = np.nan_to_num(scene.sh[:, 1:].reshape(scene.count, -1), posinf=1, neginf=-1)
     factors = partial(_factors, scene, weights, seen) if seen else None
-    size = min(MAX_ENTRIES, max(MIN_ENTRIES, scene.count // _share(rows, weights, quantise, factors)))
-    entries, labels = palette(rows, weights, size, MAX_ENTRIES)
+    size = min(layout.MAX_ENTRIES, max(MIN_ENTRIES, scene.count // _share(rows, weights, quantise, factors)))
+    entries, labels = palette(rows, weights, size, layout.MAX_ENTRIES)
     if factors and not np.array_equal(entries[labels], rows):  # it came out of a palette
         shape = (-1, coefficients, 3)
         entries, labels = refined(rows.reshape(shape), entries.reshape(shape), labels, factors)
-    heights = -(-max(len(entries), 1) // PALETTE_ROW)
+    heights = -(-max(len(entries), 1) // layout.PALETTE_ROW)
     used = np.bincount(labels, weights, len(entries)).astype(np.float32)
     levels, stored = _by_table(entries.reshape(-1, 3), np.repeat(used, coefficients))
-    image = np.zeros((heights * PALETTE_ROW * coefficients, 3), np.uint8)
+    image = np.zeros((heights * layout.PALETTE_ROW * coefficients, 3), np.uint8)
     image[: len(stored)] = stored
     meta = {
         "count": len(entries),
@@ -240,7 +231,7 @@ def _texture(rows: np.ndarray) -> np.ndarray:
 def _write_folder(path: Path, meta: dict[str, Any], textures: dict[str, np.ndarray]):
     """Writes the textures, then meta.json, and removes those that an older meta.json named. Until then, the
     older one stays as it is."""
-    old = files_of(path)[1:]
+    old = layout.files_of(path)[1:]
     tag = f".{secrets.token_hex(4)}" if old else ""
     text = json.dumps(meta)
     for name in textures:

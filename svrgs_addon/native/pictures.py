@@ -14,19 +14,8 @@ from typing import Any
 import numpy as np
 
 from ..scene.camera import Camera
-from .library import (
-    LayersStruct,
-    PanoramaStruct,
-    TextureStruct,
-    TrianglesStruct,
-    ViewStruct,
-    best_level,
-    call_library,
-    camera_struct,
-    check,
-    check_out,
-    levels,
-)
+from . import library
+from .library import call_library, camera_struct, check, check_out
 
 PANEL = 32  # SVRGS_CONVOLVE_PANEL: output channels that stand side by side in the filters of convolved()
 VALUES = {"corners": (3, 3), "colors": (3, 3), "light": (3,), "uvs": (3, 2)}  # arrays of a triangle, float32
@@ -47,14 +36,14 @@ def draw_triangles(
     }
     addresses["textures"] = check(arrays["textures"], "textures", (count,), np.int32)
     addresses["holdout"] = check(arrays["holdout"], "holdout", (count,), np.uint8)
-    structs = (TextureStruct * len(textures))(*(_texture(texture) for texture in textures))
-    triangles = TrianglesStruct(
+    structs = (library.TextureStruct * len(textures))(*(_texture(texture) for texture in textures))
+    triangles = library.TrianglesStruct(
         count=count, **addresses, texture=c.addressof(structs), texture_count=len(textures), ambient=ambient
     )
     share, depth, rgba = (
         np.empty(shape, np.float32) for shape in ((height, width), (2, height, width), (2, height, width, 4))
     )
-    layers = LayersStruct(share.ctypes.data, depth.ctypes.data, rgba.ctypes.data)
+    layers = library.LayersStruct(share.ctypes.data, depth.ctypes.data, rgba.ctypes.data)
     call_library("svrgs_draw_triangles", c.byref(triangles), c.byref(camera_struct(camera)), c.byref(layers))
     return share, depth, rgba
 
@@ -63,7 +52,7 @@ def _texture(texture) -> c.Structure:
     texels, width, height = 0, texture.width, texture.height
     while (texels := texels + width * height) and (width > 1 or height > 1):
         width, height = (width + 1) // 2, (height + 1) // 2
-    return TextureStruct(
+    return library.TextureStruct(
         check(texture.texels, "texels", (texels, 3), np.uint8), texture.width, texture.height, texture.repeat
     )
 
@@ -89,10 +78,10 @@ def add_view(
     """
     (height, width, channels), (rows, columns) = image.shape, sums.shape[:2]
     address = check(image, "image", (height, width, channels), np.float32)
-    view = ViewStruct(
+    view = library.ViewStruct(
         address, width, height, channels, along, (c.c_double * 9)(*turn.flat), K[0, 0], K[0, 2], K[1, 2]
     )
-    panorama = PanoramaStruct(
+    panorama = library.PanoramaStruct(
         check_out(sums, "sums", (rows, columns, channels), np.float32),
         columns,
         rows,
@@ -232,5 +221,5 @@ def exposed_vjp(
 
 def _level(name: str | None) -> tuple[int, type]:
     """The number of a SIMD level, and the type of its arrays. None: the fastest."""
-    name = name or best_level()
-    return levels()[name], np.float64 if name == "float64" else np.float32
+    name = name or library.best_level()
+    return library.levels()[name], np.float64 if name == "float64" else np.float32

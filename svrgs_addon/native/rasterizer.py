@@ -15,29 +15,8 @@ import numpy as np
 from ..scene.camera import Camera
 from ..scene.gaussians import PARAMETERS, parameter_shapes
 from ..system.errors import NativeError
-from .library import (
-    GRADS,
-    LOSS_IMAGES,
-    AdamStruct,
-    GradsStruct,
-    ImageGradsStruct,
-    ImagesStruct,
-    OptionsStruct,
-    SceneStruct,
-    TrainedStruct,
-    UpdateStruct,
-    WorkStruct,
-    best_level,
-    camera_struct,
-    check,
-    check_out,
-    levels,
-    mask_kinds,
-    skips,
-    stages,
-)
-from .library import call_library as _call
-from .library import library as _library
+from . import library
+from .library import GRADS, LOSS_IMAGES, call_library, camera_struct, check, check_out
 from .outputs import OUTPUTS
 
 # trailing channels, 0: none
@@ -77,9 +56,9 @@ class Rasterizer:
     """
 
     def __init__(self, level: str | None = None):
-        self.level = level or best_level()
-        if self.level not in levels():
-            raise ValueError(f"level {level!r} is unknown; one of {', '.join(levels())}")
+        self.level = level or library.best_level()
+        if self.level not in library.levels():
+            raise ValueError(f"level {level!r} is unknown; one of {', '.join(library.levels())}")
         self.dtype = np.dtype(np.float64 if self.level == "float64" else np.float32)
         self.cancel = np.zeros(1, np.int32)
         self._context = c.c_void_p()
@@ -89,11 +68,11 @@ class Rasterizer:
         self._shape = (0, 0, 0)  # H, W, K of the last view
         self._shapes: dict[str, tuple] = {}  # shapes of the arrays of the last scene
         self._buffers: dict[str, np.ndarray] = {}
-        _call("svrgs_context_create", levels()[self.level], c.byref(self._context))
+        call_library("svrgs_context_create", library.levels()[self.level], c.byref(self._context))
 
     def __del__(self):
         if getattr(self, "_context", None):
-            _library().svrgs_context_destroy(self._context)
+            library.library().svrgs_context_destroy(self._context)
             self._context = c.c_void_p()
 
     def forward(
@@ -119,13 +98,13 @@ class Rasterizer:
         if depth_limit is not None:
             limit = check(depth_limit, "depth_limit", size, self.dtype)
         degree = min(options.sh_degree, int(arrays.sh_coefficients**0.5) - 1)
-        native = OptionsStruct(
+        native = library.OptionsStruct(
             degree,
             options.antialiased,
             options.full,
-            mask_kinds()[options.mask_kind],
+            library.mask_kinds()[options.mask_kind],
             options.eps_a,
-            sum(skips()[name] for name in options.disabled_skips),
+            sum(library.skips()[name] for name in options.disabled_skips),
             options.max_pairs,
             self.cancel.ctypes.data,
             limit,
@@ -136,31 +115,31 @@ class Rasterizer:
         self._valid = valid
         self._shape = (*size, arrays.sh_coefficients)
         view = camera_struct(camera, options.background)
-        _call("svrgs_forward", self._context, *map(c.byref, (arrays, view, native, pointers)))
+        call_library("svrgs_forward", self._context, *map(c.byref, (arrays, view, native, pointers)))
         return images
 
     def visible(self) -> np.ndarray:
         """Rows (V,) uint32, ascending, of Gaussians that can reach the rectangle of pixels that count."""
         ids, count = c.POINTER(c.c_uint32)(), c.c_int64()
-        _call("svrgs_visible", self._context, c.byref(ids), c.byref(count))
+        call_library("svrgs_visible", self._context, c.byref(ids), c.byref(count))
         return np.ctypeslib.as_array(ids, (count.value,)).copy() if count.value else np.empty(0, np.uint32)
 
     def work(self, count_pixels: bool = False) -> dict[str, int]:
         """Counts of the last view (svrgs_work in svrgs.h): visible Gaussians, (Gaussian, tile) pairs; with
         count_pixels also used_pairs, blocks and hit_blocks (4x4 pixels), and (Gaussian, pixel) pairs:
         evaluated, hits (alpha >= 1/255), contributing (blended)."""
-        work = WorkStruct()
-        _call("svrgs_count_work", self._context, count_pixels, c.byref(work))
+        work = library.WorkStruct()
+        call_library("svrgs_count_work", self._context, count_pixels, c.byref(work))
         if not count_pixels:
             return {"visible": work.visible, "pairs": work.pairs}
-        counts = {name: getattr(work, name) for name, *_ in WorkStruct._fields_}
+        counts = {name: getattr(work, name) for name, *_ in library.WorkStruct._fields_}
         return counts | {"evaluated": 16 * work.blocks}
 
     def stage_seconds(self) -> dict[str, float]:
         """Durations in seconds of the stages of the last calls, by name from stages()."""
-        seconds = (c.c_double * len(stages()))()
-        _call("svrgs_stage_seconds", self._context, seconds)
-        return dict(zip(stages(), seconds, strict=True))
+        seconds = (c.c_double * len(library.stages()))()
+        call_library("svrgs_stage_seconds", self._context, seconds)
+        return dict(zip(library.stages(), seconds, strict=True))
 
     def backward(self, image_grads: dict, wanted=GRADS) -> dict:
         """Gradients of the last view, one row per visible Gaussian in the order of visible().
@@ -171,7 +150,7 @@ class Rasterizer:
         names.
         """
         grads_in, grads, grads_out = self._gradients(image_grads, wanted)
-        _call("svrgs_backward", self._context, c.byref(grads_in), c.byref(grads_out))
+        call_library("svrgs_backward", self._context, c.byref(grads_in), c.byref(grads_out))
         return grads
 
     def backward_update(
@@ -200,16 +179,18 @@ class Rasterizer:
             names = ", ".join(sorted(both))
             raise ValueError(f"these tensors are updated, so their gradients are not stored: {names}")
         grads_in, grads, grads_out = self._gradients(image_grads, wanted)
-        columns, update = {}, UpdateStruct(adam=AdamStruct(None, *betas, eps, step))
+        columns, update = {}, library.UpdateStruct(adam=library.AdamStruct(None, *betas, eps, step))
         for name, (param, moments) in tensors.items():
             columns[name] = _rates(rates[name], self._shapes[name])
             addresses = self._trained(param, moments, self._shapes[name], f" of {name}")
-            setattr(update, name, TrainedStruct(*addresses, columns[name].ctypes.data))
+            setattr(update, name, library.TrainedStruct(*addresses, columns[name].ctypes.data))
         if "masks" in tensors:
             update.slope = check(slope, "slope", self._shapes["masks"], self.dtype)
         update.frozen = None if frozen is None else check(frozen, "frozen", self._shapes["masks"], np.uint8)
         bad = c.c_int64()
-        _call("svrgs_backward_update", self._context, *map(c.byref, (grads_in, update, grads_out, bad)))
+        call_library(
+            "svrgs_backward_update", self._context, *map(c.byref, (grads_in, update, grads_out, bad))
+        )
         left = self.work()["visible"]
         return {name: rows[:left] for name, rows in grads.items()}, bad.value
 
@@ -235,7 +216,7 @@ class Rasterizer:
             for name, (array, dtype) in given.items()
         )
         counting = None if pixels is None else check(pixels, "pixels", self._shape[:2], np.uint8)
-        _call("svrgs_scores", self._context, counting, *outs)
+        call_library("svrgs_scores", self._context, counting, *outs)
 
     def moments(self) -> np.ndarray:
         """Moments of each visible Gaussian of the last view, (V, 12) float64: sums over pixels of w u^a v^b
@@ -243,7 +224,7 @@ class Rasterizer:
         pixel from the centre; see svrgs.h."""
         self._count("take moments of")
         rows = np.empty((self.work()["visible"], len(MOMENTS)))
-        _call("svrgs_moments", self._context, rows.ctypes.data)
+        call_library("svrgs_moments", self._context, rows.ctypes.data)
         return rows
 
     def add_removal(self, error: np.ndarray, residuals: np.ndarray):
@@ -256,7 +237,7 @@ class Rasterizer:
         """
         count = self._count("score")
         given = check(residuals, "residuals", (*self._shape[:2], 3), self.dtype)
-        _call("svrgs_removal", self._context, given, check_out(error, "error", (count,), np.float64))
+        call_library("svrgs_removal", self._context, given, check_out(error, "error", (count,), np.float64))
 
     def add_slopes(self, sums: np.ndarray):
         """Adds the last view to `sums` (N,) float64: the sum over pixels of (sum over channels of dC/dG)^2, G
@@ -275,7 +256,7 @@ class Rasterizer:
 
     def _add(self, function: str, totals: np.ndarray, columns: tuple[int, ...] = ()):
         address = check_out(totals, "totals", (self._count("score"), *columns), np.float64)
-        _call(function, self._context, address)
+        call_library(function, self._context, address)
 
     def _count(self, purpose: str) -> int:
         """The number of Gaussians in the last view. Raises NativeError without one. purpose: a verb."""
@@ -293,7 +274,7 @@ class Rasterizer:
         shape = np.shape(image)
         grad = self._buffer("loss", shape) if want_grad else None
         values = (c.c_double * 2)()
-        _call(
+        call_library(
             "svrgs_loss",
             self._context,
             check(image, "image", (*shape[:2], 3), self.dtype),
@@ -311,7 +292,7 @@ class Rasterizer:
         mask: F (H, W) in self.dtype."""
         grad, value = self._buffer("mask_loss", np.shape(mask)), c.c_double()
         address, outs = check(mask, "mask", grad.shape, self.dtype), (grad.ctypes.data, c.byref(value))
-        _call("svrgs_mask_loss", self._context, address, mask.size, weight, *outs)
+        call_library("svrgs_mask_loss", self._context, address, mask.size, weight, *outs)
         return value.value, grad
 
     def adam(self, param, moments, grad, ids, *, lr, step, betas=(0.9, 0.999), eps=1e-15) -> int:
@@ -325,7 +306,7 @@ class Rasterizer:
         shape = np.shape(param)
         rates = _rates(lr, shape)
         rows = len(param) if ids is None else len(ids)
-        settings = AdamStruct(rates.ctypes.data, *betas, eps, step, len(shape) == 3)
+        settings = library.AdamStruct(rates.ctypes.data, *betas, eps, step, len(shape) == 3)
         bad = c.c_int64()
         addresses: list[int | None] = [*self._trained(param, moments, shape)]
         addresses.append(check(grad, "grad", (rows, *shape[1:]), self.dtype))
@@ -333,7 +314,7 @@ class Rasterizer:
         if ids is not None and rows and (ids[-1] >= len(param) or (ids[1:] <= ids[:-1]).any()):
             raise ValueError(f"ids must be in ascending order and below {len(param)}")
         sizes = rows, len(rates)
-        _call("svrgs_adam", self._context, c.byref(settings), *addresses, *sizes, c.byref(bad))
+        call_library("svrgs_adam", self._context, c.byref(settings), *addresses, *sizes, c.byref(bad))
         return bad.value
 
     def _trained(self, param, moments, shape: tuple, of: str = "") -> tuple[int, int]:
@@ -358,7 +339,7 @@ class Rasterizer:
         shapes["camera"] = (count, 6)
         grads = {name: self._buffer(name, shapes[name]) for name in wanted}
         addresses = {name: rows.ctypes.data for name, rows in grads.items()}
-        return ImageGradsStruct(**given), grads, GradsStruct(**addresses)
+        return library.ImageGradsStruct(**given), grads, library.GradsStruct(**addresses)
 
     def _scene(self, scene, masks):
         """The struct of a scene whose arrays were checked. The arrays are kept alive until the next view."""
@@ -369,7 +350,7 @@ class Rasterizer:
         if masks is not None:
             pointers["masks"] = check(masks, "masks", (n,), np.uint8)
         self._view = (*arrays.values(), masks)
-        return SceneStruct(count=n, sh_coefficients=k, **pointers)
+        return library.SceneStruct(count=n, sh_coefficients=k, **pointers)
 
     def _images(self, camera: Camera, outputs):
         """New arrays for the outputs by name, and the struct of their addresses."""
@@ -377,7 +358,7 @@ class Rasterizer:
         for name in outputs:
             dtype = np.int32 if name in COUNTS else self.dtype
             images[name] = np.empty(_image_shape(name, camera.height, camera.width), dtype)
-        return images, ImagesStruct(**{name: image.ctypes.data for name, image in images.items()})
+        return images, library.ImagesStruct(**{name: image.ctypes.data for name, image in images.items()})
 
     def _buffer(self, name: str, shape: tuple) -> np.ndarray:
         """An array of this shape in a buffer that only grows: steps do not allocate it again."""
@@ -425,5 +406,5 @@ def sample_masks(logits: np.ndarray, seed: int, step: int) -> tuple[np.ndarray, 
     n = np.shape(logits)[:1]
     masks, slope = np.empty(n, np.uint8), np.empty(n, np.float32)
     address, outs = check(logits, "logits", (*n,), np.float32), (masks.ctypes.data, slope.ctypes.data)
-    _call("svrgs_sample_masks", address, len(logits), seed, step, *outs)
+    call_library("svrgs_sample_masks", address, len(logits), seed, step, *outs)
     return masks, slope
