@@ -49,13 +49,12 @@ def prune_plan(
     lambda_m: float | None = None,
     prune_every: int = 500,
     schedule: float = 1.0,
-    max_loss: float = 0.0,
     **rest,
 ) -> Plan:
     """The plan of `svrgs prune`, which starts from a trained scene. Methods that rank have no phase before
     the recovery. Raises SceneError for a weight that the method lacks."""
     phases = method.paced(scaled(method.prune_phases(iterations, recovery, prune_every), schedule))
-    return _plan(method, phases, True, lambda_f, lambda_m, max_loss=max_loss, **rest)
+    return _plan(method, phases, True, lambda_f, lambda_m, **rest)
 
 
 def _plan(

@@ -23,7 +23,7 @@ from ..quality import fewest_within
 from ..run_view import Keep, RunView
 from ..saliency import saliency
 from ..scores import drawn, top
-from ..settings import Densify, Phase, Rates
+from ..settings import Phase, Rates
 from .base import REMOVE, Method
 
 # published; EASE: steps with the first form of the penalty, and with OPACITY_RATE after the trim
@@ -51,9 +51,7 @@ class GNS(Method):
     first_goal: float = 0.0  # state: the goal at the first pressed step
     trimmed: int = 0  # state: step at which the Gaussians were trimmed to the budget; 0: not yet
 
-    def train_phases(
-        self, iterations: int, recovery: int, densify: Densify, coarse_until: int
-    ) -> list[Phase]:
+    def train_phases(self, iterations, recovery, densify, coarse_until) -> list[Phase]:
         """Plain 3DGS, then pressure in the last 8/23 of the iterations, then recovery."""
         press = round(iterations * SHARE_OF_TRAINING)
         train, *recover = super().train_phases(iterations, recovery, densify, coarse_until)

@@ -52,9 +52,7 @@ class Merge(Method):
         falls = number // phase.rates.decay_every
         return rates | {"means": pace * POSITION * self.middle * phase.rates.decay**falls}
 
-    def reduced(
-        self, scene: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions, count: int
-    ) -> Scene:
+    def reduced(self, scene, cameras, rasterizer, options, count) -> Scene:
         count = min(count, scene.count)
         self.kept = count / scene.count
         return _order(scene, cameras, rasterizer, options, count).at(count)

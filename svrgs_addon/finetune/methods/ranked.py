@@ -6,10 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...native.rasterizer import Rasterizer, RenderOptions
-from ...scene.camera import Camera
-from ...scene.gaussians import Scene
-from ..model import Model
 from ..run_view import Keep, RunView
 from ..scores import top
 from ..settings import Settings
@@ -25,14 +21,7 @@ class Ranked(Method):
     def ranking_passes(self, settings: Settings, steps: int, share: float) -> list[tuple[float, float]]:
         return [(0.0, share)]
 
-    def cut(
-        self,
-        scene: Scene | Model,
-        cameras: list[Camera],
-        rasterizer: Rasterizer,
-        options: RenderOptions,
-        count: int,
-    ) -> np.ndarray:
+    def cut(self, scene, cameras, rasterizer, options, count) -> np.ndarray:
         return top(self.score(scene, cameras, rasterizer, options), count)
 
     def final_mask(self, run: RunView) -> Keep:

@@ -36,7 +36,7 @@ from ..quality import fewest_within, psnr_removed
 from ..run_view import Keep, RunView
 from ..saliency import removal_errors, saliency, views_that_see
 from ..scores import top
-from ..settings import LARGEST, LARGEST_OF_POSITION, Densify, Phase, Rates, Settings, rates_for
+from ..settings import LARGEST, LARGEST_OF_POSITION, Phase, Rates, Settings, rates_for
 from .base import REMOVE, Method
 
 PASSES, FEWEST = 16, 4  # ranking passes in a long phase, and in a short one
@@ -76,9 +76,7 @@ class Removal(Method):
     count: int = 0  # state: number of Gaussians before the first pass
     lowered: bool = False  # state: whether opacities were lowered
 
-    def train_phases(
-        self, iterations: int, recovery: int, densify: Densify, coarse_until: int
-    ) -> list[Phase]:
+    def train_phases(self, iterations, recovery, densify, coarse_until) -> list[Phase]:
         """Plain 3DGS, then in the last 8/23 of the iterations removal, then recovery, as in `svrgs prune`."""
         removal = round(iterations * SHARE_OF_TRAINING)
         train, *_ = super().train_phases(iterations, 0, densify, coarse_until)
@@ -126,9 +124,8 @@ class Removal(Method):
         an allowed drop: the fewest that are foreseen to hold it at the end of the run."""
         if run.plan.max_loss:
             return self.budget_of_drop(run)
-        stays = (
-            saliency(run.model, run.training_cameras, run.rasterizer, run.score_options) > run.plan.lambda_f
-        )
+        value = saliency(run.model, run.training_cameras, run.rasterizer, run.score_options)
+        stays = value > run.plan.lambda_f
         stays = stays if run.protected is None else stays | run.protected
         masks.refuse_emptying(stays, run.initial_count)
         return int(stays.sum())
