@@ -93,7 +93,6 @@ class StepResult:
     means2d: np.ndarray | None = None  # (V, 2) dL/d(projected centre), per pixel
     exposure: np.ndarray | None = None  # (3, 4) dL/dexposure
     camera: np.ndarray | None = None  # (6,) dL/d(the camera's motion), see Camera.displaced
-    global_loss: float = 0.0  # (mean M)^2
     penalty: float = 0.0  # value of Step.penalties, their weights included
     nonfinite: int = 0  # rows that were not updated because their gradient was not finite
 
@@ -104,7 +103,7 @@ class StepResult:
         return (
             self.image_loss(step)
             + step.lambda_f * self.mask_loss
-            + step.lambda_m * self.global_loss
+            + step.lambda_m * step.global_loss
             + self.penalty
         )
 
@@ -128,8 +127,7 @@ class NativeEngine:
         image_grads, mask_loss = {"rgb": d_rgb}, 0.0
         if step.spatial:
             mask_loss, image_grads["mask"] = r.mask_loss(images["mask"], step.lambda_f)
-        result = StepResult(l1, ssim, mask_loss, step.not_frozen(r.visible()), global_loss=step.global_loss)
-        result.exposure = d_exposure
+        result = StepResult(l1, ssim, mask_loss, step.not_frozen(r.visible()), exposure=d_exposure)
         penalised = step.penalised(model.values, result.visible)
         result.penalty = float(sum(penalty.value(rows, np) for penalty, rows in penalised))
         asked = {"means2d": step.want_means2d, "camera": step.want_camera}

@@ -94,20 +94,15 @@ def ssim(x: Tensor, y: Tensor) -> Tensor:
     return (luminance * (2 * covariance + C2) / (variances + C2)).mean()
 
 
-def straight_through(step: Step, logits: Tensor) -> Tensor:
-    """The masks of the step, (N,), straight-through: the value is the hard sample, the gradient that of the
-    soft one (MaskGaussian)."""
-    hard, slope = torch.from_numpy(step.masks).to(logits.dtype), torch.from_numpy(step.slope)
-    return hard + slope * (logits - logits.detach())
-
-
 def _masks(step: Step, leaves: dict[str, Tensor]) -> Tensor | None:
-    """The masks of the step, (N,), with a gradient if they are learned; None: all 1."""
+    """The masks of the step, (N,); None: all 1. Learned ones are straight-through: the value is the hard
+    sample, the gradient that of the soft one (MaskGaussian)."""
     if step.masks is None:
         return None
+    hard = torch.from_numpy(step.masks).to(leaves["means"].dtype)
     if step.slope is None:
-        return torch.from_numpy(step.masks).to(leaves["means"].dtype)
-    return straight_through(step, leaves[MASK])
+        return hard
+    return hard + torch.from_numpy(step.slope) * (leaves[MASK] - leaves[MASK].detach())
 
 
 class TorchEngine:
@@ -137,10 +132,7 @@ class TorchEngine:
         penalty = sum((p.value(rows, torch) for p, rows in step.penalised(leaves, ids)), torch.zeros(()))
         loss = loss + penalty
         loss.backward()
-        result = StepResult(
-            l1.item(), similarity.item(), mask_loss.item(), visible, global_loss=step.global_loss
-        )
-        result.penalty = penalty.item()
+        result = StepResult(l1.item(), similarity.item(), mask_loss.item(), visible, penalty=penalty.item())
         if self.exposure is not None:
             result.exposure = _grad(self.exposure).numpy().astype(np.float64)
         if step.want_means2d:
