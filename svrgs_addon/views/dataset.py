@@ -24,7 +24,6 @@ from ..files.images import image_size, read_pixels, to_bytes
 from ..scene.camera import Camera
 from ..system.errors import SceneError
 from ..system.file_names import extended
-from .cameras_json import load_cameras_json
 from .colmap import pinhole_camera, undistort_image
 from .photo_files import photograph, present
 from .reduced_photos import toned
@@ -33,8 +32,6 @@ from .valid_pixels import BACKGROUND, MaskOptions, Masks, masks_of
 
 if TYPE_CHECKING:
     import pycolmap
-
-__all__ = ["Dataset", "load_cameras_json", "load_dataset"]
 
 HOLDOUT = 8  # every 8th image in name order is a test view, as in 3DGS
 EXTENT_MARGIN = 1.1  # as in 3DGS

@@ -76,7 +76,8 @@ def read_transforms(path: Path) -> Transforms:
     points, colors, notes = _points(path, facts)
     model, moved = _in_parser_world(path, facts, Model(views, points, colors))
     masks = {
-        str(PurePosixPath(name).relative_to(common)): _read(path, name, partial(_mask, frame, path.parent))
+        str(PurePosixPath(name).relative_to(common)): path.parent
+        / _read(path, name, partial(_relative, frame, "mask_path"))
         for name, frame in zip(names, frames, strict=True)
         if frame.get("mask_path")
     }
@@ -108,11 +109,6 @@ def _name(frame: object) -> str:
     if not isinstance(frame, dict):
         raise FormatError("not an object")
     return str(PurePosixPath(_relative(frame, "file_path")))
-
-
-def _mask(frame: dict, folder: Path) -> Path:
-    """The file of a frame's mask_path."""
-    return folder / _relative(frame, "mask_path")
 
 
 def _relative(frame: dict, key: str) -> str:
@@ -154,11 +150,8 @@ def _matrix(rows: object) -> np.ndarray:
 
 def _size(facts: Mapping, folder: Path, name: str) -> tuple[int, int]:
     """(width, height) in pixels: the keys w and h, or else the size of the photograph."""
-    if "w" not in facts or "h" not in facts:
-        file = photograph(folder, name)
-        if file is None:
-            raise FormatError("neither w and h nor its photograph is there")
-        return image_size(file)
+    if "w" not in facts or "h" not in facts:  # read_transforms() left it out without its photograph
+        return image_size(photograph(folder, name) or folder / name)
     width, height = (_number(facts, key) for key in ("w", "h"))
     if not all(0 < side <= MAX_SIDE and side == int(side) for side in (width, height)):
         raise FormatError(
