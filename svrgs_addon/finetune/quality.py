@@ -34,9 +34,7 @@ if TYPE_CHECKING:  # reads files; a Blender that only starts needs none of it
 MIN_SHARE = 0.05
 # shares of the fine-tuned scene in a result, the rest is the scene before the steps; tried after 1
 SHARES = (0.75, 0.5, 0.25, 0.0)
-VIEWS = (
-    16  # most views on which a drop in PSNR is held, spread evenly over the test views, at most half of them
-)
+VIEWS = 16  # most views on which a drop in PSNR is held, evenly spread, at most half of the test views
 SPARED, LEAST_SPARED = 8, 2
 NOT_APART = (
     "there are fewer than two test views: the quality is measured in the views that decided how many"

@@ -136,9 +136,8 @@ def _harmonics(get: Get, base: np.ndarray) -> np.ndarray:
 
 def _columns(get: Get, further: dict) -> dict[str, np.ndarray]:
     """Further columns with their types in the file. Columns whose attribute was deleted are left out."""
-    columns = {}
-    for name, (attribute, code) in further.items():
-        values = get(attribute)
-        if values is not None:
-            columns[name] = values.reshape(-1).view(code) if code in STORED_AS else values.astype(code)
-    return columns
+    return {
+        name: values.reshape(-1).view(code) if code in STORED_AS else values.astype(code)
+        for name, (attribute, code) in further.items()
+        if (values := get(attribute)) is not None
+    }

@@ -14,8 +14,6 @@ from ..model import Model
 from ..run_view import Keep, RunView
 from ..settings import Densify, Phase, Rates, Settings, rates_for, recovery_phase
 
-__all__ = ["Keep", "Method", "RunView"]
-
 # the SH degree rises after so many steps of training; at least after this part of them
 SH_EVERY, SH_PARTS = 1_000, 7
 # labels of pruning phases: masks or events decide; opacities fade

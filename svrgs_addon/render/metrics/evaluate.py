@@ -121,8 +121,13 @@ def quality_of_view(
     if measure == "lpips":
         share = 1.0 if valid is None else float(block(valid, number).mean())
         return -default_lpips()(block(image, number), block(photo, number)) / share if share else 0.0
+    return -_mean_flip(image, photo, valid)
+
+
+def _mean_flip(image: np.ndarray, photo: np.ndarray, valid: np.ndarray | None) -> float:
+    """Of the pixels that count."""
     flips = flip_map(image, photo)
-    return -float((flips if valid is None else flips[valid != 0]).mean(dtype=np.float64))
+    return float((flips if valid is None else flips[valid != 0]).mean(dtype=np.float64))
 
 
 def block(picture: np.ndarray, number: int) -> np.ndarray:
@@ -202,12 +207,11 @@ def mean_figures(
     rows = []
     for image, photo, valid in pairs:
         share = 1.0 if valid is None else float(valid.mean())
-        flips = flip_map(image, photo)
         rows.append((
             psnr(image, photo, share),
             1 - (1 - ssim(image, photo)) / share,
             lpips(image, photo) / share if lpips else math.nan,
-            float((flips if valid is None else flips[valid != 0]).mean(dtype=np.float64)),
+            _mean_flip(image, photo, valid),
         ))  # fmt: skip
     means: list[float | None] = [None] * 4
     if rows:
