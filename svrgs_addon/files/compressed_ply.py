@@ -58,15 +58,21 @@ BROKEN = "; export the file again"
 
 @dataclass(frozen=True)
 class _Layout:
-    """Where the parts of a checked file are."""
+    """Where the parts of a file are, as offsets in bytes."""
 
     count: int
     ranges: int  # columns of element chunk
     coefficients: int  # K, SH coefficients per channel
-    chunks_at: int  # offsets in bytes
-    rows_at: int
-    sh_at: int
-    comments: tuple[str, ...]
+    chunks_at: int  # the size of the header
+    comments: tuple[str, ...] = ()
+
+    @property
+    def rows_at(self) -> int:
+        return self.chunks_at + 4 * self.ranges * -(-self.count // CHUNK)
+
+    @property
+    def sh_at(self) -> int:
+        return self.rows_at + 4 * len(PACKED) * self.count
 
     @property
     def end(self) -> int:
@@ -88,25 +94,23 @@ def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[
 
 def write(path: str | os.PathLike, scene: Scene):
     """Writes the scene atomically, with its Gaussians in Morton order. Raises SceneError."""
-    head = _header(scene)
+    head, layout = _head(scene)
     rest = 3 * (scene.sh.shape[1] - 1)
-    check_space(path, len(head) + file_body(scene))
+    check_space(path, layout.end)
     order = morton_order(scene.means)
-    rows_at = len(head) + 4 * len(RANGES) * -(-scene.count // CHUNK)
-    sh_at = rows_at + 4 * len(PACKED) * scene.count
     with atomic_write(path) as file:
         file.write(head)
         for start in range(0, scene.count, PART):
             part = scene.select(order[start : start + PART])
             ranges, packed = _packed(part)
             pieces = {
-                len(head) + ranges.itemsize * len(RANGES) * (start // CHUNK): ranges,
-                rows_at + packed.itemsize * len(PACKED) * start: packed,
+                layout.chunks_at + ranges.itemsize * len(RANGES) * (start // CHUNK): ranges,
+                layout.rows_at + packed.itemsize * len(PACKED) * start: packed,
             }
             if rest:
                 channels = part.sh[:, 1:].transpose(0, 2, 1).reshape(part.count, rest)
                 stored = np.floor((channels / 8 + np.float32(0.5)) * 256).clip(0, 255).astype(np.uint8)
-                pieces[sh_at + rest * start] = stored
+                pieces[layout.sh_at + rest * start] = stored
             for at, piece in pieces.items():
                 file.seek(at)
                 file.write(np.ascontiguousarray(piece).data)
@@ -129,25 +133,21 @@ def limits(scene: Scene) -> list[str]:
     ]
 
 
-def file_body(scene: Scene) -> int:
-    """Bytes after the header of the file that write() would make."""
-    chunks = -(-scene.count // CHUNK)
-    return 4 * len(RANGES) * chunks + scene.count * (4 * len(PACKED) + 3 * (scene.sh.shape[1] - 1))
-
-
 def file_size(scene: Scene) -> int:
     """Size in bytes of the file that write() would make."""
-    return len(_header(scene)) + file_body(scene)
+    return _head(scene)[1].end
 
 
-def _header(scene: Scene) -> bytes:
+def _head(scene: Scene) -> tuple[bytes, _Layout]:
+    """The header that write() would write, and the layout of its file."""
     elements = [
         ("chunk", -(-scene.count // CHUNK), [(name, "f4") for name in RANGES]),
         ("vertex", scene.count, [(name, "u4") for name in PACKED]),
     ]
     rest = 3 * (scene.sh.shape[1] - 1)
     elements += [("sh", scene.count, [(f"f_rest_{k}", "u1") for k in range(rest)])] if rest else []
-    return format_header(written_comments(scene), *elements)
+    head = format_header(written_comments(scene), *elements)
+    return head, _Layout(scene.count, len(RANGES), scene.sh.shape[1], len(head))
 
 
 def _checked(file: BinaryIO, max_count: int) -> _Layout:
@@ -155,9 +155,7 @@ def _checked(file: BinaryIO, max_count: int) -> _Layout:
     header = parse_header(file.read(MAX_HEADER_BYTES))
     count, ranges, coefficients = _checked_elements(header)
     refuse_unpacking(count, coefficients, max_count)
-    rows = header.size + 4 * ranges * -(-count // CHUNK)
-    sh = rows + 4 * len(PACKED) * count
-    layout = _Layout(count, ranges, coefficients, header.size, rows, sh, header.comments)
+    layout = _Layout(count, ranges, coefficients, header.size, header.comments)
     if (size := size_of(file)) != layout.end:
         problem = "is incomplete" if size < layout.end else "is too long"
         raise FormatError(f"{problem}: {size:,} of {layout.end:,} bytes; copy or export it again")
