@@ -24,8 +24,7 @@ from ..system.memory import size_text
 
 FREE_SPACE_MARGIN = 1.1  # free disk space needed per byte of a file
 HIDDEN_PREFIX = ".svrgs-"  # first characters of the names of temporary files
-# characters: a longer one is left out of the name of a temporary file, which must not be longer than a name
-# may be
+# characters: a longer one is left out of the names of temporary files, whose length is limited
 LONGEST_SUFFIX = 16
 # set by checked(): a path, and the function that checks a new file before it replaces that path
 _check: ContextVar[tuple[Path, Callable[[Path], None]] | None] = ContextVar("check", default=None)
@@ -223,9 +222,8 @@ def _check_new(check: Callable[[Path], None], temporary: Path, target: Path) -> 
     try:
         check(temporary)
     except SplatError as error:
-        kept = _free_name(target)
-        os.replace(temporary, kept)
-        raise SceneError(f"{error}; the new file is kept as '{kept.name}'") from None
+        kept = _set_aside(temporary, target)
+        raise SceneError(f"{error}; the new file is kept as '{kept}'") from None
 
 
 def _replace(temporary: Path, target: Path, path: str | os.PathLike | None) -> None:
@@ -237,18 +235,19 @@ def _replace(temporary: Path, target: Path, path: str | os.PathLike | None) -> N
     except PermissionError:
         if path is None or not here.WINDOWS or not os.path.lexists(target):
             raise
-        kept = _free_name(target)
-        os.replace(temporary, kept)
+        kept = _set_aside(temporary, target)
         raise SceneError(
             f"{path}: was not replaced, probably because another program has it open; the new file is"
-            f" complete and lies next to it as '{kept.name}'"
+            f" complete and lies next to it as '{kept}'"
         ) from None
 
 
-def _free_name(target: Path) -> Path:
-    """A name for the new file next to the old one, such as 'scene (new).ply'."""
+def _set_aside(temporary: Path, target: Path) -> str:
+    """Gives the new file a free name next to the old one, such as 'scene (new).ply', and returns it."""
     names = (
         f"{target.stem} (new{'' if number == 1 else f' {number}'}){target.suffix}"
         for number in itertools.count(1)
     )
-    return next(path for path in map(target.with_name, names) if not os.path.lexists(path))
+    kept = next(path for path in map(target.with_name, names) if not os.path.lexists(path))
+    os.replace(temporary, kept)
+    return kept.name
