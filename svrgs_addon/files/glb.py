@@ -254,8 +254,7 @@ def _degree(primitive: dict) -> int:
 def _scene(glb: Glb, primitive: dict, unpacked: dict[int, Scene]) -> Scene:
     """The Gaussians of a primitive in its own coordinates."""
     number = _view_of(primitive)
-    # first drafts, with no kernel, took the axes of an SPZ as they were; later ones turn them to those of
-    # glTF
+    # first drafts, with no kernel, took the axes of an SPZ as they were; later ones turn them
     if number is not None:
         stored = turned_over(unpacked[number])
         return turned_around(stored) if "kernel" in primitive["extensions"][EXTENSION] else stored

@@ -27,8 +27,7 @@ LINEAR_FORMATS = ("openexr", "hdr")  # scene-linear formats; all others store di
 PICTURE_SUFFIXES = (".png", ".exr")
 # methods above 3 take six times as long for 0.3 % less
 LOSSLESS = {"compression": "lossless:50", "webp:method": 3, "oiio:UnassociatedAlpha": 1}
-# OpenImageIO 3.0.7. Older ones, as in Blender 4.2 and the first 4.5, multiply colours of WebP by alpha and
-# write it with loss
+# OpenImageIO 3.0.7. Older ones, as in Blender 4.2, multiply colours of WebP by alpha and lose some
 EXACT_WEBP = 3_00_07
 PNG_BEGIN, PNG_END = b"\x89PNG", b"IEND\xaeB`\x82"
 

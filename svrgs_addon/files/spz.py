@@ -53,8 +53,7 @@ FINER = 16  # steps of a position, at least, in the scale of a small Gaussian
 MAX_FRACTION_BITS = 24
 COARSE = 2  # steps of a position in the scale of a small Gaussian, at least: else a sentence says so
 COLOR, SCALE_STEPS, SMALLEST_SCALE = 0.15, 16, -10
-# of 256, between values of SH of a Gaussian with weight 1 (picture_weights) that are written
-# (docs/formats.md)
+# of 256, between written values of SH of a Gaussian with weight 1 (picture_weights; docs/formats.md)
 SH_STEP = 3
 SEEN = 2  # times as large where it is known from where a Gaussian is seen (sh_rounding.py)
 FINEST_SH, COARSEST_SH = 1, 128  # the same of any Gaussian

@@ -27,8 +27,7 @@ ENTRY = struct.Struct("<QQ")
 ANTIALIASED, EXTENSIONS = 1, 2  # flags
 ADOBE_AXES = 0xADBE0003  # type of an extension after which axes may be others
 MAX_DEGREE = 4  # of SH; that beyond 3 is not read
-# most bytes that a byte of the file can hold: in Deflate 258 for 2 bits, in Zstandard a block of 128 kB for 4
-# bytes
+# most bytes that a byte of the file can hold: in Deflate 258 for 2 bits, in Zstandard 128 kB for 4 bytes
 DEFLATED, ZSTANDARD = 1_032, 1 << 15
 LEVEL, GZIP_LEVEL = 9, 6  # of compression
 # of Zstandard: short matches in SH cost time, and bytes too

@@ -9,8 +9,7 @@ import os
 from ..system.errors import FormatError
 
 SHARED = 1 << 22  # bytes
-# bytes that a core takes at a time; it looks back half as far as one core alone would, which costs 0.2 % more
-# bytes
+# bytes that a core takes at a time; it looks back half as far as one core alone, for 0.2 % more bytes
 PIECE, HALF_WINDOW = 1 << 22, 8
 MISSING = "because the package zstandard is missing: pip install zstandard"
 DAMAGED = "is damaged: a stream cannot be unpacked; copy or export it again"

@@ -17,8 +17,7 @@ from ..render.pose_alignment import AHEAD, in_view, pixel_motion
 from ..scene.camera import Camera
 from .photo_adam import PhotoAdam
 
-# pixels a step, at the first and at the last step, log-linear in between: larger ones carry the splat away
-# from the held-out views
+# pixels a step, first and last, log-linear in between: larger ones carry the splat from held-out views
 FIRST, LAST = 0.02, 0.002
 
 

@@ -29,8 +29,7 @@ from .scores import top
 if TYPE_CHECKING:  # reads files; a Blender that only starts needs none of it
     from ..views.dataset import Dataset
 
-# least share of the Gaussians that an allowed drop keeps: in a poor scene, PSNR alone would be held by some
-# large blurs
+# least share of the Gaussians that an allowed drop keeps: large blurs would hold the PSNR of a poor scene
 MIN_SHARE = 0.05
 # shares of the fine-tuned scene in a result, the rest is the scene before the steps; tried after 1
 SHARES = (0.75, 0.5, 0.25, 0.0)

@@ -40,8 +40,7 @@ from .strength_controller import controller_for
 from .view_order import ViewOrder
 
 SMOOTHING = 0.05  # weight of the newest loss in the smoothed one
-# opacities recover for 1/3 of the steps between two resets; a reset with fewer steps left in the phase is
-# skipped
+# opacities recover for 1/3 of the steps between two resets; a reset with fewer steps left is skipped
 RESETS_NEED = 3
 REORDER_SHARE = 0.1  # rows are put in Morton order again when this share of them was added since
 

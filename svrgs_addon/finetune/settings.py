@@ -115,8 +115,7 @@ class Phase:
     coarse_until: int = 0  # steps up to this one use reduced photographs
     # reduction of the first steps, per side, a power of 2; it is halved after equal numbers of steps
     coarse_factor: int = 2
-    # share of the steps, the last ones, over which the values are averaged; the mean is the result
-    # (averaging.py)
+    # share of the steps, the last ones, over which the values are averaged (averaging.py)
     averaged: float = 0.0
     # what happens in the phase, as shown to users; not part of a checkpoint's identity
     label: str = field(default="", repr=False)

@@ -14,8 +14,7 @@ CENTRAL_PERCENTILES = (25, 75)
 BOX_HALF_SIDE = 32  # in extents; means outside the box are clamped to its sides
 BLOCK = 1 << 16  # means whose codes are found together; the arrays of one block stay in the cache
 
-# (shift, mask) of each step: it halves the length of the groups of adjacent bits, until two zeros separate
-# any two bits.
+# (shift, mask) of each step: it halves groups of adjacent bits, until two zeros separate any two bits
 _SPREAD = (
     (32, 0x1F00000000FFFF),
     (16, 0x1F0000FF0000FF),

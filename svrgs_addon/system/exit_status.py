@@ -21,8 +21,7 @@ from .packages import import_reason
 
 STOPPED = 130
 LONGEST, KEPT = 2000, 900  # characters of a sentence; of each end of a longer one, which quotes a file
-# Control characters of ASCII and Latin-1, separators of lines and paragraphs, changes of the writing
-# direction.
+# of ASCII and Latin-1, separators of lines and paragraphs, changes of the writing direction
 CONTROLS = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
 
 

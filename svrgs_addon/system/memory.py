@@ -24,8 +24,7 @@ class View(Protocol):
 
 # Measured as the growth of the process in bytes (docs/reliability.md).
 READING = 1.3  # bytes per byte of a splat file: its arrays, and copies of some of them during repair
-# 4-byte values per Gaussian without SH: mean 3, log-scale 3, quaternion 4, opacity logit, existence logit,
-# source row
+# 4-byte values per Gaussian without SH: mean 3, log-scale 3, quaternion 4, two logits, source row
 ROW_FLOATS = 13
 # bytes of Adam moments per SH coefficient; other values have moments of their own size, 4 bytes
 SH_MOMENT = 2

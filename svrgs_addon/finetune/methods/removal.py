@@ -44,8 +44,7 @@ PASSES, FEWEST = 16, 4  # ranking passes in a long phase, and in a short one
 STEPS_PER_PASS = 36
 # share of the iterations of `svrgs train` in which Gaussians are removed: the last ones, as in GNS
 SHARE_OF_TRAINING = 8 / 23
-# share of the Gaussians; if fewer are left, the other rates are larger by the root of the ratio, up to
-# settings.LARGEST
+# share of the Gaussians; if fewer are left, the other rates grow by the root of the ratio, up to LARGEST
 MANY = 0.25
 # least factors by which opacities, and then their odds, are lowered before the phase
 MIN_OPACITY_FACTOR, MIN_ODDS_FACTOR = 0.1, 0.1
@@ -54,8 +53,7 @@ OPAQUE, OPAQUE_SHARE = 0.9, 0.05
 # steps of the phase that see a Gaussian; with more, opacities are lowered too; with fewer, their odds less
 RISING = 60
 OPACITY_RATE = 0.025  # learning rate of opacity logits in the phase: half of that of 3DGS
-# factor on this rate at first, so that opacities rise again soon; steps in which it falls to 1, at most half
-# the phase
+# factor on this rate at first, so that opacities rise again; steps to 1, at most half the phase
 FIRST_RATE, FIRST_STEPS = 8, 150
 # budget of an allowed drop: share of the drop that is spent; more steps hardly win back more
 SPENT, FORESEEN_STEPS = 0.75, 800

@@ -28,8 +28,7 @@ from .measures import image_pair
 
 NAME = "lpips_vgg.npz"  # of the weight file in the user's cache folder
 VARIABLE = "SVRGS_LPIPS_WEIGHTS"  # of the environment: another weight file; empty: none
-# VGG16 up to relu5_3: (index in torchvision's `features`, output channels) of each convolution, one row per
-# stage.
+# VGG16 up to relu5_3: (index in torchvision's `features`, output channels) of convolutions, a row per stage
 STAGES = (
     ((0, 64), (2, 64)),
     ((5, 128), (7, 128)),

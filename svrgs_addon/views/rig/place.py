@@ -20,8 +20,7 @@ MIN_CHOSEN, MAX_CHOSEN = 32, 128  # views that are chosen by what they see
 ENOUGH = 0.995  # share of what can be seen that TIMES of them must see
 USUAL_VIEWS = 192  # of a rig: steps would fit fewer pictures, but not what lies between them
 HELD_OUT, QUICK_HELD_OUT = 16, 8
-# views from outside of a scene that is seen from within, if they show at least this share of its Gaussians,
-# too
+# views from outside of a scene that is seen from within, if they show at least this share of it
 OUTSIDE, OPEN = 32, 0.7
 SCORED = 384  # side, in pixels, at which candidates are rendered, at most
 LARGE = 1_000_000  # a scene with more Gaussians has the fewer candidates, at least half as many
@@ -35,8 +34,7 @@ class Rig:
     held_out: list[Camera]  # off_000 ...: from other places, in other directions
     # the splat is a room, a street or a sky, seen from within; some cameras may stand outside all the same
     inside_out: bool
-    # share of what can be seen that at least 3 of the cameras see, weighted by the largest alpha T; None: not
-    # measured
+    # share of what can be seen that 3 cameras or more see, weighted by the largest alpha T; None: unknown
     seen: float | None
 
     @property

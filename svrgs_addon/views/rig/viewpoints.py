@@ -14,8 +14,7 @@ from .space import CELLS, FREE, Matter, Space, connected, sphere
 
 AROUND_FOV, WITHIN_FOV = 0.9, 1.3  # angle of view in radians, of a square picture
 SMALLEST, LARGEST, STEP = 512, 1024, 32  # side of a picture, pixels; a multiple of STEP
-# a place counts as within matter from this enclosure on; a scene is inside-out from this share of such places
-# on
+# from this enclosure on a place is within matter, from this share of such places a scene is inside-out
 ENCLOSED, INSIDE_OUT = 0.5, 0.4
 PROBED = 128  # places whose enclosure is measured, to tell both kinds of scene apart
 STANDING = 512  # places within a scene from which cameras are chosen
