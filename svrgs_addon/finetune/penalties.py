@@ -4,7 +4,7 @@ NumPy and torch; the gradient is analytic."""
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Protocol
+from typing import ClassVar
 
 import numpy as np
 
@@ -15,34 +15,33 @@ MIN_TRANSPARENCY = 0.05
 RANK_EPS = 1e-7
 
 
-class Penalty(Protocol):
+class Penalty:
     """A term of the loss that depends on one parameter of the Gaussians."""
 
     parameter: ClassVar[str]  # a name in Model.values
     # it is given the rows of the Gaussians that the view sees, at least one; False: all rows
-    seen: ClassVar[bool]
+    seen: ClassVar[bool] = False
 
     def value(self, values, xp):
         """A scalar; values: the parameter (N, ...), an array of the module xp, numpy or torch."""
+        raise NotImplementedError
 
     def grad(self, values: np.ndarray) -> np.ndarray:
         """The gradient of value(), in the shape and dtype of `values`."""
+        raise NotImplementedError
 
 
 @dataclass(frozen=True)
-class MeanExistence:
+class MeanExistence(Penalty):
     """weight * mean sigmoid(m), m the existence logits (Compact3DGS, arXiv 2311.13681 section 3.1)."""
 
     weight: float
     parameter: ClassVar[str] = MASK
-    seen: ClassVar[bool] = False
 
     def value(self, logits, xp):
-        """A scalar; logits (N,) an array of the module xp, numpy or torch."""
         return self.weight * sigmoid(logits, xp).mean()
 
     def grad(self, logits: np.ndarray) -> np.ndarray:
-        """(N,) in the logits' dtype."""
         p = sigmoid(logits, np)
         return p * (1 - p) * logits.dtype.type(self.weight / len(logits))
 
@@ -62,12 +61,11 @@ class MeanSeenOpacity(MeanOpacity):
 
 
 @dataclass(frozen=True)
-class MeanScale:
+class MeanScale(Penalty):
     """weight * mean scale, over all three axes (3DGS-MCMC, arXiv 2404.09591)."""
 
     weight: float
     parameter: ClassVar[str] = "log_scales"
-    seen: ClassVar[bool] = False
 
     def value(self, log_scales, xp):
         return self.weight * xp.exp(log_scales).mean()
@@ -77,14 +75,13 @@ class MeanScale:
 
 
 @dataclass(frozen=True)
-class OpacityGoal:
+class OpacityGoal(Penalty):
     """weight / 2 * sum of (opacity - goal)^2, with a goal (N,) for each Gaussian (ADMM of GaussianSpa, arXiv
     2411.06019)."""
 
     weight: float
     goal: np.ndarray
     parameter: ClassVar[str] = "opacity_logits"
-    seen: ClassVar[bool] = False
 
     def value(self, logits, xp):
         return 0.5 * self.weight * ((sigmoid(logits, xp) - xp.asarray(self.goal)) ** 2).sum()
@@ -95,7 +92,7 @@ class OpacityGoal:
 
 
 @dataclass(frozen=True)
-class EffectiveRank:
+class EffectiveRank(Penalty):
     """needle * mean max(-log(erank - 1 + 1e-7), 0) + thin * mean of the smallest scale (effective rank, arXiv
     2406.11672).
 
@@ -106,7 +103,6 @@ class EffectiveRank:
     needle: float = 0.01
     thin: float = 1.0
     parameter: ClassVar[str] = "log_scales"
-    seen: ClassVar[bool] = False
 
     def value(self, log_scales, xp):
         _, entropy, smallest = self._shape(log_scales, xp)
@@ -134,7 +130,7 @@ class EffectiveRank:
 
 
 @dataclass(frozen=True)
-class OpacityPressure:
+class OpacityPressure(Penalty):
     """The pressure on opacity logits l, in the two forms of GNS (arXiv 2511.16980):
 
     weight * (mean_i (l_i + 20) / max(0.05, 1 - opacity_i))^2      by_transparency
@@ -144,17 +140,14 @@ class OpacityPressure:
     weight: float
     by_transparency: bool
     parameter: ClassVar[str] = "opacity_logits"
-    seen: ClassVar[bool] = False
 
     def value(self, logits, xp):
-        """A scalar; logits (N,) an array of the module xp, numpy or torch."""
         excess = logits + LOGIT_SHIFT
         if self.by_transparency:
             excess = excess / xp.clip(1 - sigmoid(logits, xp), MIN_TRANSPARENCY, None)
         return self.weight * excess.mean() ** 2
 
     def grad(self, logits: np.ndarray) -> np.ndarray:
-        """(N,) in the logits' dtype."""
         excess, slopes = logits + LOGIT_SHIFT, np.ones_like(logits)
         if self.by_transparency:
             o = sigmoid(logits, np)
