@@ -3,11 +3,15 @@ glTF has left, up, forward."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
 
+from ..scene.affine import transformed
+from ..scene.concatenate import concatenated
 from ..scene.gaussians import Scene
+from ..system.errors import FormatError, SceneError
 
 # signs of positions after half a turn around x; of the (x, y, z) of quaternions, too
 AXES = np.array([1, -1, -1], np.float32)
@@ -24,6 +28,17 @@ def turned_over(scene: Scene) -> Scene:
 def turned_around(scene: Scene) -> Scene:
     """The scene after half a turn around y: right becomes left, back forward. It is its own inverse."""
     return _turned(scene, AROUND_Y)
+
+
+def placed(parts: Iterable[tuple[Scene, np.ndarray]], what: str) -> Scene:
+    """One scene of parts in the axes of a file whose y points up, each moved by its matrix (4, 4). Raises
+    FormatError (without the name of the file) if a matrix does not place `what` has it."""
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):  # values of a damaged file
+            scenes = [transformed(scene, matrix) for scene, matrix in parts]
+    except SceneError as error:
+        raise FormatError(f"has a {what} that cannot be placed: {error}") from None
+    return turned_over(concatenated(scenes))
 
 
 def _turned(scene: Scene, signs: np.ndarray) -> Scene:

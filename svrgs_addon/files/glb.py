@@ -17,14 +17,13 @@ from typing import Any
 import numpy as np
 
 from ..scene import activation
-from ..scene.affine import transformed
 from ..scene.concatenate import concatenated
 from ..scene.gaussians import SH_COEFFICIENTS, Scene
 from ..scene.rotations import rotation_matrices
-from ..system.errors import FormatError, SceneError
+from ..system.errors import FormatError
 from . import spz
 from .atomic import atomic_write, check_space
-from .axes import AXES, turned_around, turned_over
+from .axes import AXES, placed, turned_around, turned_over
 from .glb_container import Glb, glb_of
 from .memory_mapped import rows
 from .quantised import colors_of_sh, logits_of_opacities, logs_of, opacities_of, to_uint8, unit_quats
@@ -43,19 +42,15 @@ def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[
     """All Gaussians as one part. Raises FormatError, which names the file."""
     with open_splat(path) as file:
         glb = Glb.read(file)
-        placed = list(_placed(glb))
-        if not placed:
+        found = list(_placed(glb))
+        if not found:
             raise FormatError(f"holds no splat: no points with the extension {EXTENSION}")
-        views = {_view_of(primitive) for primitive, _ in placed} - {None}
+        views = {_view_of(primitive) for primitive, _ in found} - {None}
         unpacked = _unpacked(glb, views, min(max_count, MAX_COUNT))
-        counts, degrees = zip(*(_count_and_degree(glb, one, unpacked) for one, _ in placed), strict=True)
+        counts, degrees = zip(*(_count_and_degree(glb, one, unpacked) for one, _ in found), strict=True)
         refuse_whole(sum(counts), SH_COEFFICIENTS[max(degrees)], max_count)
-        try:
-            with np.errstate(over="ignore", invalid="ignore"):  # values of a damaged file
-                scenes = [transformed(_scene(glb, one, unpacked), matrix) for one, matrix in placed]
-        except SceneError as error:
-            raise FormatError(f"has a node that cannot be placed: {error}") from None
-    yield turned_over(concatenated(scenes))
+        scene = placed(((_scene(glb, one, unpacked), matrix) for one, matrix in found), "node")
+    yield scene
 
 
 def write(path: str | os.PathLike, scene: Scene):

@@ -22,15 +22,13 @@ from typing import Any
 import numpy as np
 
 from ..scene import activation
-from ..scene.affine import transformed
-from ..scene.concatenate import concatenated
 from ..scene.gaussians import SH_COEFFICIENTS, Scene
 from ..system import limited, packages
 from ..system.errors import FormatError, SceneError
 from ..system.processes import ChildProcess
 from . import usd_arrays
 from .atomic import atomic_path, check_space
-from .axes import turned_over
+from .axes import placed, turned_over
 from .quantised import logits_of_opacities, logs_of, opacities_of, unit_quats
 from .reading import MAX_COUNT, open_splat, refuse_whole, size_of
 from .splat_format import SplatFormat
@@ -57,15 +55,9 @@ def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[
         count = sum(arrays[f"{one}:positions"].size // 3 for one in range(number))
         refuse_whole(count, SH_COEFFICIENTS[degree], max_count)
         upright = Z_TO_Y if arrays["z_up"] else np.eye(4)
-        try:
-            with np.errstate(over="ignore", invalid="ignore"):  # values of a damaged file
-                scenes = [
-                    transformed(_scene(arrays, one, degree), upright @ arrays[f"{one}:matrix"])
-                    for one in range(number)
-                ]
-        except SceneError as error:
-            raise FormatError(f"has a prim that cannot be placed: {error}") from None
-    yield turned_over(concatenated(scenes))
+        part = lambda one: (_scene(arrays, one, degree), upright @ arrays[f"{one}:matrix"])
+        scene = placed(map(part, range(number)), "prim")
+    yield scene
 
 
 @contextlib.contextmanager
