@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from ..system import file_names, here, locks, replacing
-from ..system.errors import SceneError, SplatError
+from ..system.errors import SceneError, SplatError, system_errors
 from ..system.memory import size_text
 
 FREE_SPACE_MARGIN = 1.1  # free disk space needed per byte of a file
@@ -82,13 +82,8 @@ def checked(path: str | os.PathLike, check: Callable[[Path], None]) -> Iterator[
         _check.reset(token)
 
 
-@contextlib.contextmanager
-def _errors_of(path: str | os.PathLike) -> Iterator[None]:
-    """Turns an OSError of its block into a SceneError that names `path`."""
-    try:
-        yield
-    except OSError as error:
-        raise SceneError(f"{path}: cannot be written ({error.strerror or error})") from error
+def _errors_of(path: str | os.PathLike) -> contextlib.AbstractContextManager[None]:
+    return system_errors(SceneError, f"{path}: cannot be written")
 
 
 @contextlib.contextmanager
@@ -151,12 +146,10 @@ def check_space(path: str | os.PathLike, needed_bytes: int) -> None:
         )
     if not os.path.isdir(folder):
         raise SceneError(f"{path}: cannot be written because {folder} is not a folder")
-    try:
+    with system_errors(SceneError, f"{path}: cannot be written into {folder}"):
         with _hidden_file_next_to(folder / target.name):
             remove_abandoned(folder)
         free = shutil.disk_usage(folder).free
-    except OSError as error:
-        raise SceneError(f"{path}: cannot be written into {folder} ({error.strerror or error})") from error
     if free < (needed := needed_bytes * FREE_SPACE_MARGIN):
         raise SceneError(
             f"{path}: needs {size_text(needed)}, but only {size_text(free)} are free; free disk space or"
@@ -168,12 +161,11 @@ def _check_target(path: str | os.PathLike, target: Path) -> None:
     """Raises SceneError for a folder, a device, a pipe, a write-protected file, a forbidden name."""
     if os.path.isdir(target):
         raise SceneError(f"{path}: is a folder; give the name of a file")
-    try:
-        mode = target.stat().st_mode
-    except (FileNotFoundError, NotADirectoryError):
-        return
-    except OSError as error:
-        raise SceneError(f"{path}: cannot be written ({error.strerror or error})") from error
+    with _errors_of(path):
+        try:
+            mode = target.stat().st_mode
+        except (FileNotFoundError, NotADirectoryError):
+            return
     if not stat.S_ISREG(mode):
         raise SceneError(f"{path}: is a device or a pipe; give the name of a file")
     if not os.access(target, os.W_OK):

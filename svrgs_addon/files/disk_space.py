@@ -9,7 +9,7 @@ import tempfile
 from collections import Counter
 from pathlib import Path
 
-from ..system.errors import SceneError
+from ..system.errors import SceneError, system_errors
 from ..system.file_names import real
 from ..system.memory import size_text
 
@@ -46,10 +46,8 @@ def refuse_shortage(path: str | os.PathLike, needed: dict[Path, int], purpose: s
     totals: Counter[int] = Counter()
     for folder, size in needed.items():
         place = existing_parent(folder)
-        try:
+        with system_errors(SceneError, f"{path}: cannot be written into {place}"):
             device, free = os.stat(place).st_dev, shutil.disk_usage(place).free
-        except OSError as error:
-            raise SceneError(f"{path}: cannot be written into {place} ({error.strerror or error})") from error
         totals[device] += size
         if free < totals[device]:
             raise SceneError(shortage(path, sum(needed.values()), purpose, place, free))

@@ -14,7 +14,7 @@ from typing import IO, Any
 import numpy as np
 
 from ..scene.gaussians import PARAMETERS, Scene
-from ..system.errors import SceneError
+from ..system.errors import SceneError, system_errors
 from .disk_space import existing_parent
 
 LARGE = 1 << 29  # bytes of an array that array_for() puts into a file
@@ -84,11 +84,5 @@ def _file_beside(out: str | os.PathLike) -> Any:
         return tempfile.TemporaryFile(dir=existing_parent(Path(out).absolute().parent))  # noqa: SIM115 (callers close it)
 
 
-@contextlib.contextmanager
-def _errors_of(out: str | os.PathLike) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise SceneError(
-            f"{out}: needs more space in its folder while the scene is converted ({error.strerror or error})"
-        ) from error
+def _errors_of(out: str | os.PathLike) -> contextlib.AbstractContextManager[None]:
+    return system_errors(SceneError, f"{out}: needs more space in its folder while the scene is converted")

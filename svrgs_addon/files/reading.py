@@ -5,27 +5,24 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 
 from ..system import memory
-from ..system.errors import FormatError, TooMany
+from ..system.errors import FormatError, TooMany, system_errors
 from ..system.foreign import open_regular
 
 MAX_COUNT, MAX_IN_PARTS = 20_000_000, 2**32 - 1  # Gaussians of a file that is read as a whole, in parts
 SHORTER = "became shorter while it was read; try again when no program writes it"
 
 
-@contextlib.contextmanager
-def readable(path: str | os.PathLike) -> Iterator[None]:
+def readable(path: str | os.PathLike) -> AbstractContextManager[None]:
     """An OSError of the block becomes a FormatError that names the file."""
-    try:
-        yield
-    except OSError as error:
-        raise FormatError(f"{path}: cannot be read ({error.strerror or error})") from error
+    return system_errors(FormatError, f"{path}: cannot be read")
 
 
 @contextlib.contextmanager
@@ -51,6 +48,16 @@ def read_json(path: Path, most: int, what: str) -> Any:
         return json.loads(data)
     except (ValueError, RecursionError):
         raise FormatError(f"{path}: is not JSON; give {what}") from None
+
+
+def usable(path: Path, what: str, read: Callable[[], Any]) -> Any:
+    """read() of a value that is part of a JSON file. Raises FormatError, naming the file and `what`, if that
+    is not usable."""
+    try:
+        return read()
+    except (KeyError, TypeError, ValueError, OverflowError, FormatError) as error:
+        reason = f"lacks {error}" if isinstance(error, KeyError) else str(error)
+        raise FormatError(f"{path}: {what} is not usable ({reason})") from None
 
 
 def json_object(path: Path, most: int) -> dict[str, Any] | None:

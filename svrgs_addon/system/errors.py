@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
+
 from .file_names import shown
 
 
@@ -40,3 +43,12 @@ class NativeError(Exception):
 class Cancelled(Exception):
     """The user asked to stop. Files written before are complete. The command line exits with status 130. It
     may carry a sentence on what is left of the work; without one, there is a checkpoint."""
+
+
+@contextlib.contextmanager
+def system_errors(kind: type[SplatError], sentence: str) -> Iterator[None]:
+    """An OSError of the block becomes an error of this kind, with its reason after the sentence."""
+    try:
+        yield
+    except OSError as error:
+        raise kind(f"{sentence} ({error.strerror or error})") from error

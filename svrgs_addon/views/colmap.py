@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..files.images import MAX_SIDE
+from ..files.reading import readable
 from ..scene.camera import Camera
 from ..system import packages
 from ..system.errors import FormatError, SceneError
@@ -99,18 +100,17 @@ def _has_model(folder: Path) -> bool:
 def read_model(folder: Path) -> Model:
     """Reads the model in `folder`: its binary files, else the text files. Raises FormatError."""
     library = import_pycolmap()
-    try:
-        with tempfile.TemporaryDirectory() as temp_dir:
-            names = copy_checked(folder, Path(temp_dir), _param_count)
-            return _convert(library.Reconstruction(temp_dir), names)
-    except FormatError as error:
-        raise FormatError(f"{folder}: {error}") from None
-    except OSError as error:
-        raise FormatError(f"{folder}: cannot be read ({error.strerror or error})") from error
-    except (ValueError, LookupError, RuntimeError, MemoryError) as error:
-        # without the position in pycolmap's source code
-        reason = str(error).partition("\n")[0].rpartition("] ")[2]
-        raise FormatError(f"{folder}: is not a COLMAP model that can be read ({reason})") from error
+    with readable(folder):
+        try:
+            with tempfile.TemporaryDirectory() as temp_dir:
+                names = copy_checked(folder, Path(temp_dir), _param_count)
+                return _convert(library.Reconstruction(temp_dir), names)
+        except FormatError as error:
+            raise FormatError(f"{folder}: {error}") from None
+        except (ValueError, LookupError, RuntimeError, MemoryError) as error:
+            # without the position in pycolmap's source code
+            reason = str(error).partition("\n")[0].rpartition("] ")[2]
+            raise FormatError(f"{folder}: is not a COLMAP model that can be read ({reason})") from error
 
 
 def pinhole_camera(view: View, width: int, height: int) -> tuple[Camera, pycolmap.Camera | None]:

@@ -22,7 +22,7 @@ import numpy as np
 
 from ..files.images import image_size, read_pixels, to_bytes
 from ..scene.camera import Camera
-from ..system.errors import SceneError
+from ..system.errors import SceneError, system_errors
 from ..system.file_names import extended
 from .colmap import pinhole_camera, undistort_image
 from .photo_files import photograph, present
@@ -138,11 +138,9 @@ class Dataset:
         for photo in self.photos:
             if photo.unpainted is not None:
                 yield photo.unpainted.tobytes()
-            try:
-                with open(photo.path, "rb") as file:
-                    yield hashlib.file_digest(file, "sha256").digest()
-            except OSError as error:
-                raise SceneError(f"{photo.path}: cannot be read ({error.strerror or error})") from error
+            with system_errors(SceneError, f"{photo.path}: cannot be read"), open(photo.path, "rb") as file:
+                digest = hashlib.file_digest(file, "sha256").digest()
+            yield digest
 
     def _read(self, index: int) -> np.ndarray:
         """Reads an image, and caches it if it fits into the budget. Cached images are never replaced: in a
