@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from ..files.atomic import atomic_write
 from ..files.images import MAX_SIDE
-from ..files.reading import read_json
+from ..files.reading import read_json, usable
 from ..scene.camera import Camera
 from ..scene.rotations import is_rotation
 from ..system.errors import FormatError
@@ -27,14 +28,10 @@ def load_cameras_json(path: str | os.PathLike) -> list[Camera]:
     world). Extensions of this project: cx, cy (pixels) name another principal point; with "orthographic":
     true, fx and fy are pixels per unit of length. Raises FormatError.
     """
-    cameras = []
-    for number, entry in enumerate(_read_entries(path)):
-        try:
-            cameras.append(_camera(entry))
-        except (KeyError, TypeError, ValueError, OverflowError, FormatError) as error:
-            reason = f"lacks {error}" if isinstance(error, KeyError) else str(error)
-            raise FormatError(f"{path}: camera {number} is not usable ({reason})") from None
-    return cameras
+    return [
+        usable(Path(path), f"camera {number}", partial(_camera, facts))
+        for number, facts in enumerate(_read_entries(path))
+    ]
 
 
 def write_cameras_json(path: str | os.PathLike, cameras: Sequence[Camera]):

@@ -15,17 +15,16 @@ from __future__ import annotations
 import math
 import os
 from collections import ChainMap
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path, PurePosixPath
-from typing import Any
 
 import numpy as np
 
 from ..files.images import MAX_SIDE, image_size
 from ..files.ply_points import read_points
-from ..files.reading import read_json
+from ..files.reading import read_json, usable
 from ..scene.rotations import is_rotation
 from ..system.errors import FormatError
 from ..system.foreign import check_name
@@ -38,7 +37,6 @@ LARGEST = 1e12  # of the absolute value of a number
 PERSPECTIVE = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
 FISHEYE = "OPENCV_FISHEYE"
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])  # camera axes of OpenGL <-> of COLMAP
-UNREADABLE = (KeyError, TypeError, ValueError, OverflowError, FormatError)
 
 
 @dataclass(frozen=True)
@@ -57,7 +55,7 @@ def read_transforms(path: Path) -> Transforms:
     frames = facts.get("frames")
     if not isinstance(frames, list) or not frames:
         raise FormatError(f"{path}: holds no frames; give a transforms.json of Nerfstudio or instant-ngp")
-    names = [_read(path, f"frame {number}", partial(_name, frame)) for number, frame in enumerate(frames)]
+    names = [usable(path, f"frame {number}", partial(_name, frame)) for number, frame in enumerate(frames)]
     common = os.path.commonpath([PurePosixPath(name).parent for name in names])
     folder = path.parent / common
     views, missing = [], []
@@ -66,7 +64,7 @@ def read_transforms(path: Path) -> Transforms:
         if not {"w", "h"} <= both.keys() and photograph(folder, name) is None:
             missing.append(name)  # nothing says its size
             continue
-        views.append(_read(path, name, partial(_view, name, both, folder)))
+        views.append(usable(path, name, partial(_view, name, both, folder)))
     if missing and not views:
         raise FormatError(f"{path}: neither w and h nor any of its photographs is there")
     views.sort(key=lambda view: view.name)
@@ -77,7 +75,7 @@ def read_transforms(path: Path) -> Transforms:
     model, moved = _in_parser_world(path, facts, Model(views, points, colors))
     masks = {
         str(PurePosixPath(name).relative_to(common)): path.parent
-        / _read(path, name, partial(_relative, frame, "mask_path"))
+        / usable(path, name, partial(_relative, frame, "mask_path"))
         for name, frame in zip(names, frames, strict=True)
         if frame.get("mask_path")
     }
@@ -85,15 +83,6 @@ def read_transforms(path: Path) -> Transforms:
         some = ", ".join(missing[:3]) + (", ..." if len(missing) > 3 else "")
         notes = (*notes, f"left out, because nothing says the size of a photograph: {some}")
     return Transforms(model, folder, (*moved, *notes), masks)
-
-
-def _read(path: Path, what: str, read: Callable[[], Any]) -> Any:
-    """read(). Raises FormatError, naming the file and `what`, if it cannot be read."""
-    try:
-        return read()
-    except UNREADABLE as error:
-        reason = f"lacks {error}" if isinstance(error, KeyError) else str(error)
-        raise FormatError(f"{path}: {what} is not usable ({reason})") from None
 
 
 def _read_json(path: Path) -> dict:
@@ -228,7 +217,7 @@ def _points(path: Path, facts: dict) -> tuple[np.ndarray, np.ndarray, tuple[str,
     none = np.empty((0, 3), np.float32), np.empty((0, 3), np.uint8)
     if facts.get("ply_file_path") is None:
         return *none, ()
-    file = path.parent / _read(path, "ply_file_path", lambda: _relative(facts, "ply_file_path"))
+    file = path.parent / usable(path, "ply_file_path", lambda: _relative(facts, "ply_file_path"))
     if not file.is_file():
         return *none, (f"{file}: the sparse points that {path.name} names are missing",)
     return *read_points(file), ()
@@ -239,7 +228,7 @@ def _in_parser_world(path: Path, facts: dict, model: Model) -> tuple[Model, tupl
     file = path.with_name(PARSER_NAME)
     if not file.is_file():
         return model, ()
-    matrix = _read(file, "it", lambda: _parser_matrix(_read_json(file), facts))
+    matrix = usable(file, "it", lambda: _parser_matrix(_read_json(file), facts))
     back, scale, views = np.linalg.inv(matrix), np.linalg.det(matrix[:3, :3]) ** (1 / 3), []
     for view in model.views:
         viewmat = view.viewmat @ back
