@@ -14,6 +14,7 @@ import os
 import re
 import struct
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 from ..system.errors import FormatError, SceneError
@@ -41,15 +42,12 @@ def copy_checked(folder: Path, target: Path, params_of: Callable[[int], int]) ->
     """
     names: dict[int, bytes] = {}
     if has_files(folder, ".bin"):
-        for name, copy in {
-            "cameras": _camera_copy(params_of),
-            "images": _image_copy(names),
-            "points3D": _copy_point,
-        }.items():
+        copies = partial(_copy_camera, params_of), partial(_copy_image, names), _copy_point
+        for name, copy in zip(MODEL_FILES, copies, strict=True):
             _write(target / f"{name}.bin", _binary_copy(folder / f"{name}.bin", copy))
     else:
         _write(target / "cameras.txt", (folder / "cameras.txt").read_bytes())
-        for name, lines in {"images": _image_lines(names), "points3D": _point_lines}.items():
+        for name, lines in {"images": partial(_image_lines, names), "points3D": _point_lines}.items():
             _write(target / f"{name}.txt", b"\n".join(lines((folder / f"{name}.txt").read_bytes())) + b"\n")
     return {number: os.fsdecode(name) for number, name in names.items()}
 
@@ -81,30 +79,22 @@ def _binary_copy(path: Path, copy: Callable[[bytes, int], Record]) -> bytes:
     return b"".join(parts)
 
 
-def _camera_copy(params_of: Callable[[int], int]) -> Callable[[bytes, int], Record]:
-    """The copier of a camera: id, camera model, width, height, then the parameters of the model."""
-
-    def copy(data: bytes, start: int) -> Record:
-        _, model, _, _ = struct.unpack_from("<IiQQ", data, start)
-        end = start + 24 + 8 * params_of(model)
-        return data[start:end], end
-
-    return copy
+def _copy_camera(params_of: Callable[[int], int], data: bytes, start: int) -> Record:
+    """A camera: id, camera model, width, height, then the parameters of the model."""
+    _, model, _, _ = struct.unpack_from("<IiQQ", data, start)
+    end = start + 24 + 8 * params_of(model)
+    return data[start:end], end
 
 
-def _image_copy(names: dict[int, bytes]) -> Callable[[bytes, int], Record]:
-    """The copier of an image: id, quaternion, translation, camera id, zero-terminated name, which is put into
-    `names`, then (x, y, point id) of each keypoint."""
-
-    def copy(data: bytes, start: int) -> Record:
-        end = data.index(b"\0", start + 64) + 1
-        (count,) = struct.unpack_from("<Q", data, end)
-        (number,) = struct.unpack_from("<I", data, start)
-        names[number] = data[start + 64 : end - 1]
-        _check_length(struct.unpack_from("<4d", data, start + 4), names[number])
-        return data[start : start + 64] + b"%d\0" % number + NONE, end + 8 + 24 * count
-
-    return copy
+def _copy_image(names: dict[int, bytes], data: bytes, start: int) -> Record:
+    """An image: id, quaternion, translation, camera id, zero-terminated name, which is put into `names`, then
+    (x, y, point id) of each keypoint."""
+    end = data.index(b"\0", start + 64) + 1
+    (count,) = struct.unpack_from("<Q", data, end)
+    (number,) = struct.unpack_from("<I", data, start)
+    names[number] = data[start + 64 : end - 1]
+    _check_length(struct.unpack_from("<4d", data, start + 4), names[number])
+    return data[start : start + 64] + b"%d\0" % number + NONE, end + 8 + 24 * count
 
 
 def _copy_point(data: bytes, start: int) -> Record:
@@ -113,30 +103,22 @@ def _copy_point(data: bytes, start: int) -> Record:
     return data[start : start + 43] + NONE, start + 51 + 8 * count
 
 
-def _image_lines(names: dict[int, bytes]) -> Callable[[bytes], Iterator[bytes]]:
-    """A function from the text of an images.txt to the lines of its copy. It puts the image names into
-    `names`.
-
-    Two lines for each image: id, quaternion, translation, camera id, name, which may have spaces; then its
-    keypoints, here none.
-    """
-
-    def copy(text: bytes) -> Iterator[bytes]:
-        lines = iter(text.splitlines())
-        for line in lines:
-            if not line.strip() or line.lstrip().startswith(b"#"):
-                continue
-            words = line.strip().split(None, 9)
-            if len(words) == 10 and words[0].isdigit():  # pycolmap says what is wrong with others
-                names[int(words[0])] = words[9]
-                _check_length(tuple(map(_number, words[1:5])), words[9])
-                line = b" ".join((*words[:9], words[0]))
-            yield line
-            yield b""
-            if IMAGE_LINE.match(next(lines, b"")):
-                raise FormatError("images.txt: has no line of keypoints after each image; export it again")
-
-    return copy
+def _image_lines(names: dict[int, bytes], text: bytes) -> Iterator[bytes]:
+    """Two lines for each image: id, quaternion, translation, camera id, name, which may have spaces and goes
+    into `names`; then its keypoints, here none."""
+    lines = iter(text.splitlines())
+    for line in lines:
+        if not line.strip() or line.lstrip().startswith(b"#"):
+            continue
+        words = line.strip().split(None, 9)
+        if len(words) == 10 and words[0].isdigit():  # pycolmap says what is wrong with others
+            names[int(words[0])] = words[9]
+            _check_length(tuple(map(_number, words[1:5])), words[9])
+            line = b" ".join((*words[:9], words[0]))
+        yield line
+        yield b""
+        if IMAGE_LINE.match(next(lines, b"")):
+            raise FormatError("images.txt: has no line of keypoints after each image; export it again")
 
 
 def _point_lines(text: bytes) -> Iterator[bytes]:
