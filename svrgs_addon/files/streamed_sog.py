@@ -155,8 +155,6 @@ class _Cut:
     tag: str  # in the names of the folders
     # by name: level, and rows of it, leaf by leaf
     files: dict[str, tuple[int, list[np.ndarray]]] = field(default_factory=dict)
-    # by level: name, and Gaussians so far
-    open_files: dict[int, tuple[str, int]] = field(default_factory=dict)
 
     def node(self, rows: list[np.ndarray]) -> dict[str, Any]:
         """The node of lod-meta.json with these rows of each level."""
@@ -186,12 +184,11 @@ class _Cut:
             if not len(some):
                 continue
             some = some[morton_order(scene.means[some])]
-            name, held = self.open_files.get(level) or (f"{level}_0{self.tag}/{META}", 0)
+            names = [name for name, (one, _) in self.files.items() if one == level]
+            held = sum(map(len, self.files[names[-1]][1])) if names else CHUNK
             if held >= CHUNK:
-                name = f"{level}_{sum(one == level for one, _ in self.files.values())}{self.tag}/{META}"
-                held = 0
-            self.files.setdefault(name, (level, []))[1].append(some)
-            self.open_files[level] = (name, held + len(some))
+                names, held = [f"{level}_{len(names)}{self.tag}/{META}"], 0
+            self.files.setdefault(name := names[-1], (level, []))[1].append(some)
             lods[str(level)] = {"file": list(self.files).index(name), "offset": held, "count": len(some)}
             part = scene.select(some)  # ellipsoids of one sigma
             scales = np.exp(part.log_scales.astype(np.float64))
