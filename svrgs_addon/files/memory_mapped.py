@@ -18,6 +18,7 @@ from ..system.errors import SceneError, system_errors
 from .disk_space import existing_parent
 
 LARGE = 1 << 29  # bytes of an array that array_for() puts into a file
+BLOCK = 1 << 18  # Gaussians of in_blocks()
 
 
 @contextlib.contextmanager
@@ -62,10 +63,10 @@ def array_for(shape: tuple[int, ...], dtype: Any, out: str | os.PathLike) -> np.
         return np.asarray(np.memmap(file, dtype, "r+", shape=shape))
 
 
-def in_blocks(work: Callable[[Scene], np.ndarray], scene: Scene, block: int = 1 << 18) -> np.ndarray:
-    """work(part) of the whole scene, joined; the temporary arrays of `work` are those of one block."""
-    starts = range(0, max(scene.count, 1), block)
-    return np.concatenate([work(rows(scene, start, start + block)) for start in starts])
+def in_blocks(work: Callable[[Scene], np.ndarray], scene: Scene) -> np.ndarray:
+    """work(part) of the whole scene, joined; the temporary arrays of `work` are those of one BLOCK."""
+    starts = range(0, max(scene.count, 1), BLOCK)
+    return np.concatenate([work(rows(scene, start, start + BLOCK)) for start in starts])
 
 
 def rows(scene: Scene, start: int, end: int) -> Scene:

@@ -26,9 +26,9 @@ _HEX = {
 NAMES = tuple(_HEX)
 
 
-def hex_colors(name: str = "inferno") -> tuple[str, ...]:
-    """Evenly spaced colours of the map from low to high, '#rrggbb' in display sRGB."""
-    return tuple(f"#{code}" for code in _HEX[name].split())
+def hex_colors() -> tuple[str, ...]:
+    """Evenly spaced colours of inferno from low to high, '#rrggbb' in display sRGB."""
+    return tuple(f"#{code}" for code in _HEX["inferno"].split())
 
 
 def pixels(values: np.ndarray, top: float, name: str) -> np.ndarray:

@@ -95,10 +95,8 @@ class Dataset:
             image = self._cache.get(index)
         return self._read(index) if image is None else image
 
-    def stream(
-        self, order: Iterable, read: Callable | None = None, ahead: int = READ_AHEAD
-    ) -> Generator[tuple]:
-        """Yields (item, read(item)) for each item of `order`, which may be endless. Threads read `ahead`
+    def stream(self, order: Iterable, read: Callable | None = None) -> Generator[tuple]:
+        """Yields (item, read(item)) for each item of `order`, which may be endless. Threads read READ_AHEAD
         items in advance.
 
         read: image() by default; items are then indices. The result does not depend on the timing of the
@@ -108,9 +106,7 @@ class Dataset:
         order = iter(order)
         pool = ThreadPoolExecutor(READER_THREADS)
         try:
-            pending = deque(
-                (item, pool.submit(read, item)) for item in itertools.islice(order, max(1, ahead))
-            )
+            pending = deque((item, pool.submit(read, item)) for item in itertools.islice(order, READ_AHEAD))
             while pending:
                 item, result = pending.popleft()
                 pending.extend((item, pool.submit(read, item)) for item in itertools.islice(order, 1))

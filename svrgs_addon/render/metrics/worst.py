@@ -49,9 +49,9 @@ def worst_of(pairs: Iterable[tuple[str, np.ndarray, np.ndarray]]) -> Worst | Non
     return found
 
 
-def worst_square(values: np.ndarray, side: int = SIDE) -> tuple[tuple[int, int, int, int], float]:
-    """(x, y, width, height) of the square, up to `side`, of the highest mean, and it. values: (H, W)."""
-    height, width = (min(side, size) for size in values.shape)
+def worst_square(values: np.ndarray) -> tuple[tuple[int, int, int, int], float]:
+    """(x, y, width, height) of the square, up to SIDE, of the highest mean, and it. values: (H, W)."""
+    height, width = (min(SIDE, size) for size in values.shape)
     sums = np.zeros((values.shape[0] + 1, values.shape[1] + 1))
     np.cumsum(np.cumsum(values, axis=0, dtype=np.float64), axis=1, out=sums[1:, 1:])
     means = sums[height:, width:] - sums[:-height, width:] - sums[height:, :-width] + sums[:-height, :-width]
