@@ -119,22 +119,23 @@ def _indexed(path: Path) -> tuple[SplatFormat, Path] | None:
     return None
 
 
+def _files_of(path: Path) -> list[Path]:
+    """The files of a splat, the index of several ones first. path: the file, the index, or its folder."""
+    found = _indexed(path)
+    return found[0].parts(found[1]) if found and found[0].parts else [path]
+
+
 def refuse_input(out: Path, path: Path):
     """Raises SceneError if writing `out` would replace the splat `path`, or a file of it. Both may be the
     index of a splat of several files, and the path also the folder of one."""
-    found, written = _indexed(extended(path)), _indexed(extended(out)) if out.exists() else None
-    replaced = [out, *(written[0].parts(written[1]) if written and written[0].parts else ())]
-    if real(found[1] if found else path) in set(map(real, replaced)):
+    replaced = [out, *(_files_of(extended(out)) if out.exists() else ())]
+    if real(_files_of(extended(path))[0]) in set(map(real, replaced)):
         raise SceneError(f"{out}: is the input itself, which is never overwritten; choose another output")
 
 
 def size_on_disk(path: str | Path) -> int:
     """Size of a splat in bytes, with all its files if it has several."""
-    path = extended(path)
-    found = _indexed(path)
-    if found and found[0].parts:
-        return sum(file.stat().st_size for file in found[0].parts(found[1]))
-    return path.stat().st_size
+    return sum(file.stat().st_size for file in _files_of(extended(path)))
 
 
 def read_scene(path: str | Path) -> Scene:
