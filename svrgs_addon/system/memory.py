@@ -2,6 +2,10 @@
 
 A job whose estimate exceeds the available memory is refused before it starts; the message names both numbers.
 What the system says is read in system/memory_limits.py.
+
+Estimates are in bytes. count: Gaussians. coefficients: SH coefficients per channel, K. cameras: all views, of
+which the largest one counts. kept_photographs: memory budget of cached photographs in bytes; at most 3 bytes
+per pixel of all views are counted. averaged: Gaussians that are left when values are averaged; 0 if none are.
 """
 
 from __future__ import annotations
@@ -45,42 +49,34 @@ NUMPY_ADDRESSES, PHOTOGRAPH_ADDRESSES = 200_000_000, 1_000_000_000
 
 
 def reading(file_bytes: int) -> int:
-    """Bytes of memory needed to read a splat file of file_bytes bytes."""
+    """Bytes to read a splat file of file_bytes bytes."""
     return int(READING * file_bytes)
 
 
 def unpacking(count: int, coefficients: int) -> int:
-    """Bytes of memory needed to read `count` Gaussians out of a compressed file: in parts, which are then
-    joined. coefficients: SH coefficients per channel, K."""
+    """Bytes to read Gaussians out of a compressed file: in parts, which are then joined."""
     return 2 * 4 * (11 + 3 * coefficients) * count
 
 
 def unpacking_in_parts(count: int, coefficients: int) -> int:
-    """Bytes of memory needed to read `count` Gaussians out of a compressed file in parts: for the file, and
-    the streams or textures that are unpacked as a whole. coefficients: as for unpacking()."""
+    """Bytes to read a compressed file in parts: of it, and of streams or textures unpacked as a whole."""
     return (STREAMED + 6 * coefficients) * count
 
 
 def texturing(count: int, coefficients: int) -> int:
-    """Bytes of memory needed to turn `count` Gaussians that are in memory already into textures and a
-    palette. coefficients: SH coefficients per channel, K."""
+    """Bytes to turn Gaussians that are in memory already into textures and a palette."""
     return (TEXTURED + 4 * 3 * coefficients) * count
 
 
 def rendering(count: int, width: int, height: int) -> int:
-    """Bytes of memory needed to render one view of `count` Gaussians that are in memory already."""
+    """Bytes to render one view, width x height pixels, of Gaussians that are in memory already."""
     return PROJECTED * count + RENDERED_PIXEL * width * height
 
 
 def tuning(
     count: int, coefficients: int, cameras: Sequence[View], kept_photographs: int, averaged: int = 0
 ) -> int:
-    """Bytes of memory needed to fine-tune and evaluate `count` Gaussians.
-
-    coefficients: SH coefficients per channel, K. cameras: all views; the largest one counts.
-    kept_photographs: memory budget of cached photographs in bytes; at most 3 bytes per pixel of all views are
-    counted. averaged: number of those that are left when values are averaged; 0 if none are.
-    """
+    """Bytes to fine-tune and evaluate Gaussians."""
     row, moments = _trained_row(coefficients)
     # the first steps, the averaged ones; the memory of removed rows is not freed
     besides = max(PROJECTED * count, (PROJECTED + row) * averaged)
@@ -93,59 +89,50 @@ def tuning(
 
 
 def decimating(count: int, coefficients: int, cameras: Sequence[View]) -> int:
-    """Bytes of memory needed to remove and merge Gaussians (finetune/decimate/) and to fine-tune those that
-    are left, on pictures that are all kept. coefficients: SH coefficients per channel, K. cameras: all
-    views."""
+    """Bytes to remove and merge (finetune/decimate/) and to fine-tune what is left, on kept pictures."""
     work = max(ordering(count, coefficients, cameras), tuning(count, coefficients, cameras, 0))
     return work + 12 * sum(_pixels(cameras))
 
 
 def ordering(count: int, coefficients: int, cameras: Sequence[View]) -> int:
-    """Bytes of memory needed to order removals and merges. coefficients, cameras: as for decimating()."""
+    """Bytes to order removals and merges."""
     pixels = (RENDERED_PIXEL + KEPT_PIXEL) * _largest(cameras)
     return (DECIMATED + _trained_row(coefficients)[0]) * count + pixels
 
 
 def ranking(count: int, coefficients: int) -> int:
-    """Bytes of memory needed to measure how sure the ranks of `count` Gaussians are, besides rendering: the
-    parameters as float64, and statistics. coefficients: SH coefficients per channel, K."""
+    """Bytes to measure how sure ranks are, besides rendering: the parameters as float64, and statistics."""
     return (RANKED + 8 * (11 + 3 * coefficients)) * count
 
 
 def measuring(count: int, cameras: Sequence[View], kept_photographs: int, lpips: bool) -> int:
-    """Bytes of memory needed to evaluate `count` Gaussians that are in memory already. cameras: the views;
-    the largest one counts. kept_photographs: as for tuning(). lpips: whether LPIPS is measured too."""
+    """Bytes to evaluate Gaussians that are in memory already. lpips: whether LPIPS is measured too."""
     pixels = (RENDERED_PIXEL + MEASURED_PIXEL) * _largest(cameras) + perceiving(cameras, lpips)
     return PROJECTED * count + pixels + _kept(cameras, kept_photographs)
 
 
 def perceiving(cameras: Sequence[View], lpips: bool = True) -> int:
-    """Bytes of memory that LPIPS needs in addition, if it is measured. cameras: the largest one counts."""
+    """Bytes that LPIPS needs in addition, if it is measured."""
     return LPIPS_PIXEL * _largest(cameras) if lpips else 0
 
 
 def comparing(
     count: int, cameras: Sequence[View], shown: Sequence[View], kept_photographs: int, lpips: bool
 ) -> int:
-    """Bytes of memory needed to compare two scenes in memory, the larger one with `count` Gaussians, in
-    figures and pictures. shown: the views with pictures; others: as for measuring()."""
+    """Bytes to compare two scenes in memory, the larger one of `count`. shown: views with pictures."""
     return measuring(count, cameras, kept_photographs, lpips) + COMPARED_PIXEL * sum(_pixels(shown))
 
 
 def growing(count: int, added: int, coefficients: int, cameras: Sequence[View]) -> int:
-    """Further bytes of memory needed to add `added` Gaussians to `count` ones during training.
-
-    The arrays are copied one after the other, so one copy of the largest array counts. Metrics of a view at
-    the end must fit as well.
-    """
+    """Bytes that adding `added` Gaussians in training needs in addition. The arrays are copied one after the
+    other, so one copy of the largest counts. Metrics of a view at the end must fit as well."""
     (row, moments), largest = _trained_row(coefficients), 4 * 3 * coefficients
     new = (1 + ADDED_COPIES) * row + moments + PROJECTED
     return new * added + largest * (count + added) + MEASURED_PIXEL * _largest(cameras)
 
 
 def checkpoint(count: int, coefficients: int, averaged: int = 0) -> int:
-    """Bytes on disk of the largest checkpoint of a run that has `count` Gaussians now. coefficients: SH
-    coefficients per channel. averaged: as for tuning()."""
+    """Bytes on disk of the largest checkpoint of a run that has `count` Gaussians now."""
     row, moments = _trained_row(coefficients)
     return max((row + moments + STATISTICS) * count, (2 * row + moments + STATISTICS) * averaged)
 
