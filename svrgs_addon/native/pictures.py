@@ -2,7 +2,9 @@
 pictures, convolutions, linear colours, and exposure.
 
 `native/include/svrgs.h` (svrgs_draw_triangles, svrgs_add_view, svrgs_flip, svrgs_convolve, svrgs_linear_rgba,
-svrgs_expose, svrgs_expose_vjp) is the manual; names, shapes and units here are the same.
+svrgs_expose, svrgs_expose_vjp) is the manual; names, shapes and units here are the same. All raise TypeError
+for arrays of another type or shape, else NativeError. level: SIMD level; None: the fastest of this processor.
+Where there is one, arrays are float32, or float64 at that level.
 """
 
 from __future__ import annotations
@@ -28,7 +30,7 @@ def draw_triangles(
 
     arrays: those of VALUES as (M, ...) float32, `textures` (M,) int32 and `holdout` (M,) uint8. textures:
     objects with `texels` (n, 3) uint8, `width`, `height` and `repeat`. Returns share (H, W), depth (2, H, W)
-    and rgba (2, H, W, 4), float32. Raises NativeError, and TypeError for arrays of another type or shape.
+    and rgba (2, H, W, 4), float32.
     """
     count, (height, width) = len(arrays["corners"]), (camera.height, camera.width)
     addresses = {
@@ -73,8 +75,7 @@ def add_view(
 
     image: (h, w, L) float32. turn: rotation (3, 3) from the panorama's frame to that of the view. K: (3, 3)
     with one focal length. along: the channel with values along z, which become values along the ray.
-    latitudes, row_weights: (H,) float64, radians; longitudes, column_weights: (W,). Raises NativeError, and
-    TypeError for arrays of another type or shape.
+    latitudes, row_weights: (H,) float64, radians; longitudes, column_weights: (W,).
     """
     (height, width, channels), (rows, columns) = image.shape, sums.shape[:2]
     address = check(image, "image", (height, width, channels), np.float32)
@@ -96,12 +97,8 @@ def add_view(
 def flip_errors(
     image: np.ndarray, target: np.ndarray, pixels_per_degree: float, level: str | None = None
 ) -> np.ndarray:
-    """FLIP of each pixel (Andersson et al. 2020), (H, W) in [0, 1]. level: SIMD level; None: the fastest of
-    this processor.
-
-    image, target: (H, W, 3) display sRGB in [0, 1], float32; float64 at that level. pixels_per_degree: of the
-    viewer's visual angle, 1 to 400. Raises NativeError, and TypeError for arrays of another type or shape.
-    """
+    """FLIP of each pixel (Andersson et al. 2020), (H, W) in [0, 1]. image, target: (H, W, 3) display sRGB in
+    [0, 1]. pixels_per_degree: of the viewer's visual angle, 1 to 400."""
     number, dtype = _level(level)
     errors: np.ndarray = np.empty(image.shape[:2], dtype)
     call_library(
@@ -127,12 +124,8 @@ def filter_panels(filters: np.ndarray) -> np.ndarray:
 def convolved(
     image: np.ndarray, panels: np.ndarray, bias: np.ndarray, level: str | None = None
 ) -> np.ndarray:
-    """max(0, image * filters + bias), with zeros around the image: (H, W, outputs), a layer of VGG16. level:
-    as in flip_errors().
-
-    image: (H, W, inputs), panels: filter_panels() of the filters, bias: (outputs,), float32; float64 at that
-    level. Raises NativeError, and TypeError for arrays of another type or shape.
-    """
+    """max(0, image * filters + bias), with zeros around the image: (H, W, outputs), a layer of VGG16. image:
+    (H, W, inputs), panels: filter_panels() of the filters, bias: (outputs,)."""
     number, dtype = _level(level)
     height, width, inputs = image.shape
     outputs = len(panels) * PANEL
@@ -153,13 +146,9 @@ def convolved(
 def linear_colours(
     rgb: np.ndarray, alpha: np.ndarray, working_space: Sequence, level: str | None = None
 ) -> np.ndarray:
-    """Display sRGB times alpha to linear colours times alpha in a working space, and alpha: (H, W, 4). level:
-    as in flip_errors().
-
-    rgb: (H, W, 3), alpha: (H, W), float32; float64 at that level. Where alpha is not above 0, colours are 0.
-    working_space: (3, 3), the rows are linear red, green and blue of sRGB in it. Raises NativeError, and
-    TypeError for arrays of another type or shape.
-    """
+    """Display sRGB times alpha, rgb (H, W, 3) and alpha (H, W), to linear colours times alpha in a working
+    space, and alpha: (H, W, 4). Where alpha is not above 0, colours are 0. working_space: (3, 3), the rows
+    are linear red, green and blue of sRGB in it."""
     number, dtype = _level(level)
     rgba: np.ndarray = np.empty((*alpha.shape, 4), dtype)
     space = np.ascontiguousarray(working_space, np.float64)
@@ -179,8 +168,7 @@ def exposed(
     rgb: np.ndarray, matrix: np.ndarray, valid: np.ndarray | None, level: str | None = None
 ) -> np.ndarray:
     """Rendered colours (H, W, 3) as a photograph of this exposure would show them: A c + b of each pixel,
-    where matrix (3, 4) is (A | b); 0 where pixels do not count. valid: (H, W) uint8; None: all count. level:
-    as in flip_errors(). Raises NativeError, and TypeError for arrays of another type or shape."""
+    where matrix (3, 4) is (A | b); 0 where pixels do not count. valid: (H, W) uint8; None: all count."""
     number, dtype = _level(level)
     seen, rows = np.empty_like(rgb), np.ascontiguousarray(matrix, np.float64)
     call_library(
@@ -202,7 +190,7 @@ def exposed_vjp(
     valid: np.ndarray | None,
     level: str | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """dL/drgb (H, W, 3), dL/dmatrix (3, 4) float64, of dL/dseen (H, W, 3). Raises as exposed() does."""
+    """dL/drgb (H, W, 3) and dL/dmatrix (3, 4) float64, of dL/dseen (H, W, 3) of exposed()."""
     number, dtype = _level(level)
     d_rgb, d_matrix, rows = np.empty_like(rgb), np.empty((3, 4)), np.ascontiguousarray(matrix, np.float64)
     call_library(
