@@ -12,13 +12,7 @@ import sys
 
 TYPE = "ParticleField3DGaussianSplat"
 SH, DEGREE = "radiance:sphericalHarmonicsCoefficients", "radiance:sphericalHarmonicsDegree"
-ARRAYS = {
-    "positions": "positions",
-    "orientations": "orientations",
-    "scales": "scales",
-    "opacities": "opacities",
-    "sh": SH,
-}
+ARRAYS = {name: name for name in ("positions", "orientations", "scales", "opacities")} | {"sh": SH}
 HALF = "h"  # end of the names of the same attributes in half precision
 
 

@@ -93,7 +93,7 @@ def quick_rig(scene: Scene, views: int = 24, *, held_out: int = QUICK_HELD_OUT, 
     """
     setting = _setting(scene)
     rng = np.random.default_rng([seed, 0])
-    chosen = setting.views(views, rng, 0) if isinstance(setting, Within) else setting.views(views, rng, 0.0)
+    chosen = setting.views(views, rng, 0)
     others = setting.other_views(held_out, np.random.default_rng([seed, 1]))
     side = side_of(setting)
     return Rig(_named(chosen, "rig", side), _named(others, "off", side), setting.inside_out, None)
