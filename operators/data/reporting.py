@@ -9,6 +9,7 @@ from typing import Any
 
 import bpy
 from bpy.app.translations import pgettext_iface as tr
+from bpy.props import BoolProperty, StringProperty
 
 from ...svrgs_addon.system.errors import NativeError, SplatError
 from . import background_work
@@ -45,6 +46,17 @@ class ReportingOperator(bpy.types.Operator):
         if message:
             self.report({"INFO"}, message)
         return {"FINISHED"}
+
+
+class FolderOperator(ReportingOperator):
+    """An operator that asks for a folder, unless a script gives its `directory`."""
+
+    directory: StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE"})
+    filter_folder: BoolProperty(default=True, options={"HIDDEN", "SKIP_SAVE"})
+
+    def invoke(self, context, event):
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
 
 
 class BackgroundOperator(ReportingOperator):

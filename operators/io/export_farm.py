@@ -11,7 +11,6 @@ from typing import Any
 
 import bpy
 from bpy.app.translations import pgettext_iface as tr
-from bpy.props import BoolProperty, StringProperty
 
 from ...svrgs_addon.files.registry import FORMATS, write_scene
 from ...svrgs_addon.jobs.farm.farm_job import (
@@ -32,7 +31,7 @@ from ...svrgs_addon.system.memory import size_text
 from ...svrgs_addon.views.cameras_json import write_cameras_json
 from ..data import background_work, splat_object
 from ..data.native_check import native_problem
-from ..data.reporting import ReportingOperator
+from ..data.reporting import FolderOperator
 from ..jobs import efforts, goals
 from ..jobs.job import given_views, options_of
 from ..scene.splat_transforms import selected_splats
@@ -45,7 +44,7 @@ def lines() -> list[str]:
     return list(_lines)
 
 
-class SVRGS_OT_export_farm_job(ReportingOperator):
+class SVRGS_OT_export_farm_job(FolderOperator):
     bl_idname = "svrgs.export_farm_job"
     bl_label = "Export Farm Job"
     bl_description = (
@@ -54,17 +53,10 @@ class SVRGS_OT_export_farm_job(ReportingOperator):
     )
     bl_options = {"REGISTER"}
 
-    directory: StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE"})
-    filter_folder: BoolProperty(default=True, options={"HIDDEN"})
-
     @classmethod
     def problem(cls, context) -> str:
         problem = native_problem() or efforts.problem(context) or goals.problem(context.scene.svrgs_prune)
         return problem or ("" if selected_splats(context) else tr("Select a Gaussian splat first"))
-
-    def invoke(self, context, event):
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
 
     def work(self, context) -> str:
         folder = Path(bpy.path.abspath(self.directory))

@@ -23,7 +23,7 @@ from ..data import background_work
 from ..data.file_kinds import KINDS, WHAT_FOR, format_of
 from ..data.native_check import native_problem
 from ..data.preferences import threads
-from ..data.reporting import ReportingOperator
+from ..data.reporting import FolderOperator
 from ..scene.splat_transforms import selected_splats
 from .export_space import ExportSpace
 
@@ -39,7 +39,7 @@ def lines() -> list[str]:
     return [tr("Exporting levels of '{name}' …").format(name=name) for name in _running] + _lines
 
 
-class SVRGS_OT_export_levels(ReportingOperator, ExportSpace):
+class SVRGS_OT_export_levels(FolderOperator, ExportSpace):
     bl_idname = "svrgs.export_levels"
     bl_label = "Export Levels of Detail"
     bl_description = (
@@ -48,8 +48,6 @@ class SVRGS_OT_export_levels(ReportingOperator, ExportSpace):
     )
     bl_options = {"REGISTER", "PRESET"}
 
-    directory: StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE"})
-    filter_folder: BoolProperty(default=True, options={"HIDDEN"})
     kind: EnumProperty(
         name="Format",
         description="Format of the files",
@@ -70,10 +68,6 @@ class SVRGS_OT_export_levels(ReportingOperator, ExportSpace):
         if not selected_splats(context):
             return tr("Select a Gaussian splat first")
         return lines()[0] if _running else ""
-
-    def invoke(self, context, event):
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
 
     def draw(self, context):
         self.layout.use_property_split = True

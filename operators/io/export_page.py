@@ -8,7 +8,7 @@ from pathlib import Path
 
 import bpy
 from bpy.app.translations import pgettext_iface as tr
-from bpy.props import BoolProperty, StringProperty
+from bpy.props import BoolProperty
 
 from ...svrgs_addon.scene.camera import Camera
 from ...svrgs_addon.viewer.source import Source
@@ -16,12 +16,12 @@ from ...svrgs_addon.viewer.web_page import export, program_bytes
 from ..data import pairs, splat_object
 from ..data.camera_object import camera_from_object
 from ..data.native_check import native_problem
-from ..data.reporting import BackgroundOperator, Steps
+from ..data.reporting import BackgroundOperator, FolderOperator, Steps
 from ..jobs import job_result
 from .export_space import ExportSpace
 
 
-class SVRGS_OT_export_page(BackgroundOperator, ExportSpace):
+class SVRGS_OT_export_page(BackgroundOperator, FolderOperator, ExportSpace):
     bl_idname = "svrgs.export_page"
     bl_label = "Export Web Page"
     bl_description = (
@@ -30,8 +30,6 @@ class SVRGS_OT_export_page(BackgroundOperator, ExportSpace):
     )
     bl_options = {"REGISTER", "PRESET"}
 
-    directory: StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE"})
-    filter_folder: BoolProperty(default=True, options={"HIDDEN"})
     with_original: BoolProperty(
         name="Original",
         default=True,
@@ -48,8 +46,7 @@ class SVRGS_OT_export_page(BackgroundOperator, ExportSpace):
 
     def invoke(self, context, event):
         self.in_window = True
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
+        return super().invoke(context, event)
 
     def draw(self, context):
         self.layout.use_property_split = True

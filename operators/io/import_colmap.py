@@ -19,7 +19,7 @@ from bpy.props import BoolProperty, StringProperty
 from ...svrgs_addon.views.posed_photos import PosedPhotos, read_in_child
 from ..data import camera_object, splat_object
 from ..data.framing import level
-from ..data.reporting import ReportingOperator
+from ..data.reporting import FolderOperator
 from ..data.select import select
 from ..scene import dataset_paths
 from ..scene.frame import frame
@@ -27,7 +27,7 @@ from ..translation import OWN
 from . import undistort
 
 
-class SVRGS_OT_import_colmap(ReportingOperator):
+class SVRGS_OT_import_colmap(FolderOperator):
     bl_idname = "svrgs.import_colmap"
     bl_label = "Import Cameras"
     bl_description = (
@@ -41,7 +41,6 @@ class SVRGS_OT_import_colmap(ReportingOperator):
         subtype="DIR_PATH",
         description="Folder of the dataset. It holds the photographs, and a COLMAP model or transforms.json",
     )
-    filter_folder: BoolProperty(default=True, options={"HIDDEN", "SKIP_SAVE"})
     images: StringProperty(
         name="Images", description="Name of the image folder in the dataset, such as images_4. Empty: images"
     )
@@ -151,10 +150,6 @@ class SVRGS_OT_import_colmap(ReportingOperator):
         for obj in points:
             obj.hide_set(True)  # they would cover the splat, and without one they are black
         return root, cameras
-
-    def invoke(self, context, event):
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
 
 
 def joined(active: bpy.types.Object | None, splat: bpy.types.Object | None) -> str:

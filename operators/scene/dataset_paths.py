@@ -15,14 +15,14 @@ from pathlib import Path
 
 import bpy
 from bpy.app.translations import pgettext_iface as tr
-from bpy.props import BoolProperty, StringProperty
+from bpy.props import StringProperty
 
 from ...svrgs_addon.system.errors import SplatError
 from ...svrgs_addon.views.sources import find_cameras
 from ..data import camera_object, splat_object
 from ..data.job_paths import FOLDER, folder_of
 from ..data.option_properties import RELATIVE
-from ..data.reporting import ReportingOperator
+from ..data.reporting import FolderOperator
 
 UNDISTORTED = "images_undistorted"  # folder of undistorted copies in a dataset
 
@@ -165,7 +165,7 @@ def _after_save(*_):
 # --- a dataset that was moved
 
 
-class SVRGS_OT_find_dataset(ReportingOperator):
+class SVRGS_OT_find_dataset(FolderOperator):
     bl_idname = "svrgs.find_dataset"
     bl_label = "Find Dataset"
     bl_description = (
@@ -180,7 +180,6 @@ class SVRGS_OT_find_dataset(ReportingOperator):
         description="Folder of the dataset. It holds the photographs and their poses",
         options=RELATIVE,
     )
-    filter_folder: BoolProperty(default=True, options={"HIDDEN", "SKIP_SAVE"})
 
     @classmethod
     def problem(cls, context) -> str:
@@ -202,10 +201,6 @@ class SVRGS_OT_find_dataset(ReportingOperator):
         text = text.format(found=found, count=shown, folder=folder)
         self.report({"INFO"} if found == shown else {"WARNING"}, text)
         return ""
-
-    def invoke(self, context, event):
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
 
 
 def find_photographs(root: bpy.types.Object, folder: str) -> tuple[int, int]:
