@@ -27,18 +27,7 @@ def write_image(
     data: 32-bit numbers in the colour space Non-Color; else 8 bits in display sRGB. preview: (h, w, 3)
     display sRGB; default: pixels. figures: stored with the image, see figures_of().
     """
-    height, width, _ = pixels.shape
-    image = bpy.data.images.get(name)
-    if image is not None and (image.is_float != data or not _is_ours(image)):
-        image.name = f"{name} (former)"
-        image = None
-    if image is None:
-        image = bpy.data.images.new(name, width, height, alpha=False, float_buffer=data, is_data=data)
-    if tuple(image.size) != (width, height):
-        image.scale(width, height)
-    image.pixels.foreach_set(_rgba(pixels))
-    image.update()
-    _written.add(name)
+    image = _write(name, pixels.shape, _rgba(pixels), data)
     if figures is not None:
         image[FIGURES] = figures
     _preview(image, pixels if preview is None else preview)
@@ -48,15 +37,23 @@ def write_image(
 def write_tint(name: str, where: np.ndarray, color: tuple[float, ...]) -> bpy.types.Image:
     """Writes a colour (4,), display sRGB and alpha, into the image of that name where `where` (H, W) is True,
     and nothing elsewhere."""
-    height, width = where.shape
-    image = bpy.data.images.get(name)
-    if image is not None and not _is_ours(image):
+    pixels = np.where(where[::-1, :, None], np.array(color, np.float32), np.float32(0))
+    return _write(name, where.shape, pixels.ravel(), alpha=True)
+
+
+def _write(
+    name: str, shape: tuple[int, ...], values: np.ndarray, data: bool = False, alpha: bool = False
+) -> bpy.types.Image:
+    """Writes RGBA in Blender's order into the image of that name, of this shape (H, W, …). One of that name
+    that is not ours, or of another depth, gets another name."""
+    (height, width), image = shape[:2], bpy.data.images.get(name)
+    if image is not None and (image.is_float != data or not _is_ours(image)):
         image.name, image = f"{name} (former)", None
-    image = image or bpy.data.images.new(name, width, height, alpha=True)
+    if image is None:
+        image = bpy.data.images.new(name, width, height, alpha=alpha, float_buffer=data, is_data=data)
     if tuple(image.size) != (width, height):
         image.scale(width, height)
-    pixels = np.where(where[::-1, :, None], np.array(color, np.float32), np.float32(0))
-    image.pixels.foreach_set(pixels.ravel())
+    image.pixels.foreach_set(values)
     image.update()
     _written.add(name)
     return image
@@ -65,15 +62,24 @@ def write_tint(name: str, where: np.ndarray, color: tuple[float, ...]) -> bpy.ty
 def read_image(image: bpy.types.Image) -> np.ndarray | None:
     """(H, W, 3) float32 display sRGB, rows from the top, composited over black; None if the image's file is
     missing."""
+    values = stored_pixels(image)
+    if values is None:
+        return None
+    rgb, alpha = values[::-1, :, :3], values[::-1, :, 3:]
+    rgb = linear_to_srgb(rgb) if image.is_float and not image.colorspace_settings.is_data else rgb
+    return np.ascontiguousarray(rgb * alpha if image.channels == 4 and not image.is_float else rgb)
+
+
+def stored_pixels(image: bpy.types.Image) -> np.ndarray | None:
+    """(H, W, 3 or 4) float32 as the image stores them, rows from the bottom, grey three times; None if the
+    image's file is missing."""
     width, height = image.size
     if not width or not height:
         return None
     values = np.empty(width * height * image.channels, np.float32)
     image.pixels.foreach_get(values)
-    values = values.reshape(height, width, image.channels)[::-1]
-    rgb = values[..., :3] if image.channels >= 3 else np.repeat(values[..., :1], 3, axis=2)
-    rgb = linear_to_srgb(rgb) if image.is_float and not image.colorspace_settings.is_data else rgb
-    return np.ascontiguousarray(rgb * values[..., 3:] if image.channels == 4 and not image.is_float else rgb)
+    values = values.reshape(height, width, image.channels)
+    return values if image.channels >= 3 else np.repeat(values[..., :1], 3, axis=2)
 
 
 def figures_of(name: str) -> dict:

@@ -8,16 +8,17 @@ be read that way has the viewport's colour.
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 import bpy
-import numpy as np
 from mathutils import Euler, Matrix
 
 from ...svrgs_addon.files.images import linear_to_srgb
 from ...svrgs_addon.render.textures import Texture, texture
+from .image_pixels import stored_pixels
 
 PLAIN = (0.8, 0.8, 0.8)  # linear colour of a mesh without a material
 WHITE = (1.0, 1.0, 1.0)
@@ -126,7 +127,7 @@ def _matrix(node: bpy.types.Node) -> Matrix:
 
 
 # (session_uid of an image, repeat) -> what its pixels depend on, and its texture
-_textures: dict[tuple, tuple[tuple, Texture]] = {}
+_textures: dict[tuple, tuple[tuple, Texture | None]] = {}
 
 
 def _texture(image: bpy.types.Image, repeat: bool) -> Texture | None:
@@ -136,20 +137,17 @@ def _texture(image: bpy.types.Image, repeat: bool) -> Texture | None:
     known, made = _textures.get(key, (None, None))
     if made is None or known != version or image.is_dirty or image.source != "FILE":
         made = _read(image, repeat)
-        _textures.pop(key, None)
-        if made is not None:
-            _textures[key] = version, made
+        _textures[key] = version, made
     return made
 
 
 def _version(image: bpy.types.Image) -> tuple:
     """Differs after the image was saved, packed, or loaded again from a changed file."""
     path = bpy.path.abspath(image.filepath, library=image.library)
-    try:
+    file: tuple = ()
+    with contextlib.suppress(OSError, ValueError):
         status = os.stat(path)
-    except (OSError, ValueError):
-        status = None
-    file = (status.st_mtime_ns, status.st_size) if status is not None else ()
+        file = status.st_mtime_ns, status.st_size
     return (
         tuple(image.size),
         image.colorspace_settings.name,
@@ -160,14 +158,11 @@ def _version(image: bpy.types.Image) -> tuple:
 
 
 def _read(image: bpy.types.Image, repeat: bool) -> Texture | None:
-    width, height = image.size
-    if not width or not height:
+    values, space = stored_pixels(image), image.colorspace_settings
+    if values is None:
         return None
-    values = np.empty(width * height * image.channels, np.float32)
-    image.pixels.foreach_get(values)
-    values = values.reshape(height, width, image.channels)
-    rgb = values[..., :3] if image.channels >= 3 else np.repeat(values[..., :1], 3, axis=2)
-    linear = image.is_float or image.colorspace_settings.is_data or "Linear" in image.colorspace_settings.name
+    linear = image.is_float or space.is_data or "Linear" in space.name
+    rgb = values[..., :3]
     return texture(linear_to_srgb(rgb) if linear else rgb, repeat)
 
 
