@@ -45,17 +45,22 @@ def camera_from_object(
         )
         raise SceneError(text.format(name=obj.name))
     aspect = (render.pixel_aspect_x, render.pixel_aspect_y)
-    if size is None:
-        size, aspect = (
-            (tuple(data[SIZE]), tuple(data[ASPECT])) if SIZE in data else (render_size(scene), aspect)
-        )
-    sensor, orthographic = (data.sensor_width, data.sensor_height), data.type == "ORTHO"
+    if size is None and SIZE in data:
+        size, aspect = tuple(data[SIZE]), tuple(data[ASPECT])
+    size = size or render_size(scene)
+    shift, sensor = (data.shift_x, data.shift_y), (data.sensor_width, data.sensor_height)
+    orthographic = data.type == "ORTHO"
     ortho_scale = data.ortho_scale if orthographic else None
-    lens = lenses.Lens(
-        *size, data.lens, (data.shift_x, data.shift_y), aspect, sensor, data.sensor_fit, ortho_scale
-    )
-    viewmat = FLIP @ np.linalg.inv(_without_scale(world_matrix(obj)))
-    return Camera(viewmat, lenses.intrinsics(lens), *size, data.get(IMAGE, obj.name), orthographic)
+    lens = lenses.Lens(*size, data.lens, shift, aspect, sensor, data.sensor_fit, ortho_scale)
+    viewmat, name = viewmat_of(world_matrix(obj)), data.get(IMAGE, obj.name)
+    return Camera(viewmat, lenses.intrinsics(lens), *size, name, orthographic)
+
+
+def viewmat_of(matrix: Matrix) -> np.ndarray:
+    """(4, 4) float64 from Blender's world to a view. matrix: of its camera, whose scale does not count."""
+    pose = np.array(matrix, np.float64)
+    pose[:3, :3] /= np.linalg.norm(pose[:3, :3], axis=0)
+    return FLIP @ np.linalg.inv(pose)
 
 
 def is_photograph(obj: bpy.types.Object) -> bool:
@@ -115,9 +120,3 @@ def apply_camera_size(scene: bpy.types.Scene):
     if SIZE in data:
         scene.render.resolution_x, scene.render.resolution_y = data[SIZE]
         scene.render.pixel_aspect_x, scene.render.pixel_aspect_y = data[ASPECT]
-
-
-def _without_scale(matrix: Matrix) -> np.ndarray:
-    pose = np.array(matrix, np.float64)
-    pose[:3, :3] /= np.linalg.norm(pose[:3, :3], axis=0)
-    return pose

@@ -22,38 +22,23 @@ def view_of(obj: bpy.types.Object, scene: bpy.types.Scene) -> Camera | Panorama:
     data = obj.data
     if data.panorama_type != KIND:
         kind = data.bl_rna.properties["panorama_type"].enum_items[data.panorama_type].name
-        raise SceneError(
-            tr("camera '{name}' is a panorama of the type {type}: choose the type Equirectangular").format(
-                name=obj.name, type=tr(kind)
-            )
-        )
-    longitude, latitude = (
-        (low, high)
-        for low, high in ((data.longitude_min, data.longitude_max), (data.latitude_min, data.latitude_max))
-    )
+        text = tr("camera '{name}' is a panorama of the type {type}: choose the type Equirectangular")
+        raise SceneError(text.format(name=obj.name, type=tr(kind)))
+    longitude = _shifted(data.longitude_min, data.longitude_max, data.shift_x)
+    latitude = _shifted(data.latitude_min, data.latitude_max, data.shift_y)
     if longitude[0] == longitude[1] or latitude[0] == latitude[1]:
-        raise SceneError(
-            tr("camera '{name}' sees nothing: its longitudes or its latitudes begin where they end").format(
-                name=obj.name
-            )
-        )
-    longitude, latitude = (
-        _shifted(limits, shift) for limits, shift in ((longitude, data.shift_x), (latitude, data.shift_y))
-    )
+        text = tr("camera '{name}' sees nothing: its longitudes or its latitudes begin where they end")
+        raise SceneError(text.format(name=obj.name))
     if max(map(abs, latitude)) > np.pi / 2 + 1e-6:
         text = tr(
             "camera '{name}' looks beyond a pole: set its latitudes and its vertical shift so that they are"
             " within 90°"
         )
         raise SceneError(text.format(name=obj.name))
-    pose = np.array(obj.matrix_world, np.float64)
-    pose[:3, :3] /= np.linalg.norm(pose[:3, :3], axis=0)
-    return Panorama(
-        camera_object.FLIP @ np.linalg.inv(pose), *camera_object.render_size(scene), longitude, latitude
-    )
+    viewmat = camera_object.viewmat_of(obj.matrix_world)
+    return Panorama(viewmat, *camera_object.render_size(scene), longitude, latitude)
 
 
-def _shifted(limits: tuple[float, float], shift: float) -> tuple[float, float]:
+def _shifted(low: float, high: float, shift: float) -> tuple[float, float]:
     """The limits moved by a share of their distance, as Cycles does."""
-    low, high = limits
     return low + shift * (high - low), high + shift * (high - low)
