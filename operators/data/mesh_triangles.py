@@ -16,8 +16,11 @@ from .materials import BaseColor, base_color
 
 SURFACES = {"MESH", "CURVE", "SURFACE", "FONT", "META"}
 
-# corners, normals (M, 3, 3), colors (M, 3, 3), uvs (M, 3, 2), texture (M,) of one object
-Arrays = dict[str, np.ndarray]
+Arrays = dict[str, np.ndarray]  # of the triangles of one object, as NO_TRIANGLES; without holdout at first
+NO_TRIANGLES: Arrays = {
+    **{name: np.empty((0, 3, 3), np.float32) for name in ("corners", "normals", "colors")},
+    "uvs": np.empty((0, 3, 2), np.float32), "texture": np.empty(0, np.int32), "holdout": np.empty(0, bool),
+}  # fmt: skip
 
 
 class _Read:
@@ -69,12 +72,14 @@ def triangles(depsgraph: bpy.types.Depsgraph, cut: bool = False, catchers: bool 
             or obj.is_shadow_catcher != catchers
         ):
             continue
-        arrays = read.triangles(obj)
-        if arrays is not None:
-            parts.append(
-                _placed(arrays, np.array(instance.matrix_world), cut or _is_holdout(instance, depsgraph))
-            )
-    return _joined(parts, tuple(picture for _, picture in read.textures.values()))
+        if (arrays := read.triangles(obj)) is not None:
+            holdout = cut or _is_holdout(instance, depsgraph)
+            parts.append(_placed(arrays, np.array(instance.matrix_world), holdout))
+    joined = {
+        name: np.concatenate([none, *(part[name] for part in parts)], dtype=none.dtype)
+        for name, none in NO_TRIANGLES.items()
+    }
+    return Triangles(**joined, textures=tuple(picture for _, picture in read.textures.values()))
 
 
 def _is_holdout(instance: bpy.types.DepsgraphObjectInstance, depsgraph: bpy.types.Depsgraph) -> bool:
@@ -100,10 +105,8 @@ def _triangles(obj: bpy.types.Object, read: _Read) -> Arrays | None:
     mesh.calc_loop_triangles()
     count = len(mesh.loop_triangles)
     points, vertices = _get(mesh.vertices, "co", 3), _get(mesh.loop_triangles, "vertices", 3, np.int32)
-    corners, slots = (
-        _get(mesh.loop_triangles, "loops", 3, np.int32),
-        _get(mesh.loop_triangles, "material_index", 1, np.int32)[:, 0],
-    )
+    corners = _get(mesh.loop_triangles, "loops", 3, np.int32)
+    slots = _get(mesh.loop_triangles, "material_index", 1, np.int32)[:, 0]
     materials = [read.base_color(slot.material) for slot in obj.material_slots] or [read.base_color(None)]
     slots = np.clip(slots, 0, len(materials) - 1)
     arrays = {
@@ -167,10 +170,9 @@ def _render_colors(mesh: bpy.types.Mesh) -> bpy.types.Attribute | None:
 
 def _placed(arrays: Arrays, matrix: np.ndarray, holdout: bool) -> Arrays:
     """The triangles of an object in Blender's world."""
-    linear = matrix[:3, :3]
-    normals = (
-        arrays["normals"] @ np.linalg.inv(linear) if abs(np.linalg.det(linear)) > 0 else arrays["normals"]
-    )
+    linear, normals = matrix[:3, :3], arrays["normals"]
+    if abs(np.linalg.det(linear)) > 0:
+        normals = normals @ np.linalg.inv(linear)
     normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-30)
     placed = arrays | {"corners": arrays["corners"] @ linear.T + matrix[:3, 3], "normals": normals}
     if np.linalg.det(linear) < 0:  # mirrored: corners in the order that fits the normals
@@ -178,23 +180,6 @@ def _placed(arrays: Arrays, matrix: np.ndarray, holdout: bool) -> Arrays:
             name: values[:, [0, 2, 1]] if values.ndim == 3 else values for name, values in placed.items()
         }
     return placed | {"holdout": np.full(len(placed["corners"]), holdout)}
-
-
-def _joined(parts: list[Arrays], textures: tuple[Texture, ...]) -> Triangles:
-    shapes = {"corners": (0, 3, 3), "normals": (0, 3, 3), "colors": (0, 3, 3), "uvs": (0, 3, 2)}
-    floats = {
-        name: (
-            np.concatenate([np.empty(shape, np.float32), *(part[name] for part in parts)]).astype(np.float32)
-        )
-        for name, shape in shapes.items()
-    }
-    texture = np.concatenate([np.empty(0, np.int32), *(part["texture"] for part in parts)])
-    return Triangles(
-        **floats,
-        texture=texture,
-        holdout=np.concatenate([np.empty(0, bool), *(part["holdout"] for part in parts)]),
-        textures=textures,
-    )
 
 
 def _get(items, name: str, width: int, dtype=np.float32) -> np.ndarray:
