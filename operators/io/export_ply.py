@@ -23,7 +23,6 @@ from ...svrgs_addon.files.registry import (
     suffixes,
     write_scene,
 )
-from ...svrgs_addon.native import library
 from ...svrgs_addon.native.rasterizer import Rasterizer
 from ...svrgs_addon.prune.likeness import Likeness
 from ...svrgs_addon.prune.seen import fewer_bands, seen_from
@@ -34,7 +33,7 @@ from ..data import quick_order, splat_object, visible_splats
 from ..data.file_kinds import KINDS, default_kind, format_of
 from ..data.native_check import native_problem
 from ..data.option_properties import sh_degree_property
-from ..data.preferences import threads
+from ..data.preferences import use_threads
 from ..data.reporting import BackgroundOperator, Steps
 from ..data.splat_size import size_in
 from ..jobs import job_result
@@ -169,7 +168,7 @@ class SVRGS_OT_export_ply(BackgroundOperator, ExportHelper, ExportSpace):
         coordinates."""
         if native_problem():
             return [], []
-        library.set_threads(threads(context))
+        use_threads(context)
         deciding, held_out = imported_cameras(context, obj)
         return self.in_space(obj, deciding if self.by_views else []), self.in_space(obj, held_out)
 

@@ -8,7 +8,6 @@ from bpy.app.translations import pgettext_iface as tr
 from bpy.props import EnumProperty
 
 from ...svrgs_addon.finetune.scores import contribution
-from ...svrgs_addon.native import library
 from ...svrgs_addon.native.rasterizer import Rasterizer
 from ...svrgs_addon.prune.selection.measure import RANK, VIEW, measured, summary
 from ...svrgs_addon.render.metrics.evaluate import render_options
@@ -16,7 +15,7 @@ from ...svrgs_addon.scene.camera import Camera
 from ...svrgs_addon.scene.gaussians import Scene
 from ...svrgs_addon.system.errors import SceneError
 from ..data import camera_object, edit_guard, splat_object, visible_splats
-from ..data.preferences import threads
+from ..data.preferences import use_threads
 from ..data.reporting import ReportingOperator
 
 ATTRIBUTE = "contribution"
@@ -48,7 +47,7 @@ class CamerasOperator(ReportingOperator):
         return edit_guard.problem(context, context.object)
 
     def work(self, context) -> str:
-        library.set_threads(threads(context))
+        use_threads(context)
         obj = context.object
         placed = visible_splats.placed([(splat_object.scene_from_object(obj), obj.matrix_world.copy())])
         cameras = views(context, chosen_cameras(context, self.cameras), placed, self.longest)

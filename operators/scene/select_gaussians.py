@@ -11,12 +11,11 @@ import bpy
 from bpy.app.translations import pgettext_iface as tr
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, FloatVectorProperty, StringProperty
 
-from ...svrgs_addon.native import library
 from ...svrgs_addon.prune.belonging import MIN_SEEN, Seen, percent, seen_of
 from ...svrgs_addon.prune.selection.options import Criteria
 from ...svrgs_addon.system.errors import SceneError
 from ..data import edit_guard, quick_order, selection, splat_object
-from ..data.preferences import threads
+from ..data.preferences import use_threads
 from ..data.reporting import ReportingOperator
 from ..translation import OWN
 from .contribution import cameras_property, chosen_cameras, views
@@ -158,7 +157,7 @@ class SVRGS_OT_select_gaussians(SplatOperator):
 
     def work(self, context) -> str:
         obj = context.object
-        library.set_threads(threads(context))
+        use_threads(context)
         seen: list[Seen] = []
         if self.criterion == "EDIT_MODE":
             mask = selection.found_in_edit_mode(obj)

@@ -12,7 +12,6 @@ from bpy.app.translations import pgettext_iface as tr
 from ...svrgs_addon.files.images import to_bytes
 from ...svrgs_addon.files.registry import file_size
 from ...svrgs_addon.jobs.lpips_child import lpips_in_child
-from ...svrgs_addon.native import library
 from ...svrgs_addon.native.rasterizer import Rasterizer
 from ...svrgs_addon.prune.report.pictures import contact_sheet, difference_image, wipe
 from ...svrgs_addon.render.metrics import psnr
@@ -23,7 +22,7 @@ from ...svrgs_addon.scene.gaussians import Scene
 from ...svrgs_addon.system.errors import SceneError
 from ...svrgs_addon.views.valid_pixels import BACKGROUND
 from ..data import background_work, camera_object, grading, image_pixels, splat_object, visible_splats
-from ..data.preferences import threads
+from ..data.preferences import use_threads
 from ..data.reporting import ReportingOperator
 from ..jobs import job_result
 from ..scene import photographs
@@ -47,7 +46,7 @@ class ComparedSplats:
         places = (obj.matrix_world.copy() for obj in (original, pruned))
         self.placed = [visible_splats.placed([part]) for part in zip(self.scenes, places, strict=True)]
         self.rasterizer = Rasterizer()
-        library.set_threads(threads(context))
+        use_threads(context)
 
     def render(self, camera: Camera, background) -> tuple:
         """(original, pruned): images (H, W, 3) in display sRGB, rounded to 8 bits; camera: in Blender's

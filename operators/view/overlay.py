@@ -18,7 +18,6 @@ from typing import Any
 import bpy
 import gpu
 
-from ...svrgs_addon.native import library
 from ...svrgs_addon.native.rasterizer import Rasterizer
 from ...svrgs_addon.render.live_view import LiveView, Picture
 from ...svrgs_addon.render.painting import highlighted, painted
@@ -29,7 +28,7 @@ from ...svrgs_addon.scene.gaussians import Scene
 from ...svrgs_addon.system.errors import NativeError, SplatError
 from ...svrgs_addon.views.lens import depth_of_projection
 from ..data import gpu_drawing, splat_object, visible_splats
-from ..data.preferences import threads
+from ..data.preferences import use_threads
 from ..data.selection import SELECTED
 from . import viewport_wipe
 from .viewport import redraw
@@ -127,7 +126,7 @@ class Overlay:
                 gpu_drawing.scene_depth(context.region.width, context.region.height) if self.clouds else None
             )
             if depth is not None:
-                library.set_threads(threads(context))
+                use_threads(context)
                 for side in sides:
                     self.draw_cloud(
                         context,

@@ -16,7 +16,6 @@ from functools import partial
 import bpy
 from bpy.app.translations import pgettext_iface as tr
 
-from ...svrgs_addon.native import library
 from ...svrgs_addon.native.rasterizer import Rasterizer
 from ...svrgs_addon.render.composite import composite, composite_while, split
 from ...svrgs_addon.render.panorama import composite_view
@@ -24,7 +23,7 @@ from ...svrgs_addon.render.passes import BEHIND, PASSES, blank, passes
 from ...svrgs_addon.system.errors import NativeError, SceneError, SplatError
 from ..data import camera_object, image_pixels, known, mesh_triangles, panorama, visible_splats
 from ..data.image_pixels import working_space
-from ..data.preferences import threads
+from ..data.preferences import use_threads
 from .viewport import Viewport
 
 
@@ -59,7 +58,7 @@ class SVRGS_engine(bpy.types.RenderEngine):
                 raise SceneError(
                     tr("splats are rendered by one camera at a time: switch Stereoscopy off in Output")
                 )
-            library.set_threads(threads(bpy.context))
+            use_threads(bpy.context)
             whole = self.picture(depsgraph)
             layers |= {name: pixels[rows, columns] for name, pixels in (whole or {}).items()}
         except (SplatError, NativeError) as error:

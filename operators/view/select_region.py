@@ -15,10 +15,9 @@ from bpy.app.translations import pgettext_iface as tr
 from bpy.props import BoolProperty, CollectionProperty, EnumProperty
 from gpu_extras.batch import batch_for_shader
 
-from ...svrgs_addon.native import library
 from ...svrgs_addon.system.errors import SceneError, SplatError
 from ..data import select_in_view, splat_object, visible_splats
-from ..data.preferences import threads
+from ..data.preferences import use_threads
 from ..scene.select_gaussians import MODES, SplatOperator, changed
 from ..translation import OWN
 from . import scene_cache
@@ -135,7 +134,7 @@ def _seen(context) -> tuple:
     scene's Gaussians in the object. Raises SplatError."""
     if context.region is None or context.region_data is None:
         raise SceneError(tr("Gaussians are selected in a 3D viewport: use the tool there"))
-    library.set_threads(threads(context))
+    use_threads(context)
     scene, rows = scene_cache.read_own(context.object)
     camera = visible_splats.region_camera(context.region, context.region_data)
     return scene, context.object.matrix_world, camera, rows

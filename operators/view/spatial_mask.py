@@ -9,13 +9,12 @@ import time
 import bpy
 from bpy.app.translations import pgettext_iface as tr
 
-from ...svrgs_addon.native import library
 from ...svrgs_addon.native.rasterizer import Rasterizer, RenderOptions
 from ...svrgs_addon.prune.report.pictures import with_color_bar
 from ...svrgs_addon.render import color_maps
 from ...svrgs_addon.system.errors import NativeError, SceneError, SplatError
 from ..data import background_work, camera_object, image_pixels, known, visible_splats
-from ..data.preferences import threads
+from ..data.preferences import use_threads
 from ..data.reporting import ReportingOperator
 from . import scene_cache
 
@@ -40,7 +39,7 @@ def refresh(context: bpy.types.Context) -> dict:
     camera = placed.seen_by(
         view.resized(max(1, round(view.width * scale)), max(1, round(view.height * scale)))
     )
-    library.set_threads(threads(context))
+    use_threads(context)
     if not _rasterizer:
         _rasterizer.append(Rasterizer())
     options = RenderOptions(antialiased=placed.scene.antialiased, mask_kind="svr", picture_only=True)

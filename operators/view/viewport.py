@@ -14,7 +14,6 @@ import bpy
 import gpu
 from bpy.app.translations import pgettext_iface as tr
 
-from ...svrgs_addon.native import library
 from ...svrgs_addon.render.composite import composite
 from ...svrgs_addon.render.live_view import LiveView, Picture
 from ...svrgs_addon.render.meshes import Triangles
@@ -24,7 +23,7 @@ from ...svrgs_addon.system.errors import NativeError, SplatError
 from ...svrgs_addon.views.lens import step_back
 from ..data import gpu_drawing, mesh_triangles, visible_splats
 from ..data.image_pixels import working_space
-from ..data.preferences import threads
+from ..data.preferences import use_threads
 from . import scene_cache, viewport_wipe
 
 REFRESH = 0.05  # seconds between two redraws while a better picture is on its way
@@ -160,7 +159,7 @@ class Viewport:
         if not self.shown or self.triangles is None:
             return self.problem or tr("there is no visible splat: import one")
         try:
-            library.set_threads(threads(context))
+            use_threads(context)
             sides = viewport_wipe.sides(context.scene, self.shown)
             for closed in self.panes.keys() - {side.name for side in sides}:
                 self.panes.pop(closed).live.close()
