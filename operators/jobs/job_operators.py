@@ -34,7 +34,9 @@ class JobOperator(ReportingOperator):
     A panel draws it only where job_state allows it. So there is no poll, which would not know the folder.
     """
 
+    bl_options = set()
     action = ""  # its name in job_state.State.actions
+    refused = ""  # what is said of a job that does not allow it
     folder: bpy.props.StringProperty(
         name="Folder", options={"HIDDEN", "SKIP_SAVE"}, description="Folder of the job"
     )
@@ -47,6 +49,9 @@ class JobOperator(ReportingOperator):
             return self.work_on(context, owner, job)
         finally:
             job_list.forget()
+
+    def refusal(self, job: Job) -> str:
+        return tr(self.refused).format(name=job.name)
 
     def chosen(self, context) -> tuple[bpy.types.Object | None, Job]:
         """(the splat or the root of the job if it is in the file, the job). Raises SplatError."""
@@ -95,15 +100,12 @@ class SVRGS_OT_job_stop(JobOperator):
 
 
 class SVRGS_OT_job_run_now(JobOperator):
-    action = "run_now"
+    action, refused = "run_now", n_("'{name}' does not wait for another job")
     bl_idname = "svrgs.job_run_now"
     bl_label = "Run Now"
     bl_description = (
         "Run this job next: the one that it waits for saves a checkpoint, stops, and goes on after it"
     )
-
-    def refusal(self, job: Job) -> str:
-        return tr("'{name}' does not wait for another job").format(name=job.name)
 
     def work_on(self, context, owner: bpy.types.Object | None, job: Job) -> str:
         job_queue.run_now(job)
@@ -111,13 +113,10 @@ class SVRGS_OT_job_run_now(JobOperator):
 
 
 class SVRGS_OT_job_resume(JobOperator):
-    action = "resume"
+    action, refused = "resume", n_("'{name}' does not wait to be resumed")
     bl_idname = "svrgs.job_resume"
     bl_label = "Resume"
     bl_description = "Continue the job from its last checkpoint. While another job runs, it waits"
-
-    def refusal(self, job: Job) -> str:
-        return tr("'{name}' does not wait to be resumed").format(name=job.name)
 
     def work_on(self, context, owner: bpy.types.Object | None, job: Job) -> str:
         dataset = job.folder.request()["options"].get("data", "")
@@ -140,7 +139,7 @@ class SVRGS_OT_job_resume(JobOperator):
 
 
 class SVRGS_OT_job_load(JobOperator):
-    action = "load"
+    action, refused = "load", n_("'{name}' has no result yet")
     bl_idname = "svrgs.job_load"
     bl_label = "Load Result"
     bl_description = (
@@ -148,9 +147,6 @@ class SVRGS_OT_job_load(JobOperator):
         " training: beside its cameras"
     )
     bl_options = {"REGISTER", "UNDO"}
-
-    def refusal(self, job: Job) -> str:
-        return tr("'{name}' has no result yet").format(name=job.name)
 
     def work_on(self, context, owner: bpy.types.Object | None, job: Job) -> str:
         if problem := edit_guard.problem(context, owner):
@@ -169,21 +165,20 @@ class SVRGS_OT_job_load(JobOperator):
 class ConfirmedDeletion(ReportingOperator):
     """Asks before it deletes."""
 
+    bl_options = set()
+
     def invoke(self, context, event):
         return context.window_manager.invoke_confirm(self, event)
 
 
 class SVRGS_OT_job_discard(JobOperator, ConfirmedDeletion):
-    action = "discard"
+    action, refused = "discard", n_("'{name}' runs or waits: stop it first")
     bl_idname = "svrgs.job_discard"
     bl_label = "Discard"
     bl_description = (
         "Delete the job's files: what it has learned, and its result if it has ended. Splat and cameras stay."
         " This cannot be undone"
     )
-
-    def refusal(self, job: Job) -> str:
-        return tr("'{name}' runs or waits: stop it first").format(name=job.name)
 
     def work_on(self, context, owner: bpy.types.Object | None, job: Job) -> str:
         delete_job(job)
