@@ -19,7 +19,9 @@ Steps = Generator[Callable[[], Any], Any, str]
 
 class ReportingOperator(bpy.types.Operator):
     """An operator whose work() returns what it did, in a sentence, or '' if it has reported that itself. An
-    error is reported as a sentence."""
+    error is reported as a sentence. It is a step of undo, unless it says otherwise."""
+
+    bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
     def problem(cls, context) -> str:

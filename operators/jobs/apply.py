@@ -26,7 +26,6 @@ class SVRGS_OT_apply(ReportingOperator):
         "Keep the Gaussians that are shown and delete the others from the pruned splat. The original stays,"
         " hidden. The files of the job are deleted when the .blend file is saved"
     )
-    bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
     def problem(cls, context) -> str:
@@ -54,7 +53,6 @@ class SVRGS_OT_discard(ReportingOperator):
     bl_idname = "svrgs.discard"
     bl_label = "Discard"
     bl_description = "Delete the original or the pruned splat from the file"
-    bl_options = {"REGISTER", "UNDO"}
 
     what: bpy.props.EnumProperty(
         name="What", description="The splat to delete",

@@ -141,6 +141,7 @@ class SVRGS_OT_estimate(ReportingOperator):
         "Estimate within seconds how many Gaussians would stay, how good the result would be and how long"
         " pruning would take"
     )
+    bl_options = set()
 
     @classmethod
     def problem(cls, context) -> str:

@@ -85,7 +85,7 @@ class SVRGS_OT_job_start(ReportingOperator):
     bl_description = (
         "Prune the active splat in the background with the settings of the panel. The original stays"
     )
-    # with a step of undo: after undo back to it, the splat still knows its job
+    # after undo back to it, the splat still knows its job
     bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
@@ -110,7 +110,6 @@ class SVRGS_OT_prune_again(ReportingOperator):
         "Prune the original once more, to the number of Gaussians that is shown, with the steps that win"
         " quality back. It replaces this result"
     )
-    bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
     def problem(cls, context) -> str:

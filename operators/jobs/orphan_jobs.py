@@ -58,7 +58,6 @@ class SVRGS_OT_adopt_job(ReportingOperator):
         "Give this splat the job that was made of the same Gaussians. Then it can be stopped, resumed or"
         " loaded here"
     )
-    bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
     def problem(cls, context) -> str:

@@ -41,7 +41,6 @@ class SVRGS_OT_prune(JobOptions, ReportingOperator):
         "Remove the Gaussians that the photographs do not need, then recover the quality. Without"
         " photographs, the splat's own pictures take their place. The original stays, hidden"
     )
-    bl_options = {"REGISTER", "UNDO"}
 
     scene: StringProperty(
         name="Scene",

@@ -76,7 +76,6 @@ class SVRGS_OT_train(ReportingOperator):
         "Train a splat in the background from the photographs and the sparse points of the imported cameras."
         " It is placed with the cameras"
     )
-    bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
     def problem(cls, context) -> str:

@@ -12,7 +12,6 @@ class SVRGS_OT_apply_grade(SplatOperator):
     bl_idname = "svrgs.apply_grade"
     bl_label = "Apply Color"
     bl_description = "Give the Gaussians of the active splat the colours and opacities that are seen"
-    bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
     def problem_of(cls, context, obj) -> str:

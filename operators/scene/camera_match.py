@@ -99,7 +99,6 @@ class SVRGS_OT_use_cameras(ReportingOperator):
     bl_idname = "svrgs.use_cameras"
     bl_label = "Use Cameras"
     bl_description = "Join the selected splats to these cameras, in the coordinates of their dataset"
-    bl_options = {"REGISTER", "UNDO"}
 
     root: StringProperty(
         name="Cameras", description="Name of the empty above the cameras", options={"HIDDEN"}
@@ -135,7 +134,6 @@ class SVRGS_OT_part_from_cameras(ReportingOperator):
         "Take the selected splats away from their cameras, for instance because those belong to another"
         " capture"
     )
-    bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
     def problem(cls, context) -> str:

@@ -73,7 +73,6 @@ class SVRGS_OT_contribution(CamerasOperator):
         "Sum for each Gaussian what it adds to the images of the cameras, and store it as the attribute"
         " 'contribution'"
     )
-    bl_options = {"REGISTER", "UNDO"}
 
     def measure(self, context, scene, cameras):
         sums, _, hits = contribution(scene, cameras, Rasterizer(), render_options(scene))
@@ -89,7 +88,6 @@ class SVRGS_OT_removal_error(CamerasOperator):
         "Measure for each Gaussian how much the images of the cameras need it, by how many of them that is"
         " decided, and how sure its rank is; stored as attributes"
     )
-    bl_options = {"REGISTER", "UNDO"}
 
     longest = 2 * LONGER_SIDE  # they are halved, as pruning does
 

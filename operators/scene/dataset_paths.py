@@ -172,7 +172,6 @@ class SVRGS_OT_find_dataset(FolderOperator):
         "Choose the folder in which the dataset of these cameras is now. Their photographs are found again by"
         " their file names"
     )
-    bl_options = {"REGISTER", "UNDO"}
 
     directory: StringProperty(
         name="Dataset",

@@ -25,6 +25,7 @@ class SVRGS_OT_frame(ReportingOperator):
         "Show the active splat in the 3D viewports, as in its photograph if it has cameras. Gaussians far"
         " outside are not counted"
     )
+    bl_options = set()
 
     @classmethod
     def problem(cls, context) -> str:

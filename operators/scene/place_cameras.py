@@ -37,7 +37,6 @@ class SVRGS_OT_place_cameras(ReportingOperator):
         " change. With Only This File's as Views, a job uses what you leave of them. They replace those that"
         " were placed for this splat before"
     )
-    bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
     def problem(cls, context) -> str:

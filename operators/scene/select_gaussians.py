@@ -93,7 +93,6 @@ class SVRGS_OT_select_gaussians(SplatOperator):
         "Select Gaussians of the active splat by a criterion. The selection is stored as the attribute"
         " 'svrgs:selected'"
     )
-    bl_options = {"REGISTER", "UNDO"}
 
     criterion: EnumProperty(
         name="Criterion",
@@ -218,7 +217,6 @@ class SVRGS_OT_delete_gaussians(SplatOperator):
     bl_idname = "svrgs.delete_gaussians"
     bl_label = "Delete Gaussians"
     bl_description = "Delete the selected Gaussians of the active splat, or all others"
-    bl_options = {"REGISTER", "UNDO"}
 
     what: EnumProperty(
         name="What", description="The Gaussians to delete",
@@ -249,7 +247,6 @@ class SVRGS_OT_hide_gaussians(SplatOperator):
         "Hide the selected Gaussians of the active splat: no view, picture or file shows them. Pruning takes"
         " them along"
     )
-    bl_options = {"REGISTER", "UNDO"}
 
     problem_of = SVRGS_OT_delete_gaussians.problem_of
 
@@ -263,7 +260,6 @@ class SVRGS_OT_show_gaussians(SplatOperator):
     bl_idname = "svrgs.show_gaussians"
     bl_label = "Show Hidden"
     bl_description = "Show the Gaussians of the active splat that were hidden"
-    bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
     def problem_of(cls, context, obj: bpy.types.Object) -> str:
@@ -281,7 +277,6 @@ class SVRGS_OT_separate_gaussians(SplatOperator):
     bl_idname = "svrgs.separate_gaussians"
     bl_label = "Separate Gaussians"
     bl_description = "Make the selected Gaussians of the active splat a splat of their own, in the same place"
-    bl_options = {"REGISTER", "UNDO"}
 
     problem_of = SVRGS_OT_delete_gaussians.problem_of
 
@@ -299,7 +294,6 @@ class SVRGS_OT_change_selection(SplatOperator):
     bl_idname = "svrgs.change_selection"
     bl_label = "Change Selection"
     bl_description = "Invert, grow or shrink the selection of the active splat"
-    bl_options = {"REGISTER", "UNDO"}
 
     how: EnumProperty(
         name="How",
@@ -321,7 +315,6 @@ class SVRGS_OT_clear_selection(SplatOperator):
     bl_idname = "svrgs.clear_selection"
     bl_label = "Clear Selection"
     bl_description = "Select no Gaussian of the active splat"
-    bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
     def problem_of(cls, context, obj: bpy.types.Object) -> str:

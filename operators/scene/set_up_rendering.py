@@ -21,7 +21,6 @@ class SVRGS_OT_set_up_rendering(ReportingOperator):
         "Render with the engine SVR-GS, in the colours of the training and with the resolution of the"
         " camera's photograph"
     )
-    bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
     def problem(cls, context) -> str:
@@ -53,7 +52,6 @@ class SVRGS_OT_set_up_compositing(ReportingOperator):
         "Render meshes with EEVEE or Cycles and splats with SVR-GS, and put both together by depth. Adds a"
         " scene for the splats and compositing nodes. The film becomes transparent"
     )
-    bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
     def problem(cls, context) -> str:

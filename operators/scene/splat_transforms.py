@@ -59,7 +59,6 @@ class SVRGS_OT_apply_transforms(SplatsOperator):
         "Write location, rotation and scale of the selected splats into positions, shapes and view-dependent"
         " colours. Nothing seems to move"
     )
-    bl_options = {"REGISTER", "UNDO"}
 
     def work(self, context) -> str:
         splats = selected_splats(context)
@@ -83,7 +82,6 @@ class SVRGS_OT_join_splats(SplatsOperator):
         "Join the selected splats into the active one. Positions, shapes and view-dependent colours keep"
         " their places in the scene"
     )
-    bl_options = {"REGISTER", "UNDO"}
     least, too_few = 2, n_("Select two Gaussian splats or more")
 
     def work(self, context) -> str:
@@ -121,7 +119,6 @@ class SVRGS_OT_write_shapes(SplatsOperator):
         "Blender's Apply or Join has moved the points of this splat and not its shapes. SVR-GS draws, prunes"
         " and exports the right shapes; this stores them, for Geometry Nodes and other add-ons"
     )
-    bl_options = {"REGISTER", "UNDO"}
 
     def work(self, context) -> str:
         splats = selected_splats(context)
