@@ -1,6 +1,5 @@
 """Color: the grade of the active splat, below the panel Scene."""
 
-import bpy
 from bpy.app.translations import pgettext_iface as tr
 
 from ..operators.data import grading
@@ -8,7 +7,7 @@ from ..operators.data.splat_object import is_splat
 from .sidebar import SidebarPanel, split_column, wrapped_label
 
 
-class SVRGS_PT_color(SidebarPanel, bpy.types.Panel):
+class SVRGS_PT_color(SidebarPanel):
     bl_label = "Color"
     manual = "blender.html#color"
     bl_parent_id = "SVRGS_PT_scene"

@@ -40,7 +40,7 @@ def draw(layout, context):
         table(layout, figures)
 
 
-class SVRGS_PT_compare_image(SidebarPanel, bpy.types.Panel):
+class SVRGS_PT_compare_image(SidebarPanel):
     bl_label = "Compare"
     manual = "blender.html#compare"
     bl_space_type = "IMAGE_EDITOR"

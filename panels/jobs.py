@@ -3,7 +3,6 @@ finished. One line on what runs, or how it ended, is in the title and in the hea
 
 from __future__ import annotations
 
-import bpy
 from bpy.app.translations import pgettext_n as n_
 
 from ..operators.jobs import job_list, job_pictures, job_state, prune_state
@@ -18,7 +17,7 @@ BUTTONS = {  # action -> operator, icon
 }
 
 
-class SVRGS_PT_jobs(SidebarPanel, bpy.types.Panel):
+class SVRGS_PT_jobs(SidebarPanel):
     bl_label = "Jobs"
     bl_order = 5
     bl_options = {"DEFAULT_CLOSED"}

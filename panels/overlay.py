@@ -1,11 +1,9 @@
 """View: settings of drawing splats in Solid and Material Preview viewports."""
 
-import bpy
-
 from .sidebar import SidebarPanel, native_library_works
 
 
-class SVRGS_PT_overlay(SidebarPanel, bpy.types.Panel):
+class SVRGS_PT_overlay(SidebarPanel):
     bl_label = "View"
     manual = "blender.html#in-the-view-and-in-renders"
     bl_options = {"DEFAULT_CLOSED"}

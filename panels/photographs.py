@@ -31,7 +31,7 @@ class SVRGS_UL_photographs(bpy.types.UIList):
         return flags, ranks
 
 
-class SVRGS_PT_photographs(SidebarPanel, bpy.types.Panel):
+class SVRGS_PT_photographs(SidebarPanel):
     bl_label = "Photographs"
     manual = "blender.html#scene"
     bl_parent_id = "SVRGS_PT_scene"

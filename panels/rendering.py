@@ -8,7 +8,7 @@ from ..operators.scene import splat_layer
 from .sidebar import SidebarPanel, wrapped_label
 
 
-class SVRGS_PT_rendering(SidebarPanel, bpy.types.Panel):
+class SVRGS_PT_rendering(SidebarPanel):
     bl_label = "Render"
     manual = "rendering.html"
     bl_order = 6

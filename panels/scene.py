@@ -1,6 +1,5 @@
 """Import of splats and cameras, and what the active splat is."""
 
-import bpy
 from bpy.app.translations import pgettext_iface as tr
 
 from ..operators.data import visible_splats
@@ -15,7 +14,7 @@ from .sidebar import SidebarPanel, wrapped_label
 ROOTS = 3  # sets of cameras that are offered
 
 
-class SVRGS_PT_scene(SidebarPanel, bpy.types.Panel):
+class SVRGS_PT_scene(SidebarPanel):
     bl_label = "Scene"
     manual = "blender.html#scene"
 

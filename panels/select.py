@@ -1,6 +1,5 @@
 """Selecting Gaussians: below the panel Scene."""
 
-import bpy
 from bpy.app.translations import pgettext_iface as tr
 
 from ..operators.data import selection
@@ -16,7 +15,7 @@ TOOLS = {
 CHANGES = {"GROW": "ADD", "SHRINK": "REMOVE", "INVERT": "SELECT_DIFFERENCE"}
 
 
-class SVRGS_PT_select(SidebarPanel, bpy.types.Panel):
+class SVRGS_PT_select(SidebarPanel):
     bl_label = "Select"
     manual = "selection.html#in-blender"
     bl_parent_id = "SVRGS_PT_scene"

@@ -15,8 +15,7 @@ MARKS = "、。，：；！？）》”"  # punctuation that begins no line
 PIECES = re.compile(f"\\s*(?:[{WIDE}][{MARKS}]*|[^\\s{WIDE}]+)")
 
 
-class SidebarPanel:  # the base of Panel classes, which have a layout
-    layout: bpy.types.UILayout
+class SidebarPanel(bpy.types.Panel):
     bl_space_type = "VIEW_3D"
     bl_region_type = "UI"
     bl_category = "SVR-GS"

@@ -37,18 +37,18 @@ class SpatialMaskPanel(SidebarPanel):
             column.prop(settings, name)
 
 
-class SVRGS_PT_spatial_mask(SpatialMaskPanel, bpy.types.Panel):
+class SVRGS_PT_spatial_mask(SpatialMaskPanel):
     bl_options = {"DEFAULT_CLOSED"}
     bl_order = 10
 
     def draw(self, context):
-        SpatialMaskPanel.draw(self, context)
+        super().draw(context)
         if not native_problem():
             self.layout.operator("svrgs.contribution", icon="MOD_VERTEX_WEIGHT")
             self.layout.operator("svrgs.removal_error", icon="SORT_DESC")
 
 
-class SVRGS_PT_spatial_mask_image(SpatialMaskPanel, bpy.types.Panel):
+class SVRGS_PT_spatial_mask_image(SpatialMaskPanel):
     bl_space_type = "IMAGE_EDITOR"
 
 

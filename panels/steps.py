@@ -1,7 +1,6 @@
 """The steps: Train, Prune, Compare, Export, one of which is open (operators/jobs/steps.py). Each is a module
 with has_something(context), whether there is something to do, and draw(layout, context)."""
 
-import bpy
 from bpy.app.translations import pgettext_n as n_
 
 from . import compare, export, prune, train
@@ -15,7 +14,7 @@ STEPS = (
 )
 
 
-class SVRGS_PT_steps(SidebarPanel, bpy.types.Panel):
+class SVRGS_PT_steps(SidebarPanel):
     bl_label = "Steps"
     bl_order = 1
 
