@@ -13,17 +13,7 @@ import bpy
 from bpy.app.translations import pgettext_iface as tr
 
 from ...svrgs_addon.files.registry import FORMATS, write_scene
-from ...svrgs_addon.jobs.farm.farm_job import (
-    CAPTURES,
-    INSIDE,
-    OWN,
-    FarmJob,
-    Task,
-    common_folder,
-    refuse_folder,
-    refuse_same_names,
-    relative,
-)
+from ...svrgs_addon.jobs.farm import farm_job
 from ...svrgs_addon.jobs.job_folder import CAMERAS
 from ...svrgs_addon.system import subprocess_python
 from ...svrgs_addon.system.errors import SceneError
@@ -60,14 +50,15 @@ class SVRGS_OT_export_farm_job(FolderOperator):
 
     def work(self, context) -> str:
         folder = Path(bpy.path.abspath(self.directory))
-        refuse_folder(folder)
+        farm_job.refuse_folder(folder)
         if context.scene.svrgs_prune.use_time:
             raise SceneError(
                 tr("A time limit is for one machine: switch it off under Advanced, and set the steps")
             )
+        splats = selected_splats(context)
         # before one is written over another
-        refuse_same_names([bpy.path.clean_name(obj.name) for obj in selected_splats(context)])
-        tasks = [_task(context, obj, folder / CAPTURES) for obj in selected_splats(context)]
+        farm_job.refuse_same_names([bpy.path.clean_name(obj.name) for obj in splats])
+        tasks = [_task(context, obj, folder / farm_job.CAPTURES) for obj in splats]
         _job(folder, tasks).write()
         _lines[:] = [tr("Exporting a farm job to {folder} …").format(folder=folder)]
         # a child process reads the datasets, to know what a task needs
@@ -77,7 +68,7 @@ class SVRGS_OT_export_farm_job(FolderOperator):
         return "; ".join(_lines)
 
 
-def _task(context, obj: bpy.types.Object, captures: Path) -> Task:
+def _task(context, obj: bpy.types.Object, captures: Path) -> farm_job.Task:
     """Writes the splat, and the cameras of the file that count, into the folder. Returns the task that prunes
     it."""
     name = bpy.path.clean_name(obj.name)
@@ -88,22 +79,22 @@ def _task(context, obj: bpy.types.Object, captures: Path) -> Task:
     write_scene(captures / splat, splat_object.scene_from_object(obj))
     if cameras:
         write_cameras_json(captures / beside, cameras)
-        options["cameras"] = f"{OWN}{CAPTURES}/{beside}"
-    return Task(name, f"{OWN}{CAPTURES}/{splat}", options)
+        options["cameras"] = f"{farm_job.OWN}{farm_job.CAPTURES}/{beside}"
+    return farm_job.Task(name, f"{farm_job.OWN}{farm_job.CAPTURES}/{splat}", options)
 
 
-def _job(folder: Path, tasks: list[Task]) -> FarmJob:
+def _job(folder: Path, tasks: list[farm_job.Task]) -> farm_job.FarmJob:
     """The job, with datasets relative to the folder that holds all of them: that of a worker may have another
     name."""
-    root = (
-        common_folder([Path(task.options["data"]) for task in tasks if task.options.get("data")])
-        or folder / CAPTURES
-    )
-    return FarmJob(folder, root, tuple(replace(task, options=_within(root, task.options)) for task in tasks))
+    datasets = [Path(task.options["data"]) for task in tasks if task.options.get("data")]
+    root = farm_job.common_folder(datasets) or folder / farm_job.CAPTURES
 
+    def within(options: dict[str, Any]) -> dict[str, Any]:
+        paths = [name for name in farm_job.INSIDE if options.get(name)]
+        return options | {name: farm_job.relative(root, Path(options[name])) for name in paths}
 
-def _within(root: Path, options: dict[str, Any]) -> dict[str, Any]:
-    return options | {name: relative(root, Path(options[name])) for name in INSIDE if options.get(name)}
+    placed = tuple(replace(task, options=within(task.options)) for task in tasks)
+    return farm_job.FarmJob(folder, root, placed)
 
 
 def _finished(folder: Path, answer: Future):

@@ -13,16 +13,7 @@ from bpy.app.translations import pgettext_iface as tr
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
 from bpy_extras.io_utils import ExportHelper
 
-from ...svrgs_addon.files.registry import (
-    USUAL,
-    format_to_write,
-    left_out,
-    menu_label,
-    read_back,
-    split_name,
-    suffixes,
-    write_scene,
-)
+from ...svrgs_addon.files import registry
 from ...svrgs_addon.native.rasterizer import Rasterizer
 from ...svrgs_addon.prune.likeness import Likeness
 from ...svrgs_addon.prune.seen import fewer_bands, seen_from
@@ -46,12 +37,12 @@ class SVRGS_OT_export_ply(BackgroundOperator, ExportHelper, ExportSpace):
     bl_description = "Write the active splat into a 3DGS file, as it is seen"
     bl_options = {"REGISTER", "PRESET"}
 
-    filename_ext = USUAL.suffixes[0]
+    filename_ext = registry.USUAL.suffixes[0]
     kind: EnumProperty(
         name="Format",
         description="Format of the file. It gives the name its suffix",
         items=KINDS,
-        default=USUAL.name,
+        default=registry.USUAL.name,
     )
     version: EnumProperty(
         name="Version",
@@ -88,7 +79,7 @@ class SVRGS_OT_export_ply(BackgroundOperator, ExportHelper, ExportSpace):
         ),
     )
     filter_glob: StringProperty(
-        default=";".join(f"*{suffix}" for suffix in suffixes(written=True)), options={"HIDDEN"}
+        default=";".join(f"*{suffix}" for suffix in registry.suffixes(written=True)), options={"HIDDEN"}
     )
 
     @classmethod
@@ -108,10 +99,11 @@ class SVRGS_OT_export_ply(BackgroundOperator, ExportHelper, ExportSpace):
         """Gives the name the suffix of the format. Returns whether it had another one."""
         wanted = format_of(self.kind).suffixes[0]
         path = Path(self.filepath)
-        name, suffix = split_name(path)
+        name, suffix = registry.split_name(path)
         if suffix.lower() == wanted:
             return False
-        self.filepath = str(path.with_name((name if suffix.lower() in suffixes() else path.name) + wanted))
+        stem = name if suffix.lower() in registry.suffixes() else path.name
+        self.filepath = str(path.with_name(stem + wanted))
         return True
 
     def draw(self, context):
@@ -148,12 +140,11 @@ class SVRGS_OT_export_ply(BackgroundOperator, ExportHelper, ExportSpace):
         if not path.parent.is_dir():
             raise SceneError(tr("{folder}: there is no such folder").format(folder=path.parent))
         scene, dropped = self.chosen(context, obj)
-        splat_format = format_to_write(path)
+        splat_format = registry.format_to_write(path)
         version = int(self.version) if splat_format.versions else 0
         quantise = self.quantise if splat_format.quantises else 1.0
-        lost = left_out(scene, splat_format)
-        left = [*self.left_out(obj, dropped), *lost]
-        views = self.views(context, obj)
+        lost = registry.left_out(scene, splat_format)
+        left, views = [*self.left_out(obj, dropped), *lost], self.views(context, obj)
         size, psnr = yield partial(written, path, scene, version, quantise, self.sh_degree, *views)
         text = tr("Exported {count:,} Gaussians to {file}, {size:.1f} MB").format(
             count=scene.count, file=path, size=size / 1e6
@@ -185,12 +176,12 @@ def written(
     """Writes the file with SH up to this degree, rounded by the views that decide. Its bytes, and its PSNR in
     dB against the scene in those held out; None: of a file with all values, or without a view that sees the
     scene."""
-    splat_format = format_to_write(path)
+    splat_format = registry.format_to_write(path)
     banded = fewer_bands(scene, min(degree, splat_format.most_degree), deciding)
-    write_scene(path, banded, version, quantise, seen_from(banded, deciding, path))
+    registry.write_scene(path, banded, version, quantise, seen_from(banded, deciding, path))
     likeness, psnr = Likeness(scene, held_out, Rasterizer), None
     if held_out and not (splat_format.lossless and banded is scene) and likeness.views:
-        psnr = likeness.psnr(read_back(path, banded))
+        psnr = likeness.psnr(registry.read_back(path, banded))
     return path.stat().st_size, psnr
 
 
@@ -201,7 +192,7 @@ def default_path(obj: bpy.types.Object) -> Path:
 
 
 def menu(self, context):
-    self.layout.operator(SVRGS_OT_export_ply.bl_idname, text=menu_label(written=True))
+    self.layout.operator(SVRGS_OT_export_ply.bl_idname, text=registry.menu_label(written=True))
 
 
 CLASSES = (SVRGS_OT_export_ply,)

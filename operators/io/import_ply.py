@@ -10,16 +10,7 @@ from bpy.props import BoolProperty, CollectionProperty, StringProperty
 from bpy_extras.io_utils import ImportHelper
 from mathutils import Matrix
 
-from ...svrgs_addon.files.registry import (
-    INDEXES,
-    check_readable,
-    format_to_read,
-    menu_label,
-    read_scene,
-    size_on_disk,
-    split_name,
-    suffixes,
-)
+from ...svrgs_addon.files import registry
 from ...svrgs_addon.files.repair import bake_filter, drop_nonfinite
 from ...svrgs_addon.system.errors import SplatError
 from ..data import splat_object
@@ -37,9 +28,10 @@ class SVRGS_OT_import_ply(ReportingOperator, ImportHelper):
     bl_description = "Import splat files. Each becomes an object of points that keeps every value of its file"
     bl_options = {"REGISTER", "UNDO", "PRESET"}
 
-    filename_ext = suffixes()[0]
+    filename_ext = registry.suffixes()[0]
     filter_glob: StringProperty(
-        default=";".join([*(f"*{suffix}" for suffix in suffixes()), *INDEXES]), options={"HIDDEN"}
+        default=";".join([*(f"*{suffix}" for suffix in registry.suffixes()), *registry.INDEXES]),
+        options={"HIDDEN"},
     )
     directory: StringProperty(subtype="DIR_PATH", options={"HIDDEN", "SKIP_SAVE"})
     files: CollectionProperty(type=bpy.types.OperatorFileListElement, options={"HIDDEN", "SKIP_SAVE"})
@@ -60,19 +52,19 @@ class SVRGS_OT_import_ply(ReportingOperator, ImportHelper):
         objects: list[bpy.types.Object] = []
         for path in paths:
             try:
-                scene, filtered = bake_filter(read_scene(path))
+                scene, filtered = bake_filter(registry.read_scene(path))
                 scene, dropped = drop_nonfinite(scene)
             except SplatError as error:
                 if path == paths[-1] and not objects:
                     raise
                 self.report({"WARNING"}, str(error))
                 continue
-            objects.append(self.add(context, split_name(path)[0], scene))
-            objects[-1][splat_object.FORMAT] = format_to_read(path).name
-            objects[-1][splat_object.BYTES] = float(size_on_disk(path))
+            objects.append(self.add(context, registry.split_name(path)[0], scene))
+            objects[-1][splat_object.FORMAT] = registry.format_to_read(path).name
+            objects[-1][splat_object.BYTES] = float(registry.size_on_disk(path))
             root = splat_object.root_of(objects[-1])
             text = tr("{file}: {count:,} Gaussians")
-            texts.append(text.format(file="".join(split_name(path)), count=scene.count))
+            texts.append(text.format(file="".join(registry.split_name(path)), count=scene.count))
             if dropped:
                 text = tr("{count:,} with values that are not finite were left out")
                 texts.append(text.format(count=dropped))
@@ -108,7 +100,7 @@ class SVRGS_OT_import_ply(ReportingOperator, ImportHelper):
         if self.properties.is_property_set("filepath"):
             try:
                 for path in self.paths():
-                    check_readable(path)
+                    registry.check_readable(path)
             except SplatError as error:
                 self.report({"ERROR"}, str(error))
                 return {"CANCELLED"}
@@ -122,7 +114,7 @@ class SVRGS_FH_ply(bpy.types.FileHandler):
     bl_idname = "SVRGS_FH_ply"
     bl_label = "3D Gaussian Splat"
     bl_import_operator = SVRGS_OT_import_ply.bl_idname
-    bl_file_extensions = ";".join(suffixes())
+    bl_file_extensions = ";".join(registry.suffixes())
 
     @classmethod
     def poll_drop(cls, context):
@@ -130,7 +122,7 @@ class SVRGS_FH_ply(bpy.types.FileHandler):
 
 
 def menu(self, context):
-    self.layout.operator(SVRGS_OT_import_ply.bl_idname, text=menu_label())
+    self.layout.operator(SVRGS_OT_import_ply.bl_idname, text=registry.menu_label())
 
 
 CLASSES = (SVRGS_OT_import_ply, SVRGS_FH_ply)
