@@ -22,11 +22,8 @@ def draw(layout, context):
     wrapped_label(layout, tr("{name}: {size} as PLY").format(name=obj.name, size=size(obj)))
     wrapped_label(layout, of_its_file(obj))
     if marked := marked_count(obj):
-        wrapped_label(
-            layout,
-            tr("{count:,} hidden Gaussians stay out of the file").format(count=marked),
-            "INFO",
-        )
+        text = tr("{count:,} hidden Gaussians stay out of the file")
+        wrapped_label(layout, text.format(count=marked), "INFO")
     layout.operator("svrgs.export_ply", icon="EXPORT")
     layout.operator("svrgs.export_levels", icon="MOD_DECIM")
     layout.operator("svrgs.export_page", icon="WORLD")

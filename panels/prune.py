@@ -4,16 +4,7 @@ next."""
 from __future__ import annotations
 
 from ..operators.data import quick_order
-from ..operators.jobs import (
-    efforts,
-    estimate,
-    goals,
-    job_result,
-    job_watch,
-    orphan_jobs,
-    prune_state,
-    train,
-)  # fmt: skip
+from ..operators.jobs import efforts, estimate, goals, job_result, job_watch, orphan_jobs, prune_state, train
 from ..operators.scene.dataset_paths import dataset_of
 from .jobs import draw_job
 from .sidebar import split_column, wrapped_label

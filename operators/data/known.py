@@ -119,8 +119,4 @@ def forget(*_):
     forget_points()
 
 
-HANDLERS = {
-    "depsgraph_update_post": _after_update,
-    "undo_post": _after_undo,
-    "redo_post": _after_undo,
-}
+HANDLERS = {"depsgraph_update_post": _after_update, "undo_post": _after_undo, "redo_post": _after_undo}

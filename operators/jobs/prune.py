@@ -21,10 +21,7 @@ from ...svrgs_addon.files.registry import format_to_write, read_scene, write_sce
 from ...svrgs_addon.system import subprocess_python
 from ...svrgs_addon.system.errors import SplatError
 from ..data import edit_guard, pairs, splat_object
-from ..data.option_properties import (
-    RELATIVE,
-    option_property,
-)
+from ..data.option_properties import RELATIVE, option_property
 from ..data.preferences import threads
 from ..data.reporting import ReportingOperator
 from ..data.select import select

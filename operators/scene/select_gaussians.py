@@ -295,11 +295,7 @@ class SVRGS_OT_change_selection(SplatOperator):
     bl_label = "Change Selection"
     bl_description = "Invert, grow or shrink the selection of the active splat"
 
-    how: EnumProperty(
-        name="How",
-        description="What becomes of the selection",
-        items=CHANGES,
-    )
+    how: EnumProperty(name="How", description="What becomes of the selection", items=CHANGES)
 
     @classmethod
     def description(cls, context, properties):
