@@ -7,12 +7,10 @@ those of Blender 5.3's own splats (svrgs_addon/scene/attribute_layout.py):
 - The numbers are those of the file. The matrix of the object, or of its root, turns them into Blender's
   coordinates.
 - `scale` and opacity are activated and `rotation` is normalised. The raw values lie in attributes
-  `svrgs:...`; one is used as long as
-  its activation equals the attribute. After an edit, and in splats of Blender's own import, the activation is
-  inverted.
+  `svrgs:...`; one is used as long as its activation equals the attribute. After an edit, and in splats of
+  Blender's own import, the activation is inverted.
 - Each further column of a file is an attribute of its own. Types and order of the columns, and the file's
-  comments, are a property
-  of the data-block.
+  comments, are a property of the data-block.
 """
 
 from __future__ import annotations
@@ -59,22 +57,14 @@ TYPES = ("MESH", "POINTCLOUD")
 BLENDER_HAS_SPLATS = "type" in bpy.types.PointCloud.bl_rna.properties  # from 5.3 on
 # 3DGS files have y down, Blender has z up
 AXES = Matrix(((1, 0, 0, 0), (0, 0, 1, 0), (0, -1, 0, 0), (0, 0, 0, 1)))
-# name of the values; other types: value
-VALUE = {"FLOAT_VECTOR": "vector", "FLOAT2": "vector", "FLOAT4": "vector", "FLOAT_COLOR": "color"}
-# data types that can be copied
-COPIED = (
-    "FLOAT",
-    "INT",
-    "BOOLEAN",
-    "INT8",
-    "FLOAT_VECTOR",
-    "FLOAT_COLOR",
-    "FLOAT4",
-    "QUATERNION",
-    "INT32_2D",
-)
-# numbers per value; other types: 1
-WIDTH = {"FLOAT_VECTOR": 3, "FLOAT_COLOR": 4, "FLOAT4": 4, "QUATERNION": 4, "INT32_2D": 2}
+# data type of an attribute -> name of its values, numbers per value, and their type: with another one
+# foreach_get takes a thousand times as long
+KINDS: dict[str, tuple[str, int, type]] = {
+    "FLOAT": ("value", 1, np.float32), "INT": ("value", 1, np.int32), "INT8": ("value", 1, np.int32),
+    "BOOLEAN": ("value", 1, bool), "FLOAT_VECTOR": ("vector", 3, np.float32),
+    "FLOAT_COLOR": ("color", 4, np.float32), "FLOAT4": ("vector", 4, np.float32),
+    "QUATERNION": ("value", 4, np.float32), "INT32_2D": ("value", 2, np.int32),
+}  # fmt: skip
 
 
 # --- splats
@@ -124,15 +114,19 @@ def scene_from_object(obj: bpy.types.Object) -> Scene:
             tr("'{name}' is not a Gaussian splat").format(name=obj.name) if obj else tr("there is no object")
         )
     with _current_data(obj) as data:
-        numbers = [a.name for a in data.attributes if a.domain == "POINT" and a.data_type == "FLOAT"]
-        return from_attributes(lambda name: _get(data, name), numbers, obj.data.get(NOTES, ""))
+        return from_attributes(lambda name: _get(data, name), _numbers(data), obj.data.get(NOTES, ""))
 
 
 def sample_scene(obj: bpy.types.Object) -> Scene:
     """A scene of one Gaussian with the columns, comments and order of a splat, which is not read: all values
     are 1."""
-    numbers = [a.name for a in obj.data.attributes if a.domain == "POINT" and a.data_type == "FLOAT"]
-    return from_attributes(lambda name: _ones(obj.data, name), numbers, obj.data.get(NOTES, ""))
+    data = obj.data
+    return from_attributes(lambda name: _ones(data, name), _numbers(data), data.get(NOTES, ""))
+
+
+def _numbers(data) -> list[str]:
+    """Names of the attributes that are one number per Gaussian."""
+    return [a.name for a in data.attributes if a.domain == "POINT" and a.data_type == "FLOAT"]
 
 
 def values(obj: bpy.types.Object, name: str) -> np.ndarray | None:
@@ -172,7 +166,7 @@ def further_values(obj: bpy.types.Object) -> list[tuple[str, str, np.ndarray]]:
     kinds = {
         a.name: a.data_type
         for a in obj.data.attributes
-        if a.domain == "POINT" and not a.name.startswith(".") and a.data_type in COPIED
+        if a.domain == "POINT" and not a.name.startswith(".") and a.data_type in KINDS
     }
     return [(name, kind, stored_values(obj, name)) for name, kind in kinds.items()]
 
@@ -297,13 +291,9 @@ def _to_point_cloud(obj: bpy.types.Object):
         layer = temp_scene.view_layers[0]
         layer.objects.active = obj
         obj.select_set(True, view_layer=layer)
-        override = {
-            "active_object": obj,
-            "object": obj,
-            "selected_objects": [obj],
-            "selected_editable_objects": [obj],
-        }
-        with bpy.context.temp_override(scene=temp_scene, view_layer=layer, **override):
+        active = {"active_object": obj, "object": obj}
+        selected = {"selected_objects": [obj], "selected_editable_objects": [obj]}
+        with bpy.context.temp_override(scene=temp_scene, view_layer=layer, **active, **selected):
             bpy.ops.object.convert(target="POINTCLOUD")
         temp_scene.collection.objects.unlink(obj)
     finally:
@@ -311,9 +301,7 @@ def _to_point_cloud(obj: bpy.types.Object):
     obj.data[NOTES] = mesh[NOTES]
     bpy.data.meshes.remove(mesh)
     obj.data.name = name
-    for selection in (".select_vert", ".selection"):
-        if selection in obj.data.attributes:
-            obj.data.attributes.remove(obj.data.attributes[selection])
+    remove_values(obj, ".select_vert", ".selection")
     if BLENDER_HAS_SPLATS:
         obj.data.type = "GAUSSIAN_SPLAT"
 
@@ -322,7 +310,7 @@ def _set(data: bpy.types.Mesh, name: str, kind: str, values: np.ndarray):
     if name == BASE and "FLOAT4" in bpy.types.Attribute.bl_rna.properties["data_type"].enum_items:
         kind = "FLOAT4"
     attribute = data.attributes.get(name) or data.attributes.new(name, kind, "POINT")
-    attribute.data.foreach_set(VALUE.get(kind, "value"), np.ascontiguousarray(values).reshape(-1))
+    attribute.data.foreach_set(KINDS[kind][0], np.ascontiguousarray(values).reshape(-1))
 
 
 def _get(data, name: str) -> np.ndarray | None:
@@ -330,16 +318,10 @@ def _get(data, name: str) -> np.ndarray | None:
     attribute = _attribute(data, name)
     if attribute is None:
         return None
-    kind = attribute.data_type
-    width = WIDTH.get(kind, 1)
-    values: np.ndarray = np.empty(len(attribute.data) * width, _dtype(kind))
-    attribute.data.foreach_get(VALUE.get(kind, "value"), values)
+    name_of_values, width, dtype = KINDS[attribute.data_type]
+    values: np.ndarray = np.empty(len(attribute.data) * width, dtype)
+    attribute.data.foreach_get(name_of_values, values)
     return values.reshape(-1, width) if width > 1 else values
-
-
-def _dtype(kind: str) -> type:
-    """The type of an attribute's values. With another type, foreach_get takes a thousand times as long."""
-    return bool if kind == "BOOLEAN" else np.int32 if kind.startswith("INT") else np.float32
 
 
 def _ones(data, name: str) -> np.ndarray | None:
@@ -347,8 +329,8 @@ def _ones(data, name: str) -> np.ndarray | None:
     attribute = _attribute(data, name)
     if attribute is None:
         return None
-    width = WIDTH.get(attribute.data_type, 1)
-    return np.ones((1, width) if width > 1 else 1, _dtype(attribute.data_type))
+    _, width, dtype = KINDS[attribute.data_type]
+    return np.ones((1, width) if width > 1 else 1, dtype)
 
 
 def _attribute(data, name: str):
@@ -359,12 +341,6 @@ def _attribute(data, name: str):
 # --- places
 
 
-def between(source: bpy.types.Object, target: bpy.types.Object) -> np.ndarray:
-    """(4, 4) float64 from the local coordinates of one object to those of another. Objects in the same place
-    give exactly the identity."""
-    return _relative(target.matrix_world, source.matrix_world)
-
-
 def to_file(obj: bpy.types.Object, matrix: Matrix) -> np.ndarray:
     """(4, 4) float64 from local coordinates to those of the file that the splat was imported from, or of its
     dataset.
@@ -373,7 +349,7 @@ def to_file(obj: bpy.types.Object, matrix: Matrix) -> np.ndarray:
     result; if nothing was moved, it is exactly the identity.
     """
     root = root_of(obj)
-    return _relative(world_matrix(root) if root is not None else _import_matrix(obj), matrix)
+    return relative(world_matrix(root) if root is not None else _import_matrix(obj), matrix)
 
 
 def move_below(obj: bpy.types.Object, root: bpy.types.Object | None):
@@ -425,20 +401,9 @@ def in_file_coordinates(obj: bpy.types.Object):
         replace_gaussians(obj, transformed(scene_from_object(obj), back))
 
 
-def to_world(matrix: Matrix, y_down: bool) -> np.ndarray:
-    """(4, 4) float64 from local coordinates to Blender's world, or to the same world with y down. matrix:
-    from them to Blender's world."""
-    return _relative(AXES if y_down else Matrix(), matrix)
-
-
-def in_local(obj: bpy.types.Object, matrix: Matrix) -> np.ndarray:
-    """(4, 4) float64 from the coordinates of an instance of the object to those of the object. matrix: from
-    them to Blender's world."""
-    return _relative(obj.matrix_world, matrix)
-
-
-def _relative(target: Matrix, source: Matrix) -> np.ndarray:
-    """target⁻¹ · source; the identity where only rounding is between them."""
+def relative(target: Matrix, source: Matrix) -> np.ndarray:
+    """(4, 4) float64: target⁻¹ · source, from the coordinates of one object to those of another, whose
+    matrices to Blender's world these are; exactly the identity where only rounding is between them."""
     matrix = np.linalg.solve(np.array(target, np.float64), np.array(source, np.float64))
     if np.abs(matrix - np.eye(4)).max() < SAME_PLACE * max(1.0, np.abs(matrix[:3, 3]).max()):
         return np.eye(4)

@@ -89,9 +89,8 @@ class ExportSpace:
         """(4, 4) from the object's coordinates to those of the file. matrix: from them to Blender's world."""
         if self.space == "FILE":
             return splat_object.to_file(obj, matrix)
-        if self.space == "WORLD":
-            return splat_object.to_world(matrix, self.y_down)
-        return splat_object.in_local(obj, matrix)
+        world = splat_object.AXES if self.y_down else Matrix()
+        return splat_object.relative(world if self.space == "WORLD" else obj.matrix_world, matrix)
 
     def in_space(self, obj: bpy.types.Object, cameras: list[Camera]) -> list[Camera]:
         """Views in Blender's world, in the coordinates of the file."""

@@ -231,9 +231,8 @@ def shown_gaussians(pruned: bpy.types.Object) -> Scene:
     )
     if not back.any():
         return scene
-    returned = transformed(
-        splat_object.scene_from_object(original).select(back), splat_object.between(original, pruned)
-    )
+    place = splat_object.relative(pruned.matrix_world, original.matrix_world)
+    returned = transformed(splat_object.scene_from_object(original).select(back), place)
     return merged(scene, rows, returned, splat_object.stored_values(original, ROW)[back])
 
 

@@ -98,7 +98,7 @@ class SVRGS_OT_join_splats(SplatsOperator):
             raise SceneError(tr("these splats have different colour settings: use Apply Color first"))
         scenes, hidden = [], [selection.hidden(obj) for obj in splats]
         for obj in splats:
-            matrix = splat_object.between(obj, first)
+            matrix = splat_object.relative(first.matrix_world, obj.matrix_world)
             self.warn_if_stretched(obj, matrix)
             scenes.append(transformed(splat_object.scene_from_object(obj), matrix))
         result = concatenated(scenes, columns=True)

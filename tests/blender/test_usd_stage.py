@@ -44,9 +44,8 @@ def export(path, **words):
 
 def moved(scene, matrix):
     """The scene in Blender's world, as the file has it: y down."""
-    return part("svrgs_addon.scene.affine").transformed(
-        scene, part("operators.data.splat_object").to_world(matrix, True)
-    )
+    objects = part("operators.data.splat_object")
+    return part("svrgs_addon.scene.affine").transformed(scene, objects.relative(objects.AXES, matrix))
 
 
 def same(found, expected):
