@@ -31,14 +31,11 @@ def photographed_view(
     Its eye is a little in front of the camera, so that the camera itself is not in the picture. None if the
     camera shows none of them.
     """
-    camera = camera_object.camera_from_object(obj, scene)
-    parts = list(_points(objects))
-    depth = (
-        bounds.median_depth(camera, *(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
-        if parts
-        else None
-    )
-    if depth is None:
+    camera, parts = camera_object.camera_from_object(obj, scene), list(_points(objects))
+    if not parts:
+        return None
+    points, opacities = map(np.concatenate, zip(*parts, strict=True))
+    if (depth := bounds.median_depth(camera, points, opacities)) is None:
         return None
     forward = Vector(camera.viewmat[2, :3])
     return Vector(camera.position) + depth * forward, NEARER * depth, forward.to_track_quat("-Z", "Y")

@@ -100,13 +100,8 @@ def _image_color(node: bpy.types.Node) -> BaseColor | None:
         for feeding in coordinates
         if feeding.type in ("UVMAP", "ATTRIBUTE")
     ]
-    on_uv = (
-        not vector.is_linked
-        or maps
-        or any(
-            socket.is_linked and socket.name == "UV" for feeding in coordinates for socket in feeding.outputs
-        )
-    )
+    sockets = [socket.name for feeding in coordinates for socket in feeding.outputs if socket.is_linked]
+    on_uv = not vector.is_linked or maps or "UV" in sockets
     if node.projection != "FLAT" or not on_uv:
         return BaseColor(tuple(picture.mean))
     mapping = next((_matrix(feeding) for feeding in coordinates if feeding.type == "MAPPING"), None)
@@ -148,13 +143,8 @@ def _version(image: bpy.types.Image) -> tuple:
     with contextlib.suppress(OSError, ValueError):
         status = os.stat(path)
         file = status.st_mtime_ns, status.st_size
-    return (
-        tuple(image.size),
-        image.colorspace_settings.name,
-        path,
-        file,
-        image.packed_file.size if image.packed_file is not None else 0,
-    )
+    packed = image.packed_file.size if image.packed_file is not None else 0
+    return tuple(image.size), image.colorspace_settings.name, path, file, packed
 
 
 def _read(image: bpy.types.Image, repeat: bool) -> Texture | None:

@@ -44,10 +44,8 @@ class _Read:
         """The triangles of an evaluated object in its own coordinates; None if it has none."""
         if obj.type != "MESH":
             return _triangles(obj, self)
-        key = (
-            obj.data.as_pointer(),
-            *(slot.material.as_pointer() if slot.material else 0 for slot in obj.material_slots),
-        )
+        materials = (slot.material.as_pointer() if slot.material else 0 for slot in obj.material_slots)
+        key = (obj.data.as_pointer(), *materials)
         if key not in self.meshes:
             self.meshes[key] = _triangles(obj, self)
         return self.meshes[key]
@@ -88,13 +86,10 @@ def _is_holdout(instance: bpy.types.DepsgraphObjectInstance, depsgraph: bpy.type
     if instance.object.is_holdout:
         return True
     base = (instance.parent if instance.is_instance else instance.object).original
-    scenes = [depsgraph.scene.original]
-    while scenes[-1].background_set is not None:
-        scenes.append(scenes[-1].background_set.original)
-    layers = [
-        scenes[0].view_layers[depsgraph.view_layer.name],
-        *(scene.view_layers[0] for scene in scenes[1:]),
-    ]
+    scene = depsgraph.scene.original
+    layers = [scene.view_layers[depsgraph.view_layer.name]]
+    while (scene := scene.background_set and scene.background_set.original) is not None:
+        layers.append(scene.view_layers[0])
     return any(base.holdout_get(view_layer=layer) for layer in layers)
 
 
@@ -146,12 +141,8 @@ def _paint(
             ][..., :3]
     if material.texture is None:
         return
-    layers = mesh.uv_layers
-    layer = (
-        layers.get(material.uv_map)
-        if material.uv_map
-        else next((layer for layer in layers if layer.active_render), None)
-    )
+    active = next((layer for layer in mesh.uv_layers if layer.active_render), None)
+    layer = mesh.uv_layers.get(material.uv_map) if material.uv_map else active
     if layer is None:
         arrays["colors"][rows] = material.texture.mean
         return

@@ -65,9 +65,8 @@ def problem(pruned: bpy.types.Object) -> str:
     kept none."""
     folder = _folder(pruned)
     if folder and pruned.modifiers:
-        return tr("Remove the modifiers of '{name}' to show other numbers of Gaussians").format(
-            name=pruned.name
-        )
+        text = tr("Remove the modifiers of '{name}' to show other numbers of Gaussians")
+        return text.format(name=pruned.name)
     if SHOWN in pruned and not folder:
         return tr("the files of the job are gone, so other numbers of Gaussians cannot be shown")
     return known.of(pruned).order_problem if folder else ""
@@ -121,11 +120,8 @@ def _order(pruned: bpy.types.Object) -> SavedOrder:
     means, order = reading.result() if reading else _files(folder)
     motion = common_motion(means, positions) if means.shape == positions.shape else None
     if motion is None:
-        raise SceneError(
-            tr("points of '{name}' were edited, so other numbers of Gaussians cannot be shown").format(
-                name=pruned.name
-            )
-        )
+        text = tr("points of '{name}' were edited, so other numbers of Gaussians cannot be shown")
+        raise SceneError(text.format(name=pruned.name))
     order = order.moved(motion)
     _last.append(_Read(str(folder.path), positions, order))
     return order

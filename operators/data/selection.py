@@ -46,16 +46,13 @@ def find(
     rows = visible_splats.visible_rows(obj)
     seen = grading.applied(splat_object.scene_from_object(obj).select(rows), obj)
     placed = visible_splats.placed([(seen, obj.matrix_world.copy())])
-    matrix = (
-        None
-        if volume is None
-        else np.linalg.solve(volumes.matrix_of(volume), np.array(placed.matrix, np.float64))
-    )
+    matrix = None
+    if volume is not None:
+        matrix = np.linalg.solve(volumes.matrix_of(volume), np.array(placed.matrix, np.float64))
     if wanted.size is not None:
         wanted = Criteria(size=(wanted.size[0] / placed.unit, wanted.size[1] / placed.unit))
-    return splat_object.mask_of(
-        obj, rows[selected(placed.scene, wanted, lambda named: views(placed, named), matrix)]
-    )
+    found = selected(placed.scene, wanted, lambda named: views(placed, named), matrix)
+    return splat_object.mask_of(obj, rows[found])
 
 
 def found_in_edit_mode(obj: bpy.types.Object) -> np.ndarray:
@@ -90,8 +87,13 @@ def change(obj: bpy.types.Object, mask: np.ndarray, mode: str, invert: bool = Fa
 
 def read(obj: bpy.types.Object) -> np.ndarray:
     """(N,) bool: the selection of the splat."""
-    mask = splat_object.values(obj, SELECTED)
-    return np.zeros(splat_object.count(obj), bool) if mask is None else mask.astype(bool)
+    return _marked(obj, SELECTED)
+
+
+def _marked(obj: bpy.types.Object, name: str) -> np.ndarray:
+    """(N,) bool: the Gaussians that an attribute marks; none without it."""
+    values = splat_object.values(obj, name)
+    return np.zeros(splat_object.count(obj), bool) if values is None else values.astype(bool)
 
 
 def grown(obj: bpy.types.Object) -> np.ndarray:
@@ -153,8 +155,7 @@ def carry_hidden(obj: bpy.types.Object, parts: list[np.ndarray]):
 
 def hidden(obj: bpy.types.Object) -> np.ndarray:
     """(N,) bool: the Gaussians that hide() has hidden."""
-    values = splat_object.values(obj, visible_splats.HIDDEN)
-    return np.zeros(splat_object.count(obj), bool) if values is None else values.astype(bool)
+    return _marked(obj, visible_splats.HIDDEN)
 
 
 def show_all(obj: bpy.types.Object):

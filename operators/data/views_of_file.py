@@ -4,6 +4,7 @@ other cameras."""
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import bpy
 import numpy as np
@@ -32,21 +33,16 @@ def views(context, splat: bpy.types.Object) -> list[Camera]:
     """The views in the coordinates of the splat. Raises SceneError."""
     scene, matrix = context.scene, np.array(splat.matrix_world, np.float64)
     if not np.linalg.det(matrix[:3, :3]) > 0 or stretch(matrix) - 1 > UNIFORM:
-        raise SceneError(
-            tr(
-                "'{name}' is mirrored or scaled unevenly, which cameras cannot be: apply its scale first"
-                " (Ctrl A)"
-            ).format(name=splat.name)
+        text = tr(
+            "'{name}' is mirrored or scaled unevenly, which cameras cannot be: apply its scale first (Ctrl A)"
         )
+        raise SceneError(text.format(name=splat.name))
     found = [camera.moved(matrix) for camera in (*_of_frames(scene), *_standing(scene))]
     if not found:
         raise SceneError(
             tr("this file has no camera whose views could count: add one, or choose placed cameras")
         )
-    return [
-        Camera(c.viewmat, c.K, c.width, c.height, f"{number:04}", c.orthographic)
-        for number, c in enumerate(found)
-    ]
+    return [replace(camera, name=f"{number:04}") for number, camera in enumerate(found)]
 
 
 def placed(splat: bpy.types.Object) -> list[bpy.types.Object]:

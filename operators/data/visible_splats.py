@@ -124,19 +124,14 @@ def splats(depsgraph: bpy.types.Depsgraph, read: Read = visible_scene) -> Placed
 def placed_splats(depsgraph: bpy.types.Depsgraph) -> Iterator[tuple[bpy.types.Object, Matrix]]:
     """Every evaluated splat that the graph shows, with its matrix. Blender frees these objects soon: use them
     at once."""
-    return (
-        (i.object, i.matrix_world.copy()) for i in _instances(depsgraph) if splat_object.is_splat(i.object)
-    )
+    found = (i for i in _instances(depsgraph) if splat_object.is_splat(i.object))
+    return ((i.object, i.matrix_world.copy()) for i in found)
 
 
 def shown_by(depsgraph: bpy.types.Depsgraph, obj: bpy.types.Object) -> list[tuple[Scene, Matrix]]:
     """What the graph shows of a splat: it and its instances, with modifiers and without removed Gaussians,
     and their matrices to the world."""
-    mine = (
-        i
-        for i in _instances(depsgraph)
-        if obj in (i.object.original, i.parent.original if i.is_instance and i.parent else None)
-    )
+    mine = (i for i in _instances(depsgraph) if _is_of(i, obj))
     return [(visible_scene(i.object), i.matrix_world.copy()) for i in mine if splat_object.is_splat(i.object)]
 
 
@@ -144,11 +139,15 @@ def made_by_nodes(context, obj: bpy.types.Object | None) -> bool:
     """Whether the object is no splat, and its geometry nodes make one."""
     if obj is None or splat_object.is_splat(obj) or not _may_instance(obj):
         return False
-    instances = context.view_layer.depsgraph.object_instances if context.view_layer.depsgraph else ()
-    return any(
-        splat_object.is_splat(i.object) and obj in (i.object.original, i.parent and i.parent.original)
-        for i in instances
-    )
+    graph = context.view_layer.depsgraph
+    instances = graph.object_instances if graph else ()
+    return any(splat_object.is_splat(i.object) and _is_of(i, obj) for i in instances)
+
+
+def _is_of(instance: bpy.types.DepsgraphObjectInstance, obj: bpy.types.Object) -> bool:
+    """Whether it is the object itself, or the object has made it."""
+    parent = instance.parent if instance.is_instance else None
+    return obj in (instance.object.original, parent and parent.original)
 
 
 def splats_in_view(context: bpy.types.Context) -> Iterator[tuple[bpy.types.Object, Matrix]]:
@@ -184,9 +183,8 @@ def placed(scenes: list[tuple[Scene, Matrix]]) -> PlacedScene:
     scene, matrix = scenes[0]
     if len(scenes) == 1 and matrix.determinant() > 0 and stretch(matrix) - 1 <= UNIFORM:
         return PlacedScene(scene, matrix)
-    return PlacedScene(
-        concatenated([transformed(scene, np.array(matrix)) for scene, matrix in scenes]), Matrix()
-    )
+    in_world = [transformed(scene, np.array(matrix)) for scene, matrix in scenes]
+    return PlacedScene(concatenated(in_world), Matrix())
 
 
 def camera(depsgraph: bpy.types.Depsgraph, override: bpy.types.Object | None = None) -> bpy.types.Object:
@@ -201,12 +199,8 @@ def camera(depsgraph: bpy.types.Depsgraph, override: bpy.types.Object | None = N
 
 def region_camera(region: bpy.types.Region, view: bpy.types.RegionView3D) -> Camera:
     """The view of a 3D viewport, in Blender's world."""
-    return camera_of_projection(
-        view.window_matrix,
-        camera_object.FLIP @ np.array(view.view_matrix, np.float64),
-        region.width,
-        region.height,
-    )
+    viewmat = camera_object.FLIP @ np.array(view.view_matrix, np.float64)
+    return camera_of_projection(view.window_matrix, viewmat, region.width, region.height)
 
 
 def _instances(depsgraph: bpy.types.Depsgraph) -> Iterator:

@@ -14,18 +14,13 @@ from .world_matrix import world_matrix
 def matrix_of(obj: bpy.types.Object) -> np.ndarray:
     """(4, 4) float64, from the cube of -1 to 1 to Blender's world: the bounding box of an object, or the size
     of an empty."""
-    low, high = (
-        np.array([function(corner[k] for corner in obj.bound_box) for k in range(3)])
-        for function in (min, max)
-    )
+    corners = np.array(obj.bound_box, np.float64)
     if obj.type == "EMPTY":
-        low, high = np.full(3, -obj.empty_display_size), np.full(3, obj.empty_display_size)
+        corners = obj.empty_display_size * np.array([(-1.0,) * 3, (1.0,) * 3])
+    low, high = corners.min(axis=0), corners.max(axis=0)
     place = Matrix.Translation(Vector((low + high) / 2)) @ Matrix.Diagonal((*(high - low) / 2, 1.0))
     matrix = np.array(world_matrix(obj) @ place, np.float64)
     if not abs(np.linalg.det(matrix)) > 0:
-        raise SceneError(
-            tr(
-                "'{name}' has no volume: choose an empty, or an object with a height, a width and a depth"
-            ).format(name=obj.name)
-        )
+        text = tr("'{name}' has no volume: choose an empty, or an object with a height, a width and a depth")
+        raise SceneError(text.format(name=obj.name))
     return matrix
