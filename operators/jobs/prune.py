@@ -29,6 +29,12 @@ from . import job_result
 from .job_options import JobOptions
 
 BACKGROUND = bpy.app.background
+# options of the command line by the kind of their property; 0 and "auto" are those of the command line itself
+NUMBERS = (
+    "lambda_f", "target", "target_count", "target_size", "max_drop", "max_flip", "max_lpips", "time"
+)  # fmt: skip
+CHOICES = ("outside", "exposure", "refine_poses")
+FLAGS = ("quick", "mask_distractors", "invert_masks", "seen_from_only", "force")
 
 
 class SVRGS_OT_prune(JobOptions, ReportingOperator):
@@ -138,9 +144,8 @@ class SVRGS_OT_prune(JobOptions, ReportingOperator):
             pairs.set_hidden(source, True)
             pairs.set_hidden(obj, False)
         else:
-            obj = splat_object.object_from_scene(
-                f"{Path(self.scene).stem} pruned", pruned, context.collection
-            )
+            name = f"{Path(self.scene).stem} pruned"
+            obj = splat_object.object_from_scene(name, pruned, context.collection)
         select(context, [obj])
         total, before, after = result["before"]["count"], result["before"].get("psnr"), result.get("psnr")
         texts = [tr("Kept {kept:,} of {count:,} Gaussians").format(kept=result["count"], count=total)]
@@ -154,7 +159,7 @@ class SVRGS_OT_prune(JobOptions, ReportingOperator):
         In it, `scene` is the .blend if the active splat was pruned, and `out` is null if no file was written.
         """
         scene = origin = absolute(self.scene)
-        if source is not None or not self.scene:
+        if not self.scene:
             gaussians = splat_object.scene_from_object(source)  # raises SceneError if there is no splat
             if problem := edit_guard.problem(bpy.context, source):
                 raise SplatError(problem)
@@ -163,9 +168,8 @@ class SVRGS_OT_prune(JobOptions, ReportingOperator):
         if source is not None:
             write_scene(scene, gaussians)
         written = out or temp_dir / "pruned.ply"
-        result = subprocess_python.ask(
-            ["prune", scene, "--out", str(written), *self.arguments(source), "--threads", str(threads)]
-        )
+        words = ["prune", scene, "--out", str(written), *self.arguments(source), "--threads", str(threads)]
+        result = subprocess_python.ask(words)
         print(json.dumps(result | {"scene": origin or None, "out": str(out) if out else None}), flush=True)
         return result, read_scene(written)
 
@@ -191,11 +195,8 @@ class SVRGS_OT_prune(JobOptions, ReportingOperator):
                 )
             )
         if out.exists() and not self.overwrite:
-            raise SplatError(
-                tr("{file}: exists; name another output with out=, or replace it with overwrite=True").format(
-                    file=out
-                )
-            )
+            text = tr("{file}: exists; name another output with out=, or replace it with overwrite=True")
+            raise SplatError(text.format(file=out))
         return out
 
     def arguments(self, source: bpy.types.Object | None) -> list[str]:
@@ -203,59 +204,38 @@ class SVRGS_OT_prune(JobOptions, ReportingOperator):
         splat."""
         # a quick job takes the splat's own pictures
         root = {} if self.quick else splat_object.root_of(source) or {}
-        data, images = (
-            (self.data, self.images)
-            if self.data
-            else (root.get(splat_object.DATASET, ""), self.images or root.get(splat_object.IMAGES, ""))
-        )
+        data, images = self.data, self.images
+        if not data:
+            data, images = root.get(splat_object.DATASET, ""), images or root.get(splat_object.IMAGES, "")
         given = {
-            "--data": absolute(data), "--images": images, "--report": absolute(self.report_folder),
-            "--lambda-f": self.lambda_f, "--target": self.target, "--target-count": self.target_count,
-            "--target-size": self.target_size,
-            "--max-drop": self.max_drop, "--max-flip": self.max_flip, "--max-lpips": self.max_lpips,
-            "--time": self.time, "--seen-from": absolute(self.cameras),
-            "--masks": absolute(self.masks), "--outside": self.outside if self.outside != "auto" else "",
-            "--exposure": self.exposure if self.exposure != "auto" else "",
-            "--refine-poses": self.refine_poses if self.refine_poses != "auto" else "",
+            "data": absolute(data), "images": images, "report": absolute(self.report_folder),
+            "seen-from": absolute(self.cameras), "masks": absolute(self.masks),
+            **{name: getattr(self, name) for name in NUMBERS},
+            **{name: choice for name in CHOICES if (choice := getattr(self, name)) != "auto"},
         }  # fmt: skip
-        options = [str(word) for name, value in given.items() if value for word in (name, value)]
-        options += ["--sh-degree", str(self.sh_degree)] if self.sh_degree < 3 else []
-        options += [
-            flag
-            for flag, chosen in (
-                ("--quick", self.quick),
-                ("--mask-distractors", self.mask_distractors),
-                ("--invert-masks", self.invert_masks),
-                ("--seen-from-only", self.seen_from_only),
-                ("--force", self.force),
-            )
-            if chosen
-        ]
-        more = [
-            name
-            for name in ("iterations", "recovery")
-            if not (self.time or self.quick) or self.properties.is_property_set(name)
-        ]
-        asked = self.properties.is_property_set("method")
-        more += ["method"] if asked or (data and not self.quick) else []
-        return [
-            *options,
-            *(f"--{name}={getattr(self, name)}" for name in (*more, "seed")),
-            "--quiet",
-            "--json",
-        ]
+        words = [f"{_flag(name)}={value}" for name, value in given.items() if value]
+        words += [_flag(name) for name in FLAGS if getattr(self, name)]
+        is_set, planned = self.properties.is_property_set, self.time or self.quick
+        exact = [name for name in ("iterations", "recovery") if not planned or is_set(name)]
+        exact += ["method"] if is_set("method") or (data and not self.quick) else []
+        exact += ["sh_degree"] if self.sh_degree < 3 else []
+        words += [f"{_flag(name)}={getattr(self, name)}" for name in (*exact, "seed")]
+        return [*words, "--quiet", "--json"]
+
+
+def _flag(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
 
 
 def absolute(path: str) -> str:
     """The absolute path; empty stays empty. Raises SplatError for a path that begins with // while the .blend
     is not saved."""
     if path.startswith("//") and not bpy.data.filepath:
-        raise SplatError(
-            tr(
-                "{path}: begins at the folder of the .blend, which has not been saved; save it, or give the"
-                " whole path"
-            ).format(path=path)
+        text = tr(
+            "{path}: begins at the folder of the .blend, which has not been saved; save it, or give the"
+            " whole path"
         )
+        raise SplatError(text.format(path=path))
     return os.path.abspath(bpy.path.abspath(path)) if path else ""
 
 
