@@ -78,16 +78,11 @@ class SVRGS_OT_export_levels(FolderOperator, ExportSpace):
     def work(self, context) -> str:
         shares, folder = self.parsed(), Path(bpy.path.abspath(self.directory))
         outs = {obj: self.path_of(folder, obj) for obj in selected_splats(context)}
-        there = [
-            path
-            for out in outs.values()
-            for path in (out, *level_files(out, shares).values())
-            if path.exists()
-        ]
+        files = [file for out in outs.values() for file in (out, *level_files(out, shares).values())]
+        there = [file for file in files if file.exists()]
         if there and not self.overwrite:
-            raise SceneError(
-                tr("{file} exists already: choose another folder, or Overwrite").format(file=there[0])
-            )
+            text = tr("{file} exists already: choose another folder, or Overwrite")
+            raise SceneError(text.format(file=there[0]))
         _lines.clear()
         for obj, out in outs.items():
             scene, _ = self.chosen(context, obj)
@@ -137,10 +132,9 @@ def _finished(name: str, answer: Future):
     if "psnr" not in result:
         _lines.append(f"{name}: {size_text(result['bytes'])}")
         return
+    text = tr("{share:g} %: {size}, {psnr:.1f} dB")
     texts = [
-        tr("{share:g} %: {size}, {psnr:.1f} dB").format(
-            share=100 * one["share"], size=size_text(one["bytes"]), psnr=one["psnr"]
-        )
+        text.format(share=100 * one["share"], size=size_text(one["bytes"]), psnr=one["psnr"])
         for one in ({"share": 1, **result}, *result.get("levels", ()))
     ]
     _lines.append(f"{name}: {'; '.join(texts)}")

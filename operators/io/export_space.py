@@ -100,10 +100,11 @@ class ExportSpace:
     def left_out(self, obj: bpy.types.Object, dropped: int) -> list[str]:
         """What the file does not hold, in words."""
         hidden = visible_splats.marked_count(obj) if self.what == "SEEN" else 0
-        texts = [tr("without {count:,} that are hidden").format(count=hidden)] if hidden else []
-        if dropped:
-            return [*texts, tr("without {count:,} with values that are not finite").format(count=dropped)]
-        return texts
+        texts = {
+            tr("without {count:,} that are hidden"): hidden,
+            tr("without {count:,} with values that are not finite"): dropped,
+        }
+        return [text.format(count=count) for text, count in texts.items() if count]
 
 
 def shows_original(obj: bpy.types.Object) -> bool:
@@ -144,9 +145,8 @@ def gaussians(context, obj: bpy.types.Object, seen: bool) -> list:
     parts = visible_splats.shown_by(context.evaluated_depsgraph_get(), obj) if obj.mode != "EDIT" else []
     if parts:
         return parts
-    if any(
-        modifier.show_viewport and modifier.name != visible_splats.HIDE_MODIFIER for modifier in obj.modifiers
-    ):
+    modifiers = (modifier.name for modifier in obj.modifiers if modifier.show_viewport)
+    if any(name != visible_splats.HIDE_MODIFIER for name in modifiers):
         text = tr(
             "Blender does not apply the modifiers of '{name}' in Edit Mode or while it is hidden: show it, or"
             " export All Stored"

@@ -95,10 +95,8 @@ class SVRGS_OT_import_colmap(FolderOperator):
 
     def done(self, context, cameras: list[bpy.types.Object], photos: PosedPhotos) -> list[str]:
         """What was imported, in words."""
-        shown, (done, total) = (
-            sum(bool(camera_object.backgrounds(obj)) for obj in cameras),
-            undistort.progress(),
-        )
+        shown = sum(bool(camera_object.backgrounds(obj)) for obj in cameras)
+        done, total = undistort.progress()
         text = tr("Imported {cameras:,} cameras and {photographs:,} photographs")
         parts = [text.format(cameras=len(cameras), photographs=shown)]
         if total > done:
@@ -117,12 +115,9 @@ class SVRGS_OT_import_colmap(FolderOperator):
         for obj, file in zip(cameras, photos.files, strict=True):
             undistort.show(obj, file)
         if photos.distorted:
-            undistorted = (
-                Path(bpy.path.abspath(self.undistorted))
-                if self.undistorted
-                else folder / dataset_paths.UNDISTORTED
-            )
-            undistort.start(cameras, root, folder, self.images, undistorted, photos.distorted)
+            chosen = Path(bpy.path.abspath(self.undistorted))
+            target = chosen if self.undistorted else folder / dataset_paths.UNDISTORTED
+            undistort.start(cameras, root, folder, self.images, target, photos.distorted)
 
     def add_objects(
         self, context, folder: Path, photos: PosedPhotos
@@ -136,12 +131,10 @@ class SVRGS_OT_import_colmap(FolderOperator):
         root[splat_object.DATASET], root[splat_object.IMAGES] = dataset_paths.stored(str(folder)), self.images
         root[splat_object.POINTS] = len(photos.points)
         if self.points and len(photos.points):
-            points.append(
-                splat_object.points_object(f"{name} points", photos.points, photos.point_colors, collection)
-            )
-        cameras = [
-            camera_object.new_camera(camera, photos.extent or 1.0, collection) for camera in photos.cameras
-        ]
+            found = photos.points, photos.point_colors
+            points.append(splat_object.points_object(f"{name} points", *found, collection))
+        extent = photos.extent or 1.0
+        cameras = [camera_object.new_camera(camera, extent, collection) for camera in photos.cameras]
         for obj in points + cameras:
             obj.parent = root
         context.scene.camera = cameras[0]

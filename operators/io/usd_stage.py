@@ -43,11 +43,8 @@ def _prims(export_context, stage) -> list[tuple[Any, bpy.types.Object]]:
     if hasattr(export_context, "get_prim_map"):
         blocks = [(path, block) for path, found in export_context.get_prim_map().items() for block in found]
         return [(path, block) for path, block in blocks if isinstance(block, bpy.types.Object)]
-    names = [
-        (prim.GetPath(), prim.GetAttribute(NAME).Get())
-        for prim in stage.TraverseAll()
-        if prim.HasAttribute(NAME)
-    ]
+    named = (prim for prim in stage.TraverseAll() if prim.HasAttribute(NAME))
+    names = [(prim.GetPath(), prim.GetAttribute(NAME).Get()) for prim in named]
     if not names:
         raise SceneError(
             tr(
