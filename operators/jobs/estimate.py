@@ -45,12 +45,8 @@ def of(obj: bpy.types.Object | None) -> dict:
 def _inputs_now(obj: bpy.types.Object) -> dict:
     """What an estimate depends on: the settings, and the identity and size of the splat's data. Where cameras
     of the file stand is left out."""
-    return {
-        **options_of(bpy.context, obj),
-        "views": bpy.context.scene.svrgs_prune.views,
-        "data": obj.data.session_uid,
-        "splat": splat_object.count(obj),
-    }
+    views, data = bpy.context.scene.svrgs_prune.views, obj.data.session_uid
+    return options_of(bpy.context, obj) | {"views": views, "data": data, "splat": splat_object.count(obj)}
 
 
 def line(obj: bpy.types.Object) -> str:
@@ -96,13 +92,10 @@ def sentences(obj: bpy.types.Object) -> list[str]:
         if found["seconds"] >= 120
         else tr("About {seconds:.0f} s for {steps:,} steps")
     )
+    before, after = file_size_text(found["bytes_before"]), file_size_text(found["bytes_after"])
     return [
         stay.format(kept=kept, count=count, share=kept / count),
-        tr("{before} → about {after} as {format}").format(
-            before=file_size_text(found["bytes_before"]),
-            after=file_size_text(found["bytes_after"]),
-            format=found["format"],
-        ),
+        tr("{before} → about {after} as {format}").format(before=before, after=after, format=found["format"]),
         quality(found),
         tr("A pixel blends {overdraw_before:.0f} Gaussians, then about {overdraw_after:.0f}").format(**found),
         seen.format(**found),
@@ -125,9 +118,8 @@ def quality(found: dict) -> str:
     if None not in figures and len({round(value, 1) for value in figures}) == 1:
         return tr("PSNR stays at about {psnr_before:.1f} dB").format(**found)
     if found["psnr_after"] is None:
-        return tr(
-            "PSNR now {psnr_before:.1f} dB; after pruning: not foreseen for this method or goal"
-        ).format(**found)
+        text = tr("PSNR now {psnr_before:.1f} dB; after pruning: not foreseen for this method or goal")
+        return text.format(**found)
     return tr(
         "PSNR about {psnr_after:.1f} dB or more after pruning (now {psnr_before:.1f} dB; without recovery"
         " about {psnr_removed:.1f} dB)"

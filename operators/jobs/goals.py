@@ -125,11 +125,8 @@ def strength_sentence(settings) -> str:
             else tr("λ_F = {value}, 1/{times:.3g} of the default: {meaning}")
         )
     mantissa, exponent = f"{settings.lambda_f:.2e}".split("e")
-    return text.format(
-        value=f"{float(mantissa):g}e{int(exponent)}",
-        times=max(times, 1 / times),
-        meaning=tr(method.lambda_f_help),
-    )
+    value, times = f"{float(mantissa):g}e{int(exponent)}", max(times, 1 / times)
+    return text.format(value=value, times=times, meaning=tr(method.lambda_f_help))
 
 
 def problem(settings) -> str:
@@ -143,19 +140,16 @@ def problem(settings) -> str:
     if settings.effort == "QUICK":  # its own problems: efforts.py
         return ""
     if settings.goal == "LAMBDA" and method.ranks and not method.share:
-        return tr(
-            "'{method}' only ranks the Gaussians: choose another goal, such as a percentage or a size"
-        ).format(method=tr(method.label))
+        text = tr("'{method}' only ranks the Gaussians: choose another goal, such as a percentage or a size")
+        return text.format(method=tr(method.label))
     if settings.goal == "VISIBLE" and method.learns_masks:
-        return tr("'{method}' cannot hold LPIPS: choose another goal or method").format(
-            method=tr(method.label)
-        )
+        text = tr("'{method}' cannot hold LPIPS: choose another goal or method")
+        return text.format(method=tr(method.label))
     if settings.goal not in ("DROP", "VISIBLE") or (method.supports_max_loss and learns):
         return ""
     if learns:
-        return tr("'{method}' cannot prune to a loss in dB: choose another goal or method").format(
-            method=tr(method.label)
-        )
+        text = tr("'{method}' cannot prune to a loss in dB: choose another goal or method")
+        return text.format(method=tr(method.label))
     return tr("A loss as the goal needs iterations: set more than 0")
 
 

@@ -38,11 +38,8 @@ def options_of(context, obj: bpy.types.Object) -> dict:
         "holdout": s.holdout, "visible_mask": s.visible_mask, "views_by_loss": s.views_by_loss,
     }  # fmt: skip
     if effort == efforts.PHOTOGRAPHS:
-        options |= dataset_paths.masks_of(context) | {
-            "exposure": s.exposure,
-            "refine_poses": s.refine_poses,
-            "mask_distractors": s.mask_distractors,
-        }
+        options |= dataset_paths.masks_of(context)
+        options |= {name: getattr(s, name) for name in ("exposure", "refine_poses", "mask_distractors")}
     options |= {"time": s.time} if s.use_time else {"iterations": s.iterations, "recovery": s.recovery}
     if effort == efforts.TUNED and s.views == "ONLY":
         options["seen_from_only"] = True
@@ -95,12 +92,10 @@ class SVRGS_OT_job_start(ReportingOperator):
     def work(self, context) -> str:
         obj = context.object
         scene, cameras = splat_object.scene_from_object(obj), given_views(context, obj)
-        folder = JobFolder.create(
-            new_folder(context, obj.name), scene, options_of(context, obj), obj.name, cameras
-        )
-        return begin(obj, folder) or tr("Pruning {count:,} Gaussians in the background").format(
-            count=scene.count
-        )
+        options, folder = options_of(context, obj), new_folder(context, obj.name)
+        job = JobFolder.create(folder, scene, options, obj.name, cameras)
+        text = tr("Pruning {count:,} Gaussians in the background")
+        return begin(obj, job) or text.format(count=scene.count)
 
 
 class SVRGS_OT_prune_again(ReportingOperator):
@@ -124,18 +119,14 @@ class SVRGS_OT_prune_again(ReportingOperator):
         assert original is not None and pruned is not None and former is not None  # see problem()
         count, given = job_result.shown_count(pruned), former.folder.request()["options"]
         options = {name: value for name, value in given.items() if name not in GOALS}
-        folder = JobFolder.create(
-            new_folder(context, original.name),
-            splat_object.scene_from_object(original),
-            options | {"target_count": count},
-            original.name,
-        )
+        options["target_count"] = count
+        folder, scene = new_folder(context, original.name), splat_object.scene_from_object(original)
+        job = JobFolder.create(folder, scene, options, original.name)
         job_result.discard_result(original)
         delete_job(former)
         select(context, [original])
-        return begin(original, folder) or tr("Fine-tuning {count:,} Gaussians in the background").format(
-            count=count
-        )
+        text = tr("Fine-tuning {count:,} Gaussians in the background")
+        return begin(original, job) or text.format(count=count)
 
 
 CLASSES = (SVRGS_OT_job_start, SVRGS_OT_prune_again)

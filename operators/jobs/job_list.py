@@ -92,9 +92,7 @@ def _row(job: Job, owner: bpy.types.Object | None) -> Row:
     size = [size_text(_sizes[folder])] if _sizes.get(folder) else []
     if owner is None and not applied:
         training = job.kind == TRAIN
-        size.append(
-            tr("its cameras are not in this file") if training else tr("its splat is not in this file")
-        )
+        size.append(tr("its cameras are not in this file" if training else "its splat is not in this file"))
     actions = tuple(one for one in state.actions if one != "load" or not (applied or loaded))
     return Row(job, owner.name if owner is not None else job.name, state.icon, said, ", ".join(size), actions)
 
@@ -117,19 +115,19 @@ def _is_loaded(owner: bpy.types.Object | None) -> bool:
     return owner is not None and job_result.undecided(job_result.pruned_of(owner))
 
 
-def _shows_another(owner: bpy.types.Object) -> bool:
-    """Whether the loaded result shows another number than its own, which the files of the job give."""
-    return quick_order.is_shown(job_result.pruned_of(owner))
-
-
 def finished_jobs(context) -> tuple[list[Job], int]:
     """The jobs that svrgs.delete_finished_jobs deletes, and their bytes on disk."""
-    known, found = owners(), []
-    for job in all_jobs(context):
+    known = owners()
+
+    def is_over(job: Job) -> bool:
+        """Not of a result that shows another number than its own: the files of the job give it."""
         folder = str(job.folder.path)
-        if job.state == "done" and not applied_jobs.is_applied(folder):
-            if folder not in known or (_is_loaded(known[folder]) and not _shows_another(known[folder])):
-                found.append(job)
+        if job.state != "done" or applied_jobs.is_applied(folder):
+            return False
+        owner = known.get(folder)
+        return owner is None or (_is_loaded(owner) and not quick_order.is_shown(job_result.pruned_of(owner)))
+
+    found = list(filter(is_over, all_jobs(context)))
     return found, sum(_sizes.get(str(job.folder.path), 0) for job in found)
 
 

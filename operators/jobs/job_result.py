@@ -72,9 +72,8 @@ def _load_trained(context, root: bpy.types.Object, folder: JobFolder) -> bpy.typ
     active."""
     cameras = (obj for obj in root.children if obj.type == "CAMERA" and obj.users_collection)
     collection = splat_object.collection_of(next(cameras, root))
-    splat = splat_object.object_from_scene(
-        f"{root.name} splat", read_scene(folder.output), collection, root.matrix_world
-    )
+    name, scene = f"{root.name} splat", read_scene(folder.output)
+    splat = splat_object.object_from_scene(name, scene, collection, root.matrix_world)
     splat_object.parent_to_root(splat, root)
     photographs.store(root, folder.result().get("photographs") or {})
     family = {root, *root.children_recursive}
@@ -90,9 +89,8 @@ def _load_ranked(obj: bpy.types.Object, recovered: Scene, folder: JobFolder) -> 
     kept, score = folder.arrays()
     probability = folder.probability()
     if recovered.count != kept.sum():
-        raise SceneError(
-            tr("{file}: does not belong to this job's other files").format(file=folder / "pruned.ply")
-        )
+        text = tr("{file}: does not belong to this job's other files")
+        raise SceneError(text.format(file=folder / "pruned.ply"))
     pruned = _beside(obj, recovered, folder)
     rows = numbered(len(kept))
     for target, chosen in ((obj, slice(None)), (pruned, kept)):
@@ -123,15 +121,11 @@ def _load_merged(obj: bpy.types.Object, recovered: Scene, folder: JobFolder) -> 
 def _beside(obj: bpy.types.Object, recovered: Scene, folder: JobFolder) -> bpy.types.Object:
     """A copy of `obj` with the recovered Gaussians, moved as its points were since the job began. Raises
     SceneError."""
-    motion = common_motion(
-        read_scene(folder / "scene.ply").means, splat_object.stored_values(obj, "position")
-    )
+    positions = splat_object.stored_values(obj, splat_object.POSITION)
+    motion = common_motion(read_scene(folder / "scene.ply").means, positions)
     if motion is None:
-        raise SceneError(
-            tr(
-                "points of '{name}' were moved since the job began: undo the edit, then load the result"
-            ).format(name=obj.name)
-        )
+        text = tr("points of '{name}' were moved since the job began: undo the edit, then load the result")
+        raise SceneError(text.format(name=obj.name))
     recovered = transformed(recovered, motion)
     make_room(obj)
     return splat_object.copy_with(obj, f"{obj.name} pruned", recovered)
@@ -171,11 +165,9 @@ def pair_of(obj: bpy.types.Object | None) -> tuple[bpy.types.Object | None, bpy.
 
 def undecided(pruned: bpy.types.Object | None) -> bool:
     """Whether the splat is a result that was not applied yet."""
-    return (
-        pruned is not None
-        and KEPT in pruned
-        and (REMOVED in pruned.data.attributes or pruned.get(MERGED, False))
-    )
+    if pruned is None or KEPT not in pruned:
+        return False
+    return REMOVED in pruned.data.attributes or pruned.get(MERGED, False)
 
 
 def ranked(pruned: bpy.types.Object) -> bool:
@@ -226,9 +218,8 @@ def shown_gaussians(pruned: bpy.types.Object) -> Scene:
     rows, scene = splat_object.stored_values(pruned, ROW)[left], scene.select(left)
     if original is None:
         return scene
-    back = ~splat_object.stored_values(original, REMOVED) & (
-        splat_object.stored_values(original, SCORE) <= BOUNDARY
-    )
+    removed_by_job = splat_object.stored_values(original, SCORE) <= BOUNDARY
+    back = removed_by_job & ~splat_object.stored_values(original, REMOVED)
     if not back.any():
         return scene
     place = splat_object.relative(pruned.matrix_world, original.matrix_world)
@@ -288,14 +279,13 @@ def discard_original(original: bpy.types.Object, pruned: bpy.types.Object):
     first = original_of(original)
     splat_object.delete(original)
     if first is not None:
-        first[PRUNED], pruned[ORIGINAL] = pruned, first
+        join(first, pruned)
 
 
 def _hide_removed(obj: bpy.types.Object):
     if HIDE_MODIFIER not in obj.modifiers:
-        obj.modifiers.new(HIDE_MODIFIER, "NODES").node_group = (
-            bpy.data.node_groups.get(HIDE_MODIFIER) or _hide_nodes()
-        )
+        nodes = bpy.data.node_groups.get(HIDE_MODIFIER) or _hide_nodes()
+        obj.modifiers.new(HIDE_MODIFIER, "NODES").node_group = nodes
 
 
 def _hide_nodes() -> bpy.types.NodeTree:
@@ -304,15 +294,9 @@ def _hide_nodes() -> bpy.types.NodeTree:
     for direction in ("INPUT", "OUTPUT"):
         group.interface.new_socket("Geometry", in_out=direction, socket_type="NodeSocketGeometry")
     nodes = group.nodes
-    given, marked, delete, out = (
-        nodes.new(kind)
-        for kind in (
-            "NodeGroupInput",
-            "GeometryNodeInputNamedAttribute",
-            "GeometryNodeDeleteGeometry",
-            "NodeGroupOutput",
-        )
-    )
+    given, out = nodes.new("NodeGroupInput"), nodes.new("NodeGroupOutput")
+    marked = nodes.new("GeometryNodeInputNamedAttribute")
+    delete = nodes.new("GeometryNodeDeleteGeometry")
     marked.data_type, delete.domain = "BOOLEAN", "POINT"
     marked.inputs["Name"].default_value = REMOVED
     attribute = next(socket for socket in marked.outputs if socket.enabled and socket.name == "Attribute")

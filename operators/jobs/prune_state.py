@@ -99,11 +99,8 @@ def _problem_of_effort(context) -> str:
 def _of_job(job: Job) -> list[str]:
     facts = job.facts
     if job_queue.is_queued(job):
-        return [
-            tr("{waiting}. One job runs at a time; Quick ones do not wait for longer ones").format(
-                waiting=job_queue.waiting_text(job) or tr("Waiting")
-            )
-        ]
+        text = tr("{waiting}. One job runs at a time; Quick ones do not wait for longer ones")
+        return [text.format(waiting=job_queue.waiting_text(job) or tr("Waiting"))]
     if job_state.is_resumable(job):
         reason = _with_capital(tr(facts["text"])) if facts.get("text") else ""
         texts = [job_state.text(job), reason, job_state.resume_sentence(job), _figures(facts)]
@@ -160,16 +157,11 @@ def _of_result(original: bpy.types.Object | None, pruned: bpy.types.Object) -> l
     )
     texts = [text.format(kept=count, count=total, size=size_text(pruned, count))]
     if quality := _quality(pruned):
-        texts.append(
-            quality
-            if count == kept
-            else tr("{quality}; not measured at this setting").format(quality=quality)
-        )
+        text = tr("{quality}; not measured at this setting")
+        texts.append(quality if count == kept else text.format(quality=quality))
     texts += map(_with_capital, filter(str.strip, pruned.get(job_result.NOTES, "").splitlines()))
     if quick_order.is_shown(pruned):
-        texts.append(
-            tr("This number is not fine-tuned yet: press Fine-Tune for that. Apply keeps what you see")
-        )
+        texts += [tr("This number is not fine-tuned yet: press Fine-Tune for that. Apply keeps what you see")]
     elif problem := quick_order.problem(pruned):
         texts.append(problem)
     elif count > kept:

@@ -82,21 +82,17 @@ class SVRGS_OT_train(ReportingOperator):
         return problem(context)
 
     def work(self, context) -> str:
-        root, settings = root_to_train(context), context.scene.svrgs_train
+        root, settings, common = root_to_train(context), context.scene.svrgs_train, context.scene.svrgs_prune
         assert root is not None
+        limit = "time" if settings.use_time else "iterations"
         options = {
             "data": dataset_paths.dataset_of_root(root), "images": root.get(splat_object.IMAGES, ""),
-            "holdout": context.scene.svrgs_prune.holdout,
-            "threads": threads(context),
-            **dataset_paths.masks_of(context),
-            "exposure": context.scene.svrgs_prune.exposure,
-            "refine_poses": context.scene.svrgs_prune.refine_poses,
-            **({"time": settings.time} if settings.use_time else {"iterations": settings.iterations}),
+            "threads": threads(context), limit: getattr(settings, limit), **dataset_paths.masks_of(context),
+            **{name: getattr(common, name) for name in ("holdout", "exposure", "refine_poses")},
         }  # fmt: skip
         folder = JobFolder.create_training(new_folder(context, root.name), options, root.name)
-        return begin(root, folder) or tr(
-            "Training a splat from the photographs of '{name}' in the background"
-        ).format(name=root.name)
+        text = tr("Training a splat from the photographs of '{name}' in the background")
+        return begin(root, folder) or text.format(name=root.name)
 
 
 def about(context) -> str:
