@@ -31,7 +31,7 @@ NO_TEXT = {  # in English everywhere
     # the whole description is in the catalogues
     "f'. Empty: {option.default_help}'",
     "f'Number of training steps. {QUICK:,} give a usable splat, {ITERATIONS:,} one as in papers'",
-    "f'visible_{kind}'", "f'CompositorNode{kind}'",  # names of Blender
+    "f'visible_{kind}'", "f'CompositorNode{kind}'", "To Straight", "To Premultiplied",  # names of Blender
     "Name of the empty above the cameras", "Folder of the job",  # of hidden properties
     "f'{UNDISTORTED}/{name}.png'",  # a file
 }  # fmt: skip

@@ -23,20 +23,12 @@ def insert(scene: bpy.types.Scene, layer: bpy.types.Scene):
     tree = _tree(scene) or _new_tree(scene)
     render = _render_node(tree, scene)
     users = [link.to_socket for link in render.outputs["Image"].links if link.to_node.name != AROUND]
-    splats, around = (
-        _node(tree, name, kind)
-        for name, kind in ((SPLATS, "CompositorNodeRLayers"), (AROUND, "CompositorNodeGroup"))
-    )
-    splats.scene = layer
-    splats.layer = layer.view_layers[0].name
-    around.node_tree = _group()
-    sources = {
-        RENDER: render.outputs["Image"],
-        BEHIND: splats.outputs["Behind"],
-        FRONT: splats.outputs["Image"],
-    }
-    for name, source in sources.items():
-        tree.links.new(source, around.inputs[name])
+    splats = _node(tree, SPLATS, "CompositorNodeRLayers")
+    around = _node(tree, AROUND, "CompositorNodeGroup")
+    splats.scene, splats.layer, around.node_tree = layer, layer.view_layers[0].name, _group()
+    tree.links.new(render.outputs["Image"], around.inputs[RENDER])
+    tree.links.new(splats.outputs["Behind"], around.inputs[BEHIND])
+    tree.links.new(splats.outputs["Image"], around.inputs[FRONT])
     for user in users:
         tree.links.new(around.outputs[0], user)
     if not around.outputs[0].links:
@@ -65,27 +57,17 @@ def remove(scene: bpy.types.Scene):
 def are_complete(scene: bpy.types.Scene, layer: bpy.types.Scene) -> bool:
     """Whether a render of the scene puts the splats of the layer around it."""
     tree = _tree(scene)
-    if (
-        tree is None
-        or not scene.render.use_compositing
-        or any(name not in tree.nodes for name in (SPLATS, AROUND))
-    ):
+    if tree is None or not scene.render.use_compositing:
         return False
-    splats, around = tree.nodes[SPLATS], tree.nodes[AROUND]
-    if (
-        splats.mute
-        or around.mute
-        or splats.scene != layer
-        or around.node_tree is None
-        or not around.outputs[0].links
-    ):
+    splats, around = tree.nodes.get(SPLATS), tree.nodes.get(AROUND)
+    if splats is None or splats.mute or splats.scene != layer:
         return False
-    sources = {
-        name: around.inputs[name].links[0].from_node
-        for name in (RENDER, BEHIND, FRONT)
-        if name in around.inputs and around.inputs[name].is_linked
-    }
-    return len(sources) == 3 and sources[BEHIND] == sources[FRONT] == splats
+    if around is None or around.mute or around.node_tree is None or not around.outputs[0].links:
+        return False
+    inputs = [around.inputs.get(name) for name in (RENDER, BEHIND, FRONT)]
+    if not all(socket is not None and socket.is_linked for socket in inputs):
+        return False
+    return all(socket.links[0].from_node == splats for socket in inputs[1:])
 
 
 def _tree(scene: bpy.types.Scene) -> bpy.types.NodeTree | None:
@@ -98,21 +80,15 @@ def _new_tree(scene: bpy.types.Scene) -> bpy.types.NodeTree:
     if not HAS_GROUPS:
         scene.use_nodes = True  # Blender makes a tree with a Render Layers and a Composite node
         return scene.node_tree
-    tree = scene.compositing_node_group = bpy.data.node_groups.new(
-        f"{scene.name} Compositing", "CompositorNodeTree"
-    )
-    return tree
+    scene.compositing_node_group = bpy.data.node_groups.new(f"{scene.name} Compositing", "CompositorNodeTree")
+    return scene.compositing_node_group
 
 
 def _render_node(tree: bpy.types.NodeTree, scene: bpy.types.Scene) -> bpy.types.Node:
     """The Render Layers node of the scene itself, best one whose image is used; a new one if there is
     none."""
-    own = [
-        node
-        for node in tree.nodes
-        if node.type == "R_LAYERS" and node.name != SPLATS and node.scene in (scene, None)
-    ]
-    if own:
+    layers = (node for node in tree.nodes if node.type == "R_LAYERS" and node.name != SPLATS)
+    if own := [node for node in layers if node.scene in (scene, None)]:
         return max(own, key=lambda node: bool(node.outputs["Image"].links))
     node = tree.nodes.new("CompositorNodeRLayers")
     node.scene = scene
@@ -121,16 +97,14 @@ def _render_node(tree: bpy.types.NodeTree, scene: bpy.types.Scene) -> bpy.types.
 
 def _output(tree: bpy.types.NodeTree) -> bpy.types.Node:
     """The node whose first input is the result."""
-    kind, name = (
-        ("GROUP_OUTPUT", "NodeGroupOutput") if HAS_GROUPS else ("COMPOSITE", "CompositorNodeComposite")
-    )
-    if HAS_GROUPS and not any(
-        item.item_type == "SOCKET" and item.in_out == "OUTPUT" for item in tree.interface.items_tree
-    ):
-        tree.interface.new_socket("Image", in_out="OUTPUT", socket_type="NodeSocketColor")
-    node = next((node for node in tree.nodes if node.type == kind), None)
+    if HAS_GROUPS:
+        sockets = (item for item in tree.interface.items_tree if item.item_type == "SOCKET")
+        if not any(socket.in_out == "OUTPUT" for socket in sockets):
+            tree.interface.new_socket("Image", in_out="OUTPUT", socket_type="NodeSocketColor")
+    kind = "NodeGroupOutput" if HAS_GROUPS else "CompositorNodeComposite"
+    node = next((node for node in tree.nodes if node.bl_idname == kind), None)
     if node is None:
-        node = tree.nodes.new(name)
+        node = tree.nodes.new(kind)
         node.location = (600, 0)
     return node
 
@@ -177,14 +151,13 @@ def _converted(
     group: bpy.types.NodeTree, image: bpy.types.NodeSocket, to_display: bool, x: float, y: float
 ) -> bpy.types.NodeSocket:
     """An image times alpha, converted from the scene's linear colours to display sRGB, or back."""
-    straight, convert, multiplied = (
-        group.nodes.new(f"CompositorNode{kind}") for kind in ("PremulKey", "ConvertColorSpace", "PremulKey")
-    )
-    for node, to in ((straight, "straight"), (multiplied, "premultiplied")):
-        if "Type" in node.inputs:
-            node.inputs["Type"].default_value = f"To {to.title()}"
-        else:
-            node.mapping = "PREMUL_TO_STRAIGHT" if to == "straight" else "STRAIGHT_TO_PREMUL"
+    kinds = ("PremulKey", "ConvertColorSpace", "PremulKey")
+    straight, convert, multiplied = (group.nodes.new(f"CompositorNode{kind}") for kind in kinds)
+    if "Type" in straight.inputs:
+        straight.inputs["Type"].default_value = "To Straight"
+        multiplied.inputs["Type"].default_value = "To Premultiplied"
+    else:
+        straight.mapping, multiplied.mapping = "PREMUL_TO_STRAIGHT", "STRAIGHT_TO_PREMUL"
     side = "to_color_space" if to_display else "from_color_space"  # the other one is scene linear by default
     # else another colour configuration is in use: colours are blended linear
     if DISPLAY in convert.bl_rna.properties[side].enum_items:

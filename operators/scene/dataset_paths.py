@@ -82,9 +82,8 @@ def lost(root: bpy.types.Object | None) -> str:
     folder = dataset_of_root(root) if root is not None else ""
     if root is None or not folder or os.path.exists(folder):
         return ""
-    return tr("The photographs of '{name}' are not in {folder} any more: press Find Dataset in Scene").format(
-        name=root.name, folder=folder
-    )
+    text = tr("The photographs of '{name}' are not in {folder} any more: press Find Dataset in Scene")
+    return text.format(name=root.name, folder=folder)
 
 
 def absolute(path: str, library: bpy.types.Library | None = None) -> str:
@@ -229,20 +228,16 @@ def _file_of(image: bpy.types.Image, camera: bpy.types.Object, root: bpy.types.O
     """The file of the image in the folder of the dataset: the first that exists of several; all have the name
     that it had. '': none."""
     old, name = absolute(image.filepath), camera.data.get(camera_object.IMAGE, "")
+    parent, file_name = os.path.split(old)
     tries = [
         _beside(old, dataset_of_root(root)),
         f"{root.get(splat_object.IMAGES) or 'images'}/{name}",
         f"{UNDISTORTED}/{name}.png",
+        os.path.join(os.path.basename(parent), file_name),
+        file_name,
     ]
-    tries += [
-        os.path.join(os.path.basename(os.path.dirname(old)), os.path.basename(old)),
-        os.path.basename(old),
-    ]
-    files = (
-        os.path.normpath(os.path.join(folder, path))
-        for path in tries
-        if path and os.path.basename(path) == os.path.basename(old)
-    )
+    wanted = (path for path in tries if path and os.path.basename(path) == file_name)
+    files = (os.path.normpath(os.path.join(folder, path)) for path in wanted)
     return next((file for file in files if os.path.isfile(file)), "")
 
 

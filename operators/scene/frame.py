@@ -51,18 +51,17 @@ def frame(context, objects: list[bpy.types.Object], through_cameras: bool = Fals
     sphere = sphere_of(splats or family)
     if sphere is None:
         return False
+    centre, radius = sphere
     for space, view, region in _views(context):
-        if view.view_perspective == "CAMERA" and not through_cameras:
-            continue
         if view.view_perspective == "CAMERA":
+            if not through_cameras:
+                continue
             view.view_perspective = "PERSP"
         if seen and view.view_perspective == "PERSP":
             view.view_location, view.view_distance, view.view_rotation = seen
         else:
-            view.view_location, view.view_distance = (
-                sphere[0],
-                viewing_distance(sphere[1], space.lens, region.width, region.height, SENSOR),
-            )
+            distance = viewing_distance(radius, space.lens, region.width, region.height, SENSOR)
+            view.view_location, view.view_distance = centre, distance
         space.clip_start, space.clip_end = clipping(view.view_distance, space.clip_start, space.clip_end)
     return True
 

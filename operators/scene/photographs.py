@@ -63,11 +63,9 @@ def show_mask(settings, context):
     is switched off, or if the photograph has no mask. The masks are read in a thread."""
     root, camera = splat_object.root_of(context.object), context.scene.camera
     for data in (one for one in bpy.data.cameras if one.library is None):  # also those of other datasets
-        backgrounds = data.background_images
-        for background in [
-            one for one in backgrounds if one.image is not None and one.image.name == camera_object.MASKED_OUT
-        ]:
-            backgrounds.remove(background)
+        shown = [one for one in data.background_images if one.image is not None]
+        for background in (one for one in shown if one.image.name == camera_object.MASKED_OUT):
+            data.background_images.remove(background)
     if root is None:
         return
     known.of(root).mask_problem = ""

@@ -162,9 +162,8 @@ class SVRGS_OT_select_gaussians(SplatOperator):
             mask = selection.found_in_edit_mode(obj)
         else:
             volume = self.volume_object(context) if self.criterion in ("BOX", "SPHERE") else None
-            mask = selection.find(
-                obj, self.criteria(), lambda placed, named: self.views(context, placed, named, seen), volume
-            )
+            views = lambda placed, named: self.views(context, placed, named, seen)
+            mask = selection.find(obj, self.criteria(), views, volume)
         text = changed(context, obj, mask, self.mode, self.invert)
         if not seen:
             return text
@@ -190,9 +189,9 @@ class SVRGS_OT_select_gaussians(SplatOperator):
     def volume_object(self, context) -> bpy.types.Object:
         """The object that bounds the box or sphere. Raises SceneError if none is chosen."""
         others = [obj for obj in context.selected_objects if obj != context.object]
-        found = (
-            context.scene.objects.get(self.volume) if self.volume else others[0] if len(others) == 1 else None
-        )
+        found = others[0] if len(others) == 1 else None
+        if self.volume:
+            found = context.scene.objects.get(self.volume)
         if found is None:
             raise SceneError(
                 tr("choose the object that bounds the box or sphere, such as a cube around the Gaussians")
@@ -235,9 +234,8 @@ class SVRGS_OT_delete_gaussians(SplatOperator):
         before = splat_object.count(obj)
         selection.delete(obj, self.what == "OTHERS")
         show_selection(context, False)
-        return tr("Deleted {deleted:,} of {count:,} Gaussians").format(
-            deleted=before - splat_object.count(obj), count=before
-        )
+        text = tr("Deleted {deleted:,} of {count:,} Gaussians")
+        return text.format(deleted=before - splat_object.count(obj), count=before)
 
 
 class SVRGS_OT_hide_gaussians(SplatOperator):
@@ -281,13 +279,11 @@ class SVRGS_OT_separate_gaussians(SplatOperator):
     problem_of = SVRGS_OT_delete_gaussians.problem_of
 
     def work(self, context) -> str:
-        obj = context.object
-        before = splat_object.count(obj)
-        other = selection.separate(obj)
+        before = splat_object.count(context.object)
+        other = selection.separate(context.object)
         show_selection(context, False)
-        return tr("Separated {count:,} of {before:,} Gaussians as '{name}'").format(
-            count=splat_object.count(other), before=before, name=other.name
-        )
+        text = tr("Separated {count:,} of {before:,} Gaussians as '{name}'")
+        return text.format(count=splat_object.count(other), before=before, name=other.name)
 
 
 class SVRGS_OT_change_selection(SplatOperator):
@@ -319,8 +315,7 @@ class SVRGS_OT_clear_selection(SplatOperator):
         return "" if selection.SELECTED in obj.data.attributes else tr("No Gaussian is selected")
 
     def work(self, context) -> str:
-        obj = context.object
-        selection.clear(obj)
+        selection.clear(context.object)
         show_selection(context, False)
         return tr("No Gaussian is selected")
 

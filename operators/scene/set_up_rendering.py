@@ -82,15 +82,11 @@ def camera_words(scene: bpy.types.Scene) -> str:
     camera and resolution."""
     if scene.camera is None:
         return tr("The scene has no camera yet: add one")
-    photograph = scene.camera.type == "CAMERA" and camera_object.SIZE in scene.camera.data
     camera_object.apply_camera_size(scene)
     width, height = camera_object.render_size(scene)
     text = tr("The camera is '{name}', the resolution {width} x {height}")
-    text = (
-        tr("The camera is '{name}', the resolution {width} x {height}, as its photograph")
-        if photograph
-        else text
-    )
+    if scene.camera.type == "CAMERA" and camera_object.SIZE in scene.camera.data:
+        text = tr("The camera is '{name}', the resolution {width} x {height}, as its photograph")
     return text.format(name=scene.camera.name, width=width, height=height)
 
 

@@ -69,18 +69,14 @@ def missing(scene: bpy.types.Scene) -> str:
     if not splats or scene.render.engine == "SVRGS" or scene.svrgs_view.layer_of is not None:
         return ""
     engine, layer = engine_name(scene), layer_of(scene)
-    if layer is None and scene.render.engine in DRAWS_SPLATS:
-        return ""
     if layer is None:
-        return tr("{engine} does not draw splats: a render shows grey dots, or nothing").format(engine=engine)
+        text = tr("{engine} does not draw splats: a render shows grey dots, or nothing")
+        return "" if scene.render.engine in DRAWS_SPLATS else text.format(engine=engine)
     if not compositor_nodes.are_complete(scene, layer):
         return tr("The compositing of the splats is not complete: set it up again")
-    new = next((obj.name for obj in splats if obj.visible_camera), None)
-    if new is not None:
-        return tr("{engine} renders '{name}' as grey dots: set up compositing again").format(
-            engine=engine, name=new
-        )
-    return ""
+    new = [obj for obj in splats if obj.visible_camera]
+    text = tr("{engine} renders '{name}' as grey dots: set up compositing again")
+    return text.format(engine=engine, name=new[0].name) if new else ""
 
 
 def drawn_by_blender(scene: bpy.types.Scene) -> str:
@@ -100,11 +96,8 @@ def drawn_by_blender(scene: bpy.types.Scene) -> str:
 def engine_name(scene: bpy.types.Scene) -> str:
     """The name of the scene's engine as Blender shows it."""
     engine = scene.render.engine
-    labels = (
-        cls.bl_label
-        for cls in bpy.types.RenderEngine.__subclasses__()
-        if getattr(cls, "bl_idname", "") == engine
-    )
+    engines = bpy.types.RenderEngine.__subclasses__()
+    labels = (cls.bl_label for cls in engines if getattr(cls, "bl_idname", "") == engine)
     return BUILT_IN.get(engine) or next(labels, engine)
 
 

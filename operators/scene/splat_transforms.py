@@ -107,9 +107,8 @@ class SVRGS_OT_join_splats(SplatsOperator):
         for obj in others:
             splat_object.delete(obj)
         select(context, [first])
-        return tr("Joined {splats} splats: {count:,} Gaussians").format(
-            splats=len(splats), count=result.count
-        )
+        text = tr("Joined {splats} splats: {count:,} Gaussians")
+        return text.format(splats=len(splats), count=result.count)
 
 
 class SVRGS_OT_write_shapes(SplatsOperator):
@@ -146,14 +145,8 @@ def moved_count(obj: bpy.types.Object | None) -> int:
 
 def _record_positions(scene, *_):
     """Stores the positions of splats that this extension has not made."""
-    for obj in scene.objects:
-        if (
-            obj.type in splat_object.TYPES
-            and not obj.library
-            and not obj.data.library
-            and obj.mode != "EDIT"
-            and splat_object.is_splat(obj)
-        ):
+    for obj in filter(splat_object.is_splat, scene.objects):
+        if not obj.library and not obj.data.library and obj.mode != "EDIT":
             splat_object.record_positions(obj)
 
 
