@@ -88,12 +88,9 @@ def farthest(depth: np.ndarray, reduction: int) -> np.ndarray | None:
 
 def picture_texture(picture: np.ndarray) -> gpu.types.GPUTexture:
     """(H, W, 4) colours, or (H, W) depths; float32, rows from the top."""
-    pixels = np.ascontiguousarray(picture).reshape(-1)
-    return gpu.types.GPUTexture(
-        picture.shape[1::-1],
-        format="RGBA16F" if picture.ndim == 3 else "R32F",
-        data=gpu.types.Buffer("FLOAT", pixels.size, pixels),
-    )
+    pixels, stored = np.ascontiguousarray(picture).reshape(-1), "RGBA16F" if picture.ndim == 3 else "R32F"
+    data = gpu.types.Buffer("FLOAT", pixels.size, pixels)
+    return gpu.types.GPUTexture(picture.shape[1::-1], format=stored, data=data)
 
 
 def draw_over_viewport(
@@ -139,9 +136,8 @@ def draw_linear(
     gpu.state.blend_set("ALPHA_PREMULT")
     shader.bind()
     shader.uniform_sampler("image", image)
-    batch_for_shader(
-        shader, "TRIS", {name: values.astype(np.float32) for name, values in corners.items()}
-    ).draw(shader)
+    places = {name: values.astype(np.float32) for name, values in corners.items()}
+    batch_for_shader(shader, "TRIS", places).draw(shader)
     gpu.state.blend_set("NONE")
 
 

@@ -51,12 +51,12 @@ class ComparedSplats:
     def render(self, camera: Camera, background) -> tuple:
         """(original, pruned): images (H, W, 3) in display sRGB, rounded to 8 bits; camera: in Blender's
         world."""
-        views = [(part.scene, part.seen_by(camera)) for part in self.placed]
-        original, pruned = (
-            rounded_to_8_bits(self.rasterizer.forward(scene, view, picture_options(scene, background))["rgb"])
-            for scene, view in views
-        )
-        return original, pruned
+        images = []
+        for part in self.placed:
+            options = picture_options(part.scene, background)
+            found = self.rasterizer.forward(part.scene, part.seen_by(camera), options)
+            images.append(rounded_to_8_bits(found["rgb"]))
+        return tuple(images)
 
 
 def chosen_pair(context: bpy.types.Context) -> tuple[bpy.types.Object, bpy.types.Object]:
@@ -101,11 +101,8 @@ def pruned_of(original: bpy.types.Object) -> bpy.types.Object:
         return named
     if splat_object.values(original, visible_splats.REMOVED) is not None:
         return original
-    raise SceneError(
-        tr("there is nothing to compare '{name}' with: prune it, or choose the pruned splat").format(
-            name=original.name
-        )
-    )
+    text = tr("there is nothing to compare '{name}' with: prune it, or choose the pruned splat")
+    raise SceneError(text.format(name=original.name))
 
 
 class ComparingOperator(ReportingOperator):
@@ -263,11 +260,8 @@ def summary(rows: list[dict], between: float, hidden: float) -> str:
         tr("between them {psnr:.1f} dB").format(psnr=between),
     ]
     if "psnr" in a:
-        texts.append(
-            tr("against the photograph {before:.2f} to {after:.2f} dB").format(
-                before=a["psnr"], after=b["psnr"]
-            )
-        )
+        text = tr("against the photograph {before:.2f} to {after:.2f} dB")
+        texts.append(text.format(before=a["psnr"], after=b["psnr"]))
     if hidden:
         texts.append(tr("{share:.1%} of it is masked out, and does not count").format(share=hidden))
     return "; ".join(texts)

@@ -25,12 +25,10 @@ class SVRGS_OT_open_image(ReportingOperator):
         image = bpy.data.images.get(self.name)
         if image is None:
             raise SceneError(tr("There is no image '{name}': draw it first").format(name=self.name))
-        known = set(context.window_manager.windows)
+        manager, known = context.window_manager, set(context.window_manager.windows)
         bpy.ops.wm.window_new()
-        area = max(
-            (window for window in context.window_manager.windows if window not in known),
-            key=lambda window: window.width,
-        ).screen.areas[0]
+        new = [window for window in manager.windows if window not in known]
+        area = max(new, key=lambda window: window.width).screen.areas[0]
         area.ui_type = "IMAGE_EDITOR"
         area.spaces.active.image = image
         return ""

@@ -111,31 +111,22 @@ class Overlay:
             view.live.close()
 
     def draw(self):
-        context, settings = bpy.context, bpy.context.scene.svrgs_view
+        context, settings, region = bpy.context, bpy.context.scene.svrgs_view, bpy.context.region
         if not settings.overlay or context.space_data.shading.type not in SHADING:
             return
         try:
-            camera = visible_splats.region_camera(context.region, context.region_data)
-            sides = viewport_wipe.sides(
-                context.scene,
-                viewport_wipe.shown(visible_splats.splats_in_view(context), settings.overlay_shown),
-            )
+            camera = visible_splats.region_camera(region, context.region_data)
+            splats = visible_splats.splats_in_view(context)
+            shown = viewport_wipe.shown(splats, settings.overlay_shown)
+            sides = viewport_wipe.sides(context.scene, shown)
             self.clouds = {side.name: self.cloud_of(side, settings) for side in sides if side.shown}
-            self.close_views(context.region)
-            depth = (
-                gpu_drawing.scene_depth(context.region.width, context.region.height) if self.clouds else None
-            )
+            self.close_views(region)
+            depth = gpu_drawing.scene_depth(region.width, region.height) if self.clouds else None
             if depth is not None:
                 use_threads(context)
                 for side in sides:
-                    self.draw_cloud(
-                        context,
-                        self.clouds[side.name],
-                        self.view_of(context.region, side.name),
-                        camera,
-                        depth,
-                        side.columns,
-                    )
+                    view = self.view_of(region, side.name)
+                    self.draw_cloud(context, self.clouds[side.name], view, camera, depth, side.columns)
         except (SplatError, NativeError):  # an object of scale 0, or no native library: the panels report it
             return
 
@@ -170,12 +161,8 @@ class Overlay:
         """Removes the views of closed regions, and those of sides that this region no longer has."""
         if not [key for key in self.views if key[0] != region.as_pointer() or key[1] not in self.clouds]:
             return
-        open_now = {
-            r.as_pointer()
-            for w in bpy.context.window_manager.windows
-            for area in w.screen.areas
-            for r in area.regions
-        }
+        areas = (area for window in bpy.context.window_manager.windows for area in window.screen.areas)
+        open_now = {one.as_pointer() for area in areas for one in area.regions}
         for key in list(self.views):
             if key[0] not in open_now or (key[0] == region.as_pointer() and key[1] not in self.clouds):
                 self.views.pop(key).live.close()

@@ -97,14 +97,11 @@ class SVRGS_engine(bpy.types.RenderEngine):
                 return split(rasterizer, placed.scene, local, background, surface, catcher)
             return composite(rasterizer, placed.scene, local, background or (0.0, 0.0, 0.0), surface)
 
-        found = composite_while(
-            lambda: not self.test_break(),
-            Rasterizer(),
-            lambda rasterizer: composite_view(partial(draw, rasterizer), view),
-        )
-        if found is not None:
-            return passes(found, transparent or meshes == "SPLIT", placed.unit, working_space())
-        return None
+        whole = lambda rasterizer: composite_view(partial(draw, rasterizer), view)
+        found = composite_while(lambda: not self.test_break(), Rasterizer(), whole)
+        if found is None:
+            return None
+        return passes(found, transparent or meshes == "SPLIT", placed.unit, working_space())
 
     def show_progress(self, text: str, progress: float):
         self.update_stats("", text)
@@ -134,9 +131,8 @@ def region(scene: bpy.types.Scene) -> tuple[slice, slice]:
     if not render.use_border:
         return slice(0, height), slice(0, width)
     low, high = camera_object.borders(render.border_min_y, render.border_max_y, height)
-    return slice(height - high, height - low), slice(
-        *camera_object.borders(render.border_min_x, render.border_max_x, width)
-    )
+    columns = camera_object.borders(render.border_min_x, render.border_max_x, width)
+    return slice(height - high, height - low), slice(*columns)
 
 
 def _dither_off(scene, *_):

@@ -36,9 +36,8 @@ def refresh(context: bpy.types.Context) -> dict:
     obj = visible_splats.camera(depsgraph)
     view = camera_object.camera_from_object(obj, scene)
     scale = scene.svrgs_view.mask_size / max(view.width, view.height)
-    camera = placed.seen_by(
-        view.resized(max(1, round(view.width * scale)), max(1, round(view.height * scale)))
-    )
+    width, height = (max(1, round(side * scale)) for side in (view.width, view.height))
+    camera = placed.seen_by(view.resized(width, height))
     use_threads(context)
     if not _rasterizer:
         _rasterizer.append(Rasterizer())
@@ -122,16 +121,12 @@ class SVRGS_OT_spatial_mask(ReportingOperator):
 
 def show_in_editors(context, image: bpy.types.Image):
     """Shows the image in every Image Editor that is empty or shows another image of this extension."""
-    for window in context.window_manager.windows:
-        for area in window.screen.areas:
-            space = area.spaces.active
-            if (
-                area.type == "IMAGE_EDITOR"
-                and space.mode == "VIEW"
-                and (space.image is None or space.image.name.startswith("SVR-GS"))
-            ):
-                space.image = image
-                area.tag_redraw()
+    areas = (area for window in context.window_manager.windows for area in window.screen.areas)
+    for area in (area for area in areas if area.type == "IMAGE_EDITOR"):
+        space = area.spaces.active
+        if space.mode == "VIEW" and (space.image is None or space.image.name.startswith("SVR-GS")):
+            space.image = image
+            area.tag_redraw()
 
 
 def _after_change(scene, depsgraph=None):

@@ -53,9 +53,8 @@ SHOWN = [
 ]  # fmt: skip
 
 
-def _is_splat(
-    _, obj
-) -> bool:  # not a lambda below: Blender evaluates annotations where this module's names are unknown
+def _is_splat(_, obj) -> bool:
+    """Not a lambda below: Blender evaluates annotations where this module's names are unknown."""
     return splat_object.is_splat(obj)
 
 

@@ -49,14 +49,8 @@ def draw_view(rasterizer, request: DrawRequest, reduction: int):
     camera, placed = request.camera.reduced(reduction), request.placed
     background = (0.0, 0.0, 0.0) if request.transparent else request.background
     scene = placed.thinning.draws() if reduction > 1 else placed.scene
-    picture = composite(
-        rasterizer,
-        scene,
-        placed.seen_by(camera),
-        background,
-        placed.hidden_by(request.triangles, camera),
-        passes=("depth",),
-    )
+    local, surface = placed.seen_by(camera), placed.hidden_by(request.triangles, camera)
+    picture = composite(rasterizer, scene, local, background, surface, passes=("depth",))
     placed.thinning.drew(scene, rasterizer)
     rgba = linear_rgba(picture, request.transparent, request.working_space)
     return rgba, picture.solid_depth
@@ -74,10 +68,8 @@ class Pane:
     def place(self, side: viewport_wipe.Side) -> visible_splats.PlacedScene:
         """The splats of the side as one scene; the last one if nothing has changed. Raises SceneError."""
         if self.placed is None or self.key != side.key:
-            self.key, self.placed = (
-                side.key,
-                visible_splats.placed([(part.scene, part.matrix) for part in side.shown]),
-            )
+            self.placed = visible_splats.placed([(part.scene, part.matrix) for part in side.shown])
+            self.key = side.key
         return self.placed
 
     def draw(self, region: bpy.types.Region, columns: tuple[float, float]):
@@ -92,10 +84,8 @@ class Pane:
     def hide_lines(self, shader: gpu.types.GPUShader, lines: gpu.types.GPUTexture, P, columns):
         """Takes Blender's lines away where the picture is in front of them. P: the window matrix."""
         if self.textures is not None and self.placed is not None:
-            constants = {
-                "lens": (P[2][2], P[2][3], P[3][2], P[3][3]),
-                "depths": (self.placed.unit, step_back(P)),
-            }
+            lens, depths = (P[2][2], P[2][3], P[3][2], P[3][3]), (self.placed.unit, step_back(P))
+            constants = {"lens": lens, "depths": depths}
             textures = {"depth": self.textures[1][1], "lines": lines}
             gpu_drawing.draw_hiding(shader, textures, constants, columns)
 
@@ -128,14 +118,7 @@ class Viewport:
         scene_cache.forget_updated(depsgraph)
         self.version += 1
         try:
-            self.shown, self.problem = (
-                [
-                    part
-                    for found in visible_splats.placed_splats(depsgraph)
-                    for part in viewport_wipe.shown([found])
-                ],
-                "",
-            )
+            self.shown, self.problem = viewport_wipe.shown(visible_splats.placed_splats(depsgraph)), ""
             self.triangles = mesh_triangles.triangles(depsgraph)
         except SplatError as error:
             self.shown, self.problem = [], str(error)
@@ -188,9 +171,8 @@ class Viewport:
             return tr("Drawing")
         if picture.error is not None:
             return str(picture.error)
-        return (
-            tr("{count:,} Gaussians, coarse") if picture.reduction > 1 else tr("{count:,} Gaussians")
-        ).format(count=placed.scene.count)
+        text = tr("{count:,} Gaussians, coarse") if picture.reduction > 1 else tr("{count:,} Gaussians")
+        return text.format(count=placed.scene.count)
 
 
 def shows_in_front(context: bpy.types.Context) -> bool:

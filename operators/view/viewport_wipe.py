@@ -75,12 +75,8 @@ def sides(scene: bpy.types.Scene, found: list[Shown]) -> list[Side]:
     if chosen is None or place is None:
         return [Side("", (0.0, 1.0), found)]
     original, pruned = chosen
-    whole = Shown(
-        _pair[0],
-        ("whole", scene_cache.number(original, whole=True)),
-        scene_cache.read(original, whole=True),
-        place,
-    )
+    number = scene_cache.number(original, whole=True)
+    whole = Shown(_pair[0], ("whole", number), scene_cache.read(original, whole=True), place)
     key = tuple(scene_cache.number(obj, whole=True) for obj in chosen)
     if key not in _pruned:
         _pruned.clear()
@@ -131,13 +127,11 @@ class SVRGS_OT_viewport_wipe(ReportingOperator):
             return ""
         _pair[:] = [obj.session_uid for obj in compare.chosen_pair(context)]
         if context.area is not None and context.area.type == "VIEW_3D" and not draws_splats(context):
-            self.report(
-                {"WARNING"},
-                tr(
-                    "This viewport shows no splats: choose Solid or Material Preview, or Rendered with the"
-                    " engine SVR-GS"
-                ),
+            text = tr(
+                "This viewport shows no splats: choose Solid or Material Preview, or Rendered with the"
+                " engine SVR-GS"
             )
+            self.report({"WARNING"}, text)
         redraw_panels()
         return ""
 
@@ -162,19 +156,15 @@ class SVRGS_GT_wipe(bpy.types.Gizmo):
         gpu.state.blend_set("NONE")
         blf.size(0, 12 * scale)
         blf.color(0, *COLOR)
-        for text, left in ((tr("Original"), True), (tr("Pruned"), False)):
-            blf.position(
-                0, x - half - blf.dimensions(0, text)[0] - 2 if left else x + half + 2, middle - half / 2, 0
-            )
+        original, pruned = tr("Original"), tr("Pruned")
+        before = x - half - blf.dimensions(0, original)[0] - 2
+        for text, start in ((original, before), (pruned, x + half + 2)):
+            blf.position(0, start, middle - half / 2, 0)
             blf.draw(0, text)
 
     def test_select(self, context, location):
-        if (
-            abs(location[0] - context.scene.svrgs_view.wipe * context.region.width)
-            < REACH * context.preferences.system.ui_scale
-        ):
-            return 0
-        return -1
+        distance = abs(location[0] - context.scene.svrgs_view.wipe * context.region.width)
+        return 0 if distance < REACH * context.preferences.system.ui_scale else -1
 
     def invoke(self, context, event):
         self.before = context.scene.svrgs_view.wipe
@@ -204,18 +194,13 @@ class SVRGS_GGT_wipe(bpy.types.GizmoGroup):
         self.gizmos.new(SVRGS_GT_wipe.bl_idname)
 
 
-def rectangle(
-    shader: gpu.types.GPUShader,
-    bounds: tuple[float, float, float, float],
-    color: tuple[float, float, float, float],
-):
+def rectangle(shader: gpu.types.GPUShader, bounds: tuple[float, ...], color: tuple[float, ...]):
     """Fills left, bottom, right, top in pixels."""
     left, bottom, right, top = bounds
     shader.bind()
     shader.uniform_float("color", color)
-    batch_for_shader(
-        shader, "TRI_FAN", {"pos": ((left, bottom), (right, bottom), (right, top), (left, top))}
-    ).draw(shader)
+    corners = (left, bottom), (right, bottom), (right, top), (left, top)
+    batch_for_shader(shader, "TRI_FAN", {"pos": corners}).draw(shader)
 
 
 def forget(*_):
