@@ -30,9 +30,8 @@ class SVRGS_PT_color(SidebarPanel):
             wrapped_label(self.layout, problem, "ERROR")
         if not grading.is_graded(obj):
             return
-        wrapped_label(
-            self.layout, tr("Seen and exported so. Pruning takes the splat as it is stored"), "INFO"
-        )
+        text = tr("Seen and exported so. Pruning takes the splat as it is stored")
+        wrapped_label(self.layout, text, "INFO")
         self.layout.operator("svrgs.apply_grade", icon="CHECKMARK")
 
 

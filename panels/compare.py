@@ -55,14 +55,12 @@ def table(layout, result: dict):
     rows = result["original"], result["pruned"]
     lines.append((tr("Gaussians"), *(f"{row['count']:,}" for row in rows)))
     lines.append(("MB", *(f"{row['bytes'] / 1e6:.1f}" for row in rows)))
-    for key, text in (("psnr", "{:.2f}"), ("ssim", "{:.4f}"), ("lpips", "{:.4f}"), ("flip", "{:.4f}")):
+    for key, digits in (("psnr", 2), ("ssim", 4), ("lpips", 4), ("flip", 4)):
         if key in rows[0]:
-            lines.append((key.upper(), *(text.format(row[key]) for row in rows)))
+            lines.append((key.upper(), *(f"{row[key]:.{digits}f}" for row in rows)))
     box = layout.box()
-    wrapped_label(
-        box,
-        tr("{camera}: {psnr:.1f} dB between them").format(camera=result["camera"], psnr=result["between"]),
-    )
+    text = tr("{camera}: {psnr:.1f} dB between them")
+    wrapped_label(box, text.format(camera=result["camera"], psnr=result["between"]))
     grid = box.grid_flow(row_major=True, columns=3, even_columns=True, align=True)
     for line in lines:
         for text in line:

@@ -34,12 +34,8 @@ class SVRGS_PT_engine(bpy.types.Panel):
 
 def shared_panels():
     """The panels that Blender shows for every engine without panels of its own."""
-    panels = (
-        panel
-        for panel in bpy.types.Panel.__subclasses__()
-        if "BLENDER_RENDER" in getattr(panel, "COMPAT_ENGINES", ())
-    )
-    return [panel for panel in panels if panel.__name__ not in EXCLUDED]
+    panels = (panel for panel in bpy.types.Panel.__subclasses__() if panel.__name__ not in EXCLUDED)
+    return [panel for panel in panels if "BLENDER_RENDER" in getattr(panel, "COMPAT_ENGINES", ())]
 
 
 CLASSES = (SVRGS_PT_engine,)

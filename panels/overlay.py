@@ -1,6 +1,6 @@
 """View: settings of drawing splats in Solid and Material Preview viewports."""
 
-from .sidebar import SidebarPanel, native_library_works
+from .sidebar import SidebarPanel, native_library_works, split_column
 
 
 class SVRGS_PT_overlay(SidebarPanel):
@@ -16,9 +16,7 @@ class SVRGS_PT_overlay(SidebarPanel):
         layout, settings = self.layout, context.scene.svrgs_view
         if not native_library_works(layout):
             return
-        layout.use_property_split = True
-        layout.use_property_decorate = False
-        column = layout.column()
+        column = split_column(layout)
         column.active = settings.overlay
         column.prop(settings, "overlay_shown")
 

@@ -18,11 +18,8 @@ class SVRGS_UL_photographs(bpy.types.UIList):
         """Of all objects of the file: the photographs, by the names of their images."""
         objects, shown = getattr(data, prop), photographs.of(splat_object.root_of(context.object))
         wanted = self.filter_name.lower()
-        names = {obj: obj.data[camera_object.IMAGE] for obj in shown}
-        flags = [
-            self.bitflag_filter_item if obj in names and wanted in names[obj].lower() else 0
-            for obj in objects
-        ]
+        found = {obj for obj in shown if wanted in obj.data[camera_object.IMAGE].lower()}
+        flags = [self.bitflag_filter_item if obj in found else 0 for obj in objects]
         places = {obj: place for place, obj in enumerate(shown)}
         order = sorted(range(len(objects)), key=lambda k: places.get(objects[k], len(objects) + k))
         ranks = [0] * len(order)
@@ -42,14 +39,12 @@ class SVRGS_PT_photographs(SidebarPanel):
         return bool(photographs.of(splat_object.root_of(context.object)))
 
     def draw(self, context):
-        settings = context.scene.svrgs_view
-        self.layout.template_list(
-            "SVRGS_UL_photographs", "", bpy.data, "objects", settings, "photograph", rows=6
-        )
-        self.layout.prop(settings, "show_masks")
+        layout, settings = self.layout, context.scene.svrgs_view
+        layout.template_list("SVRGS_UL_photographs", "", bpy.data, "objects", settings, "photograph", rows=6)
+        layout.prop(settings, "show_masks")
         root = splat_object.root_of(context.object)
         if root is not None and (problem := known.of(root).mask_problem):
-            wrapped_label(self.layout, problem, "ERROR")
+            wrapped_label(layout, problem, "ERROR")
 
 
 CLASSES = (SVRGS_UL_photographs, SVRGS_PT_photographs)

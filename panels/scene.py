@@ -25,8 +25,7 @@ class SVRGS_PT_scene(SidebarPanel):
         column.operator("svrgs.import_colmap", icon="OUTLINER_OB_CAMERA", text="Import Cameras")
         if photographs := undistort.status():
             wrapped_label(layout, photographs, "INFO")
-        lost = dataset_paths.lost(root_of(context.object))
-        if lost:
+        if lost := dataset_paths.lost(root_of(context.object)):
             wrapped_label(layout, lost, "ERROR")
             layout.operator("svrgs.find_dataset", icon="FILE_FOLDER", text="Find Dataset…")
         row = layout.row()
@@ -51,8 +50,7 @@ class SVRGS_PT_scene(SidebarPanel):
             text = tr("Blender's default cube may hide a part of the splat: select the cube and press H")
             wrapped_label(layout, text, "INFO")
         draw_cameras(layout, context)
-        moved = splat_transforms.moved_count(context.object)
-        if moved:
+        if moved := splat_transforms.moved_count(context.object):
             text = tr(
                 "Blender has moved {count:,} points without their shapes. SVR-GS shows and exports the right"
                 " shapes"
@@ -82,12 +80,8 @@ def draw_cameras(layout, context):
         row.operator("svrgs.part_from_cameras", text="", icon="X")
         return
     for name in camera_match.roots(context.scene)[:ROOTS]:
-        layout.operator(
-            "svrgs.use_cameras",
-            text=tr("Use Cameras of '{name}'").format(name=name),
-            icon="OUTLINER_OB_CAMERA",
-            translate=False,
-        ).root = name
+        text, icon = tr("Use Cameras of '{name}'").format(name=name), "OUTLINER_OB_CAMERA"
+        layout.operator("svrgs.use_cameras", text=text, icon=icon, translate=False).root = name
 
 
 CLASSES = (SVRGS_PT_scene,)

@@ -49,9 +49,8 @@ class SVRGS_PT_select(SidebarPanel):
         row.operator("svrgs.clear_selection", text="", icon="X")
         row = layout.row(align=True)
         row.operator("svrgs.delete_gaussians", text="Delete Selected", icon="TRASH").what = "SELECTED"
-        row.operator(
-            "svrgs.delete_gaussians", text="Keep Only Selected", icon="FULLSCREEN_EXIT"
-        ).what = "OTHERS"
+        others = row.operator("svrgs.delete_gaussians", text="Keep Only Selected", icon="FULLSCREEN_EXIT")
+        others.what = "OTHERS"
         row = layout.row(align=True)
         row.operator("svrgs.hide_gaussians", icon="HIDE_ON")
         row.operator("svrgs.separate_gaussians", text="Separate Selected", icon="MOD_EXPLODE")

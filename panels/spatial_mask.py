@@ -23,15 +23,13 @@ class SpatialMaskPanel(SidebarPanel):
         row.prop(settings, "mask_follow", text="", icon="CAMERA_DATA")
         image, figures = bpy.data.images.get(spatial_mask.NAME), spatial_mask.figures()
         if image is None or not figures:
-            wrapped_label(
-                layout, tr("Refresh draws F, the normalised number of Gaussians in each pixel"), "INFO"
-            )
+            text = tr("Refresh draws F, the normalised number of Gaussians in each pixel")
+            wrapped_label(layout, text, "INFO")
             return
         draw_image(layout, image)
         legend(layout, settings.mask_top or figures["largest"])
-        layout.label(
-            text=tr("{camera}: mean {mean:.3g}, {milliseconds} ms").format(**figures), translate=False
-        )
+        text = tr("{camera}: mean {mean:.3g}, {milliseconds} ms").format(**figures)
+        layout.label(text=text, translate=False)
         column = split_column(layout)
         for name in ("mask_colors", "mask_top", "mask_size"):
             column.prop(settings, name)
