@@ -99,10 +99,14 @@ def redraw_soon():
 
 
 def redraw_panels():
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type in ("VIEW_3D", "IMAGE_EDITOR"):
-                area.tag_redraw()
+    for area in areas():
+        if area.type in ("VIEW_3D", "IMAGE_EDITOR"):
+            area.tag_redraw()
+
+
+def areas() -> list[bpy.types.Area]:
+    """Those of all windows."""
+    return [area for window in bpy.context.window_manager.windows for area in window.screen.areas]
 
 
 TIMERS = (tick,)

@@ -143,7 +143,7 @@ class SVRGS_OT_compare(ComparingOperator):
         image_pixels.write_image(PRUNED, pruned)
         image_pixels.write_image(DIFFERENCE, difference_image(original, pruned))
         image = image_pixels.write_image(WIPE, wipe(original, pruned, settings.wipe), figures=figures)
-        show_in_editors(context, image)
+        show_in_editors(image)
         if photo is not None and weights_file().is_file():
             perceived(pictures, photo, valid, figures)
         text = summary(rows, between, figures.get("hidden", 0.0))
@@ -173,7 +173,7 @@ class SVRGS_OT_contact_sheet(ComparingOperator):
         finally:
             manager.progress_end()
         columns = max(1, round((len(rows) / 3) ** 0.5))
-        show_in_editors(context, image_pixels.write_image(SHEET, contact_sheet(rows, columns)))
+        show_in_editors(image_pixels.write_image(SHEET, contact_sheet(rows, columns)))
         text = tr(
             "{count:,} cameras in '{image}': original, pruned, difference; lowest PSNR between them:"
             " {worst:.1f} dB"

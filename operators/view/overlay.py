@@ -27,7 +27,7 @@ from ...svrgs_addon.scene.camera import Camera
 from ...svrgs_addon.scene.gaussians import Scene
 from ...svrgs_addon.system.errors import NativeError, SplatError
 from ...svrgs_addon.views.lens import depth_of_projection
-from ..data import gpu_drawing, splat_object, visible_splats
+from ..data import background_work, gpu_drawing, splat_object, visible_splats
 from ..data.preferences import use_threads
 from ..data.selection import SELECTED
 from . import viewport_wipe
@@ -161,8 +161,7 @@ class Overlay:
         """Removes the views of closed regions, and those of sides that this region no longer has."""
         if not [key for key in self.views if key[0] != region.as_pointer() or key[1] not in self.clouds]:
             return
-        areas = (area for window in bpy.context.window_manager.windows for area in window.screen.areas)
-        open_now = {one.as_pointer() for area in areas for one in area.regions}
+        open_now = {one.as_pointer() for area in background_work.areas() for one in area.regions}
         for key in list(self.views):
             if key[0] not in open_now or (key[0] == region.as_pointer() and key[1] not in self.clouds):
                 self.views.pop(key).live.close()

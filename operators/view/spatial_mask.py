@@ -115,14 +115,13 @@ class SVRGS_OT_spatial_mask(ReportingOperator):
 
     def work(self, context) -> str:
         result = refresh(context)
-        show_in_editors(context, bpy.data.images[NAME])
+        show_in_editors(bpy.data.images[NAME])
         return tr("Spatial mask of {camera}: mean {mean:.3g}, largest {largest:.3g}").format(**result)
 
 
-def show_in_editors(context, image: bpy.types.Image):
+def show_in_editors(image: bpy.types.Image):
     """Shows the image in every Image Editor that is empty or shows another image of this extension."""
-    areas = (area for window in context.window_manager.windows for area in window.screen.areas)
-    for area in (area for area in areas if area.type == "IMAGE_EDITOR"):
+    for area in (area for area in background_work.areas() if area.type == "IMAGE_EDITOR"):
         space = area.spaces.active
         if space.mode == "VIEW" and (space.image is None or space.image.name.startswith("SVR-GS")):
             space.image = image

@@ -21,7 +21,7 @@ from ...svrgs_addon.render.passes import linear_rgba
 from ...svrgs_addon.scene.camera import Camera
 from ...svrgs_addon.system.errors import NativeError, SplatError
 from ...svrgs_addon.views.lens import step_back
-from ..data import gpu_drawing, mesh_triangles, visible_splats
+from ..data import background_work, gpu_drawing, mesh_triangles, visible_splats
 from ..data.image_pixels import working_space
 from ..data.preferences import use_threads
 from . import scene_cache, viewport_wipe
@@ -183,10 +183,9 @@ def shows_in_front(context: bpy.types.Context) -> bool:
 
 def redraw(shading: set[str]):
     """Redraws every 3D viewport whose shading type is in `shading`."""
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "VIEW_3D" and area.spaces.active.shading.type in shading:
-                area.tag_redraw()
+    for area in background_work.areas():
+        if area.type == "VIEW_3D" and area.spaces.active.shading.type in shading:
+            area.tag_redraw()
 
 
 def _refresh() -> float | None:
