@@ -65,10 +65,9 @@ def draw_job(layout, context, subject, job):
     for sentence in prune_state.sentences(context):
         wrapped_label(layout, sentence, icon)
         icon = "NONE"
-    if job.state != "done" and job_pictures.plot_icon(job.folder):
+    if job.state != "done" and (pictures := job_pictures.icons(job.folder)):
         row = layout.row()
-        pictures = job_pictures.plot_icon(job.folder), job_pictures.preview_icon(job.folder)
-        for picture in filter(None, pictures):
+        for picture in pictures:
             row.template_icon(icon_value=picture, scale=6)
         layout.label(text="Blue: Gaussians. Orange: PSNR")
     draw_actions(layout.row(align=True), job, job_state.of(job).actions)

@@ -34,18 +34,12 @@ def redraw(folder: JobFolder):
         _ = preview.image_size[:], preview.icon_size[:]
 
 
-def plot_icon(folder: JobFolder) -> int:
-    """Icon id of the plot; 0 if there is none yet."""
-    return _icon(str(folder.path))
-
-
-def preview_icon(folder: JobFolder) -> int:
-    """Icon id of the newest preview image; 0 if there is none yet."""
-    return _icon(_shown.get(str(folder.path), ""))
-
-
-def _icon(key: str) -> int:
-    return _pictures[0][key].icon_id if _pictures and key in _pictures[0] else 0
+def icons(folder: JobFolder) -> list[int]:
+    """Icon ids of the plot and of the newest preview image; [] as long as there is no plot."""
+    plot = str(folder.path)
+    if not _pictures or plot not in _pictures[0]:
+        return []
+    return [_pictures[0][key].icon_id for key in (plot, _shown.get(plot, "")) if key in _pictures[0]]
 
 
 def register():
