@@ -28,28 +28,24 @@ RELATIVE = (
 CHOICES = {"RECOMMENDED": DEFAULT, "PAPER": PAPER_METHOD}  # items of the short menu, except OTHER -> method
 # what OTHER chooses first: the nearest to the default at small counts (docs/results.md)
 FIRST_OTHER = "maskgs"
-# the default of a property whose option has no default
-UNSET = {int: 0, float: 0.0, str: "", Path: "", bool: False}
 
 
 def option_property(name: str, /, **overrides):
     """The property of one option. overrides: arguments of the property that are not those of the option."""
     option, default = options_of(PruneOptions)[name], PruneOptions.__dataclass_fields__[name].default
-    kind = option.kind
+    kind, is_text = option.kind, option.kind.type in (str, Path)
+    unset = "" if is_text else kind.type()
     arguments: dict = {
         "name": name.replace("_", " ").title(),
         "description": capitalised(option.help),
-        "default": UNSET[kind.type] if default is None else default,
+        "default": unset if default is None else str(default) if is_text else default,
     }
     if kind.type in (int, float):
-        arguments |= {
-            key: value for key, value in (("min", kind.minimum), ("max", kind.maximum)) if value is not None
-        }
-    elif kind.type is Path:
+        limits = {"min": kind.minimum, "max": kind.maximum}
+        arguments |= {key: value for key, value in limits.items() if value is not None}
+    if kind.type is Path:
         arguments |= {"subtype": "DIR_PATH", "options": RELATIVE}
-    if kind.type in (str, Path):
-        arguments["default"] = str(arguments["default"])
-    if option.default_help and kind.type in (str, Path):
+    if option.default_help and is_text:
         arguments["description"] += f". Empty: {option.default_help}"
     return PROPERTY_TYPES[kind.type](**(arguments | overrides))
 
