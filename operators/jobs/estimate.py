@@ -76,22 +76,18 @@ def sentences(obj: bpy.types.Object) -> list[str]:
     if "kept" not in found:
         return []
     kept, count = found["kept"], found["count"]
-    stay = (
-        tr("At most {kept:,} of {count:,} would stay ({share:.0%})")
-        if found["at_most"]
-        else tr("About {kept:,} of {count:,} would stay ({share:.0%})")
-    )
+    stay = tr("About {kept:,} of {count:,} would stay ({share:.0%})")
+    if found["at_most"]:
+        stay = tr("At most {kept:,} of {count:,} would stay ({share:.0%})")
     seen = tr("{invisible:,} Gaussians are invisible; {unseen:,} are in none of the {views} views looked at")
     if found["faint"]:
         seen = tr(
             "{invisible:,} Gaussians are invisible; {unseen:,} are in none of the {views} views looked at;"
             " {faint:,} are too faint and go first"
         )
-    time = (
-        tr("About {minutes:.0f} min for {steps:,} steps")
-        if found["seconds"] >= 120
-        else tr("About {seconds:.0f} s for {steps:,} steps")
-    )
+    time = tr("About {seconds:.0f} s for {steps:,} steps")
+    if found["seconds"] >= 120:
+        time = tr("About {minutes:.0f} min for {steps:,} steps")
     before, after = file_size_text(found["bytes_before"]), file_size_text(found["bytes_after"])
     return [
         stay.format(kept=kept, count=count, share=kept / count),

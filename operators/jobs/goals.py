@@ -99,11 +99,9 @@ def sentence(settings, merges: bool = False) -> str:
     if method.name == DEFAULT:
         return tr(preset.sentence)
     if method.lambda_f:
-        text = (
-            tr("The default λ_F of this method")
-            if preset.strength == 1
-            else tr("{times:g} times the default λ_F of this method")
-        )
+        text = tr("{times:g} times the default λ_F of this method")
+        if preset.strength == 1:
+            text = tr("The default λ_F of this method")
         return text.format(times=preset.strength)
     if goal == "BALANCED" and not _needs_share(method):
         return _own_amount(method)
@@ -116,14 +114,11 @@ def strength_sentence(settings) -> str:
     if not method.lambda_f:
         return ""
     times = settings.lambda_f / method.lambda_f
+    text = tr("λ_F = {value}, 1/{times:.3g} of the default: {meaning}")
     if 0.999 < times < 1.001:
         text = tr("λ_F = {value}, the default: {meaning}")
-    else:
-        text = (
-            tr("λ_F = {value}, {times:.3g} times the default: {meaning}")
-            if times > 1
-            else tr("λ_F = {value}, 1/{times:.3g} of the default: {meaning}")
-        )
+    elif times > 1:
+        text = tr("λ_F = {value}, {times:.3g} times the default: {meaning}")
     mantissa, exponent = f"{settings.lambda_f:.2e}".split("e")
     value, times = f"{float(mantissa):g}e{int(exponent)}", max(times, 1 / times)
     return text.format(value=value, times=times, meaning=tr(method.lambda_f_help))

@@ -80,11 +80,9 @@ def waiting_text(job: Job) -> str:
     left = first.facts.get("seconds_left")
     if left is None:
         return tr("Waiting for '{name}'").format(name=first.name)
-    text = (
-        tr("Waiting for '{name}', about {minutes:.0f} min")
-        if left >= MINUTES
-        else tr("Waiting for '{name}', about {seconds:.0f} s")
-    )
+    text = tr("Waiting for '{name}', about {seconds:.0f} s")
+    if left >= MINUTES:
+        text = tr("Waiting for '{name}', about {minutes:.0f} min")
     return text.format(name=first.name, minutes=left / 60, seconds=left)
 
 

@@ -80,9 +80,7 @@ def time_left(job: Job) -> str:
     if "seconds_left" not in job.facts:  # by blocks
         return f"{job.progress:.0%}"
     left = job.facts["seconds_left"]
-    text = (
-        tr("{share:.0%}, {minutes:.0f} min left")
-        if left >= job_queue.MINUTES
-        else tr("{share:.0%}, {seconds:.0f} s left")
-    )
+    text = tr("{share:.0%}, {seconds:.0f} s left")
+    if left >= job_queue.MINUTES:
+        text = tr("{share:.0%}, {minutes:.0f} min left")
     return text.format(share=job.progress, minutes=left / 60, seconds=left)

@@ -150,11 +150,9 @@ def _quality(pruned: bpy.types.Object) -> str:
 def _of_result(original: bpy.types.Object | None, pruned: bpy.types.Object) -> list[str]:
     count, kept = job_result.shown_count(pruned), pruned[job_result.KEPT]
     total = splat_object.count(original) if original is not None else 0
-    text = (
-        tr("{kept:,} of {count:,} Gaussians, {size} as PLY")
-        if total
-        else tr("{kept:,} Gaussians, {size} as PLY")
-    )
+    text = tr("{kept:,} Gaussians, {size} as PLY")
+    if total:
+        text = tr("{kept:,} of {count:,} Gaussians, {size} as PLY")
     texts = [text.format(kept=count, count=total, size=size_text(pruned, count))]
     if quality := _quality(pruned):
         text = tr("{quality}; not measured at this setting")
@@ -176,11 +174,9 @@ def _of_applied(obj: bpy.types.Object) -> str:
     if original is None or pruned is None:
         return ""
     other = original if obj == pruned else pruned
-    text = (
-        tr("Pruned from '{name}', {count:,} Gaussians")
-        if other == original
-        else tr("Pruned to '{name}', {count:,} Gaussians")
-    )
+    text = tr("Pruned to '{name}', {count:,} Gaussians")
+    if other == original:
+        text = tr("Pruned from '{name}', {count:,} Gaussians")
     said = text.format(name=other.name, count=splat_object.count(other))
     return ", ".join((said, tr("which is hidden"))) if other.hide_get() and other.hide_render else said
 

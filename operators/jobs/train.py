@@ -103,11 +103,9 @@ def about(context) -> str:
         return ""
     photographs = sum(map(camera_object.is_photograph, root.children_recursive))
     points = root.get(splat_object.POINTS)
-    text = (
-        tr("'{name}': {photographs:,} photographs")
-        if points is None
-        else tr("'{name}': {photographs:,} photographs, {points:,} sparse points")
-    )
+    text = tr("'{name}': {photographs:,} photographs, {points:,} sparse points")
+    if points is None:
+        text = tr("'{name}': {photographs:,} photographs")
     return text.format(name=root.name, photographs=photographs, points=points)
 
 
