@@ -101,11 +101,8 @@ def new_camera(camera: Camera, extent: float, collection: bpy.types.Collection) 
 
 def render_size(scene: bpy.types.Scene) -> tuple[int, int]:
     """(width, height) of a render in pixels."""
-    render = scene.render
-    return tuple(
-        max(1, side * render.resolution_percentage // 100)
-        for side in (render.resolution_x, render.resolution_y)
-    )
+    render, sides = scene.render, (scene.render.resolution_x, scene.render.resolution_y)
+    return tuple(max(1, side * render.resolution_percentage // 100) for side in sides)
 
 
 def borders(low: float, high: float, size: int) -> tuple[int, int]:

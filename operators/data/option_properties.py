@@ -20,11 +20,9 @@ PROPERTY_TYPES = {
     str: StringProperty,
     Path: StringProperty,
 }
-RELATIVE = (
-    {"PATH_SUPPORTS_BLEND_RELATIVE"}
-    if "is_path_supports_blend_relative" in bpy.types.Property.bl_rna.properties
-    else set()
-)  # options of paths that take '//'
+RELATIVE = {"PATH_SUPPORTS_BLEND_RELATIVE"}  # options of paths that take '//'
+if "is_path_supports_blend_relative" not in bpy.types.Property.bl_rna.properties:
+    RELATIVE = set()
 CHOICES = {"RECOMMENDED": DEFAULT, "PAPER": PAPER_METHOD}  # items of the short menu, except OTHER -> method
 # what OTHER chooses first: the nearest to the default at small counts (docs/results.md)
 FIRST_OTHER = "maskgs"
@@ -109,11 +107,8 @@ def _choose(settings, number: int):
 
 def method_property():
     """The menu of the methods that prune. Blender stores the number of a method in .blend files."""
-    items = [
-        (name, method.label, _tooltip(method), "NONE", method.number)
-        for name, method in METHODS.items()
-        if method.prunes
-    ]
+    methods = {name: method for name, method in METHODS.items() if method.prunes}
+    items = [(name, one.label, _tooltip(one), "NONE", one.number) for name, one in methods.items()]
     return EnumProperty(
         name="Method",
         items=items,

@@ -163,11 +163,8 @@ def remove_values(obj: bpy.types.Object, *names: str):
 def further_values(obj: bpy.types.Object) -> list[tuple[str, str, np.ndarray]]:
     """Name, Blender's data type and values of the attributes that have one value per Gaussian, apart from
     those that Blender hides."""
-    kinds = {
-        a.name: a.data_type
-        for a in obj.data.attributes
-        if a.domain == "POINT" and not a.name.startswith(".") and a.data_type in KINDS
-    }
+    found = (a for a in obj.data.attributes if a.domain == "POINT" and not a.name.startswith("."))
+    kinds = {a.name: a.data_type for a in found if a.data_type in KINDS}
     return [(name, kind, stored_values(obj, name)) for name, kind in kinds.items()]
 
 

@@ -47,11 +47,8 @@ def views(context, splat: bpy.types.Object) -> list[Camera]:
 
 def placed(splat: bpy.types.Object) -> list[bpy.types.Object]:
     """The cameras that were placed for a splat and are still in the file."""
-    return [
-        obj
-        for obj in splat.children
-        if obj.type == "CAMERA" and camera_object.PLACED in obj.data and obj.users_collection
-    ]
+    cameras = (obj for obj in splat.children if obj.type == "CAMERA" and obj.users_collection)
+    return [obj for obj in cameras if camera_object.PLACED in obj.data]
 
 
 def place(splat: bpy.types.Object, cameras: list[Camera], collection: bpy.types.Collection):
@@ -94,11 +91,7 @@ def _of_frames(scene: bpy.types.Scene) -> Iterator[Camera]:
 def _standing(scene: bpy.types.Scene) -> Iterator[Camera]:
     """The other cameras of the scene, as they are now: those that were placed too, those of photographs
     not."""
-    for obj in sorted(scene.objects, key=lambda obj: obj.name):
-        if (
-            obj.type == "CAMERA"
-            and obj != scene.camera
-            and obj.data.type in ("PERSP", "ORTHO")
-            and not camera_object.is_photograph(obj)
-        ):
+    others = (obj for obj in scene.objects if obj.type == "CAMERA" and obj != scene.camera)
+    for obj in sorted(others, key=lambda obj: obj.name):
+        if obj.data.type in ("PERSP", "ORTHO") and not camera_object.is_photograph(obj):
             yield camera_object.camera_from_object(obj, scene)

@@ -46,12 +46,11 @@ def _prims(export_context, stage) -> list[tuple[Any, bpy.types.Object]]:
     named = (prim for prim in stage.TraverseAll() if prim.HasAttribute(NAME))
     names = [(prim.GetPath(), prim.GetAttribute(NAME).Get()) for prim in named]
     if not names:
-        raise SceneError(
-            tr(
-                "splats are exported as points, because the stage has no names of Blender's objects: switch"
-                " on Custom Properties and Blender Names"
-            )
+        text = tr(
+            "splats are exported as points, because the stage has no names of Blender's objects: switch on"
+            " Custom Properties and Blender Names"
         )
+        raise SceneError(text)
     return [(path, bpy.data.objects[name]) for path, name in names if name in bpy.data.objects]
 
 

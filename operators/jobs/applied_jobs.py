@@ -34,11 +34,8 @@ def is_applied(folder: str) -> bool:
 
 def _applied() -> list[bpy.types.Object]:
     """The applied and the trained splats in the file that still have a job."""
-    return [
-        obj
-        for obj in bpy.data.objects
-        if known.of(obj).result_of and obj.users_collection and not job_result.undecided(obj)
-    ]
+    results = (obj for obj in bpy.data.objects if known.of(obj).result_of and obj.users_collection)
+    return [obj for obj in results if not job_result.undecided(obj)]
 
 
 def _after_undo(*_):

@@ -188,12 +188,11 @@ class SVRGS_OT_prune(JobOptions, ReportingOperator):
         elif bpy.data.filepath:
             out = default_output(Path(bpy.data.filepath).with_name(bpy.path.clean_name(source.name)), "out=")
         else:
-            raise SplatError(
-                tr(
-                    "name a file for the result with out=: in background mode it lies beside the .blend, and"
-                    " this one has not been saved"
-                )
+            text = tr(
+                "name a file for the result with out=: in background mode it lies beside the .blend, and this"
+                " one has not been saved"
             )
+            raise SplatError(text)
         if out.exists() and not self.overwrite:
             text = tr("{file}: exists; name another output with out=, or replace it with overwrite=True")
             raise SplatError(text.format(file=out))

@@ -43,9 +43,8 @@ def _lambda_changed(settings, context):
 
 def _share_changed(obj, context):
     if job_result.undecided(obj):
-        job_result.show(
-            obj, round(obj.svrgs_share / 100 * splat_object.count(job_result.original_of(obj) or obj))
-        )
+        total = splat_object.count(job_result.original_of(obj) or obj)
+        job_result.show(obj, round(obj.svrgs_share / 100 * total))
 
 
 class SVRGS_PG_prune(JobOptions, bpy.types.PropertyGroup):

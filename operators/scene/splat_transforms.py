@@ -88,12 +88,11 @@ class SVRGS_OT_join_splats(SplatsOperator):
         splats = selected_splats(context)
         first, *others = splats
         if len({splat_object.scene_from_object(obj).antialiased for obj in splats}) > 1:
-            raise SceneError(
-                tr(
-                    "some of these splats were trained with antialiasing and some were not: joined, one kind"
-                    " would be drawn wrongly"
-                )
+            text = tr(
+                "some of these splats were trained with antialiasing and some were not: joined, one kind"
+                " would be drawn wrongly"
             )
+            raise SceneError(text)
         if len({grading.of(obj) for obj in splats}) > 1:
             raise SceneError(tr("these splats have different colour settings: use Apply Color first"))
         scenes, hidden = [], [selection.hidden(obj) for obj in splats]

@@ -75,12 +75,11 @@ class SVRGS_engine(bpy.types.RenderEngine):
         self.show_progress(tr("Reading splats"), 0.0)
         placed = visible_splats.splats(depsgraph)
         if placed is None:
-            raise SceneError(
-                tr(
-                    "there is no splat to render: import one, and check that its camera icon in the Outliner"
-                    " is on"
-                )
+            text = tr(
+                "there is no splat to render: import one, and check that its camera icon in the Outliner is"
+                " on"
             )
+            raise SceneError(text)
         view = panorama.view_of(visible_splats.camera(depsgraph, self.camera_override), scene)
         self.show_progress(tr("Reading meshes"), 0.1)
         triangles = mesh_triangles.triangles(depsgraph, cut=meshes == "CUT")

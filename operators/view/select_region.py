@@ -54,9 +54,8 @@ class SVRGS_OT_select_region(SplatOperator):
 
     def work(self, context) -> str:
         settings, obj = context.scene.svrgs_view, context.object
-        outline = select_in_view.Outline(
-            self.shape, [tuple(point.loc) for point in self.path], settings.select_radius
-        )
+        path = [tuple(point.loc) for point in self.path]
+        outline = select_in_view.Outline(self.shape, path, settings.select_radius)
         scene, matrix, camera, rows = _seen(context)
         through = settings.select_through
         inside = select_in_view.gaussians_in(scene, matrix, camera, outline, through, self.view)
@@ -143,11 +142,9 @@ def _seen(context) -> tuple:
 def _draw():
     """Draws the outline of the operator that runs, in its viewport."""
     for operator in (one for one in _drawn if one.region == bpy.context.region.as_pointer()):
-        outline = select_in_view.Outline(
-            operator.shape,
-            [tuple(point.loc) for point in operator.path] or [operator.mouse],
-            bpy.context.scene.svrgs_view.select_radius,
-        )
+        path = [tuple(point.loc) for point in operator.path] or [operator.mouse]
+        radius = bpy.context.scene.svrgs_view.select_radius
+        outline = select_in_view.Outline(operator.shape, path, radius)
         shader = gpu.shader.from_builtin("UNIFORM_COLOR")
         shader.bind()
         for offset, color in ((1, SHADOW), (0, COLOR)):
