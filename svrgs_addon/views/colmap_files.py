@@ -42,8 +42,12 @@ def copy_checked(folder: Path, target: Path, params_of: Callable[[int], int]) ->
     """
     names: dict[int, bytes] = {}
     if has_files(folder, ".bin"):
-        copies = partial(_copy_camera, params_of), partial(_copy_image, names), _copy_point
-        for name, copy in zip(MODEL_FILES, copies, strict=True):
+        copies: dict[str, Callable[[bytes, int], Record]] = {
+            "cameras": partial(_copy_camera, params_of),
+            "images": partial(_copy_image, names),
+            "points3D": _copy_point,
+        }
+        for name, copy in copies.items():
             _write(target / f"{name}.bin", _binary_copy(folder / f"{name}.bin", copy))
     else:
         _write(target / "cameras.txt", (folder / "cameras.txt").read_bytes())
