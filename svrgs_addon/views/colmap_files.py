@@ -51,7 +51,11 @@ def copy_checked(folder: Path, target: Path, params_of: Callable[[int], int]) ->
             _write(target / f"{name}.bin", _binary_copy(folder / f"{name}.bin", copy))
     else:
         _write(target / "cameras.txt", (folder / "cameras.txt").read_bytes())
-        for name, lines in {"images": partial(_image_lines, names), "points3D": _point_lines}.items():
+        lines_of: dict[str, Callable[[bytes], Iterator[bytes]]] = {
+            "images": partial(_image_lines, names),
+            "points3D": _point_lines,
+        }
+        for name, lines in lines_of.items():
             _write(target / f"{name}.txt", b"\n".join(lines((folder / f"{name}.txt").read_bytes())) + b"\n")
     return {number: os.fsdecode(name) for number, name in names.items()}
 
