@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+from typing import TypeGuard
 
 import bmesh
 import bpy
@@ -70,7 +71,7 @@ KINDS: dict[str, tuple[str, int, type]] = {
 # --- splats
 
 
-def is_splat(obj: bpy.types.Object | None) -> bool:
+def is_splat(obj: bpy.types.Object | None) -> TypeGuard[bpy.types.Object]:
     """Whether the object is a splat: of this extension, or of Blender 5.3's own import."""
     return obj is not None and obj.type in TYPES and all(_attribute(obj.data, name) for name in REQUIRED)
 

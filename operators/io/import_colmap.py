@@ -162,7 +162,7 @@ def root_for(
     root = splat_object.root_of(obj)
     if root is not None and dataset_paths.dataset_of_root(root) in ("", dataset_paths.absolute(str(folder))):
         return root
-    if root is not None or obj is None or not splat_object.is_splat(obj):
+    if root is not None or not splat_object.is_splat(obj):
         return splat_object.new_root(folder.name, collection)
     splat_object.in_file_coordinates(obj)
     root = splat_object.new_root(folder.name, collection, obj.matrix_world)

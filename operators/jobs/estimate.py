@@ -36,7 +36,7 @@ def of(obj: bpy.types.Object | None) -> dict:
 
     {} if there is none, or if the settings or the splat have changed since.
     """
-    if obj is None or not splat_object.is_splat(obj):
+    if not splat_object.is_splat(obj):
         return {}
     found, made_of = known.of(obj).estimate, known.of(obj).estimated
     return found if "busy" in found or (found and made_of == _inputs_now(obj)) else {}

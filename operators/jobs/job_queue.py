@@ -52,11 +52,6 @@ def run_now(job: Job):
         _queue.insert(1, first)
 
 
-def running() -> Job | None:
-    """A job with a process of this Blender."""
-    return next((job for job in jobs.values() if job.running), None)
-
-
 def _runs_before(job: Job) -> Job | None:
     """The running job that has to end before this one starts."""
     blocks = (other for other in jobs.values() if other.running and (_is_quick(other) or not _is_quick(job)))
@@ -104,7 +99,7 @@ def advance() -> bool:
         except (SplatError, OSError) as error:
             job.abort(str(error))
             note_end(job)
-    return running() is not None
+    return any(job.running for job in jobs.values())
 
 
 def note_end(job: Job):

@@ -24,7 +24,7 @@ from .job_watch import job_of, tick
 
 def orphan_of(context, obj: bpy.types.Object | None) -> Job | None:
     """A job without a splat in the file that was made of exactly these Gaussians; None if there is none."""
-    if obj is None or not splat_object.is_splat(obj) or obj.library or job_of(obj) is not None:
+    if not splat_object.is_splat(obj) or obj.library or job_of(obj) is not None:
         return None
     owned, count = owners(), splat_object.count(obj)
     for job in all_jobs(context):

@@ -134,7 +134,7 @@ class SVRGS_OT_write_shapes(SplatsOperator):
 def moved_count(obj: bpy.types.Object | None) -> int:
     """Number of Gaussians of the splat whose stored shapes do not belong to their points; 0 for other objects
     and in Edit Mode."""
-    if obj is None or not splat_object.is_splat(obj) or obj.mode == "EDIT":
+    if not splat_object.is_splat(obj) or obj.mode == "EDIT":
         return 0
     points = known.of_data(obj)
     if points.moved is None:
