@@ -3,19 +3,12 @@
 from bpy.app.translations import pgettext_iface as tr
 
 from ..operators.data import grading
-from ..operators.data.splat_object import is_splat
-from .sidebar import SidebarPanel, split_column, wrapped_label
+from .sidebar import SplatPanel, split_column, wrapped_label
 
 
-class SVRGS_PT_color(SidebarPanel):
+class SVRGS_PT_color(SplatPanel):
     bl_label = "Color"
     manual = "blender.html#color"
-    bl_parent_id = "SVRGS_PT_scene"
-    bl_options = {"DEFAULT_CLOSED"}
-
-    @classmethod
-    def poll(cls, context):
-        return is_splat(context.object)
 
     def draw(self, context):
         obj = context.object

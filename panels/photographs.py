@@ -4,7 +4,7 @@ import bpy
 
 from ..operators.data import camera_object, known, splat_object
 from ..operators.scene import photographs
-from .sidebar import SidebarPanel, wrapped_label
+from .sidebar import SplatPanel, wrapped_label
 
 
 class SVRGS_UL_photographs(bpy.types.UIList):
@@ -28,11 +28,9 @@ class SVRGS_UL_photographs(bpy.types.UIList):
         return flags, ranks
 
 
-class SVRGS_PT_photographs(SidebarPanel):
+class SVRGS_PT_photographs(SplatPanel):
     bl_label = "Photographs"
     manual = "blender.html#scene"
-    bl_parent_id = "SVRGS_PT_scene"
-    bl_options = {"DEFAULT_CLOSED"}
 
     @classmethod
     def poll(cls, context):

@@ -3,8 +3,7 @@
 from bpy.app.translations import pgettext_iface as tr
 
 from ..operators.data import selection
-from ..operators.data.splat_object import is_splat
-from .sidebar import SidebarPanel, native_library_works
+from .sidebar import SplatPanel, native_library_works
 
 TOOLS = {
     "svrgs.select_box": "SELECT_SET",
@@ -15,15 +14,9 @@ TOOLS = {
 CHANGES = {"GROW": "ADD", "SHRINK": "REMOVE", "INVERT": "SELECT_DIFFERENCE"}
 
 
-class SVRGS_PT_select(SidebarPanel):
+class SVRGS_PT_select(SplatPanel):
     bl_label = "Select"
     manual = "selection.html#in-blender"
-    bl_parent_id = "SVRGS_PT_scene"
-    bl_options = {"DEFAULT_CLOSED"}
-
-    @classmethod
-    def poll(cls, context):
-        return is_splat(context.object)
 
     def draw(self, context):
         layout, selected = self.layout, selection.selected_count(context.object)

@@ -6,6 +6,7 @@ import unicodedata
 import bpy
 
 from ..operators.data.native_check import native_problem
+from ..operators.data.splat_object import is_splat
 
 CHARACTER_WIDTH = 6.8  # pixels, on average
 SIDEBAR_WIDTH = 300  # pixels, if there is no window to ask
@@ -23,6 +24,17 @@ class SidebarPanel(bpy.types.Panel):
 
     def draw_header_preset(self, context):
         manual_button(self.layout, self.manual)
+
+
+class SplatPanel(SidebarPanel):
+    """A panel below the panel Scene, for a splat."""
+
+    bl_parent_id = "SVRGS_PT_scene"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context):
+        return is_splat(context.object)
 
 
 def manual_button(layout, page: str):
