@@ -40,7 +40,7 @@ class SVRGS_PT_spatial_mask(SpatialMaskPanel):
     bl_order = 10
 
     def draw(self, context):
-        super().draw(context)
+        SpatialMaskPanel.draw(self, context)
         if not native_problem():
             self.layout.operator("svrgs.contribution", icon="MOD_VERTEX_WEIGHT")
             self.layout.operator("svrgs.removal_error", icon="SORT_DESC")
