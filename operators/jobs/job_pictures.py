@@ -35,11 +35,11 @@ def redraw(folder: JobFolder):
 
 
 def icons(folder: JobFolder) -> list[int]:
-    """Icon ids of the plot and of the newest preview image; [] as long as there is no plot."""
-    plot = str(folder.path)
-    if not _pictures or plot not in _pictures[0]:
-        return []
-    return [_pictures[0][key].icon_id for key in (plot, _shown.get(plot, "")) if key in _pictures[0]]
+    """Icon ids of the plot and of the newest preview image; [] as long as there is no plot, and without a
+    window."""
+    plot, known = str(folder.path), _pictures[0] if _pictures else {}
+    keys = (plot, _shown.get(plot, "")) if plot in known else ()
+    return [icon for key in keys if key in known and (icon := known[key].icon_id)]
 
 
 def register():
