@@ -49,11 +49,11 @@ CRITERIA = [
     ("EDIT_MODE", "Edit Mode", "The points that are selected in Edit Mode"),
 ]
 MODES = [
-    ("SET", "Set", "Select these only", "SELECT_SET", 0), ("EXTEND", "Extend", "Add these to the selection",
-    "SELECT_EXTEND", 1),
+    ("SET", "Set", "Select these only", "SELECT_SET", 0),
+    ("EXTEND", "Extend", "Add these to the selection", "SELECT_EXTEND", 1),
     ("SUBTRACT", "Subtract", "Remove these from the selection", "SELECT_SUBTRACT", 2),
     ("INTERSECT", "Intersect", "Keep only these of the selection", "SELECT_INTERSECT", 3),
-]  # fmt: skip
+]
 CHANGES = [
     ("INVERT", "Invert", "Select the Gaussians that are not selected"),
     ("GROW", "Grow", "Select also the nearest Gaussians around those that are selected"),
@@ -67,6 +67,12 @@ SHOWN = {  # properties that a criterion uses
     "FLOATERS": ("cameras",), "EDIT_MODE": (),
 }  # fmt: skip
 RANKED = ("CONTRIBUTION", "REMOVAL_ERROR")  # criteria that also rank the Gaussians that no camera sees
+
+
+def mode_property():
+    """The menu of MODES."""
+    text = "What happens with the Gaussians that are selected already"
+    return EnumProperty(name="Mode", items=MODES, translation_context=OWN, description=text)
 
 
 class SplatOperator(ReportingOperator):
@@ -100,12 +106,7 @@ class SVRGS_OT_select_gaussians(SplatOperator):
         default="FLOATERS",
         description="What decides which Gaussians are selected",
     )
-    mode: EnumProperty(
-        name="Mode",
-        items=MODES,
-        translation_context=OWN,
-        description="What happens with the Gaussians that are selected already",
-    )
+    mode: mode_property()
     invert: BoolProperty(name="Invert", description="Take all Gaussians that do not fulfil the criterion")
     volume: StringProperty(
         name="Object",

@@ -18,8 +18,7 @@ from gpu_extras.batch import batch_for_shader
 from ...svrgs_addon.system.errors import SceneError, SplatError
 from ..data import select_in_view, splat_object, visible_splats
 from ..data.preferences import use_threads
-from ..scene.select_gaussians import MODES, SplatOperator, changed
-from ..translation import OWN
+from ..scene.select_gaussians import SplatOperator, changed, mode_property
 from . import scene_cache
 
 SHAPES = [
@@ -42,12 +41,7 @@ class SVRGS_OT_select_region(SplatOperator):
     bl_options = {"REGISTER", "UNDO", "BLOCKING"}
 
     shape: EnumProperty(name="Shape", items=SHAPES, description="What is drawn over the splat")
-    mode: EnumProperty(
-        name="Mode",
-        items=MODES,
-        translation_context=OWN,
-        description="What happens with the Gaussians that are selected already",
-    )
+    mode: mode_property()
     path: CollectionProperty(type=bpy.types.OperatorMousePath, options={"HIDDEN", "SKIP_SAVE"})
     wait: BoolProperty(options={"HIDDEN", "SKIP_SAVE"})  # begin at the next press of the mouse
     view = None  # of the viewport, which is rendered once the mouse has moved since it was pressed
