@@ -92,10 +92,10 @@ class SVRGS_OT_job_start(ReportingOperator):
     def work(self, context) -> str:
         obj = context.object
         scene, cameras = splat_object.scene_from_object(obj), given_views(context, obj)
-        options, folder = options_of(context, obj), new_folder(context, obj.name)
-        job = JobFolder.create(folder, scene, options, obj.name, cameras)
+        options, path = options_of(context, obj), new_folder(context, obj.name)
+        folder = JobFolder.create(path, scene, options, obj.name, cameras)
         text = tr("Pruning {count:,} Gaussians in the background")
-        return begin(obj, job) or text.format(count=scene.count)
+        return begin(obj, folder) or text.format(count=scene.count)
 
 
 class SVRGS_OT_prune_again(ReportingOperator):
@@ -120,13 +120,13 @@ class SVRGS_OT_prune_again(ReportingOperator):
         count, given = job_result.shown_count(pruned), former.folder.request()["options"]
         options = {name: value for name, value in given.items() if name not in GOALS}
         options["target_count"] = count
-        folder, scene = new_folder(context, original.name), splat_object.scene_from_object(original)
-        job = JobFolder.create(folder, scene, options, original.name)
+        path, scene = new_folder(context, original.name), splat_object.scene_from_object(original)
+        folder = JobFolder.create(path, scene, options, original.name)
         job_result.discard_result(original)
         delete_job(former)
         select(context, [original])
         text = tr("Fine-tuning {count:,} Gaussians in the background")
-        return begin(original, job) or text.format(count=count)
+        return begin(original, folder) or text.format(count=count)
 
 
 CLASSES = (SVRGS_OT_job_start, SVRGS_OT_prune_again)
