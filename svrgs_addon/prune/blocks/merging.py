@@ -78,6 +78,8 @@ def reduce(divided: Divided, cameras: Sequence[Camera]):
 def merge(divided: Divided, number: int):
     """Orders the operations on the cells of the block with this number, and writes them. Raises
     SplatError."""
+    if not 0 <= number < len(divided.blocks):
+        raise SceneError(f"{divided.folder}: has no block {number}, only 0 to {len(divided.blocks) - 1}")
     block, (pixel, middle, _) = divided.blocks[number], _reduced(divided)
     scene, sums = scene_of(divided, block), _visibility(block)
     found = [
