@@ -156,8 +156,8 @@ def evaluate(
     """
     options = picture_options(scene, dataset.background)
     seconds: list[float] = []
-    in_its_colours: list[float] = []
-    from_its_pose: list[float] = []
+    asked = {"psnr_matched": matched, "psnr_aligned": moved}
+    further: dict[str, list[float]] = {name: [] for name in asked if asked[name]}
 
     def pair(i: int) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
         started = time.perf_counter()
@@ -167,20 +167,15 @@ def evaluate(
         photo = to_float(stored)
         if matched:
             same = colour_matched(image, photo, camera.valid)
-            in_its_colours.append(psnr(same, photo, camera.valid_share))
+            further["psnr_matched"].append(psnr(same, photo, camera.valid_share))
         if moved:
             view = aligned(scene, camera, stored, rasterizer, options).camera()
             shown = rounded_to_8_bits(rasterizer.forward(scene, view, options)["rgb"])
-            from_its_pose.append(psnr(shown, photo, camera.valid_share))
+            further["psnr_aligned"].append(psnr(shown, photo, camera.valid_share))
         return image, photo, camera.valid
 
     figures = mean_figures(map(pair, indices), lpips)
-    for name, asked, values in (
-        ("psnr_matched", matched, in_its_colours),
-        ("psnr_aligned", moved, from_its_pose),
-    ):
-        if asked:
-            figures[name] = mean_psnr(values) if values else None
+    figures |= {name: mean_psnr(values) if values else None for name, values in further.items()}
     timed = seconds and isinstance(rasterizer, Rasterizer)
     return {
         **figures,
