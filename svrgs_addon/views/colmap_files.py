@@ -42,21 +42,16 @@ def copy_checked(folder: Path, target: Path, params_of: Callable[[int], int]) ->
     """
     names: dict[int, bytes] = {}
     if has_files(folder, ".bin"):
-        copies: dict[str, Callable[[bytes, int], Record]] = {
-            "cameras": partial(_copy_camera, params_of),
-            "images": partial(_copy_image, names),
-            "points3D": _copy_point,
-        }
-        for name, copy in copies.items():
+        copies: tuple[Callable[[bytes, int], Record], ...]
+        copies = partial(_copy_camera, params_of), partial(_copy_image, names), _copy_point
+        for name, copy in zip(MODEL_FILES, copies, strict=True):
             _write(target / f"{name}.bin", _binary_copy(folder / f"{name}.bin", copy))
     else:
         _write(target / "cameras.txt", (folder / "cameras.txt").read_bytes())
-        lines_of: dict[str, Callable[[bytes], Iterator[bytes]]] = {
-            "images": partial(_image_lines, names),
-            "points3D": _point_lines,
-        }
-        for name, lines in lines_of.items():
-            _write(target / f"{name}.txt", b"\n".join(lines((folder / f"{name}.txt").read_bytes())) + b"\n")
+        lines = _image_lines(names, (folder / "images.txt").read_bytes())
+        _write(target / "images.txt", b"\n".join(lines) + b"\n")
+        lines = _point_lines((folder / "points3D.txt").read_bytes())
+        _write(target / "points3D.txt", b"\n".join(lines) + b"\n")
     return {number: os.fsdecode(name) for number, name in names.items()}
 
 
