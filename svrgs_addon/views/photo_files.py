@@ -21,7 +21,7 @@ def photograph(folder: Path, name: str) -> Path | None:
 
 
 def present(names: Sequence[str], folder: Path) -> tuple[list[int], tuple[str, ...]]:
-    """The numbers of the photographs that exist, a sentence on the others. Raises SceneError: too many."""
+    """The numbers of photographs that exist, and a sentence on others. Raises SceneError if too few do."""
     found = [i for i, name in enumerate(names) if photograph(folder, name) is not None]
     missing = [names[i] for i in sorted(set(range(len(names))) - set(found))]
     if not missing:

@@ -92,7 +92,7 @@ def hidden(sums: np.ndarray) -> int:
 
 
 def order_of(scene: Scene, sums: np.ndarray, least: int) -> Order:
-    """The order that leaves `least` Gaussians. sums: of visibility_sums(). Raises SceneError: none seen."""
+    """The order that leaves `least`, 1 to N. sums: of visibility_sums(). Raises SceneError if all are 0."""
     columns = dict(zip(VISIBILITY, sums.T, strict=True))
     seen = columns["views"] > 0
     if not seen.any():

@@ -17,7 +17,7 @@ PIXELS_PER_DEGREE = 0.7 * (3840 / 0.7) * np.pi / 180
 
 
 def image_pair(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Both images as contiguous float32 (H, W, 3). Raises SceneError if shapes differ or not finite."""
+    """Both images as contiguous float32. Raises SceneError unless both are (H, W, 3), alike and finite."""
     a, b = np.ascontiguousarray(a, np.float32), np.ascontiguousarray(b, np.float32)
     if a.shape != b.shape or a.ndim != 3 or a.shape[2] != 3 or a.size == 0:
         raise SceneError(f"cannot compare images of shapes {a.shape} and {b.shape}; both must be (H, W, 3)")

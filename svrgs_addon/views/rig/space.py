@@ -57,7 +57,7 @@ class Matter:
 
 
 def usable_rows(scene: Scene) -> np.ndarray:
-    """(N,) bool: Gaussians that are finite, with an opacity of at least 1/255. Raises SceneError: none."""
+    """(N,) bool: finite Gaussians with an opacity of at least 1/255. Raises SceneError if there are none."""
     good = np.isfinite(scene.opacity_logits) & np.isfinite(scene.sh[:, 0]).all(axis=1)
     for array in (scene.means, scene.log_scales, scene.quats):
         good &= np.isfinite(array).all(axis=1)
