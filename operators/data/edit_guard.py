@@ -6,7 +6,7 @@ forgets it when the file is saved.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import bpy
 from bpy.app.translations import pgettext_iface as tr
@@ -38,6 +38,32 @@ def problem(context, splat: bpy.types.Object | None) -> str:
             "'{name}' is linked from another file: make it local first (Object > Relations > Make Local)"
         ).format(name=splat.name)
     return ""
+
+
+def animated(splats: list[bpy.types.Object]) -> str:
+    """Why these splats cannot get another place, which their keys would take away; empty if they can."""
+    names = ("location", "rotation_", "delta_", "scale")
+    for obj in splats:
+        if any(curve.data_path.startswith(names) for curve in animation_curves(obj)):
+            text = tr("keys or drivers move '{name}': remove them first, or move a parent instead")
+            return text.format(name=obj.name)
+    return ""
+
+
+def animation_curves(obj: bpy.types.Object) -> Iterator[bpy.types.FCurve]:
+    """Drivers and keys of an object: of its action and of the strips of its NLA tracks; since Blender 4.4, of
+    its slot of each action."""
+    if (data := obj.animation_data) is None:
+        return
+    yield from data.drivers
+    strips = (strip for track in data.nla_tracks for strip in track.strips)
+    for user in filter(lambda user: user.action is not None, (data, *strips)):
+        if not hasattr(user.action, "layers"):
+            yield from user.action.fcurves
+            continue
+        for strip in (strip for layer in user.action.layers for strip in layer.strips):
+            bag = strip.channelbag(user.action_slot) if user.action_slot else None
+            yield from bag.fcurves if bag else ()
 
 
 def shared(splats: list[bpy.types.Object]) -> str:

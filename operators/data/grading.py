@@ -3,7 +3,6 @@ Gaussians keep their own colours, and pruning measures those."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import bpy
@@ -14,6 +13,8 @@ from ...svrgs_addon.scene.gaussians import Scene
 from ...svrgs_addon.scene.grade import Grade, graded, inside
 from ...svrgs_addon.system.errors import SceneError
 from . import background_work, volumes
+from .edit_guard import animation_curves
+from .world_matrix import world_matrix
 
 NAMES = ("exposure", "warmth", "tint", "saturation", "contrast", "opacity")
 
@@ -80,8 +81,15 @@ def of(obj: bpy.types.Object) -> Grade:
     box = _crop_box(obj)
     if box is None or problem(obj):
         return grade
-    to_box = np.linalg.solve(volumes.matrix_of(box), np.array(obj.matrix_world, np.float64))
+    to_box = np.linalg.solve(volumes.matrix_of(box), np.array(world_matrix(obj), np.float64))
     return replace(grade, crop=tuple(map(tuple, to_box.tolist())), softness=settings.softness)
+
+
+def settings_of(obj: bpy.types.Object) -> tuple:
+    """What the grade of a splat is made of: its numbers, and the crop box, wherever that is."""
+    settings, box = obj.svrgs_grade, _crop_box(obj)
+    cut = () if box is None else (box.session_uid, settings.softness)
+    return *(getattr(settings, name) for name in NAMES), *cut
 
 
 def problem(obj: bpy.types.Object) -> str:
@@ -95,9 +103,10 @@ def problem(obj: bpy.types.Object) -> str:
 
 
 def _crop_box(obj: bpy.types.Object) -> bpy.types.Object | None:
-    """None also for one that was deleted, which Blender keeps until the file is closed."""
+    """None also for one that was deleted, which Blender keeps until the file is closed. One that was linked
+    along with its splat is in no collection."""
     box = obj.svrgs_grade.crop
-    return box if box is not None and box.original.users_collection else None
+    return box if box is not None and (box.original.users_collection or box.library) else None
 
 
 def is_graded(obj: bpy.types.Object) -> bool:
@@ -106,22 +115,7 @@ def is_graded(obj: bpy.types.Object) -> bool:
 
 def is_animated(obj: bpy.types.Object) -> bool:
     """Whether keys or drivers set the grade."""
-    data = obj.animation_data
-    curves = [] if data is None else [*data.drivers, *_curves(data)]
-    return any(curve.data_path.startswith("svrgs_grade") for curve in curves)
-
-
-def _curves(data: bpy.types.AnimData) -> Iterator[bpy.types.FCurve]:
-    """The keys of an object: of its action, or, since Blender 4.4, of its slot of the action."""
-    if data.action is None:
-        return
-    if not hasattr(data.action, "layers"):
-        yield from data.action.fcurves
-        return
-    for layer in data.action.layers:
-        for strip in layer.strips:
-            bag = strip.channelbag(data.action_slot) if data.action_slot else None
-            yield from bag.fcurves if bag else ()
+    return any(curve.data_path.startswith("svrgs_grade") for curve in animation_curves(obj))
 
 
 def left(scene: Scene, obj: bpy.types.Object) -> np.ndarray:

@@ -58,7 +58,7 @@ def triangles(depsgraph: bpy.types.Depsgraph, cut: bool = False, catchers: bool 
     nothing and hide nothing.
     """
     parts, read = [], _Read()
-    boxes = [obj.svrgs_grade.crop for obj in depsgraph.scene.objects if splat_object.is_splat(obj)]
+    boxes = [obj.svrgs_grade.crop for obj in bpy.data.objects if splat_object.is_splat(obj)]
     for instance in depsgraph.object_instances:
         obj = instance.object
         if (

@@ -17,16 +17,16 @@ def join(original: bpy.types.Object, pruned: bpy.types.Object):
 
 def pruned_of(obj: bpy.types.Object) -> bpy.types.Object | None:
     """The splat that a job made of this one, if it is still in the file."""
-    return _in_file(obj.get(PRUNED))
+    return in_file(obj.get(PRUNED))
 
 
 def original_of(pruned: bpy.types.Object) -> bpy.types.Object | None:
     """The splat that this one was pruned from, if it is still in the file."""
-    return _in_file(pruned.get(ORIGINAL))
+    return in_file(pruned.get(ORIGINAL))
 
 
-def _in_file(obj: bpy.types.Object | None) -> bpy.types.Object | None:
-    """The object; None if it was deleted and only this pointer keeps it in memory."""
+def in_file(obj: bpy.types.Object | None) -> bpy.types.Object | None:
+    """The object; None if it was deleted and only a pointer keeps it in memory."""
     return obj if obj is not None and obj.users_collection else None
 
 

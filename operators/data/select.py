@@ -1,4 +1,4 @@
-"""Selects the objects that an operator has made."""
+"""Selects the objects that an operator has made, and where new ones are put."""
 
 
 def select(context, objects):
@@ -15,3 +15,8 @@ def select(context, objects):
 def in_view_layer(context, obj) -> bool:
     """Whether the object can be selected. Its collection may be excluded, or belong to another scene."""
     return obj in context.view_layer.objects.values()
+
+
+def open_collection(context):
+    """The active collection; the scene's own if that one is linked from another file."""
+    return context.collection if context.collection.library is None else context.scene.collection

@@ -56,13 +56,14 @@ def find(
 
 
 def found_in_edit_mode(obj: bpy.types.Object) -> np.ndarray:
-    """(N,) bool: the Gaussians whose points are selected in Edit Mode."""
+    """(N,) bool: the Gaussians whose points are selected in Edit Mode, without those that are hidden."""
     if obj.type == "MESH":
         mask = np.zeros(splat_object.count(obj), bool)
         obj.data.vertices.foreach_get("select", mask)
-        return mask
-    found = splat_object.values(obj, EDIT_MODE)
-    return np.ones(splat_object.count(obj), bool) if found is None else found.astype(bool)
+    else:
+        found = splat_object.values(obj, EDIT_MODE)
+        mask = np.ones(splat_object.count(obj), bool) if found is None else found.astype(bool)
+    return mask & ~visible_splats.marked(obj)
 
 
 def change(obj: bpy.types.Object, mask: np.ndarray, mode: str, invert: bool = False) -> int:

@@ -65,6 +65,8 @@ KINDS: dict[str, tuple[str, int, type]] = {
     "BOOLEAN": ("value", 1, bool), "FLOAT_VECTOR": ("vector", 3, np.float32),
     "FLOAT_COLOR": ("color", 4, np.float32), "FLOAT4": ("vector", 4, np.float32),
     "QUATERNION": ("value", 4, np.float32), "INT32_2D": ("value", 2, np.int32),
+    "FLOAT2": ("vector", 2, np.float32), "BYTE_COLOR": ("color", 4, np.float32),
+    "INT16_2D": ("value", 2, np.int32), "FLOAT4X4": ("value", 16, np.float32),
 }  # fmt: skip
 
 
@@ -354,7 +356,7 @@ def move_below(obj: bpy.types.Object, root: bpy.types.Object | None):
     """Puts a splat below a root, or below nothing, where its file's coordinates are those of the root, or y
     down as after an import."""
     in_file_coordinates(obj)
-    place = Matrix(to_file(obj, obj.matrix_world))
+    place = Matrix(to_file(obj, world_matrix(obj)))
     if root is not None:
         parent_to_root(obj, root)
         obj.matrix_basis = place
@@ -372,7 +374,7 @@ def _import_matrix(obj: bpy.types.Object) -> Matrix:
 def _is_upright(obj: bpy.types.Object) -> bool:
     if Y_DOWN in obj:
         return bool(obj[Y_DOWN])
-    return NOTES in obj.data or turned_by_blender(obj) or obj.matrix_world.to_euler() != Euler()
+    return NOTES in obj.data or turned_by_blender(obj) or world_matrix(obj).to_euler() != Euler()
 
 
 def _keep_upright(obj: bpy.types.Object):
@@ -395,7 +397,7 @@ def turned_by_blender(obj: bpy.types.Object) -> bool:
 def in_file_coordinates(obj: bpy.types.Object):
     """Gives a splat that Blender's own import has turned the numbers of its file, in the same place."""
     if turned_by_blender(obj):
-        obj.matrix_world, back = obj.matrix_world @ AXES, np.array(AXES.inverted())
+        obj.matrix_world, back = world_matrix(obj) @ AXES, np.array(AXES.inverted())
         replace_gaussians(obj, transformed(scene_from_object(obj), back))
 
 

@@ -14,6 +14,7 @@ from ...svrgs_addon.scene.affine import UNIFORM, stretch
 from ...svrgs_addon.scene.camera import Camera
 from ...svrgs_addon.system.errors import SceneError
 from . import camera_object
+from .world_matrix import world_matrix
 
 ITEMS = [  # the numbers are stored in .blend files
     ("PLACED", "Placed", "Cameras are placed where they see the whole splat", "NONE", 0),
@@ -32,17 +33,29 @@ FRAMES = 64  # of a moving camera, evenly spread over the frames of the scene
 def views(context, splat: bpy.types.Object) -> list[Camera]:
     """The views in the coordinates of the splat. Raises SceneError."""
     scene, matrix = context.scene, np.array(splat.matrix_world, np.float64)
-    if not np.linalg.det(matrix[:3, :3]) > 0 or stretch(matrix) - 1 > UNIFORM:
-        text = tr(
-            "'{name}' is mirrored or scaled unevenly, which cameras cannot be: apply its scale first (Ctrl A)"
-        )
-        raise SceneError(text.format(name=splat.name))
+    if not np.linalg.det(matrix[:3, :3]) > 0:
+        raise SceneError(_uneven(splat))
+    refuse_stretched(splat)
     found = [camera.moved(matrix) for camera in (*_of_frames(scene), *_standing(scene))]
     if not found:
         raise SceneError(
             tr("this file has no camera whose views could count: add one, or choose placed cameras")
         )
     return [replace(camera, name=f"{number:04}") for number, camera in enumerate(found)]
+
+
+def refuse_stretched(splat: bpy.types.Object):
+    """Raises SceneError for a splat whose scale along each axis is another one: cameras below it would be
+    sheared."""
+    if stretch(world_matrix(splat)) - 1 > UNIFORM:
+        raise SceneError(_uneven(splat))
+
+
+def _uneven(splat: bpy.types.Object) -> str:
+    text = tr(
+        "'{name}' is mirrored or scaled unevenly, which cameras cannot be: apply its scale first (Ctrl A)"
+    )
+    return text.format(name=splat.name)
 
 
 def placed(splat: bpy.types.Object) -> list[bpy.types.Object]:
@@ -53,6 +66,7 @@ def placed(splat: bpy.types.Object) -> list[bpy.types.Object]:
 
 def place(splat: bpy.types.Object, cameras: list[Camera], collection: bpy.types.Collection):
     """Adds cameras below the splat, in its coordinates, in place of those that were placed before."""
+    scene, shown = bpy.context.scene, bpy.context.scene.camera in placed(splat)
     for obj in placed(splat):
         bpy.data.cameras.remove(obj.data)
     middle = np.mean([camera.position for camera in cameras], axis=0)
@@ -60,6 +74,8 @@ def place(splat: bpy.types.Object, cameras: list[Camera], collection: bpy.types.
     for camera in cameras:
         obj = camera_object.new_camera(camera, extent or 1.0, collection)
         obj.parent, obj.data[camera_object.PLACED] = splat, True
+        if shown and scene.camera is None:
+            scene.camera = obj
 
 
 def _of_frames(scene: bpy.types.Scene) -> Iterator[Camera]:
@@ -69,7 +85,7 @@ def _of_frames(scene: bpy.types.Scene) -> Iterator[Camera]:
         return
     first, last = scene.frame_start, scene.frame_end
     frames = np.linspace(first, last, min(FRAMES, last - first + 1)).round().astype(int)
-    now, subframe, seen = scene.frame_current, scene.frame_subframe, set[bytes]()
+    now, subframe, seen, chosen = scene.frame_current, scene.frame_subframe, set[bytes](), scene.camera
     animated = [obj for obj in scene.objects if obj.animation_data is not None]
     places = [(obj, obj.matrix_basis.copy()) for obj in animated]
     try:
@@ -83,6 +99,8 @@ def _of_frames(scene: bpy.types.Scene) -> Iterator[Camera]:
                 yield camera
     finally:
         scene.frame_set(now, subframe=subframe)
+        if scene.camera != chosen:
+            scene.camera = chosen
         for obj, place in places:
             if obj.matrix_basis != place:
                 obj.matrix_basis = place

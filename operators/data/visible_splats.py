@@ -1,7 +1,7 @@
 """Blender's dependency graph -> the Gaussians of all splats, and cameras.
 
 One splat alone is drawn in its own coordinates, by a camera that is moved there. Several splats, or one that
-is stretched or mirrored, are transformed into world coordinates.
+is stretched or mirrored, are transformed into the axes of the world.
 """
 
 from __future__ import annotations
@@ -39,6 +39,7 @@ class PlacedScene:
 
     scene: Scene
     matrix: Matrix  # from the scene's coordinates to Blender's world: no shear, no mirroring
+    mixed: bool = False  # some splats were trained with antialiasing, and are drawn without it, as the others
 
     @cached_property
     def thinning(self) -> Thinning:
@@ -95,7 +96,12 @@ def marked(obj: bpy.types.Object) -> np.ndarray:
 
 def marked_count(obj: bpy.types.Object) -> int:
     """Number of the Gaussians that are marked as removed, or hidden."""
-    return int(marked(obj).sum()) if _marks(obj) else 0
+    return int(marked(obj).sum()) if has_marks(obj) else 0
+
+
+def has_marks(obj: bpy.types.Object) -> bool:
+    """Whether attributes of the splat mark Gaussians as removed, or hidden."""
+    return bool(_marks(obj))
 
 
 def _marks(obj: bpy.types.Object) -> list[str]:
@@ -173,18 +179,24 @@ def splats_in_view(context: bpy.types.Context) -> Iterator[tuple[bpy.types.Objec
 def _may_instance(obj: bpy.types.Object) -> bool:
     """Whether the object can show other objects or geometry in several places."""
     return obj.instance_type != "NONE" or any(
-        modifier.type == "NODES" and modifier.name != HIDE_MODIFIER for modifier in obj.modifiers
+        modifier.type == "PARTICLE_SYSTEM" or (modifier.type == "NODES" and modifier.name != HIDE_MODIFIER)
+        for modifier in obj.modifiers
     )
 
 
 def placed(scenes: list[tuple[Scene, Matrix]]) -> PlacedScene:
-    """One picture of scenes with their matrices to Blender's world; see the top of this file. Raises
-    SceneError."""
+    """One picture of scenes with their matrices to Blender's world; see the top of this file. Several are
+    placed around the first one, as float32 is coarse far from the origin. Those that are scaled to nothing
+    show nothing. Raises SceneError."""
     scene, matrix = scenes[0]
     if len(scenes) == 1 and matrix.determinant() > 0 and stretch(matrix) - 1 <= UNIFORM:
         return PlacedScene(scene, matrix)
-    in_world = [transformed(scene, np.array(matrix)) for scene, matrix in scenes]
-    return PlacedScene(concatenated(in_world), Matrix())
+    origin = Matrix.Translation(matrix.translation)
+    back = np.array(origin.inverted(), np.float64)
+    with_volume = [one for one in scenes if one[1].determinant()] or scenes
+    in_world = [transformed(scene, back @ np.array(matrix, np.float64)) for scene, matrix in with_volume]
+    mixed = len({scene.antialiased for scene in in_world}) > 1
+    return PlacedScene(concatenated(in_world), origin, mixed)
 
 
 def camera(depsgraph: bpy.types.Depsgraph, override: bpy.types.Object | None = None) -> bpy.types.Object:

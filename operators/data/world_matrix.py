@@ -7,17 +7,20 @@ from mathutils import Matrix
 
 
 def world_matrix(obj: bpy.types.Object) -> Matrix:
-    """(4, 4) from the coordinates of the object to Blender's world. Of an object in an excluded or disabled
-    collection, or in another scene, Blender neither keeps matrix_world up to date nor saves it; its
-    constraints do not count."""
-    if obj.is_evaluated or _is_up_to_date(obj):
+    """(4, 4) from the coordinates of the object to Blender's world. Of an object that is not evaluated
+    (disabled, in an excluded or disabled collection, or in another scene) Blender neither keeps matrix_world
+    up to date nor saves it; its constraints do not count."""
+    if obj.is_evaluated or not obj.hide_viewport and _is_shown(bpy.context.view_layer.layer_collection, obj):
         return obj.matrix_world
     if obj.parent is None:
         return obj.matrix_basis
     return world_matrix(obj.parent) @ obj.matrix_parent_inverse @ obj.matrix_basis
 
 
-def _is_up_to_date(obj: bpy.types.Object) -> bool:
-    if obj.hide_viewport or all(collection.hide_viewport for collection in obj.users_collection):
+def _is_shown(layer: bpy.types.LayerCollection, obj: bpy.types.Object) -> bool:
+    """Whether the collection of a view layer, or one below it, shows the object: a disabled one disables
+    those below it, an excluded one does not."""
+    if layer.collection.hide_viewport:
         return False
-    return bpy.context.view_layer.objects.get(obj.name) == obj
+    here = not layer.exclude and layer.collection.objects.get(obj.name) == obj
+    return here or any(_is_shown(child, obj) for child in layer.children)

@@ -27,6 +27,7 @@ from ..jobs.job import given_views, options_of
 from ..scene.splat_transforms import selected_splats
 
 _lines: list[str] = []  # what the panel says on the last export
+_failed: list[str] = []  # its error, if it has failed already, as in background mode
 
 
 def lines() -> list[str]:
@@ -60,11 +61,14 @@ class SVRGS_OT_export_farm_job(FolderOperator):
         farm_job.refuse_same_names([bpy.path.clean_name(obj.name) for obj in splats])
         tasks = [_task(context, obj, folder / farm_job.CAPTURES) for obj in splats]
         _job(folder, tasks).write()
+        _failed.clear()
         _lines[:] = [tr("Exporting a farm job to {folder} …").format(folder=folder)]
         # a child process reads the datasets, to know what a task needs
         words = ["farm", "files", str(folder), "--json"]
         background_work.run(partial(subprocess_python.ask, words), partial(_finished, folder))
         background_work.redraw_panels()
+        if _failed:
+            raise SceneError("; ".join(_lines))
         return "; ".join(_lines)
 
 
@@ -73,6 +77,8 @@ def _task(context, obj: bpy.types.Object, captures: Path) -> farm_job.Task:
     it."""
     name = bpy.path.clean_name(obj.name)
     with context.temp_override(object=obj, active_object=obj):  # its own dataset and effort
+        if problem := efforts.problem(bpy.context):
+            raise SceneError(f"{obj.name}: {problem}")
         options, cameras = options_of(bpy.context, obj), given_views(bpy.context, obj)
     options.pop("threads")
     splat, beside = (f"{name}{end}" for end in (FORMATS[0].suffixes[0], f"_{CAMERAS}"))
@@ -100,7 +106,7 @@ def _job(folder: Path, tasks: list[farm_job.Task]) -> farm_job.FarmJob:
 def _finished(folder: Path, answer: Future):
     result, error = background_work.outcome(answer)
     if error:
-        _lines[:] = [error]
+        _lines[:] = _failed[:] = [error]
         return
     text = tr("Tasks: {count:,}. Memory of each: up to {memory}. Folder: {folder}")
     _lines[:] = [text.format(count=result["tasks"], memory=size_text(result["memory"]), folder=folder)]

@@ -30,6 +30,7 @@ from .export_space import ExportSpace
 STREAMED = next(one for one in FORMATS if one.index == "lod-meta.json")
 _running: list[str] = []  # names of the splats whose levels are being made
 _lines: list[str] = []  # what the panel says on the last export; its splats may be gone
+_failed: list[str] = []  # names of those that have failed already, as in background mode
 _one_at_a_time = threading.Lock()  # several splats at once would take the memory of all
 
 
@@ -84,12 +85,15 @@ class SVRGS_OT_export_levels(FolderOperator, ExportSpace):
             text = tr("{file} exists already: choose another folder, or Overwrite")
             raise SceneError(text.format(file=there[0]))
         _lines.clear()
+        _failed.clear()
         for obj, out in outs.items():
             scene, _ = self.chosen(context, obj)
             work = partial(_export, scene, out, shares, threads(context), bpy.app.tempdir)
             _running.append(obj.name)
             background_work.run(work, partial(_finished, obj.name))
         background_work.redraw_panels()
+        if _failed:
+            raise SceneError("; ".join(lines()))
         return "; ".join(lines())
 
     def parsed(self) -> list[float]:
@@ -128,6 +132,7 @@ def _finished(name: str, answer: Future):
     result, error = background_work.outcome(answer)
     if error:
         _lines.append(f"{name}: {error}")
+        _failed.append(name)
         return
     if "psnr" not in result:
         _lines.append(f"{name}: {size_text(result['bytes'])}")

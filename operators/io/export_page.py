@@ -17,6 +17,7 @@ from ..data import pairs, splat_object
 from ..data.camera_object import camera_from_object
 from ..data.native_check import native_problem
 from ..data.reporting import BackgroundOperator, FolderOperator, Steps
+from ..data.world_matrix import world_matrix
 from ..jobs import job_result
 from .export_space import ExportSpace
 
@@ -63,7 +64,7 @@ class SVRGS_OT_export_page(BackgroundOperator, FolderOperator, ExportSpace):
         found = [self.chosen(context, obj)]
         if original is not None:
             marked = self.what == "SEEN" and job_result.undecided(obj)  # what the job removed is not seen
-            whole = [(job_result.before_pruning(original), original.matrix_world)] if marked else None
+            whole = [(job_result.before_pruning(original), world_matrix(original))] if marked else None
             found.insert(0, self.chosen(context, original, whole))
         scenes, dropped = zip(*found, strict=True)
         names, background = tuple(one.name for one in shown), tuple(context.scene.svrgs_view.background)

@@ -15,6 +15,7 @@ from bpy_extras.io_utils import ExportHelper
 
 from ...svrgs_addon.files import registry
 from ...svrgs_addon.native.rasterizer import Rasterizer
+from ...svrgs_addon.prune.belonging import MIN_SEEN, seen_of
 from ...svrgs_addon.prune.likeness import Likeness
 from ...svrgs_addon.prune.seen import fewer_bands, seen_from
 from ...svrgs_addon.scene.camera import Camera
@@ -132,20 +133,27 @@ class SVRGS_OT_export_ply(BackgroundOperator, ExportHelper, ExportSpace):
         if quick_order.is_shown(obj):
             return quick_order.count(obj)
         if shows_original(obj):
-            return job_result.shown_count(obj) - int(job_result.shown_hidden(obj).sum())
+            return job_result.seen_count(obj)
         return splat_object.count(obj) - visible_splats.marked_count(obj)
 
     def steps(self, context) -> Steps:
         obj, path = context.object, Path(bpy.path.abspath(self.filepath))
         if not path.parent.is_dir():
             raise SceneError(tr("{folder}: there is no such folder").format(folder=path.parent))
+        if self.properties.is_property_set("kind") and registry.format_to_write(path) != format_of(self.kind):
+            text = tr("{file}: is not the name of a file in the format '{format}'")
+            raise SceneError(text.format(file=path.name, format=self.kind))
         scene, dropped = self.chosen(context, obj)
         splat_format = registry.format_to_write(path)
         version = int(self.version) if splat_format.versions else 0
         quantise = self.quantise if splat_format.quantises else 1.0
         lost = registry.left_out(scene, splat_format)
         left, views = [*self.left_out(obj, dropped), *lost], self.views(context, obj)
-        size, psnr = yield partial(written, path, scene, version, quantise, self.sh_degree, *views)
+        own = splat_object.root_of(obj) is not None
+        work = partial(written, path, scene, version, quantise, self.sh_degree, *views, own)
+        size, psnr, counted = yield work
+        if not counted:
+            left.append(tr("the imported cameras see little of it, so they do not count"))
         text = tr("Exported {count:,} Gaussians to {file}, {size:.1f} MB").format(
             count=scene.count, file=path, size=size / 1e6
         )
@@ -172,17 +180,21 @@ def written(
     degree: int,
     deciding: list[Camera],
     held_out: list[Camera],
-) -> tuple[int, float | None]:
-    """Writes the file with SH up to this degree, rounded by the views that decide. Its bytes, and its PSNR in
-    dB against the scene in those held out; None: of a file with all values, or without a view that sees the
-    scene."""
+    own: bool,
+) -> tuple[int, float | None, bool]:
+    """Writes the file with SH up to this degree, rounded by the views that decide. Its bytes; its PSNR in dB
+    against the scene in those held out (None: of a file with all values, or without a view that sees the
+    scene); and whether the views counted: if they are not the splat's own, they must see half of it."""
+    counted = own or not deciding or seen_of(scene, deciding).share >= MIN_SEEN
+    if not counted:
+        deciding, held_out = [], []
     splat_format = registry.format_to_write(path)
     banded = fewer_bands(scene, min(degree, splat_format.most_degree), deciding)
     registry.write_scene(path, banded, version, quantise, seen_from(banded, deciding, path))
     likeness, psnr = Likeness(scene, held_out, Rasterizer), None
     if held_out and not (splat_format.lossless and banded is scene) and likeness.views:
         psnr = likeness.psnr(registry.read_back(path, banded))
-    return path.stat().st_size, psnr
+    return path.stat().st_size, psnr, counted
 
 
 def default_path(obj: bpy.types.Object) -> Path:

@@ -17,6 +17,7 @@ from ...svrgs_addon.scene.gaussians import Scene
 from ...svrgs_addon.system.errors import SceneError
 from ...svrgs_addon.views.dataset import HOLDOUT
 from ..data import camera_object, grading, splat_object, visible_splats
+from ..data.world_matrix import world_matrix
 from ..jobs import job_result
 from ..scene.splat_transforms import stretch_warning
 from ..translation import OWN
@@ -83,14 +84,17 @@ class ExportSpace:
         if any(stretch(matrix) - 1 > 10 * UNIFORM for matrix in matrices):
             self.report({"WARNING"}, stretch_warning(obj))  # type: ignore[attr-defined]  # of the operator
         placed = [transformed(scene, matrix) for (scene, _), matrix in zip(parts, matrices, strict=True)]
-        return drop_nonfinite(concatenated(placed, columns=True))
+        found, dropped = drop_nonfinite(concatenated(placed, columns=True))
+        if not found.count and splat_object.count(obj):
+            raise SceneError(tr("no Gaussian of '{name}' is seen: nothing is written").format(name=obj.name))
+        return found, dropped
 
     def to_space(self, obj: bpy.types.Object, matrix):
         """(4, 4) from the object's coordinates to those of the file. matrix: from them to Blender's world."""
         if self.space == "FILE":
             return splat_object.to_file(obj, matrix)
         world = splat_object.AXES if self.y_down else Matrix()
-        return splat_object.relative(world if self.space == "WORLD" else obj.matrix_world, matrix)
+        return splat_object.relative(world if self.space == "WORLD" else world_matrix(obj), matrix)
 
     def in_space(self, obj: bpy.types.Object, cameras: list[Camera]) -> list[Camera]:
         """Views in Blender's world, in the coordinates of the file."""
@@ -133,10 +137,11 @@ def gaussians(context, obj: bpy.types.Object, seen: bool) -> list:
     """[(Scene, matrix to Blender's world)] of a splat: what the viewport shows of it, or all that is stored.
     Raises SceneError."""
     if not seen:
-        return [(splat_object.scene_from_object(obj), obj.matrix_world)]
+        return [(splat_object.scene_from_object(obj), world_matrix(obj))]
+    if obj.mode == "EDIT" and (visible_splats.has_marks(obj) or job_result.undecided(obj)):
+        raise SceneError(tr("Leave Edit Mode first"))
     if shows_original(obj):
-        shown = job_result.shown_gaussians(obj).select(~job_result.shown_hidden(obj))
-        return [(grading.applied(shown, obj), obj.matrix_world)]
+        return [(grading.applied(job_result.seen_gaussians(obj), obj), world_matrix(obj))]
     if problem := grading.problem(obj):
         raise SceneError(problem)
     parts = visible_splats.shown_by(context.evaluated_depsgraph_get(), obj) if obj.mode != "EDIT" else []
@@ -150,5 +155,5 @@ def gaussians(context, obj: bpy.types.Object, seen: bool) -> list:
         )
         raise SceneError(text.format(name=obj.name))
     if obj.mode != "EDIT":
-        return [(visible_splats.visible_scene(obj), obj.matrix_world)]
-    return [(grading.applied(splat_object.scene_from_object(obj), obj), obj.matrix_world)]
+        return [(visible_splats.visible_scene(obj), world_matrix(obj))]
+    return [(grading.applied(splat_object.scene_from_object(obj), obj), world_matrix(obj))]

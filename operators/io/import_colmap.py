@@ -16,11 +16,13 @@ import bpy
 from bpy.app.translations import pgettext_iface as tr
 from bpy.props import BoolProperty, StringProperty
 
+from ...svrgs_addon.system.errors import SceneError
 from ...svrgs_addon.views.posed_photos import PosedPhotos, read_in_child
-from ..data import camera_object, splat_object
+from ..data import camera_object, edit_guard, splat_object, views_of_file
 from ..data.framing import level
 from ..data.reporting import FolderOperator
-from ..data.select import select
+from ..data.select import open_collection, select
+from ..data.world_matrix import world_matrix
 from ..scene import dataset_paths
 from ..scene.frame import frame
 from ..translation import OWN
@@ -79,6 +81,10 @@ class SVRGS_OT_import_colmap(FolderOperator):
         folder = Path(bpy.path.abspath(self.directory))
         photos = read_in_child(folder, self.images)
         active = context.object if splat_object.is_splat(context.object) else None
+        if active is not None and splat_object.root_of(active) is None:
+            if problem := edit_guard.problem(context, active) or edit_guard.animated([active]):
+                raise SceneError(problem)
+            views_of_file.refuse_stretched(active)
         root, cameras = self.add_objects(context, folder.absolute(), photos)
         levelled = level(root, photos.cameras) if self.level else ""
         splat = active if splat_object.root_of(active) == root else None
@@ -122,12 +128,16 @@ class SVRGS_OT_import_colmap(FolderOperator):
     def add_objects(
         self, context, folder: Path, photos: PosedPhotos
     ) -> tuple[bpy.types.Object, list[bpy.types.Object]]:
-        """Adds points and cameras below a root. Returns root and cameras; the first becomes the scene's
-        camera."""
+        """Adds points and cameras below a root, in place of cameras of the same photographs. Returns root and
+        cameras; the first becomes the scene's camera."""
         name = folder.name
         collection = bpy.data.collections.new(name)
-        context.collection.children.link(collection)
+        open_collection(context).children.link(collection)
         root, points = root_for(context.object, folder, collection), []
+        names = {camera.name for camera in photos.cameras}
+        for obj in filter(camera_object.is_photograph, root.children):  # of an earlier import
+            if obj.data[camera_object.IMAGE] in names:
+                bpy.data.cameras.remove(obj.data)
         root[splat_object.DATASET], root[splat_object.IMAGES] = dataset_paths.stored(str(folder)), self.images
         root[splat_object.POINTS] = len(photos.points)
         if self.points and len(photos.points):
@@ -165,7 +175,7 @@ def root_for(
     if root is not None or not splat_object.is_splat(obj):
         return splat_object.new_root(folder.name, collection)
     splat_object.in_file_coordinates(obj)
-    root = splat_object.new_root(folder.name, collection, obj.matrix_world)
+    root = splat_object.new_root(folder.name, collection, world_matrix(obj))
     splat_object.parent_to_root(obj, root)
     return root
 

@@ -15,7 +15,7 @@ from ...svrgs_addon.files.repair import bake_filter, drop_nonfinite
 from ...svrgs_addon.system.errors import SplatError
 from ..data import splat_object
 from ..data.reporting import ReportingOperator
-from ..data.select import select
+from ..data.select import open_collection, select
 from ..scene.frame import frame
 from ..translation import OWN
 
@@ -81,7 +81,7 @@ class SVRGS_OT_import_ply(ReportingOperator, ImportHelper):
         """Adds the splat as an object; with the cameras below one root if the active object belongs to a
         dataset."""
         obj = splat_object.object_from_scene(
-            name, scene, context.collection, splat_object.AXES if self.y_down else Matrix()
+            name, scene, open_collection(context), splat_object.AXES if self.y_down else Matrix()
         )
         obj[splat_object.Y_DOWN] = self.y_down
         root = splat_object.root_of(context.object)

@@ -18,7 +18,7 @@ from ..data import edit_guard, splat_object
 from ..data.background_work import watch
 from ..data.job_paths import owners
 from ..data.reporting import ReportingOperator
-from ..data.select import select
+from ..data.select import open_collection, select
 from ..scene import dataset_paths
 from . import job_list, job_queue, job_result, job_state
 from .job_watch import current, delete_job, tick
@@ -155,7 +155,8 @@ class SVRGS_OT_job_load(JobOperator):
             loaded = job_result.load(context, owner, job.folder)
         else:
             name = f"{job.name} {'splat' if job.kind == TRAIN else 'pruned'}"
-            loaded = splat_object.object_from_scene(name, read_scene(job.folder.output), context.collection)
+            scene, collection = read_scene(job.folder.output), open_collection(context)
+            loaded = splat_object.object_from_scene(name, scene, collection)
         select(context, [loaded])
         return tr("Loaded '{name}' with {count:,} Gaussians").format(
             name=loaded.name, count=splat_object.count(loaded)

@@ -16,7 +16,15 @@ from bpy.app.translations import pgettext_iface as tr
 
 from ...svrgs_addon.files.registry import read_scene
 from ...svrgs_addon.jobs.job_folder import TRAIN, JobFolder
-from ...svrgs_addon.prune.kept_share import BOUNDARY, lowest, merged, numbered
+from ...svrgs_addon.prune.kept_share import (
+    BOUNDARY,
+    among,
+    in_order,
+    lowest,
+    merged,
+    numbered,
+    place_of,
+)
 from ...svrgs_addon.scene.affine import transformed
 from ...svrgs_addon.scene.gaussians import Scene
 from ...svrgs_addon.scene.moved_points import common_motion
@@ -26,6 +34,7 @@ from ..data.job_paths import unlink
 from ..data.pairs import ORIGINAL, PRUNED, join, original_of, pruned_of, set_hidden
 from ..data.select import in_view_layer, select
 from ..data.visible_splats import HIDE_MODIFIER, REMOVED
+from ..data.world_matrix import world_matrix
 from ..scene import photographs
 
 SCORE, ROW, PROBABILITY = "svrgs:score", "svrgs:row", "svrgs:probability"  # attributes, as is REMOVED
@@ -55,8 +64,12 @@ def load(context, obj: bpy.types.Object, folder: JobFolder) -> bpy.types.Object:
         pruned[PSNR] = psnr
     elif isinstance(psnr[1], float):  # the photographs were pictures of the original
         pruned[OWN_PSNR] = psnr[1]
-    if notes := result.get("notes"):
-        pruned[NOTES] = "\n".join(map(str, notes))
+    notes, hidden = list(map(str, result.get("notes") or [])), selection.hidden_count(obj)
+    if folder.merged and hidden:
+        text = tr("{count:,} Gaussians that were hidden were merged with others, and are seen in the result")
+        notes.append(text.format(count=hidden))
+    if notes:
+        pruned[NOTES] = "\n".join(notes)
     found, masks = result.get("photographs") or {}, result.get("masks") or ""
     photographs.store(splat_object.root_of(obj), found, masks)
     pruned.svrgs_share = 100 * pruned[KEPT] / request["count"]
@@ -73,7 +86,7 @@ def _load_trained(context, root: bpy.types.Object, folder: JobFolder) -> bpy.typ
     cameras = (obj for obj in root.children if obj.type == "CAMERA" and obj.users_collection)
     collection = splat_object.collection_of(next(cameras, root))
     name, scene = f"{root.name} splat", read_scene(folder.output)
-    splat = splat_object.object_from_scene(name, scene, collection, root.matrix_world)
+    splat = splat_object.object_from_scene(name, scene, collection, world_matrix(root))
     splat_object.parent_to_root(splat, root)
     photographs.store(root, folder.result().get("photographs") or {})
     family = {root, *root.children_recursive}
@@ -202,10 +215,13 @@ def show(pruned: bpy.types.Object, count: int):
 
 def shown_count(pruned: bpy.types.Object) -> int:
     """Number of Gaussians that Apply would keep."""
-    if not ranked(pruned):
-        return quick_order.count(pruned)
-    original = original_of(pruned)
-    return int((~splat_object.stored_values(original or pruned, REMOVED)).sum())
+    return _Shown(pruned).count if ranked(pruned) else quick_order.count(pruned)
+
+
+def seen_count(pruned: bpy.types.Object) -> int:
+    """As shown_count() of a ranked result, without those that the user has hidden."""
+    shown = _Shown(pruned)
+    return shown.count - int(shown.hidden.sum())
 
 
 def shown_gaussians(pruned: bpy.types.Object) -> Scene:
@@ -213,18 +229,55 @@ def shown_gaussians(pruned: bpy.types.Object) -> Scene:
     had removed them."""
     if not ranked(pruned):
         return quick_order.shown(pruned) or splat_object.scene_from_object(pruned)
-    original, scene = original_of(pruned), splat_object.scene_from_object(pruned)
-    left = ~splat_object.stored_values(pruned, REMOVED)
-    rows, scene = splat_object.stored_values(pruned, ROW)[left], scene.select(left)
-    if original is None:
-        return scene
-    removed_by_job = splat_object.stored_values(original, SCORE) <= BOUNDARY
-    back = removed_by_job & ~splat_object.stored_values(original, REMOVED)
-    if not back.any():
-        return scene
-    place = splat_object.relative(pruned.matrix_world, original.matrix_world)
-    returned = transformed(splat_object.scene_from_object(original).select(back), place)
-    return merged(scene, rows, returned, splat_object.stored_values(original, ROW)[back])
+    return _Shown(pruned).gaussians
+
+
+def seen_gaussians(pruned: bpy.types.Object) -> Scene:
+    """As shown_gaussians() of a ranked result, without those that the user has hidden."""
+    shown = _Shown(pruned)
+    return shown.gaussians.select(~shown.hidden)
+
+
+class _Shown:
+    """What is shown of a ranked result: of the splat itself, and of what its job had removed from the
+    original. Points of either may have been deleted in Edit Mode."""
+
+    def __init__(self, pruned: bpy.types.Object):
+        stored = splat_object.stored_values
+        self.pruned, self.original = pruned, original_of(pruned)
+        self.left, self.rows = ~stored(pruned, REMOVED), stored(pruned, ROW)
+        self.marked = selection.hidden(pruned)
+        if self.original is None:
+            return
+        self.rows_before, marked = stored(self.original, ROW), selection.hidden(self.original)
+        removed_by_job = stored(self.original, SCORE) <= BOUNDARY
+        self.back = removed_by_job & ~stored(self.original, REMOVED)
+        self.marked, self.marked_before = self.marked | among(self.rows, self.rows_before[marked]), marked
+
+    @property
+    def count(self) -> int:
+        return int(self.left.sum()) + (0 if self.original is None else int(self.back.sum()))
+
+    @property
+    def hidden(self):
+        """(count,) bool: those that the user has hidden."""
+        hidden = self.marked[self.left]
+        if self.original is None:
+            return hidden
+        rows_back, hidden_back = self.rows_before[self.back], self.marked_before[self.back]
+        return in_order(self.rows[self.left], hidden, rows_back, hidden_back)
+
+    @property
+    def gaussians(self) -> Scene:
+        scene = splat_object.scene_from_object(self.pruned)
+        left = scene.select(self.left)
+        if self.original is None or not self.back.any():
+            return left
+        before = splat_object.scene_from_object(self.original)
+        moved = splat_object.relative(world_matrix(self.pruned), world_matrix(self.original))
+        place = place_of(before.means, self.rows_before, scene.means, self.rows, moved)
+        returned = transformed(before.select(self.back), place)
+        return merged(left, self.rows[self.left], returned, self.rows_before[self.back])
 
 
 def apply(pruned: bpy.types.Object) -> Scene:
@@ -233,17 +286,11 @@ def apply(pruned: bpy.types.Object) -> Scene:
     scene = shown_gaussians(pruned)
     if not scene.count:
         raise SceneError(tr("no Gaussian would be left: keep more"))
-    hidden = shown_hidden(pruned) if ranked(pruned) else None
+    hidden = _Shown(pruned).hidden if ranked(pruned) else None
     splat_object.replace_gaussians(pruned, scene)
     if hidden is not None:
         selection.carry_hidden(pruned, [hidden])
     return scene
-
-
-def shown_hidden(pruned: bpy.types.Object):
-    """(N,) bool: those of shown_gaussians() of a ranked result that the user has hidden."""
-    marked = original_of(pruned) or pruned  # the original marks the same Gaussians, in the same order
-    return selection.hidden(marked)[~splat_object.stored_values(marked, REMOVED)]
 
 
 def before_pruning(original: bpy.types.Object) -> Scene:

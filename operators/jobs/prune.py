@@ -20,11 +20,11 @@ from ...svrgs_addon.cli.batch_list import default_output
 from ...svrgs_addon.files.registry import format_to_write, read_scene, write_scene
 from ...svrgs_addon.system import subprocess_python
 from ...svrgs_addon.system.errors import SplatError
-from ..data import edit_guard, pairs, splat_object
+from ..data import edit_guard, pairs, selection, splat_object
 from ..data.option_properties import RELATIVE, option_property
 from ..data.preferences import threads
 from ..data.reporting import ReportingOperator
-from ..data.select import select
+from ..data.select import open_collection, select
 from . import job_result
 from .job_options import JobOptions
 
@@ -145,7 +145,7 @@ class SVRGS_OT_prune(JobOptions, ReportingOperator):
             pairs.set_hidden(obj, False)
         else:
             name = f"{Path(self.scene).stem} pruned"
-            obj = splat_object.object_from_scene(name, pruned, context.collection)
+            obj = splat_object.object_from_scene(name, pruned, open_collection(context))
         select(context, [obj])
         total, before, after = result["before"]["count"], result["before"].get("psnr"), result.get("psnr")
         texts = [tr("Kept {kept:,} of {count:,} Gaussians").format(kept=result["count"], count=total)]
@@ -163,6 +163,7 @@ class SVRGS_OT_prune(JobOptions, ReportingOperator):
             gaussians = splat_object.scene_from_object(source)  # raises SceneError if there is no splat
             if problem := edit_guard.problem(bpy.context, source):
                 raise SplatError(problem)
+            gaussians = gaussians.select(~selection.hidden(source))  # those stay hidden
             scene, origin = str(temp_dir / "scene.ply"), bpy.data.filepath
         out = self.output(source)
         if source is not None:

@@ -1,7 +1,8 @@
 """When the camera of a photograph becomes the scene's camera, the scene gets the image size and the pixel
 aspect of the photograph.
 
-This happens once per change of the camera. A user who sets another size afterwards keeps it.
+This happens once per change of the camera. A user who sets another size afterwards keeps it, and so does one
+who sets it together with the camera, undoes a change of the camera, or whose markers change it.
 """
 
 from __future__ import annotations
@@ -13,14 +14,18 @@ from ..data import camera_object, known
 
 def follow(scene, *_):
     """Called after every change of the scene."""
-    before = known.of_scene(scene).camera
+    camera, size = known.of_scene(scene).camera, known.of_scene(scene).size
     remember(scene)
-    if before not in (None, known.of_scene(scene).camera):
+    if camera in (None, known.of_scene(scene).camera) or size != known.of_scene(scene).size:
+        return
+    if not any(marker.camera for marker in scene.timeline_markers):
         camera_object.apply_camera_size(scene)
+        remember(scene)
 
 
 def remember(scene: bpy.types.Scene):
     known.of_scene(scene).camera = scene.camera.session_uid if scene.camera is not None else 0
+    known.of_scene(scene).size = scene.render.resolution_x, scene.render.resolution_y
 
 
 def _after_load(*_):

@@ -95,6 +95,12 @@ def _camera_count(root: bpy.types.Object) -> int:
     return sum(child.type == "CAMERA" for child in root.children)
 
 
+def place_problem(context, splats: list[bpy.types.Object]) -> str:
+    """Why these splats cannot be joined to other cameras now; empty if they can."""
+    problem = next(filter(None, (edit_guard.problem(context, obj) for obj in splats)), "")
+    return problem or edit_guard.animated(splats)
+
+
 class SVRGS_OT_use_cameras(ReportingOperator):
     bl_idname = "svrgs.use_cameras"
     bl_label = "Use Cameras"
@@ -109,7 +115,7 @@ class SVRGS_OT_use_cameras(ReportingOperator):
         splats = selected_splats(context)
         if not splats:
             return tr("Select a Gaussian splat first")
-        return next(filter(None, (edit_guard.problem(context, obj) for obj in splats)), "")
+        return place_problem(context, splats)
 
     def work(self, context) -> str:
         root = context.scene.objects.get(self.root)
@@ -137,9 +143,10 @@ class SVRGS_OT_part_from_cameras(ReportingOperator):
 
     @classmethod
     def problem(cls, context) -> str:
-        if any(splat_object.root_of(obj) is not None for obj in selected_splats(context)):
-            return ""
-        return tr("Select a splat that was joined to cameras")
+        splats = [obj for obj in selected_splats(context) if splat_object.root_of(obj) is not None]
+        if not splats:
+            return tr("Select a splat that was joined to cameras")
+        return place_problem(context, splats)
 
     def work(self, context) -> str:
         parted = [obj for obj in selected_splats(context) if splat_object.root_of(obj) is not None]

@@ -71,7 +71,8 @@ def missing(scene: bpy.types.Scene) -> str:
     engine, layer = engine_name(scene), layer_of(scene)
     if layer is None:
         text = tr("{engine} does not draw splats: a render shows grey dots, or nothing")
-        return "" if scene.render.engine in DRAWS_SPLATS else text.format(engine=engine)
+        drawn = scene.render.engine in DRAWS_SPLATS and not any(obj.type == "MESH" for obj in splats)
+        return "" if drawn else text.format(engine=engine)
     if not compositor_nodes.are_complete(scene, layer):
         return tr("The compositing of the splats is not complete: set it up again")
     new = [obj for obj in splats if obj.visible_camera]
@@ -84,7 +85,7 @@ def drawn_by_blender(scene: bpy.types.Scene) -> str:
     if there is none."""
     if scene.render.engine not in DRAWS_SPLATS or layer_of(scene) is not None:
         return ""
-    if not any(map(splat_object.is_splat, scene.objects)):
+    if not any(splat_object.is_splat(obj) and obj.type != "MESH" for obj in scene.objects):
         return ""
     text = tr(
         "{engine} draws splats itself, more slowly, and not quite in the colours of the training. In Rendered"
@@ -116,11 +117,22 @@ def _follow(scene: bpy.types.Scene, layer: bpy.types.Scene):
     for name in FOLLOWED:
         if getattr(layer.render, name) != getattr(scene.render, name):
             setattr(layer.render, name, getattr(scene.render, name))
-    if layer.camera != scene.camera:
-        layer.camera = scene.camera
+    camera = _camera_of_frame(scene)
+    if layer.camera != camera:
+        layer.camera = camera
     meshes = "SPLIT" if scene.render.film_transparent else "CUT"
     if layer.svrgs_view.meshes != meshes:
         layer.svrgs_view.meshes = meshes
+
+
+def _camera_of_frame(scene: bpy.types.Scene) -> bpy.types.Object | None:
+    """That of the last marker with a camera: at the beginning of a frame of an animation, the scene still has
+    the camera of the frame before."""
+    markers = [marker for marker in scene.timeline_markers if marker.camera]
+    before = [marker for marker in markers if marker.frame <= scene.frame_current]
+    if not before:
+        return scene.camera
+    return max(before, key=lambda marker: marker.frame).camera
 
 
 def _before_render(scene, *_):
@@ -129,4 +141,11 @@ def _before_render(scene, *_):
             _follow(scene, layer)
 
 
-HANDLERS = {"render_pre": _before_render}
+def _after_load(*_):
+    """Blender 5.3 draws splats itself, also those of files of older versions."""
+    for cloud in bpy.data.pointclouds if splat_object.BLENDER_HAS_SPLATS else ():
+        if cloud.library is None and splat_object.NOTES in cloud:
+            cloud.type = "GAUSSIAN_SPLAT"
+
+
+HANDLERS = {"render_pre": _before_render, "load_post": _after_load}

@@ -62,7 +62,7 @@ class SVRGS_OT_apply_transforms(SplatsOperator):
 
     def work(self, context) -> str:
         splats = selected_splats(context)
-        if problem := edit_guard.shared(splats):
+        if problem := edit_guard.shared(splats) or edit_guard.animated(splats):
             raise SceneError(problem)
         for obj in splats:
             stretch(obj.matrix_world)  # raises SceneError if a scale is zero
@@ -93,7 +93,7 @@ class SVRGS_OT_join_splats(SplatsOperator):
                 " would be drawn wrongly"
             )
             raise SceneError(text)
-        if len({grading.of(obj) for obj in splats}) > 1:
+        if len(set(map(grading.settings_of, splats))) > 1 or any(map(grading.is_animated, splats)):
             raise SceneError(tr("these splats have different colour settings: use Apply Color first"))
         scenes, hidden = [], [selection.hidden(obj) for obj in splats]
         for obj in splats:

@@ -22,8 +22,10 @@ from ...svrgs_addon.scene.gaussians import Scene
 from ...svrgs_addon.system.errors import SceneError
 from ...svrgs_addon.views.valid_pixels import BACKGROUND
 from ..data import background_work, camera_object, grading, image_pixels, splat_object, visible_splats
+from ..data.pairs import in_file
 from ..data.preferences import use_threads
 from ..data.reporting import ReportingOperator
+from ..data.world_matrix import world_matrix
 from ..jobs import job_result
 from ..scene import photographs
 from ..scene.contribution import chosen_cameras
@@ -43,7 +45,7 @@ class ComparedSplats:
         original, pruned = chosen_pair(context)
         self.graded = any(map(grading.is_graded, (original, pruned)))
         self.scenes = job_result.before_pruning(original), shown_scene(pruned)
-        places = (obj.matrix_world.copy() for obj in (original, pruned))
+        places = (world_matrix(obj).copy() for obj in (original, pruned))
         self.placed = [visible_splats.placed([part]) for part in zip(self.scenes, places, strict=True)]
         self.rasterizer = Rasterizer()
         use_threads(context)
@@ -63,12 +65,17 @@ def chosen_pair(context: bpy.types.Context) -> tuple[bpy.types.Object, bpy.types
     """(original, pruned): those chosen in the panel, or those that belong to the active object. Raises
     SceneError if one is missing."""
     settings = context.scene.svrgs_view
-    original = settings.original or job_result.pair_of(context.object)[0] or context.object
+    original = in_file(settings.original) or job_result.pair_of(context.object)[0] or context.object
     if not splat_object.is_splat(original):
         raise SceneError(
             tr("there is nothing to compare: choose the original splat, or make it the active object")
         )
-    return original, settings.pruned or pruned_of(original)
+    return original, in_file(settings.pruned) or pruned_of(original)
+
+
+def camera_of(context: bpy.types.Context) -> bpy.types.Object | None:
+    """The camera of a comparison."""
+    return in_file(context.scene.svrgs_view.compare_camera) or context.scene.camera
 
 
 def guessed(context: bpy.types.Context) -> dict[str, str]:
@@ -83,10 +90,10 @@ def guessed(context: bpy.types.Context) -> dict[str, str]:
 
 
 def shown_scene(pruned: bpy.types.Object) -> Scene:
-    """Of a job's result: what Apply would keep. Of any other splat: the Gaussians that are not marked as
-    removed."""
-    if job_result.KEPT in pruned and job_result.undecided(pruned):
-        return grading.applied(job_result.shown_gaussians(pruned), pruned)
+    """Of a ranked result: what Apply would keep, without what the user has hidden. Of any other splat: what
+    is visible of it."""
+    if job_result.undecided(pruned) and job_result.ranked(pruned):
+        return grading.applied(job_result.seen_gaussians(pruned), pruned)
     return visible_splats.visible_scene(pruned)
 
 
@@ -110,7 +117,7 @@ class ComparingOperator(ReportingOperator):
 
     @classmethod
     def problem(cls, context) -> str:
-        if context.scene.svrgs_view.compare_camera is not None or context.scene.camera is not None:
+        if camera_of(context) is not None:
             return ""
         return tr("There is no camera: add one, or import the cameras of the dataset")
 
@@ -126,7 +133,8 @@ class SVRGS_OT_compare(ComparingOperator):
 
     def work(self, context) -> str:
         settings, splats = context.scene.svrgs_view, ComparedSplats(context)
-        obj = settings.compare_camera or context.scene.camera
+        obj = camera_of(context)
+        assert obj is not None  # see problem()
         camera = camera_object.camera_from_object(obj, context.scene)
         photo = photograph(obj)
         valid = None
@@ -160,6 +168,8 @@ class SVRGS_OT_contact_sheet(ComparingOperator):
 
     def work(self, context) -> str:
         manager, cameras = context.window_manager, chosen_cameras(context)
+        if not cameras:
+            raise SceneError(tr("There is no camera: add one, or import the cameras of the dataset"))
         manager.progress_begin(0, len(cameras))
         try:
             splats, rows, worst = ComparedSplats(context), [], math.inf

@@ -80,6 +80,11 @@ class SVRGS_engine(bpy.types.RenderEngine):
                 " on"
             )
             raise SceneError(text)
+        if placed.mixed:
+            text = tr(
+                "some of these splats were trained with antialiasing and some were not: none is drawn with it"
+            )
+            self.report({"WARNING"}, text)
         view = panorama.view_of(visible_splats.camera(depsgraph, self.camera_override), scene)
         self.show_progress(tr("Reading meshes"), 0.1)
         triangles = mesh_triangles.triangles(depsgraph, cut=meshes == "CUT")

@@ -12,7 +12,7 @@ from ...svrgs_addon.scene.gaussians import Scene
 from ...svrgs_addon.scene.grade import Grade, graded, inside
 from ...svrgs_addon.scene.morton_order import morton_order
 from ...svrgs_addon.system.errors import SplatError
-from ..data import grading, known, quick_order, splat_object, visible_splats
+from ..data import grading, known, quick_order, selection, splat_object, visible_splats
 
 _numbers = itertools.count()
 
@@ -42,7 +42,8 @@ def read(obj: bpy.types.Object, whole: bool = False) -> Scene:
     """visible_splats.visible_scene(obj) of an evaluated object, sorted: Gaussians close in space are close in
     memory.
 
-    whole: all Gaussians of the object instead, without modifiers; it need not be evaluated.
+    whole: instead, all Gaussians of the object that the user has not hidden, without modifiers; it need not
+    be evaluated.
     """
     return _entry(obj, whole).scene
 
@@ -84,7 +85,9 @@ def _entry(obj: bpy.types.Object, whole: bool = False) -> Entry:
     if key not in _entries:
         obj = obj.original if whole else obj
         scene, rows = splat_object.scene_from_object(obj), visible_splats.unmarked_rows(obj)
-        rows = morton_order(scene.means) if whole else rows[morton_order(scene.means[rows])]
+        if whole:
+            (rows,) = (~selection.hidden(obj)).nonzero()
+        rows = rows[morton_order(scene.means[rows])]
         scene = scene.select(rows)
         _entries[key] = Entry(scene, rows, data, scene, rows, Grade())
     if (entry := _entries[key]).grade != grade:

@@ -93,8 +93,8 @@ class JobMain:
         self._stage, now, finishing = stage, time.monotonic(), stage == "finishing"
         if finishing or now > self._told + TELL_EVERY:
             self._told = now
-            text = "Measuring the result" if finishing else label
-            self.tell("PROGRESS", **facts, finishing=finishing, text=text)
+            facts["finishing"] = finishing
+            self.tell("PROGRESS", **facts, text="Measuring the result" if finishing else label)
 
     def _poll_flag(self):
         while True:

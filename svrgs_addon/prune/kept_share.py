@@ -11,6 +11,8 @@ from ..files.sh_rounding import without_bands
 from ..scene.gaussians import PARAMETERS, Scene
 
 BOUNDARY = 0.5  # Gaussians with a score above were kept by the job
+LEAST_POINTS = 8  # by which a motion is found
+CLEARLY = 0.25  # of the distance that another motion leaves: then a fitted one is taken
 
 
 def lowest(score: np.ndarray, count: int) -> float:
@@ -23,6 +25,35 @@ def lowest(score: np.ndarray, count: int) -> float:
 def numbered(count: int) -> np.ndarray:
     """The row numbers 0 to count - 1, int32."""
     return np.arange(count, dtype=np.int32)
+
+
+def place_of(
+    before: np.ndarray, rows_before: np.ndarray, after: np.ndarray, rows: np.ndarray, moved: np.ndarray
+) -> np.ndarray:
+    """(4, 4) from the coordinates of a splat to those of the one that a job made of it: the identity,
+    wherever the objects stand; `moved` (4, 4), which is between the objects, if transforms were applied to
+    one of them; or, if that one was moved before, the affine map that fits best.
+
+    before, after: (N, 3) and (n, 3) means. rows_before, rows: their source rows, of which some are the same.
+    """
+    _, both, kept = np.intersect1d(rows_before, rows, return_indices=True)
+    here, there = np.column_stack([before[both], np.ones(len(both))]), after[kept].astype(np.float64)
+    apart = lambda place: float(np.median(np.linalg.norm(here @ place[:3].T - there, axis=1)))
+    if len(both) < LEAST_POINTS:
+        return np.eye(4)
+    found = min((np.eye(4), moved), key=apart)
+    fitted = np.vstack([np.linalg.lstsq(here, there, rcond=None)[0].T, (0, 0, 0, 1)])
+    return fitted if apart(fitted) < CLEARLY * apart(found) else found
+
+
+def among(rows: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """(N,) bool: which of the source rows (N,) are among others."""
+    return np.isin(rows, others)
+
+
+def in_order(rows: np.ndarray, values: np.ndarray, other_rows: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """The values of two parts in the order of their source rows, as merged() has the Gaussians."""
+    return np.concatenate([values, others])[np.argsort(np.concatenate([rows, other_rows]), kind="stable")]
 
 
 def merged(a: Scene, rows_a: np.ndarray, b: Scene, rows_b: np.ndarray) -> Scene:

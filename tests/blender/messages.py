@@ -99,6 +99,7 @@ def of_jobs(root: Path) -> set[str]:
             elif isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) in (
                 "(DECIDE, REMOVE)",
                 "self.facts['text']",
+                "text",
             ):
                 found |= {
                     text for value in getattr(node.value, "elts", [node.value]) for text in literals(value)
