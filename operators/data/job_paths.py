@@ -13,7 +13,9 @@ import re
 from pathlib import Path
 
 import bpy
+from bpy.app.translations import pgettext_iface as tr
 
+from ...svrgs_addon.system.errors import SplatError
 from . import known
 from .preferences import PACKAGE
 
@@ -59,8 +61,21 @@ def job_folders(context) -> list[str]:
     return [os.path.normpath(folder) for folder in (chosen, beside, own) if folder]
 
 
+def absolute(path: str) -> str:
+    """The absolute path; empty stays empty. Raises SplatError for a path that begins with // while the .blend
+    is not saved."""
+    if path.startswith("//") and not bpy.data.filepath:
+        text = tr(
+            "{path}: begins at the folder of the .blend, which has not been saved; save it, or give the"
+            " whole path"
+        )
+        raise SplatError(text.format(path=path))
+    return os.path.abspath(bpy.path.abspath(path)) if path else ""
+
+
 def new_folder(context, name: str) -> Path:
-    """The folder of a new job of a splat or root with this name."""
+    """The folder of a new job of a splat or root with this name. Raises SplatError."""
+    absolute(context.scene.svrgs_prune.folder)
     stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S-%f")
     return Path(job_folders(context)[0]) / f"{re.sub('[^0-9A-Za-z_-]+', '_', name)[:40]}-{stamp}"
 

@@ -154,6 +154,19 @@ def carry_hidden(obj: bpy.types.Object, parts: list[np.ndarray]):
         splat_object.set_values(obj, visible_splats.HIDDEN, "BOOLEAN", mask)
 
 
+def carry_further(obj: bpy.types.Object, parts: list[list[tuple[str, str, np.ndarray]]]) -> list[str]:
+    """Gives a splat the attributes that it lacks and that all parts have, which follow each other: as of
+    splat_object.further_values(). Returns the names of those that some parts have."""
+    kinds = [{(name, kind): values for name, kind, values in part} for part in parts]
+    everywhere = set.intersection(*map(set, kinds))
+    for name, kind in sorted(everywhere):
+        if name not in obj.data.attributes:
+            joined = np.concatenate([part[name, kind] for part in kinds])
+            splat_object.set_values(obj, name, kind, joined)
+    named = {name for part in kinds for name, _ in part}
+    return sorted(name for name in named if name not in obj.data.attributes)
+
+
 def hidden(obj: bpy.types.Object) -> np.ndarray:
     """(N,) bool: the Gaussians that hide() has hidden."""
     return _marked(obj, visible_splats.HIDDEN)

@@ -8,7 +8,6 @@ wait.
 from __future__ import annotations
 
 import json
-import os
 import tempfile
 from pathlib import Path
 
@@ -21,6 +20,7 @@ from ...svrgs_addon.files.registry import format_to_write, read_scene, write_sce
 from ...svrgs_addon.system import subprocess_python
 from ...svrgs_addon.system.errors import SplatError
 from ..data import edit_guard, pairs, selection, splat_object
+from ..data.job_paths import absolute
 from ..data.option_properties import RELATIVE, option_property
 from ..data.preferences import threads
 from ..data.reporting import ReportingOperator
@@ -225,18 +225,6 @@ class SVRGS_OT_prune(JobOptions, ReportingOperator):
 
 def _flag(name: str) -> str:
     return f"--{name.replace('_', '-')}"
-
-
-def absolute(path: str) -> str:
-    """The absolute path; empty stays empty. Raises SplatError for a path that begins with // while the .blend
-    is not saved."""
-    if path.startswith("//") and not bpy.data.filepath:
-        text = tr(
-            "{path}: begins at the folder of the .blend, which has not been saved; save it, or give the"
-            " whole path"
-        )
-        raise SplatError(text.format(path=path))
-    return os.path.abspath(bpy.path.abspath(path)) if path else ""
 
 
 CLASSES = (SVRGS_OT_prune,)

@@ -96,6 +96,7 @@ class SVRGS_OT_join_splats(SplatsOperator):
         if len(set(map(grading.settings_of, splats))) > 1 or any(map(grading.is_animated, splats)):
             raise SceneError(tr("these splats have different colour settings: use Apply Color first"))
         scenes, hidden = [], [selection.hidden(obj) for obj in splats]
+        further = [splat_object.further_values(obj) for obj in splats]
         for obj in splats:
             matrix = splat_object.relative(first.matrix_world, obj.matrix_world)
             self.warn_if_stretched(obj, matrix)
@@ -103,6 +104,9 @@ class SVRGS_OT_join_splats(SplatsOperator):
         result = concatenated(scenes, columns=True)
         splat_object.replace_gaussians(first, result)
         selection.carry_hidden(first, hidden)
+        if lost := selection.carry_further(first, further):
+            text = tr("attributes that not all of these splats have are left out: {names}")
+            self.report({"WARNING"}, text.format(names=", ".join(lost)))
         for obj in others:
             splat_object.delete(obj)
         select(context, [first])

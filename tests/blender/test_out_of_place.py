@@ -390,3 +390,35 @@ def test_exports_that_fail_in_the_background_say_so(splat, tmp_path, monkeypatch
     monkeypatch.setattr(levels, "_export", fail)
     with pytest.raises(RuntimeError, match="no room"):
         bpy.ops.svrgs.export_levels(directory=str(tmp_path))
+
+
+def test_joined_splats_keep_the_attributes_that_all_have(splat, bridge, capfd):
+    twin = splat.copy()
+    twin.data = splat.data.copy()
+    bpy.context.collection.objects.link(twin)
+    bridge.set_values(splat, "one", "FLOAT2", np.full((COUNT, 2), 0.25, np.float32))
+    for obj, value in ((splat, 1), (twin, 2)):
+        bridge.set_values(obj, "both", "INT", np.full(COUNT, value, np.int32))
+    activate(splat, twin)
+    bpy.ops.svrgs.join_splats()
+    assert np.array_equal(bridge.values(splat, "both"), np.repeat([1, 2], COUNT))
+    assert "left out: one" in capfd.readouterr().out
+
+
+@pytest.mark.parametrize("kind, width", [("FLOAT2", 2), ("BYTE_COLOR", 4), ("INT16_2D", 2), ("FLOAT4X4", 16)])
+def test_what_is_left_keeps_attributes_of_all_kinds(splat, bridge, kind, width):
+    rng = np.random.default_rng(0)
+    values = rng.integers(0, 2, (COUNT, width)).astype(bridge.KINDS[kind][2])
+    bridge.set_values(splat, "more", kind, values)
+    selection = part("operators.data.selection")
+    selection.keep(splat, np.arange(COUNT) >= 100)
+    np.testing.assert_array_equal(bridge.values(splat, "more"), values[100:])
+
+
+def test_jobs_are_not_made_beside_a_file_that_was_not_saved(splat):
+    bpy.ops.wm.read_homefile(use_empty=True)
+    imported()
+    bpy.context.scene.svrgs_prune.folder = "//jobs"
+    set_up(SHORT | {"effort": "TUNED"})
+    with pytest.raises(RuntimeError, match="has not been saved"):
+        bpy.ops.svrgs.job_start()
