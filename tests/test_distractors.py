@@ -85,8 +85,8 @@ def test_a_job_that_masks_them_is_nearer_to_the_truth(tiny, splat, crowded, tmp_
         assert any(note.startswith("distractors cover") for note in found["notes"]) == bool(words)
         figures.append(svrgs("eval", out, "--data", tiny.folder, "--json").json["psnr"])
     assert figures[1] > figures[0] + 1
-    written = tmp_path / "1_distractor_masks"
-    assert found["masks"] == str(written) and not (tmp_path / "0_distractor_masks").exists()
+    written = tmp_path / "1.ply_distractor_masks"
+    assert found["masks"] == str(written) and not (tmp_path / "0.ply_distractor_masks").exists()
     again = load_dataset(crowded, masks=MaskOptions(written))
     for number in TRAINED:
         valid = again.cameras[number].valid

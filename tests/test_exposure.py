@@ -165,8 +165,8 @@ def test_what_drifts_is_fitted_and_written_beside_the_result(tiny, drifting, tmp
     assert found["psnr"] > plain["psnr"] + 3 and found["psnr_matched"] >= found["psnr"]
     (note,) = [note for note in found["notes"] if note.startswith("exposure varies by ±")]
     assert note.endswith("of 10 photographs, so it is fitted")
-    assert plain["exposure"] is None and found["exposure"]["file"] == str(tmp_path / "o_exposure.json")
-    written = json.loads((tmp_path / "o_exposure.json").read_text())
+    assert plain["exposure"] is None and found["exposure"]["file"] == str(tmp_path / "o.ply_exposure.json")
+    written = json.loads((tmp_path / "o.ply_exposure.json").read_text())
     names = [f"{number:02}.png" for number in range(12) if number % 8]
     truth = drifts(12)[np.arange(12) % 8 > 0]
     assert list(written) == names
@@ -189,9 +189,9 @@ def test_even_photographs_are_left_alone(tiny, tmp_path, svrgs):
 
 def test_matrices_of_an_earlier_result_go(tiny, drifting, tmp_path, svrgs):
     pruned(svrgs, tiny, drifting, tmp_path / "o.ply", "--exposure", "on")
-    assert (tmp_path / "o_exposure.json").exists()
+    assert (tmp_path / "o.ply_exposure.json").exists()
     pruned(svrgs, tiny, drifting, tmp_path / "o.ply", "--overwrite")
-    assert not (tmp_path / "o_exposure.json").exists()
+    assert not (tmp_path / "o.ply_exposure.json").exists()
 
 
 def test_eval_measures_in_the_colours_of_the_photographs_if_asked(tiny, drifting, svrgs):
@@ -243,7 +243,7 @@ def test_training_fits_exposure_if_it_is_told_to(drifting, tmp_path, svrgs):
     words = ["train", "--data", drifting, "--iterations", 60]
     for way in ("auto", "off", "on"):
         svrgs(*words, "--exposure", way, "--out", tmp_path / f"{way}.ply", "--json")
-    assert len(json.loads((tmp_path / "on_exposure.json").read_text())) == 10
+    assert len(json.loads((tmp_path / "on.ply_exposure.json").read_text())) == 10
     assert len([*tmp_path.glob("*_exposure.json")]) == 1
     assert (tmp_path / "auto.ply").read_bytes() == (tmp_path / "off.ply").read_bytes()
 
@@ -292,7 +292,7 @@ def test_a_job_of_blender_keeps_its_matrices_until_it_is_discarded(tiny, driftin
     follow(job)
     assert folder.result()["exposure"]["photographs"] == 10
     assert Path(folder.result()["exposure"]["file"]).parent == folder.path
-    assert (folder / "recovered_exposure.json").is_file()
+    assert (folder / "recovered.ply_exposure.json").is_file()
     folder.discard()
     assert not folder.path.exists()
 
@@ -348,7 +348,7 @@ def test_what_a_splat_does_not_show_says_nothing_about_its_tone(tiny):
 def test_a_switch_that_is_off_asks_for_nothing(tiny, tmp_path, svrgs):
     assert given(PruneOptions(exposure="off", refine_poses="off")) == []
     assert given(PruneOptions(exposure="on")) == ["exposure"]
-    beside = tmp_path / "o_exposure.json"
+    beside = tmp_path / "o.ply_exposure.json"
     beside.write_text("not ours")
     words = ["prune", tiny.splat, "--exposure", "off", "--refine-poses", "off", "--target", 0.5]
     svrgs(*words, "--quick", "--out", tmp_path / "o.ply", "--json")

@@ -143,7 +143,7 @@ def test_discarding_a_job_removes_its_links_and_not_what_they_lead_to(tiny, tmp_
 
 def test_discarding_a_job_removes_its_masks_in_folders_of_folders(tiny, tmp_path):
     folder = create(tmp_path / "job", tiny, **SHORT)
-    mask = folder / "recovered_distractor_masks/rig1/cam0/0001.jpg.png"
+    mask = folder / "recovered.ply_distractor_masks/rig1/cam0/0001.jpg.png"
     mask.parent.mkdir(parents=True)
     mask.write_bytes(b"")
     folder.discard()

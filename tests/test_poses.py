@@ -177,8 +177,8 @@ def test_poses_that_are_off_are_found_and_refined(tiny, splat, shaken, tmp_path,
     assert note_of(plain).endswith("--refine-poses on moves the cameras")
     assert note_of(found).endswith("so poses are refined")
     assert found["psnr"] > plain["psnr"] + 1 and found["psnr_aligned"] > plain["psnr"] + 1
-    assert plain["poses"] is None and found["poses"]["file"] == str(tmp_path / "o_refined_cameras.json")
-    written = load_cameras_json(tmp_path / "o_refined_cameras.json")
+    assert plain["poses"] is None and found["poses"]["file"] == str(tmp_path / "o.ply_refined_cameras.json")
+    written = load_cameras_json(tmp_path / "o.ply_refined_cameras.json")
     assert [camera.name for camera in written] == [f"{number:02}.png" for number in TRAINED]
     assert mean_beside(load_dataset(shaken).cameras, tiny) > 3 * mean_beside(written, tiny)
 
@@ -196,9 +196,9 @@ def test_right_poses_are_kept_and_change_no_bit(tiny, splat, tmp_path, svrgs):
 
 def test_poses_of_an_earlier_result_go(splat, shaken, tmp_path, svrgs):
     pruned(svrgs, splat, shaken, tmp_path / "o.ply", "--refine-poses", "on")
-    assert (tmp_path / "o_refined_cameras.json").exists()
+    assert (tmp_path / "o.ply_refined_cameras.json").exists()
     pruned(svrgs, splat, shaken, tmp_path / "o.ply", "--refine-poses", "off", "--overwrite")
-    assert not (tmp_path / "o_refined_cameras.json").exists()
+    assert not (tmp_path / "o.ply_refined_cameras.json").exists()
 
 
 def test_eval_measures_after_alignment_if_asked(splat, shaken, svrgs):
@@ -212,9 +212,9 @@ def test_training_refines_poses_if_it_is_told_to(tiny, shaken, tmp_path, svrgs):
     words = ["train", "--data", shaken, "--iterations", 200]
     for way in ("auto", "on"):
         svrgs(*words, "--refine-poses", way, "--out", tmp_path / f"{way}.ply", "--json")
-    assert [path.name for path in tmp_path.glob("*_refined_cameras.json")] == ["on_refined_cameras.json"]
+    assert [path.name for path in tmp_path.glob("*_refined_cameras.json")] == ["on.ply_refined_cameras.json"]
     before = mean_beside(load_dataset(shaken).cameras, tiny)
-    assert mean_beside(load_cameras_json(tmp_path / "on_refined_cameras.json"), tiny) < before
+    assert mean_beside(load_cameras_json(tmp_path / "on.ply_refined_cameras.json"), tiny) < before
 
 
 def test_a_run_that_is_taken_up_again_gives_the_same_poses(splat, shaken, tmp_path):

@@ -137,8 +137,6 @@ class SVRGS_OT_import_colmap(FolderOperator):
         names = {camera.name for camera in photos.cameras}
         former = [obj for obj in root.children if camera_object.is_photograph(obj)]  # of an earlier import
         former = [obj for obj in former if obj.data[camera_object.IMAGE] in names]
-        for obj in former:
-            obj.name = obj.data.name = f"{obj.name} (former)"
         root[splat_object.DATASET], root[splat_object.IMAGES] = dataset_paths.stored(str(folder)), self.images
         root[splat_object.POINTS] = len(photos.points)
         if self.points and len(photos.points):
@@ -151,6 +149,8 @@ class SVRGS_OT_import_colmap(FolderOperator):
         context.scene.camera = cameras[0]
         for obj in former:  # not before: a view through one would be left
             bpy.data.cameras.remove(obj.data)
+        for obj, camera in zip(cameras, photos.cameras, strict=True):
+            obj.name = obj.data.name = camera.name
         camera_object.apply_camera_size(context.scene)
         context.view_layer.update()
         for obj in points:

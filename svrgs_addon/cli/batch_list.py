@@ -3,6 +3,7 @@ folders."""
 
 from __future__ import annotations
 
+import logging
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -109,11 +110,14 @@ def _scenes(path: Path, out: Path | None) -> list[tuple[str, Path]]:
             f"{path}: is the folder of both scenes and outputs; choose another folder for the outputs"
         )
     own = _splat_in(path)
-    if own:
-        return [(path.name, own)]
     inside = (folder for folder in sorted(path.iterdir()) if folder.is_dir())
     folders = [folder for folder in inside if not (out and same_file(folder, out))]
     below = [(folder.name, splat) for folder in folders if (splat := _splat_in(folder))]
+    if own and below:
+        names = ", ".join(name for name, _ in below[:3]) + (", …" if len(below) > 3 else "")
+        logging.warning("%s: is pruned alone; the folders beside it hold splats, too: %s", own, names)
+    if own:
+        return [(path.name, own)]
     if not below:
         raise SceneError(
             f"{path}: holds no splat and no folders with one; splats are {', '.join(registry.suffixes())}"

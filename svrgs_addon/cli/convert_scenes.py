@@ -233,7 +233,8 @@ def _files(path: Path) -> list[Path]:
     """The files of a path, a folder or a pattern. Raises SceneError if there are none."""
     if path.is_dir() and not registry.is_splat_folder(path):
         named = lambda one: one.name.lower().endswith(registry.suffixes()) and not one.name.startswith(".")
-        found = sorted(one for one in path.iterdir() if one.is_file() and named(one))
+        splat = lambda one: named(one) if one.is_file() else registry.is_splat_folder(one)
+        found = sorted(filter(splat, path.iterdir()))
     elif not path.exists() and glob.has_magic(str(path)):
         found = [extended(name) for name in sorted(glob.glob(str(path)))]
     else:

@@ -16,7 +16,7 @@ from ..jobs.farm.needs import memory_of
 from ..jobs.farm.openjd import write_bundle
 from ..jobs.farm.run_tasks import numbers_of, run_tasks
 from ..jobs.farm.summary import summarise
-from ..prune.door import allowed_loss
+from ..prune.door import allowed_loss, check_view_options
 from ..prune.options import PruneOptions
 from ..prune.pipeline import in_memory
 from ..prune.plans import method_of
@@ -62,6 +62,8 @@ def _export(args: argparse.Namespace) -> dict[str, Any]:
     scenes = [(item.name, item.scene, None if args.no_photographs else item.data) for item in items]
     ways = list(_ways(args))
     job = FarmJob(folder.absolute(), root, tasks_of(root, scenes, ways, options), suffix)
+    for task in job.tasks:
+        check_view_options(job.options(task))
     for task in job.tasks[: len(ways)]:  # those of the first scene: refuses what each way would refuse
         in_memory(job.options(task))
     return _write(job)

@@ -12,9 +12,13 @@ from ..files.registry import load_scene, refuse_input
 from ..prune.blocks.sample import MAX_SAMPLED, sample_of
 from ..scene.gaussians import Scene
 from ..system import memory
-from ..system.errors import MemoryShort, SceneError, TooMany
+from ..system.errors import FormatError, MemoryShort, SceneError, TooMany
+from ..system.file_names import real
+from ..views.camera_files import load_cameras
 from ..views.cameras_json import write_cameras_json
 from ..views.rig import place_rig
+
+PLACED = ("rig_", "off_")  # how the names of placed cameras begin
 
 
 def place_cameras(args: argparse.Namespace) -> dict:
@@ -24,6 +28,9 @@ def place_cameras(args: argparse.Namespace) -> dict:
         if out is not None:
             refuse_input(out, args.scene)
             check_writable(out)
+    refuse_foreign(args.out)
+    if args.preview is not None and real(args.preview) == real(args.out):
+        raise SceneError(f"{args.out}: is to be both the cameras and the preview; give two names")
     if args.preview is not None and args.preview.suffix.lower() != ".png":
         raise SceneError(f"{args.preview}: the preview is a PNG; give it the suffix .png")
     scene, enlarged = _scene(args.scene)
@@ -34,6 +41,19 @@ def place_cameras(args: argparse.Namespace) -> dict:
 
         write_image(args.preview, preview(scene, rig))
     return {**rig.facts(), "out": str(args.out), "preview": args.preview and str(args.preview)}
+
+
+def refuse_foreign(out: Path):
+    """Raises SceneError for a file that is there and holds no cameras that were placed, as those of a 3DGS
+    run or a dataset."""
+    if not out.exists():
+        return
+    try:
+        placed = all(camera.name.startswith(PLACED) for camera in load_cameras(out))
+    except (FormatError, SceneError):
+        placed = False
+    if not placed:
+        raise SceneError(f"{out}: holds something else than cameras of svrgs rig: name a new file")
 
 
 def _scene(path: Path) -> tuple[Scene, float]:

@@ -12,10 +12,19 @@ from collections.abc import Iterator
 import numpy as np
 
 from ..scene import activation
-from ..scene.gaussians import Scene
+from ..scene.gaussians import SH_C0, Scene
 from ..system.errors import FormatError
 from .atomic import atomic_write, check_space
-from .quantised import alphas_of, colors_of_sh, logits_of, logs_of, sh_of_colors, to_uint8, unit_quats
+from .quantised import (
+    alphas_of,
+    clipped,
+    colors_of_sh,
+    logits_of,
+    logs_of,
+    sh_of_colors,
+    to_uint8,
+    unit_quats,
+)
 from .reading import MAX_COUNT, open_splat, refuse_unpacking, rows_at, size_of
 from .splat_format import PART, SplatFormat
 
@@ -73,5 +82,6 @@ FORMAT = SplatFormat(
     write=write,
     size=file_size,
     most_degree=0,
+    limits=lambda scene: clipped(scene, "a .splat", np.inf, 0.5 / SH_C0),
     carries=("order",),
 )

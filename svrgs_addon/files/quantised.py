@@ -13,6 +13,7 @@ MIN_WEIGHT = 0.003
 # share of the Gaussians beyond the limits of a format, at most: else a sentence says so
 MAX_BEYOND = 0.01
 BEYOND = 1e-7  # an opacity keeps so much from 0 and 1, where its logit would be infinite
+COARSE = 2  # steps of a position in the scale of a small Gaussian, at least: else a sentence says so
 SPARED = 0.25  # steps that an opacity of 8 bits keeps from 0 and 1, where its logit would be infinite
 
 
@@ -121,6 +122,17 @@ def small_scale(scene: Scene) -> float:
     logs = widest_logs(scene)
     logs = logs[np.isfinite(logs)]
     return float(np.exp(np.clip(np.quantile(logs, 0.05), -80, 80))) if len(logs) else 1.0
+
+
+def far_away(scene: Scene) -> list[str]:
+    """A sentence if the steps of float32, in which positions are stored, show."""
+    far, small = float(np.abs(np.nan_to_num(scene.means)).max(initial=0)), small_scale(scene)
+    if (step := float(np.spacing(np.float32(far)))) <= small / COARSE:
+        return []
+    return [
+        f"positions are stored in steps of {step:.2g}, because some lie {far:g} away, and small Gaussians"
+        f" have a scale of {small:.2g}: move the scene to the origin"
+    ]
 
 
 def clipped(scene: Scene, label: str, most: float, most_dc: float = np.inf) -> list[str]:

@@ -23,6 +23,7 @@ from ..system.errors import FormatError, SceneError, TooMany
 from ..system.file_names import extended, real, shown
 from . import compressed_ply, dot_splat, glb, glb_spz, ksplat, ply, sog, spz, streamed_sog, usd
 from .atomic import checked
+from .quantised import far_away
 from .reading import MAX_IN_PARTS
 from .repair import bake_filter, clamp_extremes, drop_nonfinite, unusable
 from .sh_rounding import SeenFrom
@@ -286,8 +287,9 @@ def left_out(scene: Scene, splat_format: SplatFormat) -> list[str]:
             f"the format {splat_format.label} cannot say that the scene is antialiased, so programs will draw"
             " small Gaussians too thick"
         )
-    sentences += splat_format.limits(scene) if splat_format.limits else []
-    return sentences
+    limits = splat_format.limits(scene) if splat_format.limits else []
+    coarse = far_away(scene) if not any("positions" in sentence for sentence in limits) else []
+    return [*sentences, *limits, *coarse]
 
 
 def higher_bands(scene: Scene, splat_format: SplatFormat) -> list[str]:

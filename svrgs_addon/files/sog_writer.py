@@ -28,7 +28,7 @@ from . import sog_layout as layout
 from .atomic import atomic_path, atomic_write, check_space
 from .images import write_texture
 from .palette import nearest, palette, refined, table
-from .quantised import alphas_of, picture_weights, small_scale, three_of_quats, to_uint8
+from .quantised import COARSE, alphas_of, picture_weights, small_scale, three_of_quats, to_uint8
 from .sh_rounding import SeenFrom, higher_factors, rounded
 from .sog_layout import META
 
@@ -39,7 +39,6 @@ LARGEST_SCALES = 1e-4  # share as of picture_weights, for scales: those of the s
 SAMPLE = 1 << 15  # Gaussians by which it is chosen
 MIN_ENTRIES = 1024
 FARTHEST = 1e30  # positions beyond are written as if they were there
-COARSE = 2  # steps of a position in the scale of a small Gaussian, at least: beyond, a sentence says so
 BYTES = 40  # free space per Gaussian that is asked for
 PART = 1 << 14  # Gaussians that are corrected together
 FIRST_DATE = (1980, 1, 1, 0, 0, 0)  # of the files in a bundle: the same scene gives the same bytes

@@ -31,6 +31,7 @@ from .atomic import atomic_write, check_space
 from .axes import turned_over
 from .memory_mapped import array_for
 from .quantised import (
+    COARSE,
     MAX_BEYOND,
     alphas_of,
     clipped,
@@ -51,7 +52,6 @@ FRACTION_BITS = 12  # of positions, at least where the scene is small enough
 LARGEST_POSITION = 2**23 - 1
 FINER = 16  # steps of a position, at least, in the scale of a small Gaussian
 MAX_FRACTION_BITS = 24
-COARSE = 2  # steps of a position in the scale of a small Gaussian, at least: else a sentence says so
 COLOR, SCALE_STEPS, SMALLEST_SCALE = 0.15, 16, -10
 # of 256, between written values of SH of a Gaussian with weight 1 (picture_weights; docs/formats.md)
 SH_STEP = 3

@@ -54,7 +54,7 @@ def stops(matrices: np.ndarray) -> np.ndarray:
 
 def file_of(out: Path) -> Path:
     """Where the matrices of a result are written."""
-    return out.with_name(f"{out.stem}_exposure.json")
+    return out.with_name(f"{out.name}_exposure.json")
 
 
 def write(path: Path, names: list[str], matrices: np.ndarray):

@@ -55,4 +55,4 @@ class Poses(PhotoAdam):
 
 def file_of(out: Path) -> Path:
     """Where the poses of a result are written, as cameras.json of 3DGS."""
-    return out.with_name(f"{out.stem}_refined_cameras.json")
+    return out.with_name(f"{out.name}_refined_cameras.json")

@@ -22,9 +22,9 @@
     pruned.ply, kept.npy, score.npy, result.json     the result; result.json is written last
     probability.npy                                  if masks were learned
     trained.ply, result.json                         the result of a job that trains
-    recovered_distractor_masks/   if distractors were masked (prune/distractors.py)
-    recovered_exposure.json, trained_exposure.json   if exposure was fitted (finetune/exposure.py)
-    recovered_refined_cameras.json, trained_refined_cameras.json   if poses were refined (finetune/poses.py)
+    recovered.ply_distractor_masks/   if distractors were masked (prune/distractors.py)
+    recovered.ply_exposure.json, trained.ply_exposure.json   if exposure was fitted (finetune/exposure.py)
+    recovered.ply_refined_cameras.json, trained.ply_refined_cameras.json   if poses were refined
 
 A job whose state is not renewed for STALE seconds counts as interrupted. The folder is read like a file of a
 stranger: options are checked by name, type and range, arrays by shape and dtype, sizes of JSON files by
@@ -86,8 +86,8 @@ FACTS = {  # keys of state.json and of messages that are read, and their types
 _FILES = (
     "state.json", "scene.ply", "recovered.ply", "messages.jsonl", "log.txt", "metrics.csv", "ranking.npz",
     "pruned.ply", "kept.npy", "score.npy", "probability.npy", "trained.ply", "*_exposure.json",
-    "*_refined_cameras.json", "recovered_distractor_masks/**/*.png", "result.json", MERGED, ORDER, CAMERAS,
-    STOP, ".svrgs-*", "previews/[0-9]*.png", "previews/.svrgs-*", "job.json",
+    "*_refined_cameras.json", "recovered.ply_distractor_masks/**/*.png", "result.json", MERGED, ORDER,
+    CAMERAS, STOP, ".svrgs-*", "previews/[0-9]*.png", "previews/.svrgs-*", "job.json",
 )  # fmt: skip
 
 
@@ -310,7 +310,7 @@ class JobFolder:
         """
         if not (self / "job.json").is_file():
             raise FormatError(f"{self.path}: holds no job")
-        masks = self / "recovered_distractor_masks"
+        masks = self / "recovered.ply_distractor_masks"
         for folder in (self / "previews", self / "recovered.ply.job", masks):
             remove_link(folder)  # else the patterns would be searched behind it
         for folder in [*masks.rglob("*")]:
@@ -332,7 +332,7 @@ class JobFolder:
         for folder in (
             self.path,
             self / "previews",
-            self / "recovered_distractor_masks",
+            self / "recovered.ply_distractor_masks",
             checkpoints,
             *checkpoints.glob("[0-9]" * 7),
             *blocks.folders(self / BLOCKS),

@@ -58,7 +58,7 @@ def without_distractors(scene: Scene, dataset: Dataset) -> tuple[Dataset, str]:
 
 def folder_of(out: Path) -> Path:
     """Where the masks of a result are written."""
-    return out.with_name(f"{out.stem}_distractor_masks")
+    return out.with_name(f"{out.name}_distractor_masks")
 
 
 def write_masks(folder: Path, cameras: Sequence[Camera]):

@@ -136,7 +136,8 @@ def asked_size(options: PruneOptions) -> FileSize | None:
         if options.target_format:
             raise SceneError("--target-format is about --target-size: add it, or leave --target-format out")
         return None
-    name = f"x{options.target_format}" if options.target_format else options.out or ""
+    suffix = options.target_format and f".{options.target_format.removeprefix('.')}"
+    name = f"x{suffix}" if suffix else options.out or ""
     splat_format = format_to_write(name)
     if options.out is not None and holds_levels(options.out):
         raise SceneError(f"{options.out}: --target-size is about one file, and this output has several")

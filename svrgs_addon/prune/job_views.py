@@ -14,7 +14,7 @@ from ..scene.camera import Camera, evenly, halfway
 from ..scene.gaussians import Scene
 from ..system.errors import SceneError
 from ..views.camera_files import load_cameras
-from ..views.dataset import HOLDOUT, load_dataset
+from ..views.dataset import load_dataset
 from ..views.rig import place_rig
 from ..views.rig.around import cameras_around
 from ..views.rig.place import quick_rig
@@ -125,11 +125,11 @@ def large(options: PruneOptions, scene: Scene, enlarged: float) -> Views:
         return Views(train, test or halfway(train), [], {})
     if options.cameras is not None:
         cameras = load_cameras(options.cameras)
-        train, test = _held_out(cameras, HOLDOUT)
+        train, test = _held_out(cameras, options.holdout)
         if not train:
             raise SceneError("one view is held out for the test, and no other is there: give at least two")
         check_views(scene, cameras, train, str(options.scene))
-        return Views(train, test, [], {})
+        return Views(train, test or halfway(train), [], {})
     rig = place_rig(scene, enlarged=enlarged)
     return Views(finer(rig.cameras), rig.held_out, [], {})
 

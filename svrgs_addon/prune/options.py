@@ -277,7 +277,8 @@ class PruneOptions(TuningOptions):
         SHARES, (),
         "levels of detail, as in 0.5,0.25,0.1: also write these shares of the result, to OUT_50.ply "
         "and so on, or into the streamed SOG "
-        "OUT/lod-meta.json: the first rows of a nested result; with --quick, each pruned on its own",
+        "OUT/lod-meta.json (with --quick): the first rows of a nested result; with --quick, each pruned on"
+        " its own",
         default_help="none", group=OUTPUT,
     )
     sh_degree: int | None = option(

@@ -22,6 +22,7 @@ from .recipe import Recipe
 from .recipes.fine_tuned import FineTuned
 from .recipes.quick import Quick
 from .recipes.trained import Trained
+from .report.page import refuse_foreign
 from .stop_request import StopRequest
 
 # changes the context of the command line; a background job adds its own observer and stop
@@ -85,6 +86,8 @@ def _prepared(recipe: Recipe) -> Iterator[Recipe]:
     context lasts, and it is closed at the end."""
     job = recipe.job
     further = [job.report / "index.html"] if job.report else []
+    if job.report:
+        refuse_foreign(job.report)
     with outputs(job.scene, job.outs, [*further, *recipe.further_files()]), contextlib.closing(recipe):
         recipe.open()
         recipe.views()

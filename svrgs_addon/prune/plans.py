@@ -152,7 +152,10 @@ def _target(options: PruneOptions, method: Method) -> int:
     if options.target_count is not None:
         return options.target_count
     share = options.target or (0.0 if allowed_loss(options).loss else method.share)
-    return max(1, round(share * registry.describe(options.scene)["count"])) if share and options.scene else 0
+    if not (share and options.scene):
+        return 0
+    facts = registry.describe(options.scene)
+    return max(1, round(share * (facts["count"] - facts["nonfinite"])))
 
 
 def _nested(options: PruneOptions) -> float:

@@ -20,6 +20,7 @@ from ..files.atomic import atomic_write
 from ..files.registry import load_scene
 from ..native.library import thresholds
 from ..native.rasterizer import Rasterizer
+from ..prune.report.page import refuse_foreign
 from ..prune.seen import seen_from
 from ..render.metrics.evaluate import evaluate
 from ..scene.camera import evenly
@@ -38,7 +39,6 @@ VERSION = 3  # of the SPZ: Spark does not read 4
 MOST_CAMERAS = 100
 NAMES = {1: ("scene.spz",), 2: ("original.spz", "pruned.spz")}  # of the files, by number of scenes
 FILES = ("page.js", "LICENSES.txt")  # those beside
-GENERATOR = '<meta name="generator" content="SVR-GS">'
 
 
 def packed_module(name: str) -> Path:
@@ -79,10 +79,10 @@ def _check(folder: Path):
     if lacking := [name for name in MODULES if not packed_module(name).exists()]:
         raise SceneError(f"the modules of web pages are missing ({lacking[0]}): make wheels fetches them")
     page, names = folder / "index.html", (*FILES, *itertools.chain(*NAMES.values()))
+    refuse_foreign(folder)
     if page.exists():
-        if GENERATOR not in page.read_text(encoding="utf-8", errors="replace"):
-            raise SceneError(f"{folder} holds another page: name a new folder")
-    elif found := next((name for name in names if (folder / name).exists()), ""):
+        return
+    if found := next((name for name in names if (folder / name).exists()), ""):
         raise SceneError(f"{folder / found} would be replaced: name a new folder")
 
 

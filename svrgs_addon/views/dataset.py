@@ -169,6 +169,13 @@ class Dataset:
         return image
 
 
+def in_training_views(dataset: Dataset) -> list[str]:
+    """A sentence if quality is measured on photographs that were trained on, because none is held out."""
+    if dataset.test_indices or not dataset.photos:
+        return []
+    return ["no view is held out, so quality is measured in the training views"]
+
+
 def load_dataset(
     folder: str | os.PathLike,
     images: str | None = None,

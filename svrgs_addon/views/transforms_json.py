@@ -34,6 +34,7 @@ from .photo_files import photograph
 NAME, PARSER_NAME = "transforms.json", "dataparser_transforms.json"
 MAX_BYTES = 64 * 2**20
 LARGEST = 1e12  # of the absolute value of a number
+SPLIT = ("train_filenames", "val_filenames", "test_filenames")
 PERSPECTIVE = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
 FISHEYE = "OPENCV_FISHEYE"
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])  # camera axes of OpenGL <-> of COLMAP
@@ -79,6 +80,9 @@ def read_transforms(path: Path) -> Transforms:
         for name, frame in zip(names, frames, strict=True)
         if frame.get("mask_path")
     }
+    if split := [key for key in SPLIT if facts.get(key)]:
+        named = " and ".join(split)
+        notes = (*notes, f"{path.name} has {named}, which do not count: --holdout says what is held out")
     if missing:
         some = ", ".join(missing[:3]) + (", ..." if len(missing) > 3 else "")
         notes = (*notes, f"left out, because nothing says the size of a photograph: {some}")

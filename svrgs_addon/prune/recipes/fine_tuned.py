@@ -50,7 +50,7 @@ from ...system import memory
 from ...system.errors import SceneError
 from ...system.memory_limits import peak
 from ...views.cameras_json import write_cameras_json
-from ...views.dataset import Dataset
+from ...views.dataset import Dataset, in_training_views
 from ...views.reduced_photos import reduction_to
 from ...views.rendered import RenderedDataset
 from .. import distractors
@@ -174,7 +174,7 @@ class Tuned(Recipe):
         return loss_notes(psnr, stored) if own else rounding_notes(self.job.out, psnr, stored)
 
     def all_notes(self) -> list[str]:
-        return [*self.dataset.notes, *self.notes]
+        return [*self.dataset.notes, *in_training_views(self.dataset), *self.notes]
 
     def facts(self) -> dict[str, Any]:
         """The keys of the JSON result that describe the run, not the quality of the scene."""

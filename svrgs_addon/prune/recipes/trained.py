@@ -9,7 +9,7 @@ from typing import Any
 from ...files.registry import read_back
 from ...finetune.model import Model, scene_from_points
 from ...finetune.plan import Plan
-from ...finetune.settings import Densify
+from ...finetune.settings import MCMC, Densify
 from ...native.library import thresholds
 from ...render.metrics.evaluate import any_in_view
 from ...system.errors import SceneError
@@ -46,6 +46,12 @@ class Trained(Tuned):
         self.plan, self.given = plan, dataset
         if (plan.target or plan.share) and not plan.prunes:
             raise SceneError(CANNOT_REACH.format(plan.method.name))
+        growth = plan.phases[0].densify
+        if isinstance(growth, MCMC) and 0 < growth.cap < len(dataset.points):
+            raise SceneError(
+                f"the scene starts with {len(dataset.points):,} points, and may grow up to {growth.cap:,}"
+                " Gaussians: ask for more"
+            )
         refuse_unseen_points(dataset)
         needed = refuse_excess("training", len(dataset.points), (self.sh_degree + 1) ** 2, dataset, plan)
         self.job = self.job.fitting(dataset.cameras, needed)

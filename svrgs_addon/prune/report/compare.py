@@ -18,7 +18,7 @@ from ...scene.camera import refuse_same_stems, view_stem
 from ...system import memory
 from ...system.errors import SceneError
 from ...system.file_names import real
-from ...views.dataset import Dataset
+from ...views.dataset import Dataset, in_training_views
 from ...views.rendered import RenderedDataset
 from ..belonging import leave_out_empty_tests
 from .page import MASK_PERCENTILE, Report, View, write_report
@@ -56,7 +56,7 @@ def compare(
         opened_scenes = ((a, *first), (b, *second))
         for path, scene, _ in opened_scenes:
             refuse_unseen(scene, dataset.cameras, str(path))
-        notes, own = list(dataset.notes), not dataset.photos
+        notes, own = [*dataset.notes, *in_training_views(dataset)], not dataset.photos
         if own:
             dataset = _of_pictures(dataset, *first)
             notes += leave_out_empty_tests(dataset)

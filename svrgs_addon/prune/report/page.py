@@ -20,11 +20,13 @@ from ... import __version__
 from ...files.atomic import atomic_write
 from ...files.images import to_bytes
 from ...render.color_maps import hex_colors
+from ...system.errors import SceneError
 from ...system.memory import size_text
 from .line_chart import Series, line_chart
 from .pictures import DIFFERENCE_GAIN, data_uri, difference_image, mask_to_rgb
 from .style import CSS, SCRIPT
 
+GENERATOR = '<meta name="generator" content="SVR-GS">'
 # of F, gets the brightest colour: with the maximum, one bright pixel would darken all masks
 MASK_PERCENTILE = 99.5
 
@@ -80,10 +82,18 @@ class Report:
     files: tuple[str, ...] = ()  # those of before and after, to be looked at with svrgs view
 
 
+def refuse_foreign(folder: Path):
+    """Raises SceneError if the folder holds a page that SVR-GS has not made."""
+    page = folder / "index.html"
+    if page.exists() and GENERATOR not in page.read_text(encoding="utf-8", errors="replace"):
+        raise SceneError(f"{folder} holds another page: name a new folder")
+
+
 def write_report(folder: str | Path, report: Report) -> Path:
     """Writes folder/index.html and returns its path. The folder is made if needed; the file is replaced as a
-    whole. Raises SceneError if it cannot be written."""
+    whole. Raises SceneError if it cannot be written, and for a page of another program."""
     path = Path(folder) / "index.html"
+    refuse_foreign(path.parent)
     with atomic_write(path) as file:
         # paths need not be UTF-8
         file.write(page(report).encode(errors="surrogateescape").decode(errors="replace").encode())
@@ -96,7 +106,7 @@ def page(report: Report) -> str:
     sections = (_head(report), figures, _swing(report), _curves(report), _views(report))
     policy = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
     return (
-        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        f'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n{GENERATOR}\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n'
         f"<title>{escape(report.scene)}: {escape(' and '.join(report.names))}</title>\n"
