@@ -29,6 +29,7 @@ COLUMNS: dict[str, Callable[[dict[str, Any]], str]] = {  # title -> text of a ro
     "kept": lambda row: f"{row['kept']:.1%}",
     "size": lambda row: size_text(row["bytes"]),
     "PSNR, dB": lambda row: _text(row["psnr"], 2),
+    "measured against": lambda row: row["against"],
     "loss, dB": lambda row: _text(row["loss"], 2),
     "SSIM": lambda row: _text(row["ssim"], 4),
     "seconds": lambda row: f"{row['seconds']:.0f}",
@@ -61,6 +62,7 @@ def _row(job: FarmJob, task: Task, result: dict[str, Any]) -> dict[str, Any]:
         before, after = result["before"], result["after"]
         facts |= {name: after.get(name) for name in ("count", "bytes", "psnr", "ssim", "lpips", "flip")}
         facts |= {name: result[name] for name in ("method", "seconds")}
+        facts["against"] = "its own pictures" if before.get("psnr") is None else "photographs"
         return facts | {"kept": after["count"] / before["count"], "loss": _loss(before, after)}
     except (KeyError, TypeError, AttributeError, ZeroDivisionError):
         raise FormatError(f"{job.result_path(task)}: is damaged; delete it, and do the task again") from None
