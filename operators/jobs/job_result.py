@@ -11,6 +11,8 @@ ranking stays, so an undo can join both again. A copy of either one stands alone
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import bpy
 from bpy.app.translations import pgettext_iface as tr
 
@@ -220,8 +222,7 @@ def shown_count(pruned: bpy.types.Object) -> int:
 
 def seen_count(pruned: bpy.types.Object) -> int:
     """As shown_count() of a ranked result, without those that the user has hidden."""
-    shown = _Shown(pruned)
-    return shown.count - int(shown.hidden.sum())
+    return _Shown(pruned).seen
 
 
 def shown_gaussians(pruned: bpy.types.Object) -> Scene:
@@ -245,27 +246,49 @@ class _Shown:
     def __init__(self, pruned: bpy.types.Object):
         stored = splat_object.stored_values
         self.pruned, self.original = pruned, original_of(pruned)
-        self.left, self.rows = ~stored(pruned, REMOVED), stored(pruned, ROW)
-        self.marked = selection.hidden(pruned)
+        self.left = ~stored(pruned, REMOVED)
+        if self.original is not None:
+            removed_by_job = stored(self.original, SCORE) <= BOUNDARY
+            self.back = removed_by_job & ~stored(self.original, REMOVED)
+
+    @cached_property
+    def rows(self):
+        """(n,) of the Gaussians of the splat in the original."""
+        return splat_object.stored_values(self.pruned, ROW)
+
+    @cached_property
+    def rows_before(self):
+        """(N,) the same of the original's own."""
+        return splat_object.stored_values(self.original, ROW)
+
+    @cached_property
+    def marked(self) -> tuple:
+        """(n,) and (N,) bool: the Gaussians of the splat and of the original that the user has hidden in one
+        of both."""
+        own = selection.hidden(self.pruned)
         if self.original is None:
-            return
-        self.rows_before, marked = stored(self.original, ROW), selection.hidden(self.original)
-        removed_by_job = stored(self.original, SCORE) <= BOUNDARY
-        self.back = removed_by_job & ~stored(self.original, REMOVED)
-        self.marked, self.marked_before = self.marked | among(self.rows, self.rows_before[marked]), marked
+            return own, own
+        before = selection.hidden(self.original)
+        return (own | among(self.rows, self.rows_before[before]) if before.any() else own), before
 
     @property
     def count(self) -> int:
         return int(self.left.sum()) + (0 if self.original is None else int(self.back.sum()))
 
     @property
+    def seen(self) -> int:
+        """How many of them the user has not hidden."""
+        own, before = self.marked
+        back = 0 if self.original is None else int((before & self.back).sum())
+        return self.count - int((own & self.left).sum()) - back
+
+    @property
     def hidden(self):
         """(count,) bool: those that the user has hidden."""
-        hidden = self.marked[self.left]
+        own, before = self.marked
         if self.original is None:
-            return hidden
-        rows_back, hidden_back = self.rows_before[self.back], self.marked_before[self.back]
-        return in_order(self.rows[self.left], hidden, rows_back, hidden_back)
+            return own[self.left]
+        return in_order(self.rows[self.left], own[self.left], self.rows_before[self.back], before[self.back])
 
     @property
     def gaussians(self) -> Scene:
