@@ -227,7 +227,8 @@ def write_gaussians(obj: bpy.types.Object, scene: Scene):
 
 def some_positions(obj: bpy.types.Object) -> tuple[float, ...]:
     """Coordinates of a few points, to see at once whether the points were moved."""
-    points = obj.data.attributes[POSITION].data
+    attribute = _attribute(obj.data, POSITION)
+    points = attribute.data if attribute is not None else ()
     step = max(1, len(points) // 16)
     return tuple(value for row in range(0, len(points), step) for value in points[row].vector)
 
@@ -314,9 +315,10 @@ def _set(data: bpy.types.Mesh, name: str, kind: str, values: np.ndarray):
 
 
 def _get(data, name: str) -> np.ndarray | None:
-    """(N,) or (N, width) values of an attribute; None if there is none."""
+    """(N,) or (N, width) values of an attribute; None if there is none, and of a mesh in Edit Mode, where
+    Blender 4.2 keeps them apart."""
     attribute = _attribute(data, name)
-    if attribute is None:
+    if attribute is None or (isinstance(data, bpy.types.Mesh) and len(attribute.data) < len(data.vertices)):
         return None
     name_of_values, width, dtype = KINDS[attribute.data_type]
     values: np.ndarray = np.empty(len(attribute.data) * width, dtype)
@@ -328,7 +330,7 @@ def _ones(data, name: str) -> np.ndarray | None:
     """As _get, with one row of 1."""
     attribute = _attribute(data, name)
     if attribute is None:
-        return None
+        return np.ones((1, 3), np.float32) if name == POSITION else None  # in Edit Mode it is kept apart
     _, width, dtype = KINDS[attribute.data_type]
     return np.ones((1, width) if width > 1 else 1, dtype)
 
