@@ -48,6 +48,7 @@ class KnownScene:
 
     camera: int | None = None  # session_uid of its last camera, 0: none; None: not known yet
     size: tuple[int, int] = (0, 0)  # of its renders, then
+    chosen_size: tuple[int, int] = (0, 0)  # that was set together with a camera
     mask_inputs: tuple = ()  # what its last spatial mask depends on
     mask: tuple[Any, dict] | None = None  # that mask (H, W), and its figures
     changed_layer: str = ""  # the view layer that changed last, until the mask has followed

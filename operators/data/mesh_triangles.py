@@ -58,7 +58,8 @@ def triangles(depsgraph: bpy.types.Depsgraph, cut: bool = False, catchers: bool 
     nothing and hide nothing.
     """
     parts, read = [], _Read()
-    boxes = [obj.svrgs_grade.crop for obj in bpy.data.objects if splat_object.is_splat(obj)]
+    objects = (one.original for one in depsgraph.ids if isinstance(one, bpy.types.Object))
+    boxes = [obj.svrgs_grade.crop for obj in objects if splat_object.is_splat(obj)]
     for instance in depsgraph.object_instances:
         obj = instance.object
         if (

@@ -18,5 +18,6 @@ def in_view_layer(context, obj) -> bool:
 
 
 def open_collection(context):
-    """The active collection; the scene's own if that one is linked from another file."""
-    return context.collection if context.collection.library is None else context.scene.collection
+    """The active collection; the scene's own if that one is of another file, linked or overridden."""
+    foreign = context.collection.library or context.collection.override_library
+    return context.scene.collection if foreign else context.collection

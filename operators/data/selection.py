@@ -21,6 +21,7 @@ from ...svrgs_addon.system.errors import SceneError
 from . import grading, known, splat_object, visible_splats, volumes
 
 SELECTED = "svrgs:selected"  # attribute: marks the selected Gaussians
+OWN = "svrgs:"  # how the names of attributes of this extension begin
 NEIGHBOURS = 8  # by which a selection grows or shrinks
 EDIT_MODE = ".selection"  # Blender's attribute of a point cloud in Edit Mode
 UNIT_BOX, UNIT_SPHERE = (-1.0, -1.0, -1.0, 1.0, 1.0, 1.0), (0.0, 0.0, 0.0, 1.0)
@@ -156,8 +157,9 @@ def carry_hidden(obj: bpy.types.Object, parts: list[np.ndarray]):
 
 def carry_further(obj: bpy.types.Object, parts: list[list[tuple[str, str, np.ndarray]]]) -> list[str]:
     """Gives a splat the attributes that it lacks and that all parts have, which follow each other: as of
-    splat_object.further_values(). Returns the names of those that some parts have."""
-    kinds = [{(name, kind): values for name, kind, values in part} for part in parts]
+    splat_object.further_values(). Returns the names of those that some parts have. Those of this extension
+    are left out: they are of one splat."""
+    kinds = [{(n, kind): values for n, kind, values in part if not n.startswith(OWN)} for part in parts]
     everywhere = set.intersection(*map(set, kinds))
     for name, kind in sorted(everywhere):
         if name not in obj.data.attributes:

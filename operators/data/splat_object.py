@@ -197,7 +197,7 @@ def copy_with(obj: bpy.types.Object, name: str, scene: Scene) -> bpy.types.Objec
     for key in [key for key in copy.keys() if key.startswith("svrgs_") and key not in kept]:
         del copy[key]
     for collection in obj.users_collection:
-        if collection.library is None:
+        if collection.library is None and collection.override_library is None:
             collection.objects.link(copy)
     replace_gaussians(copy, scene)
     return copy

@@ -178,10 +178,11 @@ def splats_in_view(context: bpy.types.Context) -> Iterator[tuple[bpy.types.Objec
 
 def _may_instance(obj: bpy.types.Object) -> bool:
     """Whether the object can show other objects or geometry in several places."""
-    return obj.instance_type != "NONE" or any(
-        modifier.type == "PARTICLE_SYSTEM" or (modifier.type == "NODES" and modifier.name != HIDE_MODIFIER)
-        for modifier in obj.modifiers
-    )
+    if obj.instance_type != "NONE" or any(
+        system.settings.render_type in ("OBJECT", "COLLECTION") for system in obj.particle_systems
+    ):
+        return True
+    return any(modifier.type == "NODES" and modifier.name != HIDE_MODIFIER for modifier in obj.modifiers)
 
 
 def placed(scenes: list[tuple[Scene, Matrix]]) -> PlacedScene:
@@ -193,7 +194,7 @@ def placed(scenes: list[tuple[Scene, Matrix]]) -> PlacedScene:
         return PlacedScene(scene, matrix)
     origin = Matrix.Translation(matrix.translation)
     back = np.array(origin.inverted(), np.float64)
-    with_volume = [one for one in scenes if one[1].determinant()] or scenes
+    with_volume = [one for one in scenes if any(one[1].to_scale())] or scenes
     in_world = [transformed(scene, back @ np.array(matrix, np.float64)) for scene, matrix in with_volume]
     mixed = len({scene.antialiased for scene in in_world}) > 1
     return PlacedScene(concatenated(in_world), origin, mixed)

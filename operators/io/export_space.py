@@ -114,8 +114,7 @@ class ExportSpace:
 def shows_original(obj: bpy.types.Object) -> bool:
     """Whether the slider Keep of a result shows more Gaussians than its job has kept: its original shows
     them."""
-    ranked = job_result.undecided(obj) and job_result.ranked(obj)
-    return ranked and job_result.shown_count(obj) > obj[job_result.KEPT]
+    return job_result.undecided(obj) and job_result.ranked(obj) and job_result.brings_back(obj)
 
 
 def camera_objects(context, obj: bpy.types.Object) -> list[bpy.types.Object]:

@@ -79,12 +79,12 @@ class SVRGS_OT_import_colmap(FolderOperator):
 
     def work(self, context) -> str:
         folder = Path(bpy.path.abspath(self.directory))
-        photos = read_in_child(folder, self.images)
         active = context.object if splat_object.is_splat(context.object) else None
         if active is not None and splat_object.root_of(active) is None:
             if problem := edit_guard.problem(context, active) or edit_guard.animated([active]):
                 raise SceneError(problem)
             views_of_file.refuse_stretched(active)
+        photos = read_in_child(folder, self.images)
         root, cameras = self.add_objects(context, folder.absolute(), photos)
         levelled = level(root, photos.cameras) if self.level else ""
         splat = active if splat_object.root_of(active) == root else None
@@ -134,9 +134,7 @@ class SVRGS_OT_import_colmap(FolderOperator):
         collection = bpy.data.collections.new(name)
         open_collection(context).children.link(collection)
         root, points = root_for(context.object, folder, collection), []
-        names = {camera.name for camera in photos.cameras}
-        former = [obj for obj in root.children if camera_object.is_photograph(obj)]  # of an earlier import
-        former = [obj for obj in former if obj.data[camera_object.IMAGE] in names]
+        former = {obj.name: obj for obj in root.children if _is_as_imported(obj)}
         root[splat_object.DATASET], root[splat_object.IMAGES] = dataset_paths.stored(str(folder)), self.images
         root[splat_object.POINTS] = len(photos.points)
         if self.points and len(photos.points):
@@ -147,15 +145,23 @@ class SVRGS_OT_import_colmap(FolderOperator):
         for obj in points + cameras:
             obj.parent = root
         context.scene.camera = cameras[0]
-        for obj in former:  # not before: a view through one would be left
-            bpy.data.cameras.remove(obj.data)
         for obj, camera in zip(cameras, photos.cameras, strict=True):
+            if camera.name in former:
+                former[camera.name].user_remap(obj)
+                bpy.data.cameras.remove(former[camera.name].data)
             obj.name = obj.data.name = camera.name
         camera_object.apply_camera_size(context.scene)
         context.view_layer.update()
         for obj in points:
             obj.hide_set(True)  # they would cover the splat, and without one they are black
         return root, cameras
+
+
+def _is_as_imported(obj: bpy.types.Object) -> bool:
+    """Whether it is the camera of a photograph of which the user has made nothing else."""
+    if not camera_object.is_photograph(obj) or obj.name != obj.data[camera_object.IMAGE]:
+        return False
+    return obj.data.users == 1 and obj.animation_data is None and obj.data.animation_data is None
 
 
 def joined(active: bpy.types.Object | None, splat: bpy.types.Object | None) -> str:

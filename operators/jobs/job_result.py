@@ -220,6 +220,12 @@ def shown_count(pruned: bpy.types.Object) -> int:
     return _Shown(pruned).count if ranked(pruned) else quick_order.count(pruned)
 
 
+def brings_back(pruned: bpy.types.Object) -> bool:
+    """Whether Gaussians of the original that the job had removed are shown with a ranked result."""
+    shown = _Shown(pruned)
+    return shown.original is not None and bool(shown.back.any())
+
+
 def seen_count(pruned: bpy.types.Object) -> int:
     """As shown_count() of a ranked result, without those that the user has hidden."""
     return _Shown(pruned).seen
@@ -236,7 +242,8 @@ def shown_gaussians(pruned: bpy.types.Object) -> Scene:
 def seen_gaussians(pruned: bpy.types.Object) -> Scene:
     """As shown_gaussians() of a ranked result, without those that the user has hidden."""
     shown = _Shown(pruned)
-    return shown.gaussians.select(~shown.hidden)
+    scene = shown.gaussians
+    return scene if shown.seen == shown.count else scene.select(~shown.hidden)
 
 
 class _Shown:

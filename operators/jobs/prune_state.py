@@ -162,7 +162,7 @@ def _of_result(original: bpy.types.Object | None, pruned: bpy.types.Object) -> l
         texts += [tr("This number is not fine-tuned yet: press Fine-Tune for that. Apply keeps what you see")]
     elif problem := quick_order.problem(pruned):
         texts.append(problem)
-    elif count > kept:
+    elif job_result.ranked(pruned) and job_result.brings_back(pruned):
         text = tr("{count:,} more than were recovered: shown as in the original")
         texts.append(text.format(count=count - kept))
     return texts

@@ -14,11 +14,15 @@ from ..data import camera_object, known
 
 def follow(scene, *_):
     """Called after every change of the scene."""
-    camera, size = known.of_scene(scene).camera, known.of_scene(scene).size
+    now = known.of_scene(scene)
+    camera, size = now.camera, now.size
     remember(scene)
-    if camera in (None, known.of_scene(scene).camera) or size != known.of_scene(scene).size:
+    if camera in (None, now.camera):
         return
-    if not any(marker.camera for marker in scene.timeline_markers):
+    if size != now.size:
+        now.chosen_size = now.size
+    bound = any(marker.camera == scene.camera for marker in scene.timeline_markers)
+    if now.size != now.chosen_size and not bound:
         camera_object.apply_camera_size(scene)
         remember(scene)
 

@@ -126,13 +126,14 @@ def _follow(scene: bpy.types.Scene, layer: bpy.types.Scene):
 
 
 def _camera_of_frame(scene: bpy.types.Scene) -> bpy.types.Object | None:
-    """That of the last marker with a camera: at the beginning of a frame of an animation, the scene still has
-    the camera of the frame before."""
-    markers = [marker for marker in scene.timeline_markers if marker.camera]
-    before = [marker for marker in markers if marker.frame <= scene.frame_current]
-    if not before:
+    """That of the last marker with a camera, before the first one that of this, as Blender chooses it: at the
+    beginning of a frame of an animation, the scene still has the camera of the frame before."""
+    markers = [one for one in scene.timeline_markers if one.camera and not one.camera.hide_render]
+    if not markers:
         return scene.camera
-    return max(before, key=lambda marker: marker.frame).camera
+    before = [one for one in markers if one.frame <= scene.frame_current]
+    frame = lambda marker: marker.frame
+    return (max(before, key=frame) if before else min(markers, key=frame)).camera
 
 
 def _before_render(scene, *_):
@@ -143,7 +144,8 @@ def _before_render(scene, *_):
 
 def _after_load(*_):
     """Blender 5.3 draws splats itself, also those of files of older versions."""
-    for cloud in bpy.data.pointclouds if splat_object.BLENDER_HAS_SPLATS else ():
+    older = splat_object.BLENDER_HAS_SPLATS and bpy.data.version < (5, 3, 0)
+    for cloud in bpy.data.pointclouds if older else ():
         if cloud.library is None and splat_object.NOTES in cloud:
             cloud.type = "GAUSSIAN_SPLAT"
 

@@ -84,9 +84,8 @@ def _entry(obj: bpy.types.Object, whole: bool = False) -> Entry:
             known.of(obj.original).order_problem = str(error)
     if key not in _entries:
         obj = obj.original if whole else obj
-        scene, rows = splat_object.scene_from_object(obj), visible_splats.unmarked_rows(obj)
-        if whole:
-            (rows,) = (~selection.hidden(obj)).nonzero()
+        scene = splat_object.scene_from_object(obj)
+        rows = (~selection.hidden(obj)).nonzero()[0] if whole else visible_splats.unmarked_rows(obj)
         rows = rows[morton_order(scene.means[rows])]
         scene = scene.select(rows)
         _entries[key] = Entry(scene, rows, data, scene, rows, Grade())

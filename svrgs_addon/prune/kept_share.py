@@ -11,7 +11,7 @@ from ..files.sh_rounding import without_bands
 from ..scene.gaussians import PARAMETERS, Scene
 
 BOUNDARY = 0.5  # Gaussians with a score above were kept by the job
-LEAST_POINTS = 8  # by which a motion is found
+MANY_POINTS = 10_000  # by which a motion is found, about
 CLEARLY = 0.25  # of the distance that another motion leaves: then a fitted one is taken
 
 
@@ -37,13 +37,17 @@ def place_of(
     before, after: (N, 3) and (n, 3) means. rows_before, rows: their source rows, of which some are the same.
     """
     _, both, kept = np.intersect1d(rows_before, rows, return_indices=True)
-    here, there = np.column_stack([before[both], np.ones(len(both))]), after[kept].astype(np.float64)
-    apart = lambda place: float(np.median(np.linalg.norm(here @ place[:3].T - there, axis=1)))
-    if len(both) < LEAST_POINTS:
-        return np.eye(4)
-    found = min((np.eye(4), moved), key=apart)
+    finite = np.isfinite(before[both]).all(axis=1) & np.isfinite(after[kept]).all(axis=1)
+    some = np.flatnonzero(finite)[:: max(1, int(finite.sum()) // MANY_POINTS)]
+    if not len(some):
+        return moved
+    here, there = before[both[some]].astype(np.float64), after[kept[some]].astype(np.float64)
+    here = np.column_stack([here, np.ones(len(some))])
+    apart = lambda place, share: np.quantile(np.linalg.norm(here @ place[:3].T - there, axis=1), share)
+    found = min((np.eye(4), moved), key=lambda place: apart(place, 0.5))
     fitted = np.vstack([np.linalg.lstsq(here, there, rcond=None)[0].T, (0, 0, 0, 1)])
-    return fitted if apart(fitted) < CLEARLY * apart(found) else found
+    solid = np.linalg.matrix_rank(here) == 4
+    return fitted if solid and apart(fitted, 0.95) < CLEARLY * apart(found, 0.5) else found
 
 
 def among(rows: np.ndarray, others: np.ndarray) -> np.ndarray:

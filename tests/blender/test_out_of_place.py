@@ -92,6 +92,10 @@ def test_points_that_were_deleted_from_a_result_do_not_come_back(pruned, bridge,
     part("operators.data.selection")._add_further(result, further, left)
     results = part("operators.jobs.job_result")
     assert results.shown_count(result) == left.sum()
+    export_space = part("operators.io.export_space")
+    assert not export_space.shows_original(result)
+    result.svrgs_share = 55
+    assert export_space.shows_original(result), "although fewer are left than the job has kept"
     result.svrgs_share = 80
     count = left.sum() + 75
     assert results.shown_count(result) == count
@@ -102,6 +106,22 @@ def test_points_that_were_deleted_from_a_result_do_not_come_back(pruned, bridge,
     assert ply.read_ply(export()).count == count - hidden
     bpy.ops.svrgs.apply()
     assert bridge.count(result) == count and visible(result) == count - hidden
+
+
+def test_gaussians_come_back_in_their_places_where_a_part_was_moved():
+    place_of = part("svrgs_addon.prune.kept_share").place_of
+    rng, moved = np.random.default_rng(0), np.array(Matrix.Translation((0, 0, 5)))
+    before = rng.normal(size=(400, 3)).astype(np.float32)
+    rows, after = np.arange(0, 400, 2), before[::2] + np.float32(0.001) * rng.normal(size=(200, 3))
+    found = lambda means, some=rows: place_of(before, np.arange(400), means.astype(np.float32), some, moved)
+    assert np.array_equal(found(after), np.eye(4))
+    assert np.array_equal(found(after + (0, 0, 5)), moved)
+    assert np.abs(found(after + (1, 0, 5))[:3, 3] - (1, 0, 5)).max() < 0.01
+    half = after + np.where(np.arange(200)[:, None] < 120, (1, 0, 0), 0)
+    assert np.array_equal(found(half), np.eye(4)), "by hand"
+    broken = np.where(np.arange(200)[:, None] < 5, np.nan, after)
+    assert np.array_equal(found(broken), np.eye(4))
+    assert np.array_equal(found(after[:0], rows[:0]), moved)
 
 
 def test_what_is_below_a_disabled_collection_stays_where_it_is(tmp_path):
@@ -143,10 +163,18 @@ def test_scripts_and_markers_keep_the_size_of_renders(stage, bridge):
     stage.camera, stage.render.resolution_x = second, 800
     bpy.context.view_layer.update()
     assert stage.render.resolution_x == 800, "given together with the camera"
+    for one in (first, second, first):
+        stage.render.resolution_x, stage.camera = 800, one
+        bpy.context.view_layer.update()
+        assert stage.render.resolution_x == 800, "each time"
+    stage.camera = other
+    stage.render.resolution_x = 640
+    bpy.context.view_layer.update()
+    stage.camera = second
     stage.timeline_markers.new("cut", frame=1).camera = first
     stage.camera = first
     bpy.context.view_layer.update()
-    assert stage.render.resolution_x == 800
+    assert stage.render.resolution_x == 640, "bound by a marker"
     stage.timeline_markers.clear()
 
 
@@ -161,6 +189,10 @@ def test_the_layer_has_the_camera_of_the_frame(stage, camera):
         stage.frame_current = frame  # the scene's camera is not changed yet
         found.append(of_frame(stage))
     assert found == [camera, camera, other, other]
+    stage.frame_current = -5
+    assert of_frame(stage) == camera, "before the first one"
+    camera.hide_render = True
+    assert of_frame(stage) == other, "Blender skips those that are not rendered"
     stage.timeline_markers.clear()
     assert of_frame(stage) == stage.camera
 
@@ -235,6 +267,14 @@ def test_cameras_are_not_joined_to_what_is_stretched_keyed_or_edited_nor_twice(b
     activate(splat)
     bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
     assert len(bpy.data.cameras) == 12, "in place of the former ones"
+    own = bpy.data.objects["01.png"].copy()
+    own.data = own.data.copy()
+    bpy.context.collection.objects.link(own)
+    name = own.name
+    activate(splat)
+    bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
+    assert len(bpy.data.cameras) == 13 and name in bpy.data.objects, "the user's own stays"
+    bpy.data.objects.remove(bpy.data.objects[name])
     activate(splat)
     splat.keyframe_insert("location")
     with pytest.raises(RuntimeError, match="keys or drivers move"):
