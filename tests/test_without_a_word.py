@@ -79,6 +79,7 @@ def test_placed_cameras_replace_no_others(tiny, tmp_path, small_rig, capsys):
     assert "something else than cameras of svrgs rig" in refused(capsys, "rig", tiny.splat, "--out", mine)
     same = tmp_path / "a.png"
     assert "two names" in refused(capsys, "rig", tiny.splat, "--out", same, "--preview", same)
+    (tmp_path / "cameras.json").touch()  # as mktemp makes one
     for _ in range(2):
         assert main(["rig", str(tiny.splat), "--out", str(tmp_path / "cameras.json")]) == 0
 
@@ -141,3 +142,38 @@ def test_views_of_all_photographs_are_called_training_views(tiny, tmp_path, svrg
     assert not any("training views" in note for note in other["notes"])
     svrgs("compare", tiny.splat, tiny.splat, "--data", tiny.folder, "--holdout", 0, "--out", tmp_path / "c")
     assert "measured in the training views" in (tmp_path / "c/index.html").read_text()
+
+
+def test_a_page_of_the_viewer_and_a_report_replace_each_other_nowhere(tiny, tmp_path, capsys):
+    folder = tmp_path / "page"
+    words = list(map(str, ("compare", tiny.splat, tiny.splat, "--data", tiny.folder, "--out", folder)))
+    assert main(words) == 0
+    shutil.copy(tiny.splat, folder / "pruned.spz")
+    assert "holds another page" in refused(capsys, "view", tiny.splat, "--export", folder)
+    assert (folder / "pruned.spz").exists()
+    assert main(words) == 0
+    (folder / "index.html").write_text('<head><meta name="generator" content="SVR-GS"></head>')
+    assert "holds another page" in refused(capsys, "compare", tiny.splat, tiny.splat, "--out", folder)
+    (folder / "index.html").unlink()
+    (folder / "index.html").mkdir()
+    assert "is a folder" in refused(capsys, "compare", tiny.splat, tiny.splat, "--out", folder)
+
+
+def test_one_far_floater_says_nothing_of_positions():
+    scene = random_scene(500)
+    means = scene.means.copy()
+    means[0] = 1e5, 0, 0
+    far = Scene(means, scene.log_scales, scene.quats, scene.opacity_logits, scene.sh)
+    assert not [text for text in left_out(far, format_to_write("a.ply")) if "positions" in text]
+
+
+def test_hidden_folders_and_point_clouds_of_colmap_are_no_splats_beside(tiny, tmp_path, svrgs, caplog):
+    svrgs("convert", tiny.splat, tmp_path / "in/.old/meta.json")
+    for name in ("a.ply", "dense/fused.ply"):
+        (tmp_path / "in" / name).parent.mkdir(exist_ok=True)
+        shutil.copy(tiny.splat, tmp_path / "in" / name)
+    with caplog.at_level(logging.WARNING):
+        assert len(expand([tmp_path / "in"], None, tmp_path / "out")) == 1
+    assert "hold splats" not in caplog.text
+    assert svrgs("convert", tmp_path / "in", tmp_path / "out", "--to", ".spz").status == 0
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"a.spz"}

@@ -27,7 +27,9 @@ GOALS = ("target", "target_count", "target_size", "target_format", "max_drop", "
 def options_of(context, obj: bpy.types.Object) -> dict:
     """The settings of the panel as the options of a job."""
     s, effort = context.scene.svrgs_prune, efforts.chosen(context)
-    bands = {"sh_degree": s.sh_degree} if s.sh_degree < splat_object.sh_degree(obj) else {}
+    # of a file size, all bands are kept if the user asks for them
+    asked = s.sh_degree < splat_object.sh_degree(obj) or (s.goal == "SIZE" and s.is_property_set("sh_degree"))
+    bands = {"sh_degree": s.sh_degree} if asked else {}
     if effort == efforts.QUICK:
         quick = {"quick": True, "seed": s.seed, "threads": threads(context), "force": s.force}
         return quick | bands | goals.options(s, obj, merges=True)

@@ -293,7 +293,7 @@ class _Shown:
     def hidden(self):
         """(count,) bool: those that the user has hidden."""
         own, before = self.marked
-        if self.original is None:
+        if self.original is None or not self.back.any():
             return own[self.left]
         return in_order(self.rows[self.left], own[self.left], self.rows_before[self.back], before[self.back])
 

@@ -218,7 +218,7 @@ class SVRGS_OT_prune(JobOptions, ReportingOperator):
         is_set, planned = self.properties.is_property_set, self.time or self.quick
         exact = [name for name in ("iterations", "recovery") if not planned or is_set(name)]
         exact += ["method"] if is_set("method") or (data and not self.quick) else []
-        exact += ["sh_degree"] if self.sh_degree < 3 else []
+        exact += ["sh_degree"] if is_set("sh_degree") else []
         words += [f"{_flag(name)}={getattr(self, name)}" for name in (*exact, "seed")]
         return [*words, "--quiet", "--json"]
 

@@ -14,6 +14,8 @@ from ..system.errors import SceneError
 from ..system.file_names import real
 
 PRUNED = "_pruned"  # end of the default name of an output, before its suffix
+# what a folder of a capture holds beside its splat: point clouds of COLMAP, and exported pages
+CLOUDS, PAGE = ("sparse", "dense", "stereo"), "index.html"
 # end of the default names of outputs and of their levels of detail
 OUTPUT = re.compile(rf"{PRUNED}(_[0-9.]+)?$")
 
@@ -113,8 +115,9 @@ def _scenes(path: Path, out: Path | None) -> list[tuple[str, Path]]:
     inside = (folder for folder in sorted(path.iterdir()) if folder.is_dir())
     folders = [folder for folder in inside if not (out and same_file(folder, out))]
     below = [(folder.name, splat) for folder in folders if (splat := _splat_in(folder))]
-    if own and below:
-        names = ", ".join(name for name, _ in below[:3]) + (", …" if len(below) > 3 else "")
+    others = [name for name, splat in below if name not in CLOUDS and not (splat.parent / PAGE).exists()]
+    if own and others:
+        names = ", ".join(others[:3]) + (", …" if len(others) > 3 else "")
         logging.warning("%s: is pruned alone; the folders beside it hold splats, too: %s", own, names)
     if own:
         return [(path.name, own)]

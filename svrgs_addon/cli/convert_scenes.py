@@ -232,8 +232,8 @@ def _pairs(inputs: list[Path], out: Path, options: ConvertOptions) -> list[tuple
 def _files(path: Path) -> list[Path]:
     """The files of a path, a folder or a pattern. Raises SceneError if there are none."""
     if path.is_dir() and not registry.is_splat_folder(path):
-        named = lambda one: one.name.lower().endswith(registry.suffixes()) and not one.name.startswith(".")
-        splat = lambda one: named(one) if one.is_file() else registry.is_splat_folder(one)
+        named = lambda one: one.is_file() and one.name.lower().endswith(registry.suffixes())
+        splat = lambda one: not one.name.startswith(".") and (named(one) or registry.is_splat_folder(one))
         found = sorted(filter(splat, path.iterdir()))
     elif not path.exists() and glob.has_magic(str(path)):
         found = [extended(name) for name in sorted(glob.glob(str(path)))]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import logging
+import re
 from pathlib import Path
 
 from ..files.atomic import check_writable
@@ -18,7 +19,7 @@ from ..views.camera_files import load_cameras
 from ..views.cameras_json import write_cameras_json
 from ..views.rig import place_rig
 
-PLACED = ("rig_", "off_")  # how the names of placed cameras begin
+PLACED = re.compile(r"(rig|off)_\d+")  # names of placed cameras
 
 
 def place_cameras(args: argparse.Namespace) -> dict:
@@ -46,10 +47,10 @@ def place_cameras(args: argparse.Namespace) -> dict:
 def refuse_foreign(out: Path):
     """Raises SceneError for a file that is there and holds no cameras that were placed, as those of a 3DGS
     run or a dataset."""
-    if not out.exists():
+    if not out.exists() or not out.stat().st_size:
         return
     try:
-        placed = all(camera.name.startswith(PLACED) for camera in load_cameras(out))
+        placed = all(PLACED.fullmatch(camera.name) for camera in load_cameras(out))
     except (FormatError, SceneError):
         placed = False
     if not placed:

@@ -125,13 +125,16 @@ def small_scale(scene: Scene) -> float:
 
 
 def far_away(scene: Scene) -> list[str]:
-    """A sentence if the steps of float32, in which positions are stored, show."""
-    far, small = float(np.abs(np.nan_to_num(scene.means)).max(initial=0)), small_scale(scene)
-    if (step := float(np.spacing(np.float32(far)))) <= small / COARSE:
+    """A sentence if the steps of float32, in which positions are stored, show in more than MAX_BEYOND of the
+    Gaussians."""
+    far = np.abs(np.nan_to_num(scene.means)).max(axis=1, initial=0)
+    steps, scales = np.spacing(far), np.exp(np.clip(widest_logs(scene), -80, 80))
+    count = int((steps > scales / COARSE).sum())
+    if count <= MAX_BEYOND * scene.count:
         return []
     return [
-        f"positions are stored in steps of {step:.2g}, because some lie {far:g} away, and small Gaussians"
-        f" have a scale of {small:.2g}: move the scene to the origin"
+        f"positions are stored in steps of up to {steps.max():.2g}, too coarse for {count:,} Gaussians,"
+        f" because the scene lies {np.median(far):g} away: move it to the origin"
     ]
 
 

@@ -71,7 +71,7 @@ def estimate(options: PruneOptions, suffix: str = USUAL.suffixes[0]) -> dict:
     )
     loaded = time.perf_counter() - begun
     check_views(scene, dataset.cameras, dataset.train_indices, "the splat")
-    plan = _plan(options, scene, dataset)
+    plan, of_size = _plan(options, scene, dataset)
     toned = in_its_colours(scene, dataset, plan)
     dataset = toned.dataset
     if plan.max_loss:
@@ -104,13 +104,14 @@ def estimate(options: PruneOptions, suffix: str = USUAL.suffixes[0]) -> dict:
         "steps_per_second": 1 / pace.step,
         "schedule": found.schedule if found else options.schedule,
         "seconds": others + seconds_of(plan),
-        "notes": [*dataset.notes, *toned.notes, *_doubts(scene, toned.dataset, options.force)],
+        "notes": [*of_size, *dataset.notes, *toned.notes, *_doubts(scene, toned.dataset, options.force)],
     }
 
 
-def _plan(options: PruneOptions, scene: Scene, dataset: Dataset) -> Plan:
+def _plan(options: PruneOptions, scene: Scene, dataset: Dataset) -> tuple[Plan, list[str]]:
+    """The plan, and what the user must know of it."""
     plan, size = plan_of_pruning(options), asked_size(options)
-    return size.planned(plan, scene, dataset.training_cameras)[0] if size else plan
+    return size.planned(plan, scene, dataset.training_cameras) if size else (plan, [])
 
 
 def _sizes(scene: Scene, kept: int, plan: Plan, kind: SplatFormat) -> dict:

@@ -58,8 +58,6 @@ def check_view_options(options: PruneOptions):
             "--seen-from and --seen-from-only are for scenes without photographs, and these are in"
             f" {options.data}: leave them out, or --data, or move the splat to another folder"
         )
-    if options.data is None and options.cameras is None and "holdout" in given(options):
-        raise SceneError("--holdout is of given views, and placed ones have others for testing: leave it out")
     if options.seen_from_only and options.cameras is None:
         raise SceneError("--seen-from-only keeps what given cameras see: name them with --seen-from")
     if options.data is None:

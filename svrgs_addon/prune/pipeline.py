@@ -86,9 +86,9 @@ def _prepared(recipe: Recipe) -> Iterator[Recipe]:
     context lasts, and it is closed at the end."""
     job = recipe.job
     further = [job.report / "index.html"] if job.report else []
-    if job.report:
-        refuse_foreign(job.report)
     with outputs(job.scene, job.outs, [*further, *recipe.further_files()]), contextlib.closing(recipe):
+        if job.report:
+            refuse_foreign(job.report)
         recipe.open()
         recipe.views()
         recipe.check()

@@ -35,6 +35,7 @@ MODULES = (
     "three.module-D-5NvbkG.js",
     "spark.module-EtAkeOhY.js",
 )
+GENERATOR = '<meta name="generator" content="SVR-GS">'  # of the page
 VERSION = 3  # of the SPZ: Spark does not read 4
 MOST_CAMERAS = 100
 NAMES = {1: ("scene.spz",), 2: ("original.spz", "pruned.spz")}  # of the files, by number of scenes
@@ -79,7 +80,7 @@ def _check(folder: Path):
     if lacking := [name for name in MODULES if not packed_module(name).exists()]:
         raise SceneError(f"the modules of web pages are missing ({lacking[0]}): make wheels fetches them")
     page, names = folder / "index.html", (*FILES, *itertools.chain(*NAMES.values()))
-    refuse_foreign(folder)
+    refuse_foreign(folder, GENERATOR)
     if page.exists():
         return
     if found := next((name for name in names if (folder / name).exists()), ""):

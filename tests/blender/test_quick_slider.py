@@ -32,13 +32,14 @@ def result(splat, watch, once):
 
 
 @pytest.fixture
-def listed_files():
-    """How many finished jobs would lose their files."""
+def listed_files(tmp_path):
+    """How many finished jobs of the test would lose their files."""
     lists = part("operators.jobs.job_list")
 
     def count() -> int:
         lists.forget()
-        return len(lists.finished_jobs(bpy.context)[0])
+        found, _ = lists.finished_jobs(bpy.context)
+        return sum(job.folder.path.is_relative_to(tmp_path) for job in found)
 
     return count
 

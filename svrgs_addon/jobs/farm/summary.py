@@ -25,11 +25,11 @@ from .farm_job import FarmJob, Task, write_json
 COLUMNS: dict[str, Callable[[dict[str, Any]], str]] = {  # title -> text of a row
     "task": lambda row: row["name"],
     "method": lambda row: row["method"],
+    "measured against": lambda row: row["against"],
     "Gaussians": lambda row: f"{row['count']:,}",
     "kept": lambda row: f"{row['kept']:.1%}",
     "size": lambda row: size_text(row["bytes"]),
     "PSNR, dB": lambda row: _text(row["psnr"], 2),
-    "measured against": lambda row: row["against"],
     "loss, dB": lambda row: _text(row["loss"], 2),
     "SSIM": lambda row: _text(row["ssim"], 4),
     "seconds": lambda row: f"{row['seconds']:.0f}",
@@ -111,7 +111,7 @@ def _chart(rows: list[dict[str, Any]], means: list[dict[str, Any]]) -> str:
 
 
 def _markdown(rows: list[dict[str, Any]]) -> list[str]:
-    head = [f"| {' | '.join(COLUMNS)} |", f"|---|---|{'---:|' * (len(COLUMNS) - 2)}"]
+    head = [f"| {' | '.join(COLUMNS)} |", f"|---|---|---|{'---:|' * (len(COLUMNS) - 3)}"]
     cells = lambda row: (text(row).replace("|", r"\|") for text in COLUMNS.values())
     return head + [f"| {' | '.join(cells(row))} |" for row in rows]
 

@@ -19,6 +19,7 @@ import numpy as np
 from ... import __version__
 from ...files.atomic import atomic_write
 from ...files.images import to_bytes
+from ...files.reading import readable
 from ...render.color_maps import hex_colors
 from ...system.errors import SceneError
 from ...system.memory import size_text
@@ -26,7 +27,8 @@ from .line_chart import Series, line_chart
 from .pictures import DIFFERENCE_GAIN, data_uri, difference_image, mask_to_rgb
 from .style import CSS, SCRIPT
 
-GENERATOR = '<meta name="generator" content="SVR-GS">'
+GENERATOR = '<meta name="generator" content="SVR-GS report">'
+HEAD_BYTES = 1 << 10  # of a page, in which it stands
 # of F, gets the brightest colour: with the maximum, one bright pixel would darken all masks
 MASK_PERCENTILE = 99.5
 
@@ -82,10 +84,15 @@ class Report:
     files: tuple[str, ...] = ()  # those of before and after, to be looked at with svrgs view
 
 
-def refuse_foreign(folder: Path):
-    """Raises SceneError if the folder holds a page that SVR-GS has not made."""
+def refuse_foreign(folder: Path, generator: str = GENERATOR):
+    """Raises SceneError if the folder holds a page without this mark in its head, FormatError if it cannot be
+    read."""
     page = folder / "index.html"
-    if page.exists() and GENERATOR not in page.read_text(encoding="utf-8", errors="replace"):
+    if not page.exists():
+        return
+    with readable(page), open(page, "rb") as file:
+        head = file.read(HEAD_BYTES)
+    if generator.encode() not in head:
         raise SceneError(f"{folder} holds another page: name a new folder")
 
 
