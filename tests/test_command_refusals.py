@@ -261,11 +261,7 @@ UNWRITABLE = {
 
 @pytest.mark.parametrize("line", UNWRITABLE.values(), ids=UNWRITABLE)
 def test_an_output_that_cannot_be_written_is_found_before_the_work(tiny, svrgs, tmp_path, monkeypatch, line):
-    for module, name in (
-        (fine_tuned, "load_scene"),
-        (fine_tuned.FineTuned, "tune"),
-        (Rasterizer, "forward"),
-    ):
+    for module, name in ((fine_tuned, "load_scene"), (fine_tuned.FineTuned, "tune"), (Rasterizer, "forward")):
         monkeypatch.setattr(module, name, lambda *_, **__: pytest.fail("the work has begun"))
     (tmp_path / "file").write_text("no folder")
     (tmp_path / "busy.ply.job").write_text("no folder")

@@ -171,9 +171,7 @@ def test_render_from_cameras_json_with_folders_in_names(tiny, svrgs, tmp_path):
     )
     for name, other in (("right/a", "00"), ("left/a", "01"), ("left/b.0012", "02")):
         assert np.allclose(
-            np.load(tmp_path / f"json/{name}.rgb.npy"),
-            np.load(tmp_path / f"data/{other}.rgb.npy"),
-            atol=1e-5,
+            np.load(tmp_path / f"json/{name}.rgb.npy"), np.load(tmp_path / f"data/{other}.rgb.npy"), atol=1e-5
         )
 
 

@@ -26,10 +26,7 @@ SMALL = {
 def generate(out: Path, *options: str) -> subprocess.CompletedProcess:
     """Run the generator in its own process, so that Blender never enters this one."""
     return subprocess.run(
-        [sys.executable, str(GENERATOR), str(out), *options],
-        capture_output=True,
-        text=True,
-        timeout=300,
+        [sys.executable, str(GENERATOR), str(out), *options], capture_output=True, text=True, timeout=300
     )
 
 

@@ -219,13 +219,7 @@ def test_inside_blender(python, chosen, extension_zip, data, tmp_path):
 
 
 def test_inside_blender_in_short(extension_zip, data, tmp_path):
-    run_in_blender(
-        sys.executable,
-        extension_zip(sys.executable, "-c"),
-        data,
-        tmp_path,
-        in_folder(SHORT),
-    )
+    run_in_blender(sys.executable, extension_zip(sys.executable, "-c"), data, tmp_path, in_folder(SHORT))
 
 
 @pytest.mark.slow

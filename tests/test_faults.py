@@ -191,10 +191,7 @@ def test_a_full_disk_at_the_end_leaves_the_last_checkpoint(tiny, data, tmp_path,
     monkeypatch.setattr(file_size, "write_scene", original)
     seen = []
     whole_jobs.prune(
-        tiny.splat,
-        data,
-        SETTINGS,
-        JobContext(out, resume=True, observe=lambda p: seen.append(p.iteration)),
+        tiny.splat, data, SETTINGS, JobContext(out, resume=True, observe=lambda p: seen.append(p.iteration))
     )
     assert len(seen) <= 1 and read_ply(out).count > 5
 

@@ -77,10 +77,9 @@ def check_imports(file: Path):
             f"{module} must be imported relatively: the extension's package has another name"
         )
         assert top not in LAYERS[layer + 1 :], f"{module} is above"
-        assert top != "ctypes" or file.parent.name in (
-            "native",
-            "system",
-        ), "only svrgs_addon/native/ calls the native library"
+        assert top != "ctypes" or file.parent.name in ("native", "system"), (
+            "only svrgs_addon/native/ calls the native library"
+        )
         assert layer < 2 or top != "svrgs_addon", "panels ask operators/, which asks svrgs_addon/"
         assert layer == 0 or top != "numpy" or file.parent == ROOT / "operators/data", (
             "only operators/data/ turns Blender's data into arrays"

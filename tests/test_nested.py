@@ -217,15 +217,7 @@ def test_a_level_is_never_the_input(tiny, svrgs, tmp_path):
 def test_a_finished_scene_without_its_levels_is_not_passed_over_in_silence(tiny, svrgs, tmp_path):
     (tmp_path / "o.ply").touch()
     done = svrgs(
-        "prune",
-        tiny.splat,
-        "--data",
-        tiny.folder,
-        "--levels",
-        "0.5",
-        "--batch",
-        "--out",
-        tmp_path / "o.ply",
+        "prune", tiny.splat, "--data", tiny.folder, "--levels", "0.5", "--batch", "--out", tmp_path / "o.ply"
     )
     assert (
         json.loads(done.out)["skipped"] == "the output exists, not all its levels: add --overwrite"

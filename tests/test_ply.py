@@ -306,10 +306,7 @@ def test_what_a_killed_writer_left_is_removed(tmp_path):
 
 def test_check_writable_says_what_is_wrong(tmp_path, monkeypatch):
     (tmp_path / "file").write_bytes(b"")
-    cases = {
-        tmp_path: "is a folder",
-        tmp_path / "file" / "a.ply": "is not a folder",
-    }
+    cases = {tmp_path: "is a folder", tmp_path / "file" / "a.ply": "is not a folder"}
     if os.name != "nt":  # Wine finds out when it writes
         cases[tmp_path / ("x" * 300 + ".ply")] = "cannot be written"
     for path, message in cases.items():

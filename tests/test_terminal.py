@@ -206,16 +206,7 @@ def test_names_do_not_command_the_terminal(place, command):
         words = (
             words
             if command == "missing"
-            else [
-                "prune",
-                place / "scene.ply",
-                "--data",
-                place,
-                *SHORT,
-                "--batch",
-                "--out",
-                place / "o.ply",
-            ]
+            else ["prune", place / "scene.ply", "--data", place, *SHORT, "--batch", "--out", place / "o.ply"]
         )
     elif command == "broken":
         (place / "images" / name).write_bytes(b"no image")

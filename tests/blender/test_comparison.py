@@ -101,11 +101,7 @@ def test_the_panel_names_the_pair_that_it_guesses(stage, room, camera):
     compare = part("operators.view.compare")
     assert compare.guessed(bpy.context) == {}
     mark_removed(room, np.arange(3000) % 2)
-    assert compare.guessed(bpy.context) == {
-        "original": "room",
-        "pruned": "room",
-        "compare_camera": "camera",
-    }
+    assert compare.guessed(bpy.context) == {"original": "room", "pruned": "room", "compare_camera": "camera"}
     layout = Layout()
     draw_panel(part("panels.compare"), layout)
     assert [note[2:] for note in layout.notes if note[0] == "prop"][:3] == [

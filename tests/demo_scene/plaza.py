@@ -61,13 +61,7 @@ def _surroundings() -> None:
         x, y = distance * math.cos(2 * math.pi * u), distance * math.sin(2 * math.pi * u)
         return Vector((x, y, _hill_height(x, y)))
 
-    grass = [
-        (0.0, 0.02, 0.0),
-        (0.02, 0.08, 0.01),
-        (0.10, 0.20, 0.03),
-        (0.42, 0.36, 0.12),
-        (0.7, 0.6, 0.3),
-    ]
+    grass = [(0.0, 0.02, 0.0), (0.02, 0.08, 0.01), (0.10, 0.20, 0.03), (0.42, 0.36, 0.12), (0.7, 0.6, 0.3)]
     meadow = mat.patterned("meadow", "Noise", grass, Scale=2.3, Detail=5, Roughness=0.85)
     smooth(add("ground", sheet(96, 48, ground, closed=False), meadow))
     dome = add("sky", sphere, mat.sky("sky", 1.0), size=DOME_RADIUS)
@@ -118,12 +112,7 @@ def _monument() -> None:
         Distortion=0.5,
     )
     monkey = add(
-        "monkey",
-        bmesh.ops.create_monkey,
-        glaze,
-        at=(0, 0, PAVING + 1.19),
-        turn=(-6, 0, 70),
-        size=0.52,
+        "monkey", bmesh.ops.create_monkey, glaze, at=(0, 0, PAVING + 1.19), turn=(-6, 0, 70), size=0.52
     )
     monkey.modifiers.new("rounder", "SUBSURF").levels = 2
     finished = monkey.evaluated_get(bpy.context.evaluated_depsgraph_get())
@@ -173,12 +162,7 @@ def _toys() -> None:
     ball = add("ball", sphere, mat.cells("cells", 5), at=(-1.15, 0.75, PAVING + 0.4), size=0.4)
     smooth(ball).rotation_euler = (0.4, 0.2, 0)
     brass = mat.patterned(
-        "brass",
-        "Noise",
-        [(0.55, 0.30, 0.08), (0.95, 0.75, 0.40)],
-        roughness=0.12,
-        metallic=1,
-        Scale=2,
+        "brass", "Noise", [(0.55, 0.30, 0.08), (0.95, 0.75, 0.40)], roughness=0.12, metallic=1, Scale=2
     )
     smooth(add("glossy ball", sphere, brass, at=(-0.95, -0.95, PAVING + 0.36), size=0.36))
 
@@ -193,22 +177,9 @@ def _toys() -> None:
         )
 
     stripes = mat.patterned(
-        "stripes",
-        "Wave",
-        [(0.8, 0.1, 0.05), (0.95, 0.85, 0.7)],
-        roughness=0.3,
-        Scale=2.5,
-        Distortion=1,
+        "stripes", "Wave", [(0.8, 0.1, 0.05), (0.95, 0.85, 0.7)], roughness=0.3, Scale=2.5, Distortion=1
     )
-    smooth(
-        add(
-            "ring",
-            sheet(64, 24, ring, closed=True),
-            stripes,
-            at=(0.1, -1.45, 0.52),
-            turn=(62, 0, 15),
-        )
-    )
+    smooth(add("ring", sheet(64, 24, ring, closed=True), stripes, at=(0.1, -1.45, 0.52), turn=(62, 0, 15)))
 
 
 def _crates() -> None:

@@ -71,12 +71,7 @@ def sample(surface: BVHTree, camera: Intrinsics, poses: list[Pose], images: np.n
 
 
 def _shoot(
-    surface: BVHTree,
-    camera: Intrinsics,
-    pose: Pose,
-    image: np.ndarray,
-    count: int,
-    rng: np.random.Generator,
+    surface: BVHTree, camera: Intrinsics, pose: Pose, image: np.ndarray, count: int, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
     """Surface points (n, 3) behind `count` random pixels of a view, and their colours (n, 3)."""
     pixels = rng.choice(camera.width * camera.height, count, replace=False)
