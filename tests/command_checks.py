@@ -9,6 +9,11 @@ MEASURES = {"psnr", "ssim", "lpips", "flip", "count", "bytes", "ms_per_frame"}
 TEST_VIEWS = ["00", "08"]
 
 
+def command_words(*parts: object) -> list[str]:
+    """Of a command line: a text is several words, apart by spaces; all else is one."""
+    return [word for part in parts for word in (part.split() if isinstance(part, str) else [str(part)])]
+
+
 def files(folder: Path) -> dict[str, bytes]:
     return {
         path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()

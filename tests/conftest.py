@@ -120,13 +120,15 @@ class Outcome:
 
 @pytest.fixture
 def svrgs(capfd):
-    """Runs a command line in this process; returns its Outcome."""
+    """Runs a command line in this process; returns its Outcome. A text is several words, apart by spaces; all
+    else is one."""
+    from command_checks import command_words
     from svrgs_addon.cli.main import main as run_svrgs
 
     def run(*words: object) -> Outcome:
         capfd.readouterr()
         try:
-            status = run_svrgs([str(word) for word in words])
+            status = run_svrgs(command_words(*words))
         except SystemExit as stop:  # usage errors, --help
             status = stop.code
         return Outcome(status, *capfd.readouterr())

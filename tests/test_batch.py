@@ -27,6 +27,7 @@ from svrgs_addon.system.errors import SceneError
 
 ROOT = Path(__file__).resolve().parents[1]
 BATCH = ROOT / "svrgs_addon" / "batch.py"
+SVRGS = [sys.executable, "-m", "svrgs_addon"]
 SHORT = ("--iterations", "10", "--recovery", "5", "--target", "0.5", "--quiet")
 
 
@@ -94,14 +95,8 @@ def test_batch_of_a_folder(scenes):
 
 @pytest.mark.slow
 def test_prune_of_a_folder(scenes):
-    check_batch(
-        (
-            [ROOT / ".venv/bin/svrgs"]
-            if (ROOT / ".venv/bin/svrgs").exists()
-            else [sys.executable, "-m", "svrgs_addon"]
-        ),
-        scenes,
-    )
+    installed = ROOT / ".venv/bin/svrgs"
+    check_batch([installed] if installed.exists() else SVRGS, scenes)
 
 
 @pytest.mark.slow
@@ -122,27 +117,14 @@ def test_a_batch_into_the_folder_of_its_scenes_keeps_them_and_says_so(tiny, tmp_
     for scene in scenes:
         write_scene(scene, read_ply(tiny.splat))
     before = [scene.read_bytes() for scene in scenes]
-    done = run(
-        sys.executable,
-        "-m",
-        "svrgs_addon",
-        "prune",
-        *scenes,
-        "--out",
-        tmp_path,
-        "--data",
-        tiny.folder,
-        *SHORT,
-    )
-    assert done.returncode == 1 and ["is the input itself" in line["error"] for line in lines(done)] == [
-        True,
-        True,
-    ]
+    done = run(*SVRGS, "prune", *scenes, "--out", tmp_path, "--data", tiny.folder, *SHORT)
+    assert done.returncode == 1 and len(lines(done)) == 2
+    assert all("is the input itself" in line["error"] for line in lines(done))
     assert [scene.read_bytes() for scene in scenes] == before
 
 
 def test_a_scene_that_does_not_exist_is_named(tmp_path):
-    done = run(sys.executable, "-m", "svrgs_addon", "prune", tmp_path / "missing.ply")
+    done = run(*SVRGS, "prune", tmp_path / "missing.ply")
     assert done.returncode == 2 and "missing.ply: there is no such file" in done.stderr
 
 
@@ -150,17 +132,7 @@ def test_a_scene_that_does_not_exist_is_named(tmp_path):
 def test_reports_lie_in_a_folder_a_scene(tiny, tmp_path):
     for name in ("a", "b"):
         add_scene(tiny, tmp_path / name)
-    done = run(
-        sys.executable,
-        "-m",
-        "svrgs_addon",
-        "prune",
-        tmp_path / "a",
-        tmp_path / "b",
-        *SHORT,
-        "--report",
-        tmp_path / "reports",
-    )
+    done = run(*SVRGS, "prune", tmp_path / "a", tmp_path / "b", *SHORT, "--report", tmp_path / "reports")
     assert done.returncode == 0, done.stderr
     assert sorted(tmp_path.glob("reports/**/*.html")) == [
         tmp_path / "reports" / name / "index.html" for name in ("a", "b")
@@ -196,26 +168,9 @@ def test_a_stopped_batch_can_be_resumed(tiny, tmp_path, number, entry, everyone)
     """A terminal sends Ctrl-C to the whole group of processes, a farm a signal to the one it started."""
     for name in ("a", "b"):
         add_scene(tiny, tmp_path / name)
-    command = [
-        sys.executable,
-        *entry,
-        "prune",
-        tmp_path / "a",
-        tmp_path / "b",
-        "--iterations",
-        3000,
-        "--recovery",
-        0,
-        "--batch",
-    ]
-    process = subprocess.Popen(
-        [str(word) for word in command],
-        cwd=ROOT,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
+    words = f"prune {tmp_path}/a {tmp_path}/b --iterations 3000 --recovery 0 --batch".split()
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    process = subprocess.Popen([sys.executable, *entry, *words], cwd=ROOT, start_new_session=True, **pipes)
     assert "prune 1/" in process.stderr.readline()
     os.killpg(process.pid, number) if everyone else process.send_signal(number)
     output, errors = process.communicate(timeout=60)

@@ -94,17 +94,7 @@ def test_outputs_are_checked_before_cameras_are_placed(svrgs, monkeypatch, sourc
     (tmp_path / "work/mine.txt").write_text("mine")
     assert (
         "holds no blocks"
-        in svrgs(
-            "large",
-            "prune",
-            source,
-            "--target",
-            0.5,
-            "--out",
-            tmp_path / "o.ply",
-            "--work",
-            tmp_path / "work",
-        ).err
+        in svrgs(f"large prune {source} --target 0.5 --out {tmp_path}/o.ply --work {tmp_path}/work").err
     )
 
 
@@ -164,16 +154,7 @@ def test_given_cameras_alone_count_where_that_is_asked_for(svrgs, short, source,
 
 def test_the_cameras_of_a_dataset_are_taken_for_a_quick_job(svrgs, short, tiny, tmp_path):
     result = svrgs(
-        "prune",
-        tiny.splat,
-        "--data",
-        tiny.folder,
-        "--quick",
-        "--target",
-        0.5,
-        "--out",
-        tmp_path / "o.ply",
-        "--json",
+        f"prune {tiny.splat} --data {tiny.folder} --quick --target 0.5 --out {tmp_path}/o.ply", "--json"
     ).json
     assert (
         result["count"] == round(result["before"]["count"] / 2)
@@ -219,18 +200,7 @@ def test_a_drop_that_the_format_alone_exceeds_is_refused_before_views_are_scored
 
 @pytest.mark.slow
 def test_levels_are_files_of_their_own(svrgs, short, source, tmp_path):
-    result = svrgs(
-        "prune",
-        source,
-        "--quick",
-        "--target",
-        0.5,
-        "--levels",
-        "0.5,0.2",
-        "--out",
-        tmp_path / "o.spz",
-        "--json",
-    ).json
+    result = svrgs(f"prune {source} --quick --target 0.5 --levels 0.5,0.2 --out {tmp_path}/o.spz --json").json
     assert result["count"] == COUNT // 2 and [level["count"] for level in result["levels"]] == [
         COUNT // 4,
         COUNT // 10,
@@ -313,17 +283,7 @@ def test_a_format_that_loses_more_than_pruning_is_told(svrgs, source, tmp_path):
 
 def test_a_level_that_is_the_input_is_refused(svrgs, short, source, tmp_path):
     (tmp_path / "o_50.ply").write_bytes(source.read_bytes())
-    done = svrgs(
-        "large",
-        "prune",
-        tmp_path / "o_50.ply",
-        "--target",
-        0.5,
-        "--levels",
-        "0.5",
-        "--out",
-        tmp_path / "o.ply",
-    )
+    done = svrgs(f"large prune {tmp_path}/o_50.ply --target 0.5 --levels 0.5 --out {tmp_path}/o.ply")
     assert (
         done.status == 2
         and "is the input itself" in done.err
@@ -386,15 +346,7 @@ def test_a_room_whose_inside_no_camera_sees_is_refused(source, tmp_path):
 def test_cameras_are_placed_for_a_scene_that_is_too_large_too(svrgs, monkeypatch, source, tmp_path, caplog):
     monkeypatch.setattr(ply.read_ply, "__defaults__", (COUNT - 1,))
     result = svrgs(
-        "rig",
-        source,
-        "--views",
-        8,
-        "--out",
-        tmp_path / "rig.json",
-        "--preview",
-        tmp_path / "rig.png",
-        "--json",
+        f"rig {source} --views 8 --out {tmp_path}/rig.json --preview {tmp_path}/rig.png --json"
     ).json
     assert (
         result["views"] == 8

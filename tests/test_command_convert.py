@@ -70,20 +70,7 @@ def test_folders_patterns_and_files_become_files_of_a_folder(splat, tmp_path, ca
 
 def test_a_damaged_file_among_several_is_said_and_the_others_are_converted(splat, tmp_path, capsys):
     (tmp_path / "b.spz").write_bytes(b"NGSP broken")
-    assert (
-        main(
-            [
-                "convert",
-                str(splat),
-                str(tmp_path / "b.spz"),
-                str(tmp_path / "out"),
-                "--to",
-                ".splat",
-                "--json",
-            ]
-        )
-        == 1
-    )
+    assert main(f"convert {splat} {tmp_path}/b.spz {tmp_path}/out --to .splat --json".split()) == 1
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert (
         "bytes" in lines[0] and "b.spz" in lines[1]["error"] and not (tmp_path / "out" / "b.splat").exists()

@@ -40,30 +40,12 @@ def measures(result: dict) -> dict:
 def pruned(tiny, tmp_path_factory) -> dict:
     """Result of one real pruning run with a report; 'folder' beside its keys."""
     folder = tmp_path_factory.mktemp("pruned")
-    words = [
-        "prune",
-        tiny.splat,
-        "--data",
-        tiny.folder,
-        "--iterations",
-        300,
-        "--recovery",
-        200,
-        "--target",
-        0.4,
-        "--json",
-    ]
-    command = [
-        sys.executable,
-        "-m",
-        "svrgs_addon",
-        *words,
-        "--out",
-        folder / "small.ply",
-        "--report",
-        folder / "report",
-    ]
-    done = subprocess.run([str(word) for word in command], cwd=ROOT, capture_output=True, text=True)
+    words = (
+        f"prune {tiny.splat} --data {tiny.folder} --iterations 300 --recovery 200 --target 0.4 --json"
+        f" --out {folder}/small.ply --report {folder}/report"
+    ).split()
+    command = [sys.executable, "-m", "svrgs_addon", *words]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert re.search(r"recover 500/500 .* Gaussians", done.stderr), "progress belongs on stderr"
     assert done.stdout.count("\n") == 1
@@ -117,16 +99,7 @@ def test_report_is_one_page_with_table_plots_and_pictures(pruned):
 )
 def test_every_method_runs(tiny, svrgs, tmp_path, method):
     result = svrgs(
-        "prune",
-        tiny.splat,
-        "--data",
-        tiny.folder,
-        "--method",
-        method,
-        *SHORT,
-        "--out",
-        tmp_path / "o.ply",
-        "--json",
+        f"prune {tiny.splat} --data {tiny.folder} --method {method}", *SHORT, f"--out {tmp_path}/o.ply --json"
     ).json
     assert result["method"] == method and result["lambda_f"] == (METHODS[method].lambda_f or None)
     left = tiny_dataset.COUNT - result["first_cut"]
@@ -146,19 +119,8 @@ def test_every_method_runs(tiny, svrgs, tmp_path, method):
 def test_every_method_with_a_budget_prunes_to_it(tiny, svrgs, tmp_path, method):
     """Asked for, or its own where it has one."""
     for target in (("--target-count", 70), ("--target", 0.5), ()):
-        words = (
-            "prune",
-            tiny.splat,
-            "--data",
-            tiny.folder,
-            "--method",
-            method,
-            *target,
-            *SHORT,
-            "--out",
-            tmp_path / "o.ply",
-            "--json",
-        )
+        job = f"prune {tiny.splat} --data {tiny.folder} --method {method} --out {tmp_path}/o.ply --json"
+        words = (job, *target, *SHORT)
         if not target and not METHODS[method].share:
             refused(svrgs(*words), f"method '{method}' needs --target")
             continue
@@ -174,20 +136,8 @@ def test_every_method_trains_to_a_share(tiny, svrgs, tmp_path, method):
     """Of the Gaussians there are when densification ends: here of the sparse points, which none has
     multiplied."""
     words = (
-        "--method",
-        method,
-        "--target",
-        0.5,
-        "--iterations",
-        60,
-        "--recovery",
-        5,
-        "--sh-degree",
-        0,
-        "--densify-until",
-        20,
-        "--quiet",
-        "--json",
+        f"--method {method} --target 0.5 --iterations 60 --recovery 5 --sh-degree 0",
+        "--densify-until 20 --quiet --json",
     )
     result = svrgs("train", "--data", tiny.folder, *words, "--out", tmp_path / "o.ply").json
     assert result["count"] == result["target"] == tiny_dataset.SEEN // 2 and result["iterations"] == 65
@@ -196,19 +146,8 @@ def test_every_method_trains_to_a_share(tiny, svrgs, tmp_path, method):
 @pytest.mark.slow
 def test_training_by_mcmc_grows_to_its_cap(tiny, svrgs, tmp_path):
     words = (
-        "train",
-        "--data",
-        tiny.folder,
-        "--densify",
-        "mcmc",
-        "--schedule",
-        0.01,
-        "--sh-degree",
-        0,
-        "--quiet",
-        "--json",
-        "--out",
-        tmp_path / "o.ply",
+        f"train --data {tiny.folder} --densify mcmc --schedule 0.01 --sh-degree 0 --quiet --json",
+        f"--out {tmp_path}/o.ply",
     )
     once = int(1.05 * tiny_dataset.SEEN)
     for cap, count in ((once + 1, once + 1), (10_000, int(1.05 * once))):
@@ -221,17 +160,7 @@ def test_training_by_mcmc_grows_to_its_cap(tiny, svrgs, tmp_path):
 
 
 def test_the_papers_form_is_chosen_by_a_flag(tiny, svrgs, tmp_path):
-    words = (
-        "--data",
-        tiny.folder,
-        "--paper",
-        "--method",
-        "svr",
-        *SHORT,
-        "--out",
-        tmp_path / "o.ply",
-        "--json",
-    )
+    words = (f"--data {tiny.folder} --paper --method svr", *SHORT, f"--out {tmp_path}/o.ply --json")
     result = svrgs("prune", tiny.splat, *words).json
     assert (result["method"], result["lambda_f"], result["first_cut"]) == (
         "svr-paper",
@@ -333,22 +262,9 @@ def test_the_first_cut_drops_what_contributes_little_to_every_training_view(tiny
 
 
 def test_the_first_cut_spares_enough_for_a_target(tiny, svrgs, tmp_path):
-    words = (
-        "--min-contribution",
-        0.9,
-        "--iterations",
-        2,
-        "--recovery",
-        0,
-        "--target-count",
-        200,
-        "--quiet",
-        "--json",
-    )
-    assert (
-        svrgs("prune", tiny.splat, "--data", tiny.folder, *words, "--out", tmp_path / "o.ply").json["count"]
-        == 200
-    )
+    words = "--min-contribution 0.9 --iterations 2 --recovery 0 --target-count 200 --quiet --json"
+    done = svrgs("prune", tiny.splat, "--data", tiny.folder, words, "--out", tmp_path / "o.ply")
+    assert done.json["count"] == 200
 
 
 def test_only_the_invisible_goes_where_nothing_else_is_asked_for(tiny, svrgs, tmp_path):
@@ -360,17 +276,9 @@ def test_only_the_invisible_goes_where_nothing_else_is_asked_for(tiny, svrgs, tm
 
 
 def test_a_scene_that_would_lose_everything_is_refused(tiny, svrgs, tmp_path):
-    words = ("--lambda-f", 1e9, "--iterations", 2500, "--recovery", 0, "--quiet")
     done = svrgs(
-        "prune",
-        tiny.splat,
-        "--data",
-        tiny.folder,
-        *words,
-        "--out",
-        tmp_path / "o.ply",
-        "--report",
-        tmp_path / "report",
+        f"prune {tiny.splat} --data {tiny.folder} --lambda-f 1e9 --iterations 2500 --recovery 0 --quiet",
+        f"--out {tmp_path}/o.ply --report {tmp_path}/report",
     )
     refused(done, "pruning would leave", "smaller lambda-f")
     assert not list(tmp_path.iterdir())

@@ -59,15 +59,7 @@ def test_criteria_of_single_gaussians_need_no_memory_for_the_scene(svrgs, tmp_pa
     kept = (np.linalg.norm(scene.means.astype(np.float64), axis=1) <= 1.5) & (sizes(scene) >= 0.05)
     monkeypatch.setattr(memory, "reading", lambda _: 10**15)
     found = svrgs(
-        "select",
-        tmp_path / "s.ply",
-        "--size",
-        "0.05,",
-        "--sphere",
-        "0,0,0,1.5",
-        "--out",
-        tmp_path / "o.ply",
-        "--json",
+        f"select {tmp_path}/s.ply --size 0.05, --sphere 0,0,0,1.5 --out {tmp_path}/o.ply --json"
     ).json
     assert (
         len(parts) > 2

@@ -75,19 +75,9 @@ def test_every_format_is_read_and_written(tiny, svrgs, tmp_path, found):
         tmp_path / (f"{name}{found.suffixes[0]}" if found.suffixes else f"{name}/{found.index}")
         for name in "ab"
     )
-    cut = (
-        "--data",
-        tiny.folder,
-        "--method",
-        "opacity",
-        "--recovery",
-        0,
-        "--quiet",
-        "--json",
-        "--target-count",
-    )
+    cut = f"--data {tiny.folder} --method opacity --recovery 0 --quiet --json --target-count"
     for count, path, out in ((60, tiny.splat, first), (50, first, second)):
-        assert svrgs("prune", path, *cut, count, "--out", out).json["count"] == count
+        assert svrgs("prune", path, cut, count, "--out", out).json["count"] == count
         facts = svrgs("info", out, "--json").json
         assert (facts["count"], facts["format"], facts["bytes"]) == (count, found.name, size_on_disk(out))
 
@@ -99,16 +89,7 @@ def test_render_npy_is_the_rasterizer_s_output(tiny, svrgs, tmp_path_factory, tm
     bright = replace(tiny.truth, sh=3 * tiny.truth.sh)  # above 1 in places, which nothing may clamp
     splat = tmp_path_factory.mktemp("bright") / "bright.ply"
     write_ply(splat, bright)
-    words = (
-        "--outputs",
-        ",".join(PICTURES),
-        "--format",
-        "npy",
-        "--views",
-        "03,7",
-        "--background",
-        "2e-1,0,1",
-    )
+    words = ("--outputs", ",".join(PICTURES), "--format npy --views 03,7 --background 2e-1,0,1")
     result = svrgs("render", splat, "--data", tiny.folder, *words, "--out", tmp_path, "--json").json
     names = [f"{view}.{output}.npy" for view in ("03", "07") for output in PICTURES]
     assert result["files"] == [str(tmp_path / name) for name in names] and sorted(files(tmp_path)) == sorted(
@@ -274,14 +255,7 @@ def test_compare(tiny, svrgs, tmp_path):
 def test_compare_without_photographs(tiny, svrgs, tmp_path):
     """B against pictures of A."""
     write_cameras_json(tmp_path / "cameras.json", tiny_dataset.views()[:5])
-    words = [
-        "compare",
-        tiny.splat,
-        truth_file(tiny, tmp_path),
-        "--cameras",
-        tmp_path / "cameras.json",
-        "--out",
-    ]
+    words = ["compare", tiny.splat, truth_file(tiny, tmp_path), f"--cameras {tmp_path}/cameras.json --out"]
     result = svrgs(*words, tmp_path / "out", "--json").json
     assert (
         result["a"].keys() == {"count", "bytes", "ms_per_frame"}
@@ -315,13 +289,7 @@ def test_cameras_that_do_not_suit_a_comparison_are_refused(tiny, svrgs, tmp_path
     ):
         write_cameras_json(tmp_path / "cameras.json", cameras)
         refused = svrgs(
-            "compare",
-            tiny.splat,
-            tiny.splat,
-            "--cameras",
-            tmp_path / "cameras.json",
-            "--out",
-            tmp_path / "out",
+            f"compare {tiny.splat} {tiny.splat} --cameras {tmp_path}/cameras.json --out {tmp_path}/out"
         )
         assert refused.status == 2 and sentence in refused.err and not (tmp_path / "out").exists()
 
@@ -349,15 +317,8 @@ def test_a_comparison_is_refused_before_views_are_placed(tiny, svrgs, tmp_path, 
         "svrgs_addon.cli.compare_scenes.place_rig", lambda *_, **__: pytest.fail("views were placed")
     )
     both = svrgs(
-        "compare",
-        tiny.splat,
-        tiny.splat,
-        "--data",
-        tiny.folder,
-        "--cameras",
-        tmp_path / "cameras.json",
-        "--out",
-        tmp_path / "no",
+        f"compare {tiny.splat} {tiny.splat} --data {tiny.folder} --cameras {tmp_path}/cameras.json",
+        f"--out {tmp_path}/no",
     )
     assert both.status == 2 and "both name views" in both.err and not (tmp_path / "no").exists()
     (tmp_path / "file").touch()

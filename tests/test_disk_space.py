@@ -61,16 +61,7 @@ def test_a_disk_that_is_too_small_is_said_before_the_work(
     monkeypatch.setattr(fine_tuned.Tuned, "tune", work)
     scene = [tiny.splat] if command == "prune" else []
     outcome = svrgs(
-        command,
-        *scene,
-        "--data",
-        tiny.folder,
-        "--iterations",
-        2,
-        "--recovery",
-        0,
-        "--out",
-        tmp_path / "o.ply",
+        command, *scene, f"--data {tiny.folder} --iterations 2 --recovery 0 --out {tmp_path}/o.ply"
     )
     assert outcome.status == 2 and outcome.err.count("\n") == 1 and re.search(REFUSED, outcome.err), (
         outcome.err

@@ -52,18 +52,7 @@ def test_the_child_process_gives_the_same_views(tiny):
 
 def test_pruning_with_the_cameras_of_another_capture_says_so(tiny, tmp_path, caplog, capsys):
     other = write_tiny(tmp_path / "other", seed=7)
-    words = [
-        "prune",
-        str(tiny.splat),
-        "--target",
-        "0.5",
-        "--iterations",
-        "5",
-        "--recovery",
-        "0",
-        "--quiet",
-        "--json",
-    ]
+    words = f"prune {tiny.splat} --target 0.5 --iterations 5 --recovery 0 --quiet --json".split()
     for number, (folder, warned) in enumerate(((tiny.folder, False), (other.folder, True))):
         more = ["--force"] if warned else []
         with caplog.at_level(logging.WARNING):

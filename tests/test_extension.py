@@ -248,21 +248,8 @@ def run_in_blender(python: str, extension: Path, data: Path, folder: Path, chose
         "BLENDER_USER_RESOURCES": str(folder),
         "PYTHONPATH": os.pathsep.join((str(ROOT), str(ROOT / "benchmarks"))),  # generated scenes
     }
-    words = [
-        "-m",
-        "pytest",
-        "-q",
-        "--durations=8",
-        "-p",
-        "no:cacheprovider",
-        "-p",
-        "no:randomly",
-        "--rootdir",
-        ROOT / "tests/blender",
-        "-c",
-        os.devnull,
-        *chosen,
-    ]
+    words = "-m pytest -q --durations=8 -p no:cacheprovider -p no:randomly --rootdir".split()
+    words += [ROOT / "tests/blender", "-c", os.devnull, *chosen]
     done = subprocess.run(
         [python, *map(str, words)], env=environment, cwd=folder, capture_output=True, text=True, timeout=1200
     )

@@ -249,16 +249,7 @@ def test_an_engine_prunes_a_large_scene_as_one_machine_does(tiny, tmp_path, caps
     from svrgs_addon.views.cameras_json import write_cameras_json
 
     write_cameras_json(tmp_path / "cameras.json", tiny.cameras)
-    words = [
-        "--cameras",
-        str(tmp_path / "cameras.json"),
-        "--block",
-        "60",
-        "--target",
-        "0.4",
-        "--out",
-        str(tmp_path / "one.ply"),
-    ]
+    words = f"--cameras {tmp_path}/cameras.json --block 60 --target 0.4 --out {tmp_path}/one.ply".split()
     assert main(["large", "prune", str(tiny.splat), *words, "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert (
@@ -286,20 +277,8 @@ def test_an_engine_prunes_a_large_scene_as_one_machine_does(tiny, tmp_path, caps
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="a script of sh")
 def test_an_engine_lets_a_method_decide_on_a_large_scene_as_one_machine_does(tiny, tmp_path):
-    words = [
-        "--data",
-        str(tiny.folder),
-        "--method",
-        "svr",
-        *STEPS,
-        "--block",
-        "70",
-        "--target",
-        "0.4",
-        "--out",
-        str(tmp_path / "one.ply"),
-    ]
-    assert main(["large", "prune", str(tiny.splat), *words]) == 0
+    words = f"--data {tiny.folder} --method svr --block 70 --target 0.4 --out {tmp_path}/one.ply".split()
+    assert main(["large", "prune", str(tiny.splat), *words, *STEPS]) == 0
     values = {
         "Scene": tiny.splat,
         "Dataset": tiny.folder,
@@ -467,19 +446,9 @@ def test_options_that_every_task_would_refuse_are_refused(captures, tmp_path, ca
 
 
 def test_every_option_survives_the_way_through_the_file(captures, tmp_path):
-    words = [
-        "--background",
-        "0.5,0.25,1",
-        "--lambda-f",
-        "1e-3",
-        "--visible-mask",
-        "--seed",
-        "7",
-        "--max-drop",
-        "0.5",
-        "--nested",
-        "0.2",
-    ]
+    words = (
+        "--background 0.5,0.25,1 --lambda-f 1e-3 --visible-mask --seed 7 --max-drop 0.5 --nested 0.2"
+    ).split()
     assert main(["farm", "export", str(captures / "one"), "--out", str(tmp_path / "job"), *words]) == 0
     job = FarmJob.read(tmp_path / "job")
     options = job.options(job.tasks[0])

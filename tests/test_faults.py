@@ -235,19 +235,9 @@ sys.exit(main(sys.argv[1:]))
 )
 def test_a_first_checkpoint_that_cannot_be_written_is_one_sentence(tiny, tmp_path, size):
     """Nothing else on the terminal, and no file or folder of it."""
-    words = [
-        "prune",
-        tiny.splat,
-        "--data",
-        tiny.folder,
-        "--iterations",
-        "4",
-        "--recovery",
-        "0",
-        "--quiet",
-        "--out",
-        tmp_path / "o.ply",
-    ]
+    words = (
+        f"prune {tiny.splat} --data {tiny.folder} --iterations 4 --recovery 0 --quiet --out {tmp_path}/o.ply"
+    ).split()
     done = subprocess.run(
         [sys.executable, "-c", FULL_DISK, str(size), *words], cwd=ROOT, capture_output=True, text=True
     )

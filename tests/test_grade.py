@@ -73,21 +73,8 @@ def test_no_grade_changes_no_bit_and_makes_no_copy():
 def test_convert_grades(tmp_path, svrgs):
     scene = room(300)
     write_ply(tmp_path / "a.ply", scene)
-    words = (
-        "--exposure",
-        0.5,
-        "--warmth",
-        0.2,
-        "--tint",
-        -0.1,
-        "--saturation",
-        1.3,
-        "--contrast",
-        0.9,
-        "--opacity",
-        0.7,
-    )
-    svrgs("convert", tmp_path / "a.ply", tmp_path / "b.ply", *words)
+    words = "--exposure 0.5 --warmth 0.2 --tint -0.1 --saturation 1.3 --contrast 0.9 --opacity 0.7"
+    svrgs("convert", tmp_path / "a.ply", tmp_path / "b.ply", words)
     expected, found = graded(scene, Grade(0.5, 0.2, -0.1, 1.3, 0.9, 0.7)), read_ply(tmp_path / "b.ply")
     np.testing.assert_array_equal(found.sh, expected.sh)
     np.testing.assert_array_equal(found.opacity_logits, expected.opacity_logits)

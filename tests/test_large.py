@@ -426,18 +426,7 @@ def test_steps_that_are_killed_and_done_again_give_the_same_bytes(source, camera
     )
     work, given = tmp_path / "work", ["--cameras", tmp_path / "views.json", "--block", "2000", "--force"]
     assert (
-        svrgs(
-            "large",
-            "prune",
-            source,
-            *given,
-            "--target",
-            "0.05",
-            "--steps",
-            "40",
-            "--out",
-            tmp_path / "one.ply",
-        ).status
+        svrgs(f"large prune {source}", *given, f"--target 0.05 --steps 40 --out {tmp_path}/one.ply").status
         == 0
     )
     killed = 0

@@ -68,20 +68,9 @@ def together(divided: Divided) -> dict[str, np.ndarray]:
 @pytest.mark.parametrize("method", ["removal", "saliency", "svr", "svr-b"])
 def test_one_block_is_decided_as_the_scene_in_memory(tiny, data, tmp_path, svrgs, method):
     """To the bit: with all photographs and all Gaussians, nothing is left out."""
-    words = [
-        "--data",
-        tiny.folder,
-        "--method",
-        method,
-        "--iterations",
-        40,
-        "--recovery",
-        0,
-        "--visible-mask",
-        "--lambda-f",
-        0.02,
-    ]
-    assert svrgs("prune", tiny.splat, *words, "--out", tmp_path / "o.ply").status == 0
+    words = f"--data {tiny.folder} --method {method} --iterations 40 --recovery 0 --visible-mask"
+    job = svrgs("prune", tiny.splat, words, "--lambda-f", 0.02, "--out", tmp_path / "o.ply")
+    assert job.status == 0
     plan = Request(str(tiny.folder), method, 40, 0, 0.02 * METHODS[method].first_cut, lambda_f=0.02).plan()
     left, _ = learned(tiny, data, tmp_path / "blocks", COUNT, plan)
     whole, found = read_scene(tmp_path / "o.ply"), together(left)
@@ -242,17 +231,7 @@ def test_an_allowed_drop_on_photographs_decides_how_many_stay(inside, tmp_path, 
     # photographs are not its own pictures
     scene.sh[:, 0] += np.random.default_rng(1).normal(0, 0.15, scene.sh[:, 0].shape)
     write_scene(tmp_path / "a.ply", scene)
-    same = [
-        tmp_path / "a.ply",
-        "--data",
-        room.folder,
-        "--method",
-        "removal",
-        "--iterations",
-        30,
-        "--recovery",
-        60,
-    ]
+    same = f"{tmp_path}/a.ply --data {room.folder} --method removal --iterations 30 --recovery 60".split()
     words = ["large", "prune", *same, "--block", 2_000, "--json"]
     little, much = (
         svrgs(*words, "--max-drop", drop, "--out", tmp_path / f"{drop}.ply").json | {"allowed": drop}
@@ -387,18 +366,9 @@ def test_photographs_of_another_capture_are_told(tiny, tmp_path, svrgs, caplog):
         path.write_bytes(bytes_)
     with caplog.at_level(logging.WARNING):
         result = svrgs(
-            "large",
-            "prune",
-            tiny.splat,
-            "--data",
-            other,
-            "--method",
-            "svr",
+            f"large prune {tiny.splat} --data {other} --method svr",
             *STEPS,
-            "--force",
-            "--out",
-            tmp_path / "o.ply",
-            "--json",
+            f"--force --out {tmp_path}/o.ply --json",
         ).json
     assert "explains only 16% of the photographs" in " ".join(result["notes"])
 
@@ -445,21 +415,8 @@ def test_steps_that_lack_something_say_what(tiny, data, tmp_path, svrgs):
     )
     assert "was divided without --method" in svrgs("large", "decide", work).err
     assert "add --target or --target-count" in svrgs("large", "cut", work).err
-    words = [
-        "--data",
-        tiny.folder,
-        "--method",
-        "svr",
-        "--iterations",
-        20,
-        "--recovery",
-        10,
-        "--work",
-        work,
-        "--block",
-        70,
-    ]
-    assert svrgs("large", "divide", tiny.splat, *words).status == 0
+    words = f"--data {tiny.folder} --method svr --iterations 20 --recovery 10 --work {work} --block 70"
+    assert svrgs("large", "divide", tiny.splat, words).status == 0
     assert "is not there; merge the block 0 first" in svrgs("large", "cut", work).err
     assert all(svrgs("large", step, work).status == 0 for step in ("score", "reduce", "merge", "cut"))
     assert "block 0 is missing; do the step before it first" in svrgs("large", "tune", work).err

@@ -41,15 +41,7 @@ def short(recipe: str) -> tuple:
 
 @pytest.mark.parametrize("recipe", RECIPES)
 def test_it_is_measured_where_its_weights_are_named(recipe, tiny, svrgs, weights, small_rig, tmp_path):
-    command = (
-        "prune",
-        tiny.splat,
-        "--out",
-        tmp_path / "o.ply",
-        *words(recipe, tiny),
-        *short(recipe),
-        "--json",
-    )
+    command = (f"prune {tiny.splat} --out {tmp_path}/o.ply", *words(recipe, tiny), *short(recipe), "--json")
     measured, plain = svrgs(*command, "--lpips-weights", weights).json, svrgs(*command).json
     assert measured["lpips"] == measured["after"]["lpips"] != 0 and plain["lpips"] is None
     assert (measured["psnr"], measured["count"]) == (plain["psnr"], plain["count"])
@@ -60,15 +52,7 @@ def test_by_blocks_too(recipe, tiny, svrgs, weights, small_rig, monkeypatch, tmp
     """As if memory sufficed for no scene as a whole."""
     monkeypatch.setattr("svrgs_addon.prune.recipes.fine_tuned.refuse_excess", too_little)
     monkeypatch.setattr(memory, "decimating", lambda *_: 10**15)
-    command = (
-        "prune",
-        tiny.splat,
-        "--out",
-        tmp_path / "o.ply",
-        *words(recipe, tiny),
-        *short(recipe),
-        "--json",
-    )
+    command = (f"prune {tiny.splat} --out {tmp_path}/o.ply", *words(recipe, tiny), *short(recipe), "--json")
     masked = ("--visible-mask",) if recipe == "fine-tuned" else ()
     result = svrgs(*command, "--lpips-weights", weights, *masked).json
     assert result["blocks"] == 1 and result["lpips"] == result["after"]["lpips"] != 0

@@ -61,16 +61,7 @@ def test_jobs_are_refused(svrgs, little, tiny, tmp_path, command):
     little(1_000_000)
     scene = [tiny.splat] if command == "prune" else []
     outcome = svrgs(
-        command,
-        *scene,
-        "--data",
-        tiny.folder,
-        "--iterations",
-        2,
-        "--recovery",
-        0,
-        "--out",
-        tmp_path / "o.ply",
+        command, *scene, f"--data {tiny.folder} --iterations 2 --recovery 0 --out {tmp_path}/o.ply"
     )
     refused(outcome, tmp_path / "o.ply")
 

@@ -167,21 +167,8 @@ def test_without_it_nothing_changes():
 
 
 def test_levels_are_the_first_rows_of_the_output(tiny, svrgs, tmp_path):
-    words = [
-        "prune",
-        tiny.splat,
-        "--data",
-        tiny.folder,
-        *SHORT,
-        "--target",
-        0.4,
-        "--levels",
-        "0.5,0.125",
-        "--json",
-        "--out",
-        tmp_path / "o.ply",
-    ]
-    levels = json.loads(svrgs(*words).out)["levels"]
+    words = f"--target 0.4 --levels 0.5,0.125 --json --out {tmp_path}/o.ply"
+    levels = svrgs("prune", tiny.splat, "--data", tiny.folder, *SHORT, words).json["levels"]
     assert sorted(files(tmp_path)) == ["o.ply", "o_12.5.ply", "o_50.ply"]
     whole = read_ply(tmp_path / "o.ply")
     for level, count in zip(levels, (50, 12), strict=True):

@@ -260,22 +260,8 @@ def finish(process: subprocess.Popen) -> tuple[int, str, str]:
 
 
 def prune(python: list, batch: Path, tiny, out: Path) -> list:
-    return [
-        *python,
-        batch,
-        "--",
-        "prune",
-        tiny.folder,
-        "--out",
-        out,
-        "--iterations",
-        10,
-        "--recovery",
-        5,
-        "--target",
-        0.5,
-        "--quiet",
-    ]
+    words = f"prune {tiny.folder} --out {out} --iterations 10 --recovery 5 --target 0.5 --quiet".split()
+    return [*python, batch, "--", *words]
 
 
 @pytest.mark.slow

@@ -61,18 +61,8 @@ def short(monkeypatch, tmp_path):
 
 def rendered(svrgs, source, cameras, out, outputs=",".join(PICTURES)):
     done = svrgs(
-        "render",
-        source,
-        "--cameras",
-        cameras,
-        "--outputs",
-        outputs,
-        "--format",
-        "npy",
-        "--background",
-        "0.2,0.5,0.1",
-        "--out",
-        out,
+        f"render {source} --cameras {cameras} --outputs {outputs} --format npy",
+        f"--background 0.2,0.5,0.1 --out {out}",
     )
     assert done.status == 0, done.err
     return {path.name: np.load(path) for path in sorted(out.iterdir())}
@@ -184,20 +174,8 @@ def test_no_block_is_mapped_where_it_is_removed(svrgs, short, monkeypatch, sourc
     rendered(svrgs, source, cameras, tmp_path / "out")
     assert len(mapped) == 1 and "svrgs-blocks-" not in mapped[0]
     monkeypatch.setattr(by_blocks, "remove", lambda work: (mapped.append(all_mapped()), folder.remove(work)))
-    done = svrgs(
-        "large",
-        "prune",
-        source,
-        "--cameras",
-        cameras,
-        "--target",
-        0.5,
-        "--out",
-        tmp_path / "pruned.ply",
-        "--block",
-        COUNT // 3,
-        "--force",
-    )
+    words = f"--target 0.5 --out {tmp_path}/pruned.ply --block {COUNT // 3} --force"
+    done = svrgs(f"large prune {source} --cameras {cameras}", words)
     assert done.status == 0 and len(mapped) == 2 and "pruned.ply.blocks" not in mapped[1]
 
 
@@ -216,17 +194,7 @@ def test_a_stop_leaves_no_blocks_behind(source, cameras, tmp_path):
         "import svrgs_addon.prune.blocks.block_rasterizer as o, time, sys; o.seen = lambda *a, **k:"
         " time.sleep(60); sys.exit(main(sys.argv[1:]))"
     )
-    words = [
-        sys.executable,
-        "-c",
-        code,
-        "render",
-        str(source),
-        "--cameras",
-        str(cameras),
-        "--out",
-        str(tmp_path / "out"),
-    ]
+    words = [sys.executable, "-c", code, *f"render {source} --cameras {cameras} --out {tmp_path}/out".split()]
     process = subprocess.Popen(
         words, env={**os.environ, "TMPDIR": str(tmp_path / "temporary")}, stderr=subprocess.PIPE, text=True
     )

@@ -205,18 +205,10 @@ def test_a_job_folder_holds_a_job_without_photographs(splat, tmp_path, jobs):
 
 def test_a_batch_runs_with_given_cameras(svrgs, splat):
     write_cameras_json(splat.with_name("shot.json"), front(read_ply(splat)))
-    words = (
-        "--cameras",
-        splat.with_name("shot.json"),
-        "--seen-from-only",
-        "--target",
-        0.4,
-        "--recovery",
-        5,
-        "--quiet",
-        "--batch",
+    done = svrgs(
+        f"prune {splat} --cameras {splat.parent}/shot.json --seen-from-only --target 0.4 --recovery 5",
+        f"--quiet --batch --out {splat.parent}/small.ply",
     )
-    done = svrgs("prune", splat, *words, "--out", splat.with_name("small.ply"))
     assert done.status == 0 and json.loads(done.out)["rig"] == {"given": 6}
 
 
@@ -330,31 +322,12 @@ def test_a_transforms_json_gives_the_same_pictures(splat, tmp_path):
 
 
 def test_the_command_writes_cameras_and_a_picture(svrgs, splat):
-    result = svrgs(
-        "rig",
-        splat,
-        "--views",
-        8,
-        "--out",
-        splat.with_name("rig.json"),
-        "--preview",
-        splat.with_name("rig.png"),
-        "--json",
-    ).json
-    cameras = load_cameras_json(splat.with_name("rig.json"))
-    assert result["views"] == 8 and len(cameras) == 8 + result["held_out"] and 0 < result["seen"] <= 1
-    assert splat.with_name("rig.png").stat().st_size > 10_000
-    rendered = svrgs(
-        "render",
-        splat,
-        "--cameras",
-        splat.with_name("rig.json"),
-        "--views",
-        "rig_000",
-        "--out",
-        splat.with_name("pictures"),
-        "--json",
-    ).json
+    rig, picture = splat.with_name("rig.json"), splat.with_name("rig.png")
+    result = svrgs(f"rig {splat} --views 8 --out {rig} --preview {picture} --json").json
+    assert result["views"] == 8 and 0 < result["seen"] <= 1
+    assert len(load_cameras_json(rig)) == 8 + result["held_out"] and picture.stat().st_size > 10_000
+    pictures = splat.with_name("pictures")
+    rendered = svrgs(f"render {splat} --cameras {rig} --views rig_000 --out {pictures} --json").json
     assert len(rendered["files"]) == 1
     failed = svrgs("rig", splat, "--out", splat)
     assert failed.status and "is the input itself" in failed.err

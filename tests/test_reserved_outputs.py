@@ -63,33 +63,14 @@ def test_a_link_and_its_target_are_one_output(tmp_path):
 
 @pytest.mark.slow
 def test_a_second_job_on_the_same_output_is_refused_and_the_first_goes_on(tiny, tmp_path):
-    command = [
-        sys.executable,
-        "-m",
-        "svrgs_addon",
-        "prune",
-        tiny.splat,
-        "--data",
-        tiny.folder,
-        "--out",
-        tmp_path / "o.ply",
-        "--target",
-        0.5,
-    ]
-    first = subprocess.Popen(
-        [*map(str, command), "--iterations", "1500", "--recovery", "0"],
-        cwd=ROOT,
-        stderr=subprocess.PIPE,
-        text=True,
+    words = (
+        f"prune {tiny.splat} --data {tiny.folder} --out {tmp_path}/o.ply --target 0.5 --recovery 0".split()
     )
+    command = [sys.executable, "-m", "svrgs_addon", *words, "--iterations"]
+    first = subprocess.Popen([*command, "1500"], cwd=ROOT, stderr=subprocess.PIPE, text=True)
     assert "Gaussians" in first.stderr.readline()
     began = time.monotonic()
-    second = subprocess.run(
-        [*map(str, command), "--iterations", "10", "--recovery", "0"],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-    )
+    second = subprocess.run([*command, "10"], cwd=ROOT, capture_output=True, text=True)
     assert time.monotonic() - began < 30 and second.returncode == 2
     assert "o.ply: another job is writing this file" in second.stderr and "Traceback" not in second.stderr
     assert first.poll() is None, "the first job should still run"

@@ -152,18 +152,7 @@ def test_a_job_that_was_stopped_goes_on_with_resume(
 def whole_and_stopped(svrgs, short, stop_at, tiny, tmp_path, monkeypatch) -> list:
     """The words of a job. Memory was too short for it: whole.ply is its result by blocks; another start was
     stopped, and o.ply would be its output. Memory suffices from here on."""
-    words = [
-        "prune",
-        tiny.splat,
-        "--data",
-        tiny.folder,
-        "--target",
-        0.5,
-        "--iterations",
-        40,
-        "--recovery",
-        20,
-    ]
+    words = f"prune {tiny.splat} --data {tiny.folder} --target 0.5 --iterations 40 --recovery 20".split()
     assert svrgs(*words, "--out", tmp_path / "whole.ply").status == 0
     stop_at("recover")
     assert svrgs(*words, "--out", tmp_path / "o.ply").status == 130 and (tmp_path / "o.ply.blocks").is_dir()
@@ -191,20 +180,8 @@ def test_a_job_that_begins_again_leaves_no_blocks(svrgs, whole_and_stopped, tmp_
 
 
 def words_for(tiny, out: Path, *more) -> list:
-    words = [
-        "large",
-        "prune",
-        tiny.splat,
-        "--data",
-        tiny.folder,
-        "--method",
-        "removal",
-        "--iterations",
-        40,
-        "--recovery",
-        20,
-    ]
-    return [*words, "--block", 130, "--out", out, *more]
+    words = f"--data {tiny.folder} --method removal --iterations 40 --recovery 20 --block 130".split()
+    return ["large", "prune", tiny.splat, *words, "--out", out, *more]
 
 
 @pytest.fixture
@@ -264,16 +241,7 @@ def test_a_list_of_tasks_that_is_damaged_is_as_none(svrgs, tiny, tmp_path, steps
 
 def test_removals_and_merges_have_nothing_to_resume(svrgs, tiny, tmp_path):
     done = svrgs(
-        "large",
-        "prune",
-        tiny.splat,
-        "--data",
-        tiny.folder,
-        "--target",
-        0.5,
-        "--resume",
-        "--out",
-        tmp_path / "o.ply",
+        f"large prune {tiny.splat} --data {tiny.folder} --target 0.5 --resume", f"--out {tmp_path}/o.ply"
     )
     assert done.status == 2 and "--resume is for methods that decide on photographs" in done.err
 

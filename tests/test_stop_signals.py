@@ -35,22 +35,10 @@ FREQUENT = RUN.format(change="loop.CHECKPOINT_SECONDS = 0")
 
 
 def words_for(tiny, out: Path, iterations: int, recovery: int) -> list[str]:
-    words = [
-        "prune",
-        tiny.splat,
-        "--data",
-        tiny.folder,
-        "--iterations",
-        iterations,
-        "--recovery",
-        recovery,
-        "--target",
-        0.5,
-        "--resume",
-        "--out",
-        out,
-    ]
-    return [str(word) for word in words]
+    return (
+        f"prune {tiny.splat} --data {tiny.folder} --iterations {iterations} --recovery {recovery}"
+        f" --target 0.5 --resume --out {out}"
+    ).split()
 
 
 def heard():

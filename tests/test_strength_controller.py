@@ -210,21 +210,10 @@ def test_a_drop_cannot_be_asked_of_methods_without_masks(data, method):
 
 
 def test_the_command_line_reaches_the_drop(tiny, svrgs, tmp_path):
-    words = (
-        "--max-drop",
-        2,
-        "--iterations",
-        600,
-        "--recovery",
-        0,
-        "--quiet",
-        "--json",
-        "--out",
-        tmp_path / "o.ply",
-    )
-    result = svrgs("prune", tiny.splat, "--data", tiny.folder, *words).json
+    words = f"--max-drop 2 --iterations 600 --recovery 0 --quiet --json --out {tmp_path}/o.ply"
+    result = svrgs("prune", tiny.splat, "--data", tiny.folder, words).json
     assert result["count"] < tiny_dataset.COUNT and result["target"] is None and result["strength"] > 0
-    refused = svrgs("prune", tiny.splat, "--data", tiny.folder, "--target", 0.5, *words)
+    refused = svrgs("prune", tiny.splat, "--data", tiny.folder, "--target", 0.5, words)
     assert refused.status == 2 and "not allowed with" in refused.err
 
 

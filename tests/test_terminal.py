@@ -33,16 +33,8 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="names of files 
 
 def run(*words: object, redirect: str = "", **environment: str) -> subprocess.CompletedProcess[bytes]:
     """`svrgs WORDS` in a process of its own, with redirections of a shell."""
-    command = [
-        "sh",
-        "-c",
-        f'exec "$@" {redirect}',
-        "sh",
-        sys.executable,
-        "-m",
-        "svrgs_addon",
-        *map(str, words),
-    ]
+    shell = ["sh", "-c", f'exec "$@" {redirect}', "sh"]
+    command = [*shell, sys.executable, "-m", "svrgs_addon", *map(str, words)]
     return subprocess.run(command, cwd=ROOT, capture_output=True, env=os.environ | environment)
 
 
@@ -88,23 +80,10 @@ def test_paths_need_not_be_utf_8(place, command, encoding):
 
 def test_a_page_shows_a_name_that_is_not_utf_8(place):
     (place / "scene.ply").rename(place / f"{NAME}.ply")
-    assert (
-        run(
-            "prune",
-            place / f"{NAME}.ply",
-            "--data",
-            place,
-            *SHORT,
-            "--out",
-            place / "o.ply",
-            "--report",
-            place / "report",
-        ).returncode
-        == 0
-    )
-    assert "<h1>caf\N{REPLACEMENT CHARACTER}</h1>" in (place / "report/index.html").read_text(
-        encoding="utf-8"
-    )
+    outputs = ("--out", place / "o.ply", "--report", place / "report")
+    assert run("prune", place / f"{NAME}.ply", "--data", place, *SHORT, *outputs).returncode == 0
+    page = (place / "report/index.html").read_text(encoding="utf-8")
+    assert "<h1>caf\N{REPLACEMENT CHARACTER}</h1>" in page
 
 
 def test_a_sentence_names_the_path_as_it_is(place):
@@ -146,18 +125,7 @@ def test_a_photograph_that_is_not_utf_8_is_named(place):
 def test_streams_may_be_closed(tiny, tmp_path, redirect, printed):
     """The first file that is opened would otherwise get the number of stderr, and libraries would write their
     messages into it."""
-    words = [
-        "prune",
-        tiny.splat,
-        "--data",
-        tiny.folder,
-        "--iterations",
-        "3",
-        "--recovery",
-        "3",
-        "--json",
-        "--out",
-    ]
+    words = f"prune {tiny.splat} --data {tiny.folder} --iterations 3 --recovery 3 --json --out".split()
     open_, closed = run(*words, tmp_path / "a.ply"), run(*words, tmp_path / "b.ply", redirect=redirect)
     assert open_.returncode == closed.returncode == 0
     assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
@@ -191,23 +159,12 @@ def test_names_do_not_command_the_terminal(place, command):
     name = red(place)
     words = ["eval", place / "scene.ply", "--data", place]
     if command in ("render", "views"):
-        words = [
-            "render",
-            place / "scene.ply",
-            "--data",
-            place,
-            "--out",
-            place / "out",
-            "--views",
-            "test" if command == "render" else "77",
-        ]
+        views = "test" if command == "render" else "77"
+        words = f"render {place}/scene.ply --data {place} --out {place}/out --views {views}".split()
     elif command in ("missing", "batch"):  # a batch has a process for each scene
         (place / "images" / name).unlink()
-        words = (
-            words
-            if command == "missing"
-            else ["prune", place / "scene.ply", "--data", place, *SHORT, "--batch", "--out", place / "o.ply"]
-        )
+        if command == "batch":
+            words = ["prune", *words[1:], *SHORT, "--batch", "--out", place / "o.ply"]
     elif command == "broken":
         (place / "images" / name).write_bytes(b"no image")
     else:
@@ -264,19 +221,9 @@ sys.exit(main(sys.argv[2:]))
     ],
 )
 def test_ctrl_c_while_modules_are_imported(tiny, module):
-    words = [
-        sys.executable,
-        "-c",
-        INTERRUPTED,
-        module,
-        "render",
-        tiny.splat,
-        "--data",
-        tiny.folder,
-        "--out",
-        tiny.folder / "none",
-    ]
-    done = subprocess.run(list(map(str, words)), cwd=ROOT, capture_output=True, text=True)
+    words = f"{module} render {tiny.splat} --data {tiny.folder} --out {tiny.folder}/none".split()
+    command = [sys.executable, "-c", INTERRUPTED, *words]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "svrgs: interrupted\n")
 
 

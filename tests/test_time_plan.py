@@ -190,32 +190,12 @@ def test_the_result_says_what_was_asked_foreseen_and_used_and_can_be_repeated(ti
 @pytest.mark.slow
 def test_the_quality_is_said_where_it_is_foreseen(tiny, svrgs, slow, tmp_path):
     done = svrgs(
-        "prune",
-        tiny.splat,
-        "--data",
-        tiny.folder,
-        "--target",
-        0.4,
-        "--json",
-        "--time",
-        110,
-        "--out",
-        tmp_path / "a.ply",
+        f"prune {tiny.splat} --data {tiny.folder} --target 0.4 --json --time 110", f"--out {tmp_path}/a.ply"
     )
     assert done.json["iterations"] >= 800 and " dB or more (now " in done.err
     quiet = svrgs(
-        "prune",
-        tiny.splat,
-        "--data",
-        tiny.folder,
-        "--target",
-        0.4,
-        "--json",
-        "--time",
-        20,
-        "--quiet",
-        "--out",
-        tmp_path / "a.ply",
+        f"prune {tiny.splat} --data {tiny.folder} --target 0.4 --json --time 20 --quiet",
+        f"--out {tmp_path}/a.ply",
     )
     assert quiet.json["time"]["schedule"] and not quiet.err
 

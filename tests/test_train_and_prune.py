@@ -24,21 +24,10 @@ from tiny_jobs import SETTINGS, TRAINING, prune
 
 
 def test_the_command_line_reaches_the_skips(tiny, svrgs, tmp_path):
-    words = (
-        "train",
-        "--data",
-        tiny.folder,
-        "--iterations",
-        30,
-        "--sh-degree",
-        0,
-        "--quiet",
-        "--json",
-        "--out",
-    )
+    words = f"train --data {tiny.folder} --iterations 30 --sh-degree 0 --quiet --json --out"
     outs = []
     for k, more in enumerate([(), ("--coarse-until", 0), ("--coarse-until", 15), ("--views-by-loss",)]):
-        assert svrgs(*words, tmp_path / f"{k}.ply", *more).status == 0
+        assert svrgs(words, tmp_path / f"{k}.ply", *more).status == 0
         outs.append((tmp_path / f"{k}.ply").read_bytes())
     assert outs[0] == outs[1] and len(set(outs)) == 3
 
@@ -99,19 +88,7 @@ def test_the_first_cut_is_that_of_one_look_after_the_other(tiny, data, method, m
 
 
 def test_threads_do_not_change_the_output(tiny, svrgs, tmp_path):
-    words = (
-        "prune",
-        tiny.splat,
-        "--data",
-        tiny.folder,
-        "--iterations",
-        60,
-        "--recovery",
-        20,
-        "--target",
-        0.5,
-        "--quiet",
-    )
+    words = (f"prune {tiny.splat} --data {tiny.folder} --iterations 60 --recovery 20 --target 0.5", "--quiet")
     for threads in (1, 2):
         assert svrgs(*words, "--threads", threads, "--out", tmp_path / f"{threads}.ply").status == 0
     assert svrgs(*words, "--threads", 1, "--seed", 1, "--out", tmp_path / "seed.ply").status == 0
@@ -122,16 +99,7 @@ def test_threads_do_not_change_the_output(tiny, svrgs, tmp_path):
 @pytest.mark.slow
 def test_threads_do_not_change_training(tiny, svrgs, tmp_path):
     words = (
-        "train",
-        "--data",
-        tiny.folder,
-        "--iterations",
-        620,
-        "--densify-until",
-        650,
-        "--sh-degree",
-        1,
-        "--quiet",
+        f"train --data {tiny.folder} --iterations 620 --densify-until 650 --sh-degree 1 --quiet",
         "--json",
     )
     counts = [

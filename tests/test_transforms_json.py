@@ -392,17 +392,9 @@ def test_commands_take_it_like_colmap(tiny, svrgs, tmp_path):
     assert trained["count"] == len(tiny.truth.means)
     assert (
         len(
-            svrgs(
-                "render",
-                tiny.splat,
-                "--colmap",
-                tmp_path,
-                "--views",
-                "0,1",
-                "--out",
-                tmp_path / "out",
-                "--json",
-            ).json["files"]
+            svrgs(f"render {tiny.splat} --colmap {tmp_path} --views 0,1 --out {tmp_path}/out --json").json[
+                "files"
+            ]
         )
         == 2
     )

@@ -60,36 +60,16 @@ def drive(blender, extension_zip, tmp_path):  # noqa: F811
         out.mkdir(parents=True, exist_ok=True)
         with screen() as environment:
             environment["BLENDER_USER_RESOURCES"] = str(tmp_path / "user")
-            install = [
-                *blender,
-                "--command",
-                "extension",
-                "install-file",
-                "-r",
-                "user_default",
-                "-e",
-                str(extension_zip(*blender, "-b", "--python-expr")),
-            ]
+            install = [*blender, *"--command extension install-file -r user_default -e".split()]
+            install.append(str(extension_zip(*blender, "-b", "--python-expr")))
             done = subprocess.run(install, env=environment, capture_output=True, text=True, timeout=120)
             assert "STATUS Installed" in done.stdout or "STATUS Reinstalled" in done.stdout, (
                 done.stdout + done.stderr
             )
-            window = [
-                "--window-geometry",
-                "0",
-                "0",
-                *map(str, SIZE),
-                "--enable-event-simulate",
-                "-P",
-                str(WINDOW / script),
-            ]
-            done = subprocess.run(
-                [*blender, *window, "--", str(data), str(out)],
-                env=environment,
-                capture_output=True,
-                text=True,
-                timeout=300,
-            )
+            window = ["--window-geometry", "0", "0", *map(str, SIZE)]
+            script = ["--enable-event-simulate", "-P", str(WINDOW / script), "--", str(data), str(out)]
+            command = [*blender, *window, *script]
+            done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
         assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
         return json.loads((out / "seen.json").read_text())
 
@@ -123,21 +103,8 @@ def test_looking_with_the_mouse(drive, tiny, tmp_path):
     )
     original, pruned = seen["compare"]["original"], seen["compare"]["pruned"]
     assert (original["count"], pruned["count"]) == (250, 100) and min(original["psnr"], pruned["psnr"]) > 15
-    assert (
-        run_svrgs(
-            [
-                "render",
-                str(tiny.splat),
-                "--data",
-                str(tiny.folder),
-                "--views",
-                seen["camera"],
-                "--out",
-                str(tmp_path / "renders"),
-            ]
-        )
-        == 0
-    )
+    words = f"render {tiny.splat} --data {tiny.folder} --out {tmp_path}/renders --views".split()
+    assert run_svrgs([*words, seen["camera"]]) == 0
     (expected,) = (tmp_path / "renders").iterdir()
     rendered, expected = (read_pixels(path).astype(int)[..., :3] for path in (Path(seen["f12"]), expected))
     assert rendered.shape == expected.shape and np.abs(rendered - expected).max() <= 1

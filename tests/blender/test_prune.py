@@ -29,23 +29,9 @@ def from_a_shell(tmp_path_factory) -> tuple[dict, bytes]:
 def by_a_shell(out: Path) -> tuple[dict, bytes]:
     child = part("svrgs_addon.system.subprocess_python")
     words = [f"--{name}={value}" for name, value in SHORT.items()]
-    command = [
-        sys.executable,
-        "-m",
-        "svrgs_addon",
-        "prune",
-        DATA / "tiny/scene.ply",
-        "--data",
-        DATA / "tiny",
-        *words,
-        "--out",
-        out,
-        "--json",
-        "--quiet",
-    ]
-    done = subprocess.run(
-        [str(word) for word in command], env=child.environment(), capture_output=True, text=True
-    )
+    job = f"prune {DATA}/tiny/scene.ply --data {DATA}/tiny --out {out} --json --quiet"
+    command = [sys.executable, "-m", "svrgs_addon", *job.split(), *words]
+    done = subprocess.run(command, env=child.environment(), capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout), out.read_bytes()
 
