@@ -33,14 +33,9 @@ def request(options: argparse.Namespace, kind: str, out: Path, seed: int = 0, **
     steps, recovery = (
         (options.iterations, 0) if kind == "train" else (options.prune_iterations, options.prune_iterations)
     )
-    job = {
-        "data": str(options.data),
-        "out": str(out),
-        "kind": kind,
-        "iterations": steps,
-        "recovery": recovery,
-        "seed": seed,
-    }
+    job = dict(
+        data=str(options.data), out=str(out), kind=kind, iterations=steps, recovery=recovery, seed=seed
+    )
     return {**job, "profile": False, "phase": {}, "run": {}, **changes}
 
 

@@ -192,13 +192,7 @@ PRUNED = ("equal", "looks", "pareto", "published", "ablation", "texture", "degre
 
 def change_of(study: str, run: str) -> str:
     """The Python code that changes the program before a run."""
-    changes = {
-        "ablation": ABLATION,
-        "equal": RANKINGS,
-        "looks": LOOKING,
-        "levels": LEVELS,
-        "texture": TEXTURE,
-    }
+    changes = dict(ablation=ABLATION, equal=RANKINGS, looks=LOOKING, levels=LEVELS, texture=TEXTURE)
     changes |= {"pareto": PARTS, "published": PARTS}
     name = (run.rpartition(" ")[0] or run).partition(", 5 k")[0]
     return PRINTED if study == "printed" else changes.get(study, {}).get(name, "")

@@ -66,20 +66,8 @@ from svrgs_addon.views.dataset import load_dataset
 ROOT = Path(__file__).resolve().parents[1]
 ROWS = ROOT / "docs" / "results" / "rows.jsonl"
 KEPT = (
-    "psnr",
-    "ssim",
-    "lpips",
-    "flip",
-    "count",
-    "bytes",
-    "seconds",
-    "ms_per_frame",
-    "iterations",
-    "before",
-    "curves",
-    "peak_memory_bytes",
-    "time",
-)
+    "psnr ssim lpips flip count bytes seconds ms_per_frame iterations before curves peak_memory_bytes time"
+).split()
 REQUEST = ("study", "scene", "run", "flags", "seed", "schedule", "trained", "start", "shrink")
 
 

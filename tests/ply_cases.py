@@ -13,13 +13,7 @@ STANDARD = "x y z f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot
 
 def make_scene(count: int = 7, degree: int = 1, **more) -> Scene:
     rng = np.random.default_rng(degree)
-    shapes = {
-        "means": (3,),
-        "log_scales": (3,),
-        "quats": (4,),
-        "opacity_logits": (),
-        "sh": (SH_COEFFICIENTS[degree], 3),
-    }
+    shapes = dict(means=(3,), log_scales=(3,), quats=(4,), opacity_logits=(), sh=(SH_COEFFICIENTS[degree], 3))
     return Scene(
         **{k: rng.standard_normal((count, *s)).astype(np.float32) for k, s in shapes.items()}, **more
     )

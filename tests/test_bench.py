@@ -22,21 +22,9 @@ from svrgs_bench.skips import measure_skips
 from svrgs_bench.text import as_text
 from svrgs_bench.trial import Trial
 
-STAGES = [
-    "project",
-    "tiles",
-    "sort",
-    "blend",
-    "mask",
-    "mask_visible",
-    "raster_grads",
-    "parameter_grads",
-    "loss",
-    "adam",
-    "forward",
-    "backward",
-    "step",
-]
+STAGES = (
+    "project tiles sort blend mask mask_visible raster_grads parameter_grads loss adam forward backward step"
+).split()
 WORK = {"visible", "pairs", "used_pairs", "blocks", "hit_blocks", "evaluated", "hits", "contributing"}
 ERROR = {"image_max", "image_mean", "mask_max", "grad_rel_l2", "grad_cosine", "nonfinite", "crossed"}
 IMAGE_BOUND = 2e-5  # worst seen 1.0e-6

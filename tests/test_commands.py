@@ -40,12 +40,7 @@ def truth_file(tiny, folder: Path) -> Path:
 
 def test_info(tiny, svrgs):
     facts = svrgs("info", tiny.splat, "--json").json
-    expected = {
-        "count": tiny_dataset.COUNT,
-        "sh_degree": 1,
-        "format": "ply",
-        "bytes": tiny.splat.stat().st_size,
-    }
+    expected = dict(count=tiny_dataset.COUNT, sh_degree=1, format="ply", bytes=tiny.splat.stat().st_size)
     assert facts.items() >= (expected | {"invisible": tiny_dataset.FAINT, "nonfinite": 0}).items()
     text = svrgs("info", tiny.splat).out
     assert re.search(rf"^count +{tiny_dataset.COUNT}$", text, re.MULTILINE)

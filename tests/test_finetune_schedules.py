@@ -32,14 +32,9 @@ def test_the_position_rate_falls_log_linearly_and_scales_with_the_scene(step, ra
 
 
 def test_the_other_rates_are_those_of_3dgs():
-    expected = {
-        "log_scales": 5e-3,
-        "quats": 1e-3,
-        "opacity_logits": 0.05,
-        "sh": 2.5e-3,
-        "sh_rest": 1.25e-4,
-        "mask_logits": 0.02,
-    }
+    expected = dict(
+        log_scales=5e-3, quats=1e-3, opacity_logits=0.05, sh=2.5e-3, sh_rest=1.25e-4, mask_logits=0.02
+    )
     for step in (1, 400, 29_999):
         rates = Rates().at(step, 3.0)
         assert {name: rates[name] for name in expected} == expected

@@ -95,23 +95,9 @@ def judged(data: bytes, kind: str, path: Path) -> Scene:
 
 
 STEPS = {  # largest differences of what is read from what was written
-    ".compressed.ply": {
-        "means": 6e-3,
-        "logs": 5e-3,
-        "turn": 6e-3,
-        "alphas": 0.0022,
-        "color": 0.003,
-        "rest": 8 / 256,
-    },
+    ".compressed.ply": dict(means=6e-3, logs=5e-3, turn=6e-3, alphas=0.0022, color=0.003, rest=8 / 256),
     ".spz": {"means": 2.0**-13, "logs": 1 / 31, "turn": 6e-3, "alphas": 0.0022, "color": 0.0038, "rest": 0.5},
-    ".spz.glb": {
-        "means": 2.0**-13,
-        "logs": 1 / 31,
-        "turn": 0.2,
-        "alphas": 0.0022,
-        "color": 0.0038,
-        "rest": 0.5,
-    },
+    ".spz.glb": dict(means=2.0**-13, logs=1 / 31, turn=0.2, alphas=0.0022, color=0.0038, rest=0.5),
     ".glb": {"means": 0, "logs": 1e-6, "turn": 1e-6, "alphas": 1e-6, "color": 0, "rest": 0},
     ".usdc": {"means": 0, "logs": 1e-6, "turn": 1e-6, "alphas": 1e-6, "color": 0, "rest": 0},
     ".usda": {"means": 1e-6, "logs": 1e-6, "turn": 1e-6, "alphas": 1e-6, "color": 1e-6, "rest": 1e-6},
@@ -204,14 +190,9 @@ def test_a_ksplat_of_two_sections_is_read_as_its_own_program_reads_it(tmp_path, 
         ksplat_of([scene.select(np.arange(25)), scene.select(np.arange(25, 40))], level)
     )
     found = differences(read_scene(tmp_path / "a.ksplat"), scene)
-    close = {
-        "means": 3e-4,
-        "logs": 2e-3,
-        "turn": 3e-3,
-        "alphas": 0.0022,
-        "color": 0.0021,
-        "rest": (1e-6, 1e-3, 0.013)[level],
-    }
+    close = dict(
+        means=3e-4, logs=2e-3, turn=3e-3, alphas=0.0022, color=0.0021, rest=(1e-6, 1e-3, 0.013)[level]
+    )
     assert all(found[name] <= step for name, step in close.items()), found
 
 

@@ -71,15 +71,9 @@ def test_options_out_of_range_are_refused_when_the_job_is_made(tiny, tmp_path, b
 
 
 def test_a_zero_is_not_left_to_the_default(tmp_path):
-    asked = {
-        "data": "x",
-        "iterations": 0,
-        "recovery": 0,
-        "holdout": 0,
-        "min_contribution": 0.0,
-        "visible_mask": False,
-        "images": "",
-    }
+    asked = dict(
+        data="x", iterations=0, recovery=0, holdout=0, min_contribution=0.0, visible_mask=False, images=""
+    )
     (tmp_path / "job.json").write_text(json.dumps(GOOD | {"options": asked}))
     options = JobFolder(tmp_path).options()
     assert (
@@ -89,17 +83,10 @@ def test_a_zero_is_not_left_to_the_default(tmp_path):
     assert options.visible_mask is False and options.images == ""
 
 
-LINKS = [
-    "messages.jsonl",
-    "log.txt",
-    "metrics.csv",
-    "pruned.ply",
-    "state.json",
-    "stop",
-    "previews",
-    "previews/0000001.png",
-    "recovered.ply.job",
-]
+LINKS = (
+    "messages.jsonl log.txt metrics.csv pruned.ply state.json stop previews previews/0000001.png"
+    " recovered.ply.job"
+).split()
 
 
 @with_links
@@ -207,15 +194,7 @@ def test_hostile_states_and_metrics_show_nothing_that_is_not_a_fact(tiny, tmp_pa
     folder = create(tmp_path / "job", tiny)
     folder.write_json(
         "state.json",
-        {
-            "state": "running",
-            "count": "many",
-            "psnr": "x",
-            "total": True,
-            "iteration": 3,
-            "evil": 1,
-            "text": ["a"],
-        },
+        dict(state="running", count="many", psnr="x", total=True, iteration=3, evil=1, text=["a"]),
     )
     assert folder.state() == {"state": "running", "iteration": 3}
     (folder / "metrics.csv").write_bytes(

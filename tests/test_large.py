@@ -347,11 +347,9 @@ def test_steps_that_are_missing_are_named(source, cameras, tmp_path):
 
 
 def test_columns_that_are_lost_are_named(tmp_path, caplog):
-    columns = {
-        "label": np.zeros(20, np.uint8),
-        "nx": np.zeros(20, np.float32),
-        "svrgs_row": np.arange(20, dtype=np.int32),
-    }
+    columns = dict(
+        label=np.zeros(20, np.uint8), nx=np.zeros(20, np.float32), svrgs_row=np.arange(20, dtype=np.int32)
+    )
     write_scene(tmp_path / "a.ply", replace(room(20, 0), attributes=columns))
     divide(tmp_path / "a.ply", tmp_path / "b")
     assert "left out: label" in caplog.text and "svrgs_row" not in caplog.text

@@ -93,11 +93,9 @@ def test_no_view_that_decided_measures(svrgs, tiny, tmp_path, monkeypatch, way):
     monkeypatch.setattr(Likeness, "measured", of_likeness)
     monkeypatch.setattr(fine_tuned, "evaluate", of_dataset)
     write_cameras_json(tmp_path / "cameras.json", tiny.cameras[:6])
-    places = {
-        "scene": shutil.copy(tiny.splat, tmp_path),
-        "data": tiny.folder,
-        "cameras": tmp_path / "cameras.json",
-    }
+    places = dict(
+        scene=shutil.copy(tiny.splat, tmp_path), data=tiny.folder, cameras=tmp_path / "cameras.json"
+    )
     result = svrgs(*WAYS[way].format(**places, out=tmp_path / "o.ply").split()).json
     assert names and all(name.startswith("between_") for name in names), names
     assert 15 < result["psnr"] < 60 and result["seen"] > 0.5 and result["seen_views"] > 4

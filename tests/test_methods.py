@@ -79,19 +79,9 @@ def test_names_and_menu_numbers_are_each_one_method_s():
     """Numbers are stored in .blend files; the first ones never change."""
     assert len({method.number for method in METHODS.values()}) == len(METHODS)
     first = (
-        "removal",
-        "svr",
-        "svr-self",
-        "svr-even",
-        "svr-a",
-        "svr-b",
-        "saliency",
-        "maskgs",
-        "maskgs-alpha",
-        "maskgs-beta",
-        "maskgs-gamma",
-    )
-    first += ("compact3dgs", "gns", "lightgaussian", "opacity", "contribution", "max-contribution", "pup")
+        "removal svr svr-self svr-even svr-a svr-b saliency maskgs maskgs-alpha maskgs-beta maskgs-gamma"
+        " compact3dgs gns lightgaussian opacity contribution max-contribution pup"
+    ).split()
     assert [METHODS[name].number for name in first] == list(range(len(first)))
     assert all(method.help and method.name == name for name, method in METHODS.items())
 

@@ -33,11 +33,9 @@ def torch_step(
     state = [columns_of(moment) for moment in unpacked(moments, param.shape)]
     for twin, g, m, v in zip(twins, columns_of(grad), *state, strict=True):
         twin.grad = torch.tensor(g)
-        optimiser.state[twin] = {
-            "step": torch.tensor(step - 1.0),
-            "exp_avg": torch.tensor(m),
-            "exp_avg_sq": torch.tensor(v),
-        }
+        optimiser.state[twin] = dict(
+            step=torch.tensor(step - 1.0), exp_avg=torch.tensor(m), exp_avg_sq=torch.tensor(v)
+        )
     optimiser.step()
     states = [optimiser.state[twin] for twin in twins]
     m, v = (np.stack([s[name] for s in states], 1).reshape(param.shape) for name in ("exp_avg", "exp_avg_sq"))

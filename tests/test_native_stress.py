@@ -31,16 +31,7 @@ CAMERAS = scenes.CAMERAS | scenes.ORTHOGRAPHIC
 
 
 HOSTILE_CAMERAS = (
-    "plain",
-    "rotated",
-    "off_centre",
-    "outside",
-    "wide",
-    "narrow",
-    "inside",
-    "pixel",
-    "parallel_plain",
-    "parallel_inside",
+    "plain rotated off_centre outside wide narrow inside pixel parallel_plain parallel_inside".split()
 )
 
 

@@ -44,13 +44,7 @@ def dataset_of(options: PruneOptions):
 
 
 def prune(path, **more) -> dict:
-    options = {
-        "target": 0.25,
-        "recovery": 40,
-        "out": path.with_name("small.ply"),
-        "scene": path,
-        "quiet": True,
-    } | more
+    options = dict(target=0.25, recovery=40, out=path.with_name("small.ply"), scene=path, quiet=True) | more
     return prune_scene(PruneOptions(**options))
 
 

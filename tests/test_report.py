@@ -19,24 +19,12 @@ from svrgs_addon.prune.report.swing import swing
 from svrgs_addon.system.errors import SceneError
 from svrgs_bench.scenes import orbit_camera, room
 
-BEFORE = {
-    "psnr": 27.41,
-    "ssim": 0.8912,
-    "lpips": None,
-    "flip": 0.1022,
-    "count": 1234567,
-    "bytes": 291_234_567,
-    "ms_per_frame": 41.2,
-}
-AFTER = {
-    "psnr": 27.38,
-    "ssim": 0.8921,
-    "lpips": None,
-    "flip": 0.1031,
-    "count": 312345,
-    "bytes": 73_623_423,
-    "ms_per_frame": 16.9,
-}
+BEFORE = dict(
+    psnr=27.41, ssim=0.8912, lpips=None, flip=0.1022, count=1234567, bytes=291_234_567, ms_per_frame=41.2
+)
+AFTER = dict(
+    psnr=27.38, ssim=0.8921, lpips=None, flip=0.1031, count=312345, bytes=73_623_423, ms_per_frame=16.9
+)
 
 
 class Page(HTMLParser):

@@ -95,11 +95,9 @@ def test_damaged_files_get_one_sentence(ordered, saved, case):
         made = read_ply(saved / MERGED)
         write_ply(saved / MERGED, made.select(np.arange(made.count - 1)))
     else:
-        changed = {
-            "shape": table[:, :2],
-            "row": table + [[10_000, 0, 0]],
-            "twice": np.concatenate([table[:1], table[:-1]]),
-        }
+        changed = dict(
+            shape=table[:, :2], row=table + [[10_000, 0, 0]], twice=np.concatenate([table[:1], table[:-1]])
+        )
         changed |= {"born": np.where([[0, 1, 0]], table + 50, table), "gap": table[1:]}
         np.save(saved / ORDER, changed[case].astype(np.int32))
     with pytest.raises(SplatError) as raised:

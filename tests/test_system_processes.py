@@ -99,11 +99,8 @@ def test_a_child_shares_the_console_or_has_none(windows, started, console, flags
     windows.console = console
     child = ChildProcess(["svrgs"])
     (job,) = windows.jobs.values()
-    assert started.options == {"creationflags": flags} and job == {
-        "processes": [77],
-        "flags": 0x2000,
-        "ended": False,
-    }
+    assert started.options == {"creationflags": flags}
+    assert job == dict(processes=[77], flags=0x2000, ended=False)
     child.ask_to_stop()
     assert not job["ended"], "the console has asked it"
     del child
@@ -113,11 +110,8 @@ def test_a_child_shares_the_console_or_has_none(windows, started, console, flags
 def test_a_group_has_no_console_and_outlives_this_process(windows, started):
     group = ProcessGroup(["svrgs"])
     (job,) = windows.jobs.values()
-    assert started.options == {"creationflags": 0x08000200} and job == {
-        "processes": [77],
-        "flags": 0,
-        "ended": False,
-    }
+    assert started.options == {"creationflags": 0x08000200}
+    assert job == dict(processes=[77], flags=0, ended=False)
     group.kill()
     assert job["ended"]
     job["ended"] = False

@@ -211,14 +211,7 @@ sys.exit(main(sys.argv[2:]))
 
 @pytest.mark.parametrize(
     "module",
-    [
-        "svrgs_addon.cli.terminal",
-        "argparse",
-        "svrgs_addon.cli.commands",
-        "datetime",
-        "numpy.linalg",
-        "pycolmap._core",
-    ],
+    "svrgs_addon.cli.terminal argparse svrgs_addon.cli.commands datetime numpy.linalg pycolmap._core".split(),
 )
 def test_ctrl_c_while_modules_are_imported(tiny, module):
     words = f"{module} render {tiny.splat} --data {tiny.folder} --out {tiny.folder}/none".split()

@@ -101,16 +101,7 @@ def test_a_longer_training_takes_longer(method, more):
     )
 
 
-LOOKING = (
-    "removal",
-    "saliency",
-    "speedy",
-    "popspa",
-    "minisplatting",
-    "efficientgs",
-    "opacity",
-    "lightgaussian",
-)
+LOOKING = "removal saliency speedy popspa minisplatting efficientgs opacity lightgaussian".split()
 
 
 @pytest.mark.parametrize("method", [*LOOKING, "reduced3dgs", "maskgs", "gns"])

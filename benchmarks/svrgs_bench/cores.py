@@ -43,12 +43,7 @@ def measure_cores(repeat: int, progress: Callable[[str], None], cases=CASES) -> 
             facts = {"count": count, "width": size[0], "height": size[1], "what": name}
             entries.append(facts | _foreseen(call, repeat) | _measured(call, repeat))
     library.set_threads(0)
-    return {
-        "cores": physical_cores(),
-        "threads": library.threads(),
-        "arithmetic": _arithmetic(),
-        "entries": entries,
-    }
+    return dict(cores=physical_cores(), threads=library.threads(), arithmetic=_arithmetic(), entries=entries)
 
 
 def physical_cores() -> int | None:

@@ -36,11 +36,7 @@ def _entry(
     of the entry."""
     readings = rounds(once, repeat)
     on, off = readings["on"], readings["off"]
-    times = {
-        "on_ms": 1e3 * float(np.median(on)),
-        "off_ms": 1e3 * float(np.median(off)),
-        "gain": ratio(off, on),
-    }
+    times = dict(on_ms=1e3 * float(np.median(on)), off_ms=1e3 * float(np.median(off)), gain=ratio(off, on))
     return {"skip": skip, "stage": stage, **times, "image_max": image_max, **more}
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from extension import DATA, part
 from mathutils import Matrix
-from view_helpers import LEVEL, drawn, f12, mark_removed, pixels
+from view_helpers import LEVEL, add_geometry_nodes, drawn, f12, mark_removed, pixels
 
 pytestmark = pytest.mark.usefixtures("stage")
 
@@ -211,29 +211,19 @@ def test_removed_gaussians_are_not_drawn(tmp_path, stage, gaussians, room, camer
 
 def test_modifiers_count(tmp_path, stage, gaussians, room, camera):
     """Geometry nodes that delete the later half of the points."""
-    group = bpy.data.node_groups.new("half", "GeometryNodeTree")
-    for side in ("INPUT", "OUTPUT"):
-        group.interface.new_socket("Geometry", in_out=side, socket_type="NodeSocketGeometry")
-    kinds = (
-        "NodeGroupInput",
-        "NodeGroupOutput",
-        "GeometryNodeDeleteGeometry",
-        "FunctionNodeCompare",
-        "GeometryNodeInputIndex",
-    )
-    into, out, delete, compare, index = (group.nodes.new(kind) for kind in kinds)
-    compare.data_type, compare.operation = "INT", "GREATER_EQUAL"
-    number, limit = (socket for socket in compare.inputs if socket.enabled)
-    limit.default_value = gaussians.count // 2
-    wires = (
-        (into, 0, delete.inputs[0]),
-        (index, 0, number),
-        (compare, 0, delete.inputs[1]),
-        (delete, 0, out.inputs[0]),
-    )
-    for node, socket, to in wires:
-        group.links.new(node.outputs[socket], to)
-    room.modifiers.new("half", "NODES").node_group = group
+
+    def half(group, geometry):
+        index, compare = map(group.nodes.new, ("GeometryNodeInputIndex", "FunctionNodeCompare"))
+        compare.data_type, compare.operation = "INT", "GREATER_EQUAL"
+        number, limit = (socket for socket in compare.inputs if socket.enabled)
+        limit.default_value = gaussians.count // 2
+        group.links.new(index.outputs[0], number)
+        delete = group.nodes.new("GeometryNodeDeleteGeometry")
+        group.links.new(geometry, delete.inputs[0])
+        group.links.new(compare.outputs[0], delete.inputs[1])
+        return delete.outputs[0]
+
+    add_geometry_nodes(room, half)
     expected = drawn(gaussians.select(np.arange(gaussians.count // 2)), camera, room.matrix_world)["rgb"]
     assert np.abs(f12(tmp_path / "f12.png")[..., :3] - expected).max() <= LEVEL
 

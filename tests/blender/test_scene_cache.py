@@ -6,6 +6,7 @@ import bpy
 import numpy as np
 import pytest
 from extension import part
+from view_helpers import add_geometry_nodes
 
 pytestmark = pytest.mark.usefixtures("stage")
 
@@ -20,26 +21,16 @@ def test_gaussians_that_change_by_frame_are_read_anew_and_others_are_not(
 ):
     """Geometry nodes that move the points up with time."""
     still = bridge.object_from_scene("still", gaussians, stage.collection)
-    group = bpy.data.node_groups.new("rising", "GeometryNodeTree")
-    for side in ("INPUT", "OUTPUT"):
-        group.interface.new_socket("Geometry", in_out=side, socket_type="NodeSocketGeometry")
-    kinds = (
-        "NodeGroupInput",
-        "NodeGroupOutput",
-        "GeometryNodeSetPosition",
-        "ShaderNodeCombineXYZ",
-        "GeometryNodeInputSceneTime",
-    )
-    into, out, move, offset, time = (group.nodes.new(kind) for kind in kinds)
-    wires = (
-        (into.outputs[0], move.inputs[0]),
-        (time.outputs["Frame"], offset.inputs[2]),
-        (offset.outputs[0], move.inputs["Offset"]),
-        (move.outputs[0], out.inputs[0]),
-    )
-    for socket, to in wires:
-        group.links.new(socket, to)
-    room.modifiers.new("rising", "NODES").node_group = group
+
+    def rising(group, geometry):
+        time, offset = map(group.nodes.new, ("GeometryNodeInputSceneTime", "ShaderNodeCombineXYZ"))
+        move = group.nodes.new("GeometryNodeSetPosition")
+        group.links.new(geometry, move.inputs[0])
+        group.links.new(time.outputs["Frame"], offset.inputs[2])
+        group.links.new(offset.outputs[0], move.inputs["Offset"])
+        return move.outputs[0]
+
+    add_geometry_nodes(room, rising)
     stage.frame_set(1)
     before = seen_number(room), seen_number(still)
     stage.frame_set(3)

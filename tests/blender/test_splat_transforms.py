@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from extension import part
 from mathutils import Euler, Matrix
-from view_helpers import drawn, f12
+from view_helpers import add_geometry_nodes, drawn, f12
 
 PLACES = {"a": Matrix(), "b": Matrix.LocRotScale((2, 1, 0.5), Euler((1.0, 2.0, 3.0)), (1.7, 1.7, 1.7))}
 
@@ -252,15 +252,6 @@ def test_f12_is_the_same_before_and_after(two, tmp_path, camera, stage):
 # --- what changes the picture, in a known way
 
 
-def node_group(build) -> bpy.types.NodeTree:
-    group = bpy.data.node_groups.new("test", "GeometryNodeTree")
-    for direction in ("INPUT", "OUTPUT"):
-        group.interface.new_socket("Geometry", in_out=direction, socket_type="NodeSocketGeometry")
-    given, out = group.nodes.new("NodeGroupInput"), group.nodes.new("NodeGroupOutput")
-    group.links.new(build(group, given.outputs[0]), out.inputs[0])
-    return group
-
-
 def transform_nodes(group, geometry):
     node = group.nodes.new("GeometryNodeTransform")
     node.inputs["Rotation"].default_value, node.inputs["Scale"].default_value = (0.5, 0.6, 0.7), (2, 2, 2)
@@ -270,15 +261,8 @@ def transform_nodes(group, geometry):
 
 def crop_nodes(group, geometry):
     """Deletes the points with x > 0."""
-    position, parts, compare, delete = (
-        group.nodes.new(kind)
-        for kind in (
-            "GeometryNodeInputPosition",
-            "ShaderNodeSeparateXYZ",
-            "FunctionNodeCompare",
-            "GeometryNodeDeleteGeometry",
-        )
-    )
+    position, parts = map(group.nodes.new, ("GeometryNodeInputPosition", "ShaderNodeSeparateXYZ"))
+    compare, delete = map(group.nodes.new, ("FunctionNodeCompare", "GeometryNodeDeleteGeometry"))
     compare.operation = "GREATER_THAN"
     group.links.new(position.outputs[0], parts.inputs[0])
     group.links.new(parts.outputs["X"], compare.inputs[0])
@@ -291,10 +275,7 @@ def scatter_nodes(realized: bool):
     """The splat on each of four points of a square."""
 
     def build(group, geometry):
-        grid, instance = (
-            group.nodes.new("GeometryNodeMeshGrid"),
-            group.nodes.new("GeometryNodeInstanceOnPoints"),
-        )
+        grid, instance = map(group.nodes.new, ("GeometryNodeMeshGrid", "GeometryNodeInstanceOnPoints"))
         for name, value in {"Size X": 4.0, "Size Y": 4.0, "Vertices X": 2, "Vertices Y": 2}.items():
             grid.inputs[name].default_value = value
         instance.inputs["Rotation"].default_value = (0.2, 0.1, 0.9)
@@ -337,14 +318,14 @@ def test_modifiers_are_seen_and_exported(two, tmp_path, bridge, name, look):
     expected = in_world(
         [(bridge.scene_from_object(a), a.matrix_world), *expect(bridge.scene_from_object(b), b.matrix_world)]
     )
-    b.modifiers.new("test", "NODES").node_group = node_group(build)
+    add_geometry_nodes(b, build)
     bpy.context.view_layer.update()
     assert_looks_like(LOOKS[look](tmp_path), expected)
 
 
 def test_all_stored_leaves_modifiers_out(two, tmp_path, bridge, ply):
     _, b = two
-    b.modifiers.new("test", "NODES").node_group = node_group(crop_nodes)
+    add_geometry_nodes(b, crop_nodes)
     activate(b)
     bpy.ops.svrgs.export_ply(filepath=str(tmp_path / "all.ply"), what="STORED", space="LOCAL")
     assert ply.read_ply(tmp_path / "all.ply").means.tobytes() == bridge.scene_from_object(b).means.tobytes()

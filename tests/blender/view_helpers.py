@@ -40,6 +40,16 @@ def drawn(scene, camera, matrix, outputs=("rgb",), **options) -> dict:
     return images | {"rgb": np.round(np.clip(images["rgb"], 0, 1) * 255) / 255} if "rgb" in images else images
 
 
+def add_geometry_nodes(obj, build):
+    """build(group, geometry) makes the nodes that change it, and returns what they give."""
+    group = bpy.data.node_groups.new("test", "GeometryNodeTree")
+    for direction in ("INPUT", "OUTPUT"):
+        group.interface.new_socket("Geometry", in_out=direction, socket_type="NodeSocketGeometry")
+    given, out = group.nodes.new("NodeGroupInput"), group.nodes.new("NodeGroupOutput")
+    group.links.new(build(group, given.outputs[0]), out.inputs[0])
+    obj.modifiers.new("test", "NODES").node_group = group
+
+
 def mark_removed(obj, removed: np.ndarray):
     obj.data.attributes.new("removed", "INT8", "POINT").data.foreach_set("value", removed.astype(np.int8))
     obj.data.update_tag()

@@ -15,25 +15,8 @@ BINARY = [
     b"\0\0\xc0\x7f",
     b"\x01",
 ]
-TEXT = [
-    b"nan",
-    b"inf",
-    b"-1",
-    b"1e400",
-    b"4294967296",
-    b"18446744073709551615",
-    b"99999999999",
-    b" ",
-    b"\n",
-    b"\0",
-    b"\xff",
-    b"null",
-    b"[]",
-    b"{}",
-    b'"',
-    b"../",
-    b"\n\n",
-]
+TEXT = [*b"nan inf -1 1e400 4294967296 18446744073709551615 99999999999".split(), b" ", b"\n"]
+TEXT += [*b'\0 \xff null [] {} " ../'.split(), b"\n\n"]
 
 
 def mutated(seed: bytes, chance: random.Random) -> bytes:

@@ -113,18 +113,7 @@ def transforms_contents() -> list[dict]:
     """Pinholes as instant-ngp writes them, and a lens with distortion as Nerfstudio does."""
     pose = [[1.0, 0.0, 0.0, 0.1], [0.0, 0.0, -1.0, -3.0], [0.0, 1.0, 0.0, 0.2], [0.0, 0.0, 0.0, 1.0]]
     frames = [{"file_path": f"./images/{i:02}.png", "transform_matrix": pose} for i in range(2)]
-    lens = {
-        "fl_x": 60.0,
-        "fl_y": 58.0,
-        "cx": 31.0,
-        "cy": 25.0,
-        "w": 64,
-        "h": 48,
-        "k1": -0.1,
-        "k2": 0.02,
-        "p1": 0.002,
-        "p2": -0.001,
-    }
+    lens = dict(fl_x=60.0, fl_y=58.0, cx=31.0, cy=25.0, w=64, h=48, k1=-0.1, k2=0.02, p1=0.002, p2=-0.001)
     named = {"camera_model": "OPENCV", "applied_transform": pose[:3], "ply_file_path": "sparse_pc.ply"}
     return [
         {"camera_angle_x": 0.9, "w": 64, "h": 48, "frames": frames},
