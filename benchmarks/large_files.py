@@ -76,10 +76,8 @@ def main() -> int:
             flush=True,
         )
         for suffix in words.to:
-            out, repeats = (
-                Path(folder) / (f"out{suffix}" if suffix.startswith(".") else f"out/{suffix}"),
-                1 if large else REPEATS,
-            )
+            out = Path(folder) / (f"out{suffix}" if suffix.startswith(".") else f"out/{suffix}")
+            repeats = 1 if large else REPEATS
             runs = []
             for _ in range(repeats):
                 out.unlink(missing_ok=True)

@@ -130,10 +130,8 @@ def panorama_rows(scene, viewmat: np.ndarray) -> Iterator[str]:
     ]
     started = time.process_time()
     composite_panorama(draw, large)
-    seconds, steps = (
-        time.process_time() - started,
-        [largest_step(panorama, draw) for panorama in (small, large)],
-    )
+    seconds = time.process_time() - started
+    steps = [largest_step(panorama, draw) for panorama in (small, large)]
     yield (
         "| Gaussians | error, 6 views | error, 26 views | error, here | step at 1024 | step at 4096 | CPU"
         " seconds at 4096 x 2048 |"
@@ -185,10 +183,8 @@ def main():
     scene, viewmat = room(150_000), np.eye(4)
     viewmat[:3, 3] = 0.3, 0.2, 0.5
     if options.scene:
-        scene, viewmat = (
-            load_scene(options.scene),
-            read_model(find_model(options.data)).views[options.view].viewmat,
-        )
+        scene = load_scene(options.scene)
+        viewmat = read_model(find_model(options.data)).views[options.view].viewmat
     print(*panorama_rows(scene, viewmat), "", sep="\n")
     set_threads(1)
     print(*mesh_rows(), sep="\n")

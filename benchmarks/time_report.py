@@ -23,10 +23,8 @@ def in_time(rows: list[dict], charts: Path) -> str:
 
 def of_scene(scene: str, rows: list[dict], charts: Path) -> list[str]:
     """The lines of one scene: its chart, and PSNR, LPIPS and steps of each method in each time."""
-    methods, limits = (
-        sorted({row["method"] for row in rows}, key=lambda name: (name != "removal", name)),
-        sorted({row["time"]["asked"] for row in rows}),
-    )
+    methods = sorted({row["method"] for row in rows}, key=lambda name: (name != "removal", name))
+    limits = sorted({row["time"]["asked"] for row in rows})
     curves = {
         name: sorted(
             (row["time"]["used"], row["psnr"], row["lpips"]) for row in rows if row["method"] == name

@@ -40,12 +40,8 @@ def copied(model: Model) -> dict[str, np.ndarray]:
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_it_is_the_mean(monkeypatch, dtype):
     monkeypatch.setattr(averaging, "ROWS", 7)
-    model, rng, average, seen = (
-        Model.of(scenes.random_scene(30, 2, 1), dtype),
-        np.random.default_rng(1),
-        Average(),
-        [],
-    )
+    model, rng, average = Model.of(scenes.random_scene(30, 2, 1), dtype), np.random.default_rng(1), Average()
+    seen = []
     for _ in range(20):
         for name in PARAMETERS:
             getattr(model, name)[:] += rng.normal(0, 0.1, getattr(model, name).shape)
@@ -55,9 +51,8 @@ def test_it_is_the_mean(monkeypatch, dtype):
     for name in PARAMETERS:
         reference = np.mean([values[name] for values in seen], axis=0)
         bound = 20 * np.finfo(dtype).eps * np.max([np.abs(values[name]) for values in seen], axis=0)
-        assert (
-            getattr(model, name).dtype == dtype and (np.abs(getattr(model, name) - reference) <= bound).all()
-        )
+        assert getattr(model, name).dtype == dtype
+        assert (np.abs(getattr(model, name) - reference) <= bound).all()
 
 
 def test_values_that_do_not_change_stay_as_they_are():
@@ -120,13 +115,10 @@ def test_it_begins_again_when_gaussians_go():
 def test_memory_and_disk_for_it_are_foreseen():
     plan = replace(prune_settings("removal", 10, STEPS), target=900)
     assert plan.averaged_count(1000) == 900 and replace(plan, target=0, share=0.5).averaged_count(1000) == 500
-    assert (
-        replace(plan, target=0).averaged_count(1000) == 1000
-        and prune_settings("maskgs", 10, STEPS).averaged_count(1000) == 0
-    )
+    assert replace(plan, target=0).averaged_count(1000) == 1000
+    assert prune_settings("maskgs", 10, STEPS).averaged_count(1000) == 0
     values = 4 * (memory.ROW_FLOATS + 3 * 16)
     needed = [memory.tuning(1000, 16, [scenes.camera(8, 8)], 0, averaged) for averaged in (0, 100, 900)]
     assert needed[0] == needed[1] and needed[2] - needed[0] == 900 * values - 100 * memory.PROJECTED
-    assert memory.checkpoint(1000, 16, 1000) - memory.checkpoint(
-        1000, 16
-    ) == 1000 * values and memory.checkpoint(1000, 16, 100) == memory.checkpoint(1000, 16)
+    assert memory.checkpoint(1000, 16, 1000) - memory.checkpoint(1000, 16) == 1000 * values
+    assert memory.checkpoint(1000, 16, 100) == memory.checkpoint(1000, 16)

@@ -71,18 +71,13 @@ def check_batch(python: list, scenes: Path):
         done.stderr
     )
     for line in (a, c):
-        assert (
-            line["count"] == line["after"]["count"] == 125 == read_scene(line["out"]).count
-            and "error" not in line
-        )
+        assert line["count"] == line["after"]["count"] == 125 == read_scene(line["out"]).count
+        assert "error" not in line
     assert sorted(path.name for path in (scenes / "out").iterdir()) == ["a.spz", "c.spz"]
     again = run(*command)
     skipped = [line.get("skipped") for line in lines(again)]
-    assert (
-        again.returncode != 0
-        and skipped == ["the output exists", None, "the output exists"]
-        and "error" in lines(again)[1]
-    )
+    assert again.returncode != 0 and skipped == ["the output exists", None, "the output exists"]
+    assert "error" in lines(again)[1]
 
 
 # --- from a shell
@@ -156,9 +151,8 @@ def test_a_job_that_dies_is_reported(tmp_path, monkeypatch):
     deadly.chmod(0o755)
     monkeypatch.setattr(worker.sys, "executable", str(deadly))
     status, result = worker.run_in_child(PruneOptions(scene=Path("a.ply")))
-    assert status == -signal.SIGKILL and result == {
-        "error": "the job ended without a result (exit status -9)"
-    }
+    assert status == -signal.SIGKILL
+    assert result == {"error": "the job ended without a result (exit status -9)"}
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
@@ -176,9 +170,8 @@ def test_a_stopped_batch_can_be_resumed(tiny, tmp_path, number, entry, everyone)
     output, errors = process.communicate(timeout=60)
     assert process.returncode == 130 and "Traceback" not in errors and "***" not in errors, errors
     (line,) = output.splitlines()
-    assert (
-        json.loads(line)["scene"] == str(tmp_path / "a/scene.ply") and "stopped" in json.loads(line)["error"]
-    )
+    assert json.loads(line)["scene"] == str(tmp_path / "a/scene.ply")
+    assert "stopped" in json.loads(line)["error"]
     assert sorted(path.name for path in tmp_path.glob("*/*pruned*")) == ["scene_pruned.spz.job"]
     assert len(list(tmp_path.glob("a/*.job/*/manifest.json"))) == 1, "the next scene must not have begun"
 

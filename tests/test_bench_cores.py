@@ -32,11 +32,8 @@ def test_each_task_of_one_thread_is_timed():
     took = []
     jobs = traced(lambda: took.append(seconds(rasterizer.forward, scene, camera, RenderOptions())))
     bins = -(-160 // 128) * -(-120 // 128)  # of 16 tiles, each of which is a task, too
-    assert (
-        len(jobs) >= 4
-        and any(len(job) == 17 * bins for job in jobs)
-        and all((job >= 0).all() for job in jobs)
-    )
+    assert len(jobs) >= 4 and any(len(job) == 17 * bins for job in jobs)
+    assert all((job >= 0).all() for job in jobs)
     assert 0.2 * took[0] < sum(job.sum() for job in jobs) < took[0]
     assert len(traced(lambda: None)) == 0
     rasterizer.forward(scene, camera, RenderOptions())
@@ -46,10 +43,8 @@ def test_each_task_of_one_thread_is_timed():
 
 def test_more_threads_are_foreseen_to_be_faster_up_to_the_serial_part():
     found = measure_cores(3, lambda _: None, ((5_000, (320, 192)),))
-    assert [entry["what"] for entry in found["entries"]] == [
-        "picture",
-        "step",
-    ] and library.threads() == found["threads"]
+    assert [entry["what"] for entry in found["entries"]] == ["picture", "step"]
+    assert library.threads() == found["threads"]
     for entry in found["entries"]:
         speed = [entry["speed_up"][str(count)] for count in COUNTS]
         assert speed[0] == pytest.approx(1, abs=1e-3) and speed == sorted(speed) and 0 < entry["serial"] < 0.9
@@ -57,10 +52,8 @@ def test_more_threads_are_foreseen_to_be_faster_up_to_the_serial_part():
             value <= min(count, 1 / entry["serial"]) * 1.2 for value, count in zip(speed, COUNTS, strict=True)
         )
         assert entry["measured"]["1"] == 1 and set(entry["measured"]) <= {str(count) for count in COUNTS}
-        assert (
-            set(entry["measured_ms"]) == set(entry["measured"]) == set(found["arithmetic"])
-            and min(entry["measured_ms"].values()) > 0
-        )
+        assert set(entry["measured_ms"]) == set(entry["measured"]) == set(found["arithmetic"])
+        assert min(entry["measured_ms"].values()) > 0
     assert found["arithmetic"]["1"] == 1
 
 

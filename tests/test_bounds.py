@@ -78,11 +78,8 @@ def test_the_sphere_holds_the_turned_box():
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = 2 * np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]]), (5, 0, 0)
     places = corners(np.array([[0, 0, 0], [1, 2, 3]]), matrix)
-    assert (
-        places.shape == (8, 3)
-        and np.allclose(places.min(0), (1, 0, 0))
-        and np.allclose(places.max(0), (5, 2, 6))
-    )
+    assert places.shape == (8, 3) and np.allclose(places.min(0), (1, 0, 0))
+    assert np.allclose(places.max(0), (5, 2, 6))
     centre, radius = sphere_around(places)
     assert np.allclose(centre, (3, 1, 3)) and np.isclose(radius, np.sqrt(1 + 4 + 9) / 2 * 2)
 

@@ -54,21 +54,13 @@ def few_views(small_rig, monkeypatch):
 @pytest.mark.slow
 def test_a_quick_job_goes_over_to_blocks_where_memory_is_short(svrgs, short, source, tmp_path, caplog):
     result = svrgs("prune", source, "--quick", "--target", 0.25, "--out", tmp_path / "o.spz", "--json").json
-    assert (
-        result["count"] == result["after"]["count"] == COUNT // 4
-        and result["before"]["count"] == COUNT
-        and result["views"] == job_views.PLACED_FOR_QUICK
-    )
+    assert result["count"] == result["after"]["count"] == COUNT // 4 and result["before"]["count"] == COUNT
+    assert result["views"] == job_views.PLACED_FOR_QUICK
     assert result["psnr"] > 25 and result["ssim"] > 0.8 and 0 < result["flip"] < 0.2 and result["blocks"] == 1
-    assert (
-        read_scene(tmp_path / "o.spz").count == COUNT // 4
-        and result["bytes"] == (tmp_path / "o.spz").stat().st_size
-    )
-    assert (
-        "of memory" in result["notes"][0]
-        and "pruned by blocks" in result["notes"][0]
-        and "it is pruned by blocks" in caplog.text
-    )
+    assert read_scene(tmp_path / "o.spz").count == COUNT // 4
+    assert result["bytes"] == (tmp_path / "o.spz").stat().st_size
+    assert "of memory" in result["notes"][0] and "pruned by blocks" in result["notes"][0]
+    assert "it is pruned by blocks" in caplog.text
     assert [path.name for path in tmp_path.iterdir()] == ["o.spz"], "the blocks are removed"
 
 
@@ -78,11 +70,8 @@ def test_advice_that_is_followed_is_not_given(svrgs, monkeypatch, source, tmp_pa
     note = svrgs("prune", source, "--quick", "--target", 0.25, "--out", tmp_path / "o.ply", "--json").json[
         "notes"
     ][0]
-    assert (
-        "reading it needs" in note
-        and "are available; so it was pruned by blocks" in note
-        and "svrgs large" not in note
-    )
+    assert "reading it needs" in note and "are available; so it was pruned by blocks" in note
+    assert "svrgs large" not in note
 
 
 def test_outputs_are_checked_before_cameras_are_placed(svrgs, monkeypatch, source, tmp_path):
@@ -147,11 +136,9 @@ def test_the_cameras_of_a_dataset_are_taken_for_a_quick_job(svrgs, short, tiny, 
     result = svrgs(
         f"prune {tiny.splat} --data {tiny.folder} --quick --target 0.5 --out {tmp_path}/o.ply", "--json"
     ).json
-    assert (
-        result["count"] == round(result["before"]["count"] / 2)
-        and result["views"] < job_views.PLACED_FOR_QUICK
-        and result["notes"][1:] == ["10 views see 91% of the Gaussians"]
-    )
+    assert result["count"] == round(result["before"]["count"] / 2)
+    assert result["views"] < job_views.PLACED_FOR_QUICK
+    assert result["notes"][1:] == ["10 views see 91% of the Gaussians"]
 
 
 @pytest.mark.slow
@@ -159,19 +146,14 @@ def test_the_cameras_of_a_dataset_are_taken_for_a_quick_job(svrgs, short, tiny, 
 def test_a_drop_is_held(svrgs, short, source, tmp_path, suffix):
     out = tmp_path / f"o{suffix}"
     result = svrgs("prune", source, "--quick", "--max-drop", 0.4, "--out", out, "--json").json
-    assert (
-        0 < result["drop"] <= 0.4
-        and COUNT / 20 <= result["count"] < COUNT
-        and read_scene(out).count == result["count"]
-    )
-    assert "pruned by blocks" in result["notes"][0] and [path.name for path in tmp_path.iterdir()] == [
-        out.name
-    ]
+    assert 0 < result["drop"] <= 0.4 and COUNT / 20 <= result["count"] < COUNT
+    assert read_scene(out).count == result["count"]
+    assert "pruned by blocks" in result["notes"][0]
+    assert [path.name for path in tmp_path.iterdir()] == [out.name]
     if suffix == ".spz":
         return
-    assert abs(result["psnr_values"] - result["psnr"]) < 0.01 and not any(
-        "format" in note for note in result["notes"]
-    )
+    assert abs(result["psnr_values"] - result["psnr"]) < 0.01
+    assert not any("format" in note for note in result["notes"])
     wide = svrgs(
         "prune", source, "--quick", "--max-drop", 1.5, "--out", tmp_path / f"wide{suffix}", "--json"
     ).json
@@ -192,18 +174,13 @@ def test_a_drop_that_the_format_alone_exceeds_is_refused_before_views_are_scored
 @pytest.mark.slow
 def test_levels_are_files_of_their_own(svrgs, short, source, tmp_path):
     result = svrgs(f"prune {source} --quick --target 0.5 --levels 0.5,0.2 --out {tmp_path}/o.spz --json").json
-    assert result["count"] == COUNT // 2 and [level["count"] for level in result["levels"]] == [
-        COUNT // 4,
-        COUNT // 10,
-    ]
+    assert result["count"] == COUNT // 2
+    assert [level["count"] for level in result["levels"]] == [COUNT // 4, COUNT // 10]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["o.spz", "o_20.spz", "o_50.spz"]
     for level in result["levels"]:
         path = Path(level["out"])
-        assert (
-            read_scene(path).count == level["count"]
-            and level["bytes"] == path.stat().st_size
-            and 15 < level["psnr"] < result["psnr"]
-        )
+        assert read_scene(path).count == level["count"] and level["bytes"] == path.stat().st_size
+        assert 15 < level["psnr"] < result["psnr"]
 
 
 @pytest.mark.slow
@@ -214,12 +191,8 @@ def test_without_a_number_the_result_is_the_whole_scene(svrgs, short, monkeypatc
     )
     tuned = []
     result = svrgs("prune", source, "--quick", "--levels", "0.3", "--out", tmp_path / "o.ply", "--json").json
-    assert (
-        result["count"] == COUNT
-        and result["psnr"] > 60
-        and result["levels"][0]["count"] == round(0.3 * COUNT)
-        and len(tuned) == 1
-    )
+    assert result["count"] == COUNT and result["psnr"] > 60
+    assert result["levels"][0]["count"] == round(0.3 * COUNT) and len(tuned) == 1
 
 
 @pytest.mark.slow
@@ -232,14 +205,10 @@ def test_levels_of_a_streamed_sog_are_in_it(svrgs, short, source, tmp_path):
         COUNT // 2,
         COUNT // 10,
     ] and not any(out.parent.glob("*.blocks"))
-    assert (
-        result["out"] == result["levels"][0]["out"] == str(out)
-        and result["levels"][0]["count"] == COUNT // 10
-    )
-    assert (
-        result["bytes"] + result["levels"][0]["bytes"] + out.stat().st_size == size_on_disk(out)
-        and result["psnr"] > result["levels"][0]["psnr"]
-    )
+    assert result["out"] == result["levels"][0]["out"] == str(out)
+    assert result["levels"][0]["count"] == COUNT // 10
+    assert result["bytes"] + result["levels"][0]["bytes"] + out.stat().st_size == size_on_disk(out)
+    assert result["psnr"] > result["levels"][0]["psnr"]
 
 
 def test_a_full_disk_is_told_before_views_are_scored(svrgs, short, monkeypatch, source, tmp_path):
@@ -248,11 +217,8 @@ def test_a_full_disk_is_told_before_views_are_scored(svrgs, short, monkeypatch, 
     )
     monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=4 * COUNT * (12 + 3 * 4) * 2))
     done = svrgs("prune", source, "--quick", "--target", 0.9, "--out", tmp_path / "o.ply")
-    assert (
-        done.status == 2
-        and "are free; free disk space or choose another folder" in done.err
-        and not any(tmp_path.iterdir())
-    )
+    assert done.status == 2 and "are free; free disk space or choose another folder" in done.err
+    assert not any(tmp_path.iterdir())
 
 
 def test_scores_and_pictures_have_room_before_the_first_view(svrgs, monkeypatch, source, tmp_path):
@@ -275,29 +241,20 @@ def test_a_format_that_loses_more_than_pruning_is_told(svrgs, source, tmp_path):
 def test_a_level_that_is_the_input_is_refused(svrgs, short, source, tmp_path):
     (tmp_path / "o_50.ply").write_bytes(source.read_bytes())
     done = svrgs(f"large prune {tmp_path}/o_50.ply --target 0.5 --levels 0.5 --out {tmp_path}/o.ply")
-    assert (
-        done.status == 2
-        and "is the input itself" in done.err
-        and [path.name for path in tmp_path.iterdir()] == ["o_50.ply"]
-    )
+    assert done.status == 2 and "is the input itself" in done.err
+    assert [path.name for path in tmp_path.iterdir()] == ["o_50.ply"]
 
 
 @pytest.mark.parametrize("words", [["--max-drop", 0.5], ["--target", 0.5, "--method", "opacity"]])
 def test_what_blocks_cannot_do_is_refused_as_before(svrgs, monkeypatch, short, source, tmp_path, words):
     monkeypatch.setattr(memory, "tuning", lambda *_: 10**15)
     done = svrgs("prune", source, *words, "--out", tmp_path / "o.ply")
-    assert (
-        done.status == 2
-        and done.err.count("svrgs large prunes it by blocks") == 1
-        and not any(tmp_path.iterdir())
-    )
+    assert done.status == 2 and done.err.count("svrgs large prunes it by blocks") == 1
+    assert not any(tmp_path.iterdir())
     monkeypatch.setattr(ply.read_ply, "__defaults__", (COUNT - 1,))
     many = svrgs("prune", source, *words, "--out", tmp_path / "o.ply")
-    assert (
-        many.status == 2
-        and "more than the limit" in many.err
-        and many.err.count("svrgs large prunes it by blocks") == 1
-    )
+    assert many.status == 2 and "more than the limit" in many.err
+    assert many.err.count("svrgs large prunes it by blocks") == 1
 
 
 def test_a_stop_leaves_nothing_behind(svrgs, short, stop_at, source, tmp_path):
@@ -311,9 +268,8 @@ def test_a_stop_between_levels_leaves_the_first_one(svrgs, short, stop_at, sourc
     stop_at("measure")
     done = svrgs("prune", source, "--quick", "--target", 0.5, "--levels", "0.5", "--out", tmp_path / "o.ply")
     assert done.status == 130 and "the files that are there are complete" in done.err
-    assert [path.name for path in tmp_path.iterdir()] == ["o.ply"] and read_scene(
-        tmp_path / "o.ply"
-    ).count == COUNT // 2
+    assert [path.name for path in tmp_path.iterdir()] == ["o.ply"]
+    assert read_scene(tmp_path / "o.ply").count == COUNT // 2
 
 
 def test_a_room_whose_inside_no_camera_sees_is_refused(source, tmp_path):
@@ -339,25 +295,18 @@ def test_cameras_are_placed_for_a_scene_that_is_too_large_too(svrgs, monkeypatch
     result = svrgs(
         f"rig {source} --views 8 --out {tmp_path}/rig.json --preview {tmp_path}/rig.png --json"
     ).json
-    assert (
-        result["views"] == 8
-        and (tmp_path / "rig.png").is_file()
-        and "placed by up to 500,000 of its Gaussians" in caplog.text
-    )
+    assert result["views"] == 8 and (tmp_path / "rig.png").is_file()
+    assert "placed by up to 500,000 of its Gaussians" in caplog.text
 
 
 def test_a_sample_covers_about_what_all_gaussians_do(monkeypatch, source):
     monkeypatch.setattr("svrgs_addon.prune.blocks.sample.MAX_SAMPLED", COUNT // 2)
     scene, enlarged = sample_of(source)
     whole = load_scene(source)
-    assert (
-        MAX_SAMPLED > COUNT
-        and scene.count == COUNT // 2
-        and enlarged == pytest.approx((COUNT / scene.count) ** 0.5, rel=0.01)
-    )
-    assert (scene.means == whole.means[:: round(enlarged**2)]).all() and np.allclose(
-        scene.log_scales, whole.log_scales[:: round(enlarged**2)] + np.log(enlarged)
-    )
+    assert MAX_SAMPLED > COUNT and scene.count == COUNT // 2
+    assert enlarged == pytest.approx((COUNT / scene.count) ** 0.5, rel=0.01)
+    assert (scene.means == whole.means[:: round(enlarged**2)]).all()
+    assert np.allclose(scene.log_scales, whole.log_scales[:: round(enlarged**2)] + np.log(enlarged))
     camera = cameras_around(whole, 1, 512)[0]
     alphas = [
         Rasterizer().forward(one, camera, render_options(one), outputs=("alpha",))["alpha"].mean()
@@ -386,26 +335,21 @@ def test_only_some_jobs_can_be_done_by_blocks(tmp_path):
     def possible(**given) -> bool:
         return by_blocks.possible(PruneOptions(scene=tmp_path / "a.ply", out=tmp_path / "b.ply", **given))
 
-    assert (
-        possible(quick=True, target=0.5) and possible(target_count=5) and possible(method="merge", target=0.5)
-    )
+    assert possible(quick=True, target=0.5) and possible(target_count=5)
+    assert possible(method="merge", target=0.5)
     assert possible(quick=True, max_drop=0.1) and possible(quick=True, target=0.5, levels=(0.5,))
     assert not possible(max_drop=0.1) and not possible(method="svr", target=0.5)
     assert not possible(target=0.5, levels=(0.5,)) and not possible(method="merge", max_drop=0.1)
     assert not possible(target=0.5, recovery=10) and not possible()
     assert plans.method_of(PruneOptions(target=0.5)).merges
     photographs = {"data": tmp_path, "iterations": 10}
-    assert (
-        possible(**photographs, target=0.5)
-        and possible(**photographs, visible_mask=True)
-        and possible(**photographs, method="svr", visible_mask=True)
-    )
+    assert possible(**photographs, target=0.5) and possible(**photographs, visible_mask=True)
+    assert possible(**photographs, method="svr", visible_mask=True)
     assert not possible(**photographs) and not possible(**photographs, method="svr", target=0.5), (
         "F counts what is hidden, too"
     )
-    assert not possible(**photographs, target=0.5, method="maskgs") and not possible(
-        **photographs, target=0.5, views_by_loss=True
-    )
+    assert not possible(**photographs, target=0.5, method="maskgs")
+    assert not possible(**photographs, target=0.5, views_by_loss=True)
     assert possible(**photographs, max_drop=0.5) and not possible(**photographs, target=0.5, time=60.0)
     assert possible(**photographs, target=0.5, schedule=0.1)
     assert (

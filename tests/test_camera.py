@@ -28,10 +28,8 @@ def test_a_world_moved_turned_and_scaled_is_seen_at_the_same_pixels(camera):
     matrix = 2.5 * scenes.camera(9, 9, eye=(1, 2, -3), roll=40).viewmat
     matrix[3, 3] = 1
     moved = camera.moved(matrix)
-    (pixels, z), (expected, depth) = (
-        seen(moved, POINTS),
-        seen(camera, POINTS @ matrix[:3, :3].T + matrix[:3, 3]),
-    )
+    (pixels, z) = seen(moved, POINTS)
+    (expected, depth) = seen(camera, POINTS @ matrix[:3, :3].T + matrix[:3, 3])
     np.testing.assert_allclose(pixels, expected, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(z, depth / 2.5, rtol=1e-12)
     np.testing.assert_allclose(moved.viewmat[:3, :3] @ moved.viewmat[:3, :3].T, np.eye(3), atol=1e-12)
@@ -68,11 +66,8 @@ def test_keys_tell_views_apart():
 def test_a_view_is_made_to_fit_but_never_enlarged():
     camera = Camera(np.eye(4), np.array([[100.0, 0, 60], [0, 100, 30], [0, 0, 1]]), 120, 60)
     small = camera.fitted(40)
-    assert (
-        (small.width, small.height) == (40, 20)
-        and small.K[0, 0] == pytest.approx(100 / 3)
-        and small.K[1, 2] == pytest.approx(10)
-    )
+    assert (small.width, small.height) == (40, 20) and small.K[0, 0] == pytest.approx(100 / 3)
+    assert small.K[1, 2] == pytest.approx(10)
     assert (camera.fitted(1_000).K == camera.K).all() and camera.fitted(1_000).width == 120
 
 

@@ -72,9 +72,8 @@ def test_a_damaged_file_among_several_is_said_and_the_others_are_converted(splat
     (tmp_path / "b.spz").write_bytes(b"NGSP broken")
     assert main(f"convert {splat} {tmp_path}/b.spz {tmp_path}/out --to .splat --json".split()) == 1
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    assert (
-        "bytes" in lines[0] and "b.spz" in lines[1]["error"] and not (tmp_path / "out" / "b.splat").exists()
-    )
+    assert "bytes" in lines[0] and "b.spz" in lines[1]["error"]
+    assert not (tmp_path / "out" / "b.splat").exists()
 
 
 def test_crop_scale_rotation_and_move_come_in_this_order(splat, tmp_path, capsys):
@@ -183,11 +182,8 @@ def test_what_cannot_be_is_one_sentence(splat, tmp_path, capsys, monkeypatch, wo
     monkeypatch.chdir(tmp_path)
     write_scene(tmp_path / "more" / "a.ply", like_trained(0, 5))
     assert main(["convert", *words]) == 2
-    assert (
-        said in capsys.readouterr().err
-        and not (tmp_path / "b.ply").exists()
-        and not (tmp_path / "b.splat").exists()
-    )
+    assert said in capsys.readouterr().err and not (tmp_path / "b.ply").exists()
+    assert not (tmp_path / "b.splat").exists()
 
 
 @pytest.mark.parametrize("suffix", (".ply", ".compressed.ply", ".spz", ".glb", ".splat", ".sog"))
@@ -202,9 +198,8 @@ def test_a_large_scene_is_converted_by_way_of_the_disk_to_the_same_file(tmp_path
     monkeypatch.setattr(memory_mapped, "LARGE", 0)
     assert main(["convert", *words, str(tmp_path / f"c{suffix}")]) == 0
     one, other = (read_scene(tmp_path / f"{name}{suffix}") for name in "bc")
-    assert (tmp_path / f"b{suffix}").read_bytes() == (
-        tmp_path / f"c{suffix}"
-    ).read_bytes() and one.count == other.count > 1000
+    assert (tmp_path / f"b{suffix}").read_bytes() == (tmp_path / f"c{suffix}").read_bytes()
+    assert one.count == other.count > 1000
     assert ("label" in one.attributes) == (suffix == ".ply")
     assert sorted(file.name for file in tmp_path.iterdir()) == sorted(["a.ply", f"b{suffix}", f"c{suffix}"])
 
@@ -218,10 +213,8 @@ def test_a_full_disk_beside_the_output_is_told(tmp_path, capsys, monkeypatch):
 
     monkeypatch.setattr(memory_mapped.tempfile, "TemporaryFile", full)
     assert main(["convert", str(tmp_path / "a.ply"), str(tmp_path / "b.spz")]) == 2
-    assert (
-        "b.spz: needs more space in its folder" in capsys.readouterr().err
-        and not (tmp_path / "b.spz").exists()
-    )
+    assert "b.spz: needs more space in its folder" in capsys.readouterr().err
+    assert not (tmp_path / "b.spz").exists()
 
 
 def test_levels_of_detail_in_files_become_one_streamed_sog(tmp_path, capsys):

@@ -51,9 +51,8 @@ def test_info_counts_what_is_not_finite(tiny, svrgs, tmp_path):
     means[3, 1] = np.nan
     write_ply(tmp_path / "bad.ply", replace(tiny.truth, means=means))
     facts = svrgs("info", tmp_path / "bad.ply", "--json").json
-    assert (facts["count"], facts["nonfinite"]) == (tiny_dataset.SEEN, 1) and np.isfinite(
-        facts["bounds"]
-    ).all()
+    assert (facts["count"], facts["nonfinite"]) == (tiny_dataset.SEEN, 1)
+    assert np.isfinite(facts["bounds"]).all()
 
 
 @pytest.mark.parametrize(
@@ -87,9 +86,8 @@ def test_render_npy_is_the_rasterizer_s_output(tiny, svrgs, tmp_path_factory, tm
     words = ("--outputs", ",".join(PICTURES), "--format npy --views 03,7 --background 2e-1,0,1")
     result = svrgs("render", splat, "--data", tiny.folder, *words, "--out", tmp_path, "--json").json
     names = [f"{view}.{output}.npy" for view in ("03", "07") for output in PICTURES]
-    assert result["files"] == [str(tmp_path / name) for name in names] and sorted(files(tmp_path)) == sorted(
-        names
-    )
+    assert result["files"] == [str(tmp_path / name) for name in names]
+    assert sorted(files(tmp_path)) == sorted(names)
     options = RenderOptions(background=(0.2, 0, 1), mask_kind="svr")
     images = Rasterizer().forward(bright, tiny.cameras[7], options, outputs=PICTURES)
     for name, image in images.items():
@@ -116,9 +114,8 @@ def test_render_png_and_exr(tiny, svrgs, tmp_path):
     photo = read_image(tiny.folder / "images/05.png")
     assert np.abs(read_image(tmp_path / "05.rgb.png") - photo).max() <= 1 / 255 + 1e-6
     assert np.abs(read_image(tmp_path / "05.rgb.exr") - photo).max() <= 0.51 / 255
-    assert (
-        read_image(tmp_path / "05.mask.png").std() > 0.05 and read_image(tmp_path / "05.depth.png").max() == 1
-    )
+    assert read_image(tmp_path / "05.mask.png").std() > 0.05
+    assert read_image(tmp_path / "05.depth.png").max() == 1
 
 
 def cameras_json(tiny, folder: Path, names: list[str] | None = None) -> Path:
@@ -186,9 +183,8 @@ def test_eval_of_the_truth_is_perfect(tiny, svrgs, tmp_path):
     assert result.keys() == MEASURES | {"notes"}
     assert result["psnr"] is None or result["psnr"] > 60  # equal images: infinite, which JSON has not
     assert result["ssim"] > 0.9999 and result["flip"] < 1e-3 and result["lpips"] is None
-    assert (result["count"], result["bytes"]) == (tiny_dataset.SEEN, truth.stat().st_size) and result[
-        "ms_per_frame"
-    ] > 0
+    assert (result["count"], result["bytes"]) == (tiny_dataset.SEEN, truth.stat().st_size)
+    assert result["ms_per_frame"] > 0
 
 
 def test_eval_splits_add_up(tiny, svrgs):
@@ -218,9 +214,8 @@ def test_eval_says_why_lpips_is_left_out(tiny, svrgs):
 def test_train_from_sparse_points(tiny, svrgs, tmp_path, method):
     words = ("--method", method, "--iterations", 150, "--recovery", 20, "--sh-degree", 1, "--quiet", "--json")
     result = svrgs("train", "--data", tiny.folder, *words, "--out", tmp_path / "trained.ply").json
-    assert MEASURES | {"seconds", "method", "lambda_f", "out"} <= result.keys() and list(files(tmp_path)) == [
-        "trained.ply"
-    ]
+    assert MEASURES | {"seconds", "method", "lambda_f", "out"} <= result.keys()
+    assert list(files(tmp_path)) == ["trained.ply"]
     scene = read_ply(tmp_path / "trained.ply")
     assert (scene.count, scene.sh_degree, result["iterations"]) == (result["count"], 1, 170)
     assert result["psnr"] > 15, "training does not approach the photographs"
@@ -252,11 +247,8 @@ def test_compare_without_photographs(tiny, svrgs, tmp_path):
     write_cameras_json(tmp_path / "cameras.json", tiny_dataset.views()[:5])
     words = ["compare", tiny.splat, truth_file(tiny, tmp_path), f"--cameras {tmp_path}/cameras.json --out"]
     result = svrgs(*words, tmp_path / "out", "--json").json
-    assert (
-        result["a"].keys() == {"count", "bytes", "ms_per_frame"}
-        and result["b"].keys() == MEASURES
-        and len(result["pictures"]) == 3
-    )
+    assert result["a"].keys() == {"count", "bytes", "ms_per_frame"} and result["b"].keys() == MEASURES
+    assert len(result["pictures"]) == 3
     assert (
         "truth.ply is measured against pictures of scene.ply, in 5 views from cameras.json"
         in result["notes"][0]
@@ -265,11 +257,8 @@ def test_compare_without_photographs(tiny, svrgs, tmp_path):
     assert same["psnr"] is None and same["flip"] == 0 and 15 < result["b"]["psnr"] < 40
     assert "no photographs" in (tmp_path / "out/index.html").read_text("utf-8")
     said = svrgs(*words, tmp_path / "text").out
-    assert (
-        said.startswith(f"a: {tiny_dataset.COUNT} Gaussians, ")
-        and "PSNR" in said.splitlines()[1]
-        and "no photographs" in said
-    )
+    assert said.startswith(f"a: {tiny_dataset.COUNT} Gaussians, ") and "PSNR" in said.splitlines()[1]
+    assert "no photographs" in said
 
 
 def test_cameras_that_do_not_suit_a_comparison_are_refused(tiny, svrgs, tmp_path):
@@ -300,11 +289,8 @@ def test_views_of_a_comparison_are_placed(tiny, svrgs, tmp_path):
     refused = svrgs(
         "compare", tmp_path / "ball.ply", tmp_path / "half.ply", "--holdout", 4, "--out", tmp_path / "no"
     )
-    assert (
-        refused.status == 2
-        and "give --data, or leave it out" in refused.err
-        and not (tmp_path / "no").exists()
-    )
+    assert refused.status == 2 and "give --data, or leave it out" in refused.err
+    assert not (tmp_path / "no").exists()
 
 
 def test_a_comparison_is_refused_before_views_are_placed(tiny, svrgs, tmp_path, monkeypatch):

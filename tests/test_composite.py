@@ -69,10 +69,8 @@ def test_a_slope_hides_at_every_pixel_what_lies_behind_it_there(scene):
     slope = plane(0)
     slope.depth[:] = np.linspace(depths(scene).min() - 1, depths(scene).max() + 1, CAMERA.width)
     slope.depth[:, 48:], slope.rgba[:, 48:] = np.inf, 0
-    picture, whole = (
-        composite(Rasterizer(), scene, CAMERA, surface=slope),
-        composite(Rasterizer(), scene, CAMERA),
-    )
+    picture = composite(Rasterizer(), scene, CAMERA, surface=slope)
+    whole = composite(Rasterizer(), scene, CAMERA)
     for name in ("rgb", "alpha", "mask", "hits", "depth"):
         np.testing.assert_array_equal(image_of(picture, name)[:, 48:], image_of(whole, name)[:, 48:])
     assert (picture.images["hits"][:, 0] == 0).all() and (picture.coverage[:, :48] == 1).all()
@@ -213,10 +211,8 @@ def test_another_working_space_holds_the_same_colours(scene):
 
 def test_laid_over_a_picture_it_shows_what_is_before_it(scene):
     hidden = plane(float(np.median(depths(scene)))).depth
-    rgba, picture = (
-        overlay_rgba(Rasterizer(), scene, CAMERA, hidden),
-        composite(Rasterizer(), scene, CAMERA, surface=plane(hidden[0, 0], (1, 1, 1))),
-    )
+    rgba = overlay_rgba(Rasterizer(), scene, CAMERA, hidden)
+    picture = composite(Rasterizer(), scene, CAMERA, surface=plane(hidden[0, 0], (1, 1, 1)))
     np.testing.assert_allclose(rgba[..., :3] + (1 - rgba[..., 3:]), picture.rgb, atol=1e-6)
 
 
@@ -226,11 +222,8 @@ def test_passes_that_nobody_asked_for_are_not_rendered(scene):
             composite(Rasterizer(), scene, CAMERA, (0.1, 0.2, 0.3), surface, passes)
             for passes in (PASS_OUTPUTS, ())
         )
-        assert (
-            (part.rgb == whole.rgb).all()
-            and (part.coverage == whole.coverage).all()
-            and (part.holes == whole.holes).all()
-        )
+        assert (part.rgb == whole.rgb).all() and (part.coverage == whole.coverage).all()
+        assert (part.holes == whole.holes).all()
         assert set(part.images) == {"alpha"} and set(whole.images) == set(PASS_OUTPUTS)
         depth = composite(Rasterizer(), scene, CAMERA, (0.1, 0.2, 0.3), surface, ("depth",))
         assert (depth.depth == whole.depth).all() and set(depth.images) == {"depth", "alpha"}

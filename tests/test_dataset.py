@@ -39,11 +39,8 @@ def test_points_may_name_keypoints_that_no_image_has(tmp_path, text):
             data[:8] + b"".join(record + struct.pack("<QIIII", 2, 1, 99, 77, 0) for record in records)
         )
     data = load_dataset(tmp_path)
-    assert (
-        np.allclose(data.points, POINTS)
-        and data.point_colors.tolist() == [[10, 20, 30]] * 3
-        and len(data.cameras) == 9
-    )
+    assert np.allclose(data.points, POINTS) and data.point_colors.tolist() == [[10, 20, 30]] * 3
+    assert len(data.cameras) == 9
 
 
 @pytest.mark.parametrize("text", [False, True])

@@ -126,10 +126,8 @@ def test_without_blender_one_sentence_says_so(tmp_path):
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert done.returncode == 2 and done.stdout == ""
-    assert (
-        done.stderr.startswith("demo_scene: rendering the demo scene needs Blender")
-        and done.stderr.count("\n") == 1
-    )
+    assert done.stderr.startswith("demo_scene: rendering the demo scene needs Blender")
+    assert done.stderr.count("\n") == 1
     assert not any(tmp_path.iterdir())
 
 

@@ -39,10 +39,8 @@ def test_draws_depend_on_seed_and_step_and_not_on_the_models_precision():
     model = with_probability(0.5, 400)
     drawn, slope = masks.draw(model, 3, 8)
     assert drawn.dtype == np.uint8 and set(drawn) == {0, 1} and slope.dtype == np.float32
-    twice, wide = (
-        masks.draw(model, 3, 8)[0],
-        masks.draw(Model({k: v.astype(np.float64) for k, v in model.values.items()}), 3, 8),
-    )
+    twice = masks.draw(model, 3, 8)[0]
+    wide = masks.draw(Model({k: v.astype(np.float64) for k, v in model.values.items()}), 3, 8)
     assert (twice == drawn).all() and (wide[0] == drawn).all() and wide[1].dtype == np.float64
     others = [masks.draw(model, 3, 9)[0], masks.draw(model, 4, 8)[0]]
     others += [sample_masks(model.mask_logits, 3, masks._EVENT_STREAM + 8)[0]]

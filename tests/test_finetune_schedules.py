@@ -61,9 +61,8 @@ def test_a_short_training_takes_larger_steps_and_ends_with_small_ones(steps, lar
     for name in ("scale", "rotation", "sh", "sh_rest"):
         assert getattr(rates, name) == pytest.approx(larger * getattr(usual, name), rel=1e-3)
     assert (rates.opacity, rates.mask) == (usual.opacity, usual.mask)
-    assert rates.at(0, 1.0)["means"] == pytest.approx(min(larger, 2) * 1.6e-4) and rates.at(steps, 1.0)[
-        "means"
-    ] == pytest.approx(1.6e-6)
+    assert rates.at(0, 1.0)["means"] == pytest.approx(min(larger, 2) * 1.6e-4)
+    assert rates.at(steps, 1.0)["means"] == pytest.approx(1.6e-6)
 
 
 def test_a_long_training_has_the_rates_of_3dgs():

@@ -33,9 +33,8 @@ def test_a_quick_job_goes_from_one_format_to_another(tmp_path, out):
     write_scene(path, ball(1_000))
     result = prune(path, out, quick=True)
     small = tmp_path / out
-    assert (
-        read_scene(small).count == result["count"] == 500 and result["after"]["bytes"] == small.stat().st_size
-    )
+    assert read_scene(small).count == result["count"] == 500
+    assert result["after"]["bytes"] == small.stat().st_size
     assert result["before"]["bytes"] == path.stat().st_size
 
 
@@ -61,14 +60,10 @@ def test_a_folder_of_textures_is_pruned_and_converted(tmp_path, capsys):
     assert prune(tmp_path / "a", "small.spz", quick=True)["before"]["bytes"] == sum(
         file.stat().st_size for file in (tmp_path / "a").iterdir()
     )
-    assert (
-        main(["convert", str(tmp_path / "a"), str(tmp_path / "b.ply")]) == 0
-        and read_scene(tmp_path / "b.ply").count == 1_000
-    )
-    assert (
-        main(["prune", str(tmp_path / "a"), "--quick", "--target", "0.5"]) == 0
-        and read_scene(tmp_path / "a_pruned.spz").count == 500
-    )
+    assert main(["convert", str(tmp_path / "a"), str(tmp_path / "b.ply")]) == 0
+    assert read_scene(tmp_path / "b.ply").count == 1_000
+    assert main(["prune", str(tmp_path / "a"), "--quick", "--target", "0.5"]) == 0
+    assert read_scene(tmp_path / "a_pruned.spz").count == 500
 
 
 def test_the_quality_is_that_of_the_file(tmp_path):
@@ -88,10 +83,8 @@ def test_a_fine_tuned_job_measures_what_it_wrote(tmp_path):
     path = tmp_path / "ball.ply"
     write_scene(path, ball(1_000))
     plain, packed = (prune(path, out, target=0.25, recovery=40) for out in ("b.ply", "b.splat"))
-    assert (
-        packed["psnr"] != plain["psnr"]
-        and packed["count"] == plain["count"] == read_scene(tmp_path / "b.splat").count
-    )
+    assert packed["psnr"] != plain["psnr"]
+    assert packed["count"] == plain["count"] == read_scene(tmp_path / "b.splat").count
     assert packed["after"]["bytes"] == 32 * packed["count"]
 
 
@@ -100,9 +93,8 @@ def test_levels_are_written_in_the_format_of_the_output_and_a_nested_result_need
     path = tmp_path / "ball.ply"
     write_scene(path, ball(1_000))
     result = prune(path, "c.spz", target=0.5, recovery=20, levels=(0.5,))
-    assert [read_scene(level["out"]).count for level in result["levels"]] == [250] and result["levels"][0][
-        "out"
-    ].endswith(".spz")
+    assert [read_scene(level["out"]).count for level in result["levels"]] == [250]
+    assert result["levels"][0]["out"].endswith(".spz")
     with pytest.raises(SceneError, match=r"write a .*\.splat"):
         prune(path, "d.spz", target=0.5, recovery=20, nested=0.25)
     assert prune(path, "d.splat", target=0.5, recovery=20, nested=0.25)["count"] == 500

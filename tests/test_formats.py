@@ -125,11 +125,8 @@ def test_what_is_read_is_what_was_written_within_the_steps_of_the_format(tmp_pat
     found = differences(read_scene(path), expected)
     assert all(found[name] <= step for name, step in STEPS[suffix].items()), found
     info = describe(path)
-    assert (
-        info["count"] == scene.count
-        and info["sh_degree"] == expected.sh_degree
-        and info["bytes"] == path.stat().st_size
-    )
+    assert info["count"] == scene.count and info["sh_degree"] == expected.sh_degree
+    assert info["bytes"] == path.stat().st_size
 
 
 @pytest.mark.parametrize("version", (2, 3, 4))
@@ -240,10 +237,8 @@ def test_the_kind_of_a_ply_is_told_by_its_header(tmp_path):
     assert format_to_read(tmp_path / "plain-name.ply").name == "compressed-ply"
     write_scene(tmp_path / "a.ply", scene)
     assert format_to_read(tmp_path / "a.ply").name == "ply"
-    assert (
-        format_to_write("A.COMPRESSED.PLY").name == "compressed-ply"
-        and format_to_write("a.ply").name == "ply"
-    )
+    assert format_to_write("A.COMPRESSED.PLY").name == "compressed-ply"
+    assert format_to_write("a.ply").name == "ply"
     with pytest.raises(SceneError, match=r"\.spz"):
         format_to_write("a.ksplat")
 

@@ -76,10 +76,8 @@ def test_a_zero_is_not_left_to_the_default(tmp_path):
     )
     (tmp_path / "job.json").write_text(json.dumps(GOOD | {"options": asked}))
     options = JobFolder(tmp_path).options()
-    assert (
-        RECOVERY
-        and options.iterations == options.recovery == options.holdout == options.min_contribution == 0
-    )
+    assert RECOVERY
+    assert options.iterations == options.recovery == options.holdout == options.min_contribution == 0
     assert options.visible_mask is False and options.images == ""
 
 
@@ -122,10 +120,8 @@ def test_discarding_a_job_removes_its_links_and_not_what_they_lead_to(tiny, tmp_
     (folder / name).unlink(missing_ok=True)
     (folder / name).symlink_to(victim)
     folder.discard()
-    assert not folder.path.exists() and sorted(path.name for path in victim.iterdir()) == [
-        "0000001",
-        "0000001.png",
-    ]
+    assert not folder.path.exists()
+    assert sorted(path.name for path in victim.iterdir()) == ["0000001", "0000001.png"]
 
 
 def test_discarding_a_job_removes_its_masks_in_folders_of_folders(tiny, tmp_path):
@@ -144,10 +140,8 @@ def test_a_job_whose_count_is_not_that_of_its_scene_is_refused(tiny, tmp_path, j
     job.folder.write_json("job.json", {**job.folder.request(), "count": count})
     job.start()
     follow(job)
-    assert (
-        job.state == "failed"
-        and f"scene.ply: has 250 Gaussians, but job.json says {count:,}" in job.facts["text"]
-    )
+    assert job.state == "failed"
+    assert f"scene.ply: has 250 Gaussians, but job.json says {count:,}" in job.facts["text"]
     assert not (job.folder / "ranking.npz").exists()
 
 
@@ -170,10 +164,8 @@ def test_a_job_whose_scene_does_not_name_its_rows_is_refused(tiny, tmp_path, job
     write_ply(job.folder / "scene.ply", replace(scene, attributes=attributes, property_order=()))
     job.start()
     follow(job)
-    assert (
-        job.state == "failed"
-        and "scene.ply: its column svrgs_row does not name the rows" in job.facts["text"]
-    )
+    assert job.state == "failed"
+    assert "scene.ply: its column svrgs_row does not name the rows" in job.facts["text"]
 
 
 def test_hostile_arrays_are_refused(tiny, tmp_path):

@@ -75,11 +75,8 @@ def whole(source, cameras, tmp_path_factory):
 @pytest.mark.parametrize("most, parts", [(COUNT // 4, 2), (COUNT // 16, 5)])
 def test_scores_do_not_depend_on_blocks_and_parts_by_a_bit(source, cameras, whole, tmp_path, most, parts):
     divided, scores = scored(source, tmp_path, most, parts, cameras)
-    assert (
-        len(whole[0].blocks) == 1
-        and len(divided.blocks) > parts
-        and all(block.count <= most for block in divided.blocks)
-    )
+    assert len(whole[0].blocks) == 1 and len(divided.blocks) > parts
+    assert all(block.count <= most for block in divided.blocks)
     assert (scores == whole[1]).all()
 
 
@@ -103,9 +100,8 @@ def test_scores_are_what_the_views_see_of_the_scene_in_memory(source, cameras, w
         assert np.abs(scores[:, column] - expected[:, column]).max() <= bound, name
     squares = VISIBILITY.index("squares")
     tiny = (expected[:, squares] > 0) & (expected[:, squares] < 1e-8)
-    assert tiny.sum() > 50 and np.allclose(
-        scores[tiny, squares], expected[tiny, squares], rtol=0.02, atol=1e-14
-    )
+    assert tiny.sum() > 50
+    assert np.allclose(scores[tiny, squares], expected[tiny, squares], rtol=0.02, atol=1e-14)
 
 
 @pytest.mark.parametrize("in_parts", [False, True])
@@ -118,10 +114,8 @@ def test_every_gaussian_that_a_view_blends_is_read(source, cameras, tmp_path, re
         most = np.zeros(scene.count, np.float32)
         reached = np.zeros(scene.count, np.uint8)
         rasterizer.add_scores(max_=most, reached=reached)
-        assert (
-            set(np.flatnonzero(most > faint)) <= set(rows.tolist())
-            and (np.diff(rows.astype(np.int64)) > 0).all()
-        )
+        assert set(np.flatnonzero(most > faint)) <= set(rows.tolist())
+        assert (np.diff(rows.astype(np.int64)) > 0).all()
         assert len(rows) < COUNT if in_parts else rows.tolist() == np.flatnonzero(reached).tolist()
         assert (part.means == scene.means[rows]).all()
         picture = rasterizer.forward(scene, camera, render_options(scene))["rgb"].copy()
@@ -133,17 +127,13 @@ def test_every_gaussian_is_in_one_block_and_in_its_box(source, tmp_path):
     rows = np.concatenate([block.rows for block in divided.blocks])
     assert sorted(rows.tolist()) == list(range(COUNT))
     for block in divided.blocks:
-        assert (block.geometry[:, :3] == scene.means[block.rows]).all() and (
-            block.sh(9) == scene.sh[block.rows]
-        ).all()
+        assert (block.geometry[:, :3] == scene.means[block.rows]).all()
+        assert (block.sh(9) == scene.sh[block.rows]).all()
         assert (block.geometry[:, :3] >= block.low).all() and (block.geometry[:, :3] <= block.high).all()
         assert block.largest == scene.log_scales[block.rows].max()
     again = Divided.read(tmp_path)
-    assert (
-        again.count == COUNT
-        and again.digest == divided.digest
-        and [one.count for one in again.blocks] == [one.count for one in divided.blocks]
-    )
+    assert again.count == COUNT and again.digest == divided.digest
+    assert [one.count for one in again.blocks] == [one.count for one in divided.blocks]
 
 
 @pytest.fixture(scope="module", params=[COUNT, COUNT // 4])
@@ -159,9 +149,8 @@ def test_so_many_are_left_as_are_wanted_at_one_cost_for_all_blocks(ordered):
     for wanted in (COUNT, COUNT - 1, 4_321, COUNT // 10):
         cells = counts(ordered, wanted)
         kept = [sum(some) for some in cells]
-        assert sum(kept) == wanted and all(
-            0 < count <= block.count for count, block in zip(kept, ordered.blocks, strict=True)
-        )
+        assert sum(kept) == wanted
+        assert all(0 < count <= block.count for count, block in zip(kept, ordered.blocks, strict=True))
         parts = list(merged(ordered, cells))
         assert [part.count for part in parts] == kept and all(np.isfinite(part.means).all() for part in parts)
     shares = [
@@ -213,11 +202,8 @@ def test_blocks_and_formats_change_the_result_little(ordered, source, cameras, t
     write_scene(tmp_path / "memory.ply", order_of(scene, sums, COUNT // 4).at(COUNT // 4))
     undivided = likeness.psnr(divide(tmp_path / "memory.ply", tmp_path / "memory"))
     exact, packed = psnr_of("a.ply"), psnr_of("a.spz")
-    assert (
-        undivided > 50
-        and abs(exact - undivided) < (0.2 if len(ordered.blocks) == 1 else 1)
-        and 40 < packed < exact
-    )
+    assert undivided > 50 and abs(exact - undivided) < (0.2 if len(ordered.blocks) == 1 else 1)
+    assert 40 < packed < exact
     assert likeness.psnr(ordered) == 100 and abs(likeness.psnr(left) - exact) < 0.01
 
 
@@ -235,15 +221,11 @@ def test_one_block_is_tuned_as_the_scene_in_memory(ordered, source, cameras):
         )
     error = json.loads((left.folder / "error.json").read_text())["error"]
     shown = [Rasterizer().forward(scene, view, render_options(scene))["rgb"] for view in views]
-    assert (
-        error
-        == pytest.approx(
-            np.mean([np.square(one - other).mean() for one, other in zip(shown, pictures, strict=True)])
-            ** 0.5,
-            rel=1e-3,
-        )
-        and error < 0.01
+    assert error == pytest.approx(
+        np.mean([np.square(one - other).mean() for one, other in zip(shown, pictures, strict=True)]) ** 0.5,
+        rel=1e-3,
     )
+    assert error < 0.01
     expected = refit(
         scene,
         list(map(TrainingView, views, pictures)),

@@ -288,10 +288,8 @@ def test_files_with_more_gaussians_than_are_read_as_a_whole_are_converted(svrgs,
     assert svrgs("info", tmp_path / "a.ply", "--json").json["count"] == 300
     assert svrgs("convert", tmp_path / "a.ply", tmp_path / "b.ply").status == 0
     monkeypatch.undo()
-    assert (
-        load_scene(tmp_path / "b.ply").count == 300
-        and (load_scene(tmp_path / "b.ply").sh == load_scene(tmp_path / "a.ply").sh).all()
-    )
+    assert load_scene(tmp_path / "b.ply").count == 300
+    assert (load_scene(tmp_path / "b.ply").sh == load_scene(tmp_path / "a.ply").sh).all()
 
 
 METRICS = """
@@ -342,11 +340,8 @@ def test_training_grows_where_memory_allows_it(tiny, little, tmp_path):
 def test_training_goes_on_without_growing_where_memory_is_short(tiny, monkeypatch, caplog, tmp_path):
     short_from_the_start_on(monkeypatch)
     result = trained(tiny, tmp_path / "o.ply")
-    assert (
-        result["densifications_held_back"] == 3
-        and result["count"] <= tiny_dataset.SEEN
-        and result["iterations"] == 10
-    )
+    assert result["densifications_held_back"] == 3 and result["count"] <= tiny_dataset.SEEN
+    assert result["iterations"] == 10
     assert "3 densifications added nothing: memory was too short" in commands._figures(result)
     (said,) = caplog.messages
     assert re.fullmatch(

@@ -93,10 +93,8 @@ def test_neighbours_share_every_sample_exactly(camera):
 def test_a_pixel_at_an_edge_has_both_surfaces(camera):
     """A triangle before a wall, in another colour; at its edges both, and their mean as if drawn at a hundred
     times the size."""
-    front, back = (
-        np.array([(-1.1, -0.9, 2), (1.2, -0.4, 2.2), (0.1, 0.8, 1.9)]),
-        np.array([(-99, -99, 5), (99, -99, 5), (0, 199, 5.0)]),
-    )
+    front = np.array([(-1.1, -0.9, 2), (1.2, -0.4, 2.2), (0.1, 0.8, 1.9)])
+    back = np.array([(-99, -99, 5), (99, -99, 5), (0, 199, 5.0)])
     seen = surface(plain_triangles(np.stack([front, back]), np.array([(1, 0, 0), (0, 0, 1)])), camera)
     exact = np.mean(
         [
@@ -185,11 +183,8 @@ def test_pictures_do_not_depend_on_the_number_of_threads():
         rng.uniform((-3, -2, 1), (3, 2, 6), (300, 1, 3)) + rng.normal(0, 0.3, (300, 3, 3)),
         rng.random((300, 3)),
     )
-    camera, before, found = (
-        replace(SIMPLE, width=640, height=400, K=np.diag([10, 10, 1]) @ SIMPLE.K),
-        library.threads(),
-        [],
-    )
+    camera = replace(SIMPLE, width=640, height=400, K=np.diag([10, 10, 1]) @ SIMPLE.K)
+    before, found = library.threads(), []
     try:
         for threads in (1, 2, 5):
             library.set_threads(threads)

@@ -68,11 +68,8 @@ def test_paper_chooses_the_printed_settings_to_the_letter():
     assert (plan.lambda_f, plan.full, plan.mask_init, plan.draws) == (1e-4, True, 9.0, 10)
     assert plan.phases[0].prune_every == 1_000 and plan.phases[1].steps == 5_000
     svr = train_settings("svr", 30_000, 5_000)
-    assert (svr.l1_weight, svr.ssim_weight, svr.method.first_cut) == (
-        0.8,
-        0.2,
-        True,
-    ) and svr.phases == plan.phases
+    assert (svr.l1_weight, svr.ssim_weight, svr.method.first_cut) == (0.8, 0.2, True)
+    assert svr.phases == plan.phases
 
 
 def test_names_and_menu_numbers_are_each_one_method_s():

@@ -59,11 +59,8 @@ def test_a_file_is_baked_once_and_it_is_said(tmp_path, caplog):
     write_scene(tmp_path / "again.ply", first)
     caplog.clear()
     second = load_scene(tmp_path / "again.ply")
-    assert (
-        not caplog.text
-        and np.array_equal(first.log_scales, second.log_scales)
-        and np.array_equal(first.opacity_logits, second.opacity_logits)
-    )
+    assert not caplog.text and np.array_equal(first.log_scales, second.log_scales)
+    assert np.array_equal(first.opacity_logits, second.opacity_logits)
 
 
 @pytest.mark.parametrize("width", [np.nan, np.inf])

@@ -236,10 +236,8 @@ def test_sh_coefficients_share_the_second_moment_of_degree_0(level, coefficients
         )
         np.testing.assert_allclose(found_m, m, rtol=2**-7 if single else 1e-12, atol=1e-12)
         np.testing.assert_allclose(found_v, v, rtol=1e-6 if single else 1e-12)
-        assert (packed(found_m, found_v, 0).shape, packed(found_m, found_v, 0).dtype) == (
-            moments.shape,
-            moments.dtype,
-        )
+        assert packed(found_m, found_v, 0).shape == moments.shape
+        assert packed(found_m, found_v, 0).dtype == moments.dtype
     assert np.median(np.abs(param - start)) > 1e-2
 
 

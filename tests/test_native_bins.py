@@ -65,10 +65,8 @@ def test_a_crowded_picture_of_one_bin_has_a_list_for_each_tile():
     library.set_threads(1)
     for camera in (WHOLE, *(part for _, part in parts_of(WHOLE))):
         jobs = traced(lambda: rasterizer.forward(scene, camera, RenderOptions()))  # noqa: B023
-        bins, tiles = (
-            -(-camera.width // 128) * -(-camera.height // 128),
-            -(-camera.width // 32) * -(-camera.height // 32),
-        )
+        bins = -(-camera.width // 128) * -(-camera.height // 128)
+        tiles = -(-camera.width // 32) * -(-camera.height // 32)
         by_tile.append(rasterizer.work()["pairs"] > ONE_BIN * bins**2)
         assert len(jobs[-1]) == (2 * tiles if by_tile[-1] else 17 * bins)  # a list, and its tile or tiles
     library.set_threads(0)

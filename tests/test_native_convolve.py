@@ -63,11 +63,8 @@ def test_results_do_not_depend_on_threads(level):
 
 
 def test_bad_arguments_are_refused():
-    image, panels, bias = (
-        np.zeros((4, 4, 3), np.float32),
-        filter_panels(np.zeros((32, 3, 3, 3), "f")),
-        np.zeros(32, "f"),
-    )
+    image, panels = np.zeros((4, 4, 3), np.float32), filter_panels(np.zeros((32, 3, 3, 3), "f"))
+    bias = np.zeros(32, "f")
     for arrays in (
         (image[:, ::2], panels, bias),
         (image, panels, bias[:-1]),

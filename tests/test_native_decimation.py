@@ -63,13 +63,8 @@ def ordered(scene: Scene, least: int, **more):
 def test_visibility_holds_the_scores_and_the_removal_error():
     scene, rasterizer = cloud(), Rasterizer("float64")
     arrays, n = _as_double(scene), scene.count
-    sums, peaks, pixels, transmittance, error = (
-        np.zeros(n),
-        np.zeros(n, np.float32),
-        np.zeros(n, np.int64),
-        np.zeros(n),
-        np.zeros(n),
-    )
+    sums, peaks, pixels = np.zeros(n), np.zeros(n, np.float32), np.zeros(n, np.int64)
+    transmittance, error = np.zeros(n), np.zeros(n)
     views = np.zeros(n)
     for camera in cameras():
         before = pixels.copy()
@@ -120,11 +115,8 @@ def test_the_bits_do_not_depend_on_the_number_of_threads():
         found.append(ordered(scene, 200))
     library.set_threads(0)
     for other in found[1:]:
-        assert (
-            (found[0].a == other.a).all()
-            and (found[0].b == other.b).all()
-            and (found[0].costs == other.costs).all()
-        )
+        assert (found[0].a == other.a).all() and (found[0].b == other.b).all()
+        assert (found[0].costs == other.costs).all()
         assert all((found[0].results[name] == other.results[name]).all() for name in other.results)
 
 
@@ -213,11 +205,8 @@ def test_gaussians_that_no_view_sees_go_first():
     unseen = np.flatnonzero(seen[:, 0] == 0)
     assert COUNT // 2 <= len(unseen) < COUNT
     order = decimate(scene, seen, np.zeros(3), 0.05, COUNT - len(unseen))
-    assert (
-        (order.b == REMOVED).all()
-        and set(order.a.tolist()) == set(unseen.tolist())
-        and (order.costs == 0).all()
-    )
+    assert (order.b == REMOVED).all() and set(order.a.tolist()) == set(unseen.tolist())
+    assert (order.costs == 0).all()
 
 
 def test_extreme_values_end_in_finite_results():

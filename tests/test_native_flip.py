@@ -49,10 +49,8 @@ def test_float64_flip_equals_the_reference(size, ppd):
 def test_float_flip_agrees_with_the_reference(size, level):
     for seed in range(3):
         images = [image.astype(np.float32) for image in image_pair(*size, seed)]
-        found, expected = (
-            native_flip(level, *images),
-            reference.flip_map(*(image.astype(np.float64) for image in images), PPD),
-        )
+        found = native_flip(level, *images)
+        expected = reference.flip_map(*(image.astype(np.float64) for image in images), PPD)
         assert np.abs(found - expected).max() <= PIXEL_BOUND
         assert abs(found.mean(dtype=np.float64) - expected.mean()) <= MEAN_BOUND
 

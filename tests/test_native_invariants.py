@@ -63,11 +63,8 @@ def test_masked_out_gaussians_learn_only_whether_to_exist(level, kind):
     for name in (*ARRAYS, "means2d"):
         assert not result[f"d{name}"][absent].any(), name
         assert result[f"d{name}"][~absent].any(), name
-    assert (
-        not result["sum"][absent].any()
-        and not result["max"][absent].any()
-        and not result["pixels"][absent].any()
-    )
+    assert not result["sum"][absent].any() and not result["max"][absent].any()
+    assert not result["pixels"][absent].any()
 
 
 @pytest.mark.parametrize("level", LEVELS)
@@ -139,9 +136,8 @@ def test_mask_gradient_lies_in_its_range(level):
     image = render(level, scene, camera, masks)
     gradient = backward(level, {"mask": np.ones((1, 1))}, 30, ("masks",))["masks"]
     assert 5 < np.count_nonzero(gradient) == image["hits"].item()
-    assert gradient.min() >= 0 and gradient.max() <= np.float32(1 / np.log1p(image["hits"].item())) * (
-        1 + 1e-7
-    )
+    assert gradient.min() >= 0
+    assert gradient.max() <= np.float32(1 / np.log1p(image["hits"].item())) * (1 + 1e-7)
 
 
 @pytest.mark.parametrize("level", LEVELS)
@@ -164,11 +160,8 @@ def test_full_and_visible_differ_in_the_mask_only(level):
     full, visible = (render(level, scene, CAMERA, masks, full=full) for full in (True, False))
     assert_same_bits(*({k: i[k] for k in ("rgb", "depth", "alpha")} for i in (full, visible)))
     stopped = full["hits"] > visible["hits"]
-    assert (
-        stopped.mean() > 0.5
-        and (full["hits"] >= visible["hits"]).all()
-        and (full["kept"] >= visible["kept"]).all()
-    )
+    assert stopped.mean() > 0.5 and (full["hits"] >= visible["hits"]).all()
+    assert (full["kept"] >= visible["kept"]).all()
     assert (full["transmittance"][stopped] < 1e-4).all() and (visible["transmittance"] >= 1e-4).all()
     thin = scenes.random_scene(40, 7, 0, opacity=-1.0)
     modes = [everything(level, thin, masks, full=full) for full in (True, False)]
@@ -199,11 +192,8 @@ def test_the_spatial_mask_reaches_the_masks_only(level, kind):
 @pytest.mark.parametrize("level", LEVELS)
 def test_gradients_are_linear_in_the_image_gradients(level):
     """Four images at once equal the sum of one at a time."""
-    scene, masks, weights = (
-        scenes.random_scene(40, 9, 1, scale=0.3),
-        scenes.random_masks(40, 9),
-        image_weights(CAMERA),
-    )
+    scene, masks = scenes.random_scene(40, 9, 1, scale=0.3), scenes.random_masks(40, 9)
+    weights = image_weights(CAMERA)
     render(level, scene, CAMERA, masks)
     together = backward(level, weights, 40)
     parts = [backward(level, {name: w}, 40) for name, w in weights.items()]

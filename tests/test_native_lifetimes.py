@@ -50,11 +50,8 @@ def test_the_library_comes_and_goes_and_comes():
 
 def test_arrays_of_a_view_stay_alive_until_the_next():
     """The library still reads them in the backward pass, whatever becomes of the scene."""
-    r, scene, masks = (
-        Rasterizer("scalar"),
-        typed(scenes.random_scene(7, 1, 1), np.float32),
-        np.ones(7, np.uint8),
-    )
+    r, scene = Rasterizer("scalar"), typed(scenes.random_scene(7, 1, 1), np.float32)
+    masks = np.ones(7, np.uint8)
     arrays = [weakref.ref(a) for a in (*vars(scene).values(), masks)]
     r.forward(scene, frontal(6, 5), masks=masks)
     vars(scene).clear()

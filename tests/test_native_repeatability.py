@@ -30,11 +30,8 @@ pytestmark = pytest.mark.usefixtures("default_threads")
 @pytest.mark.parametrize("level", LEVELS)
 @pytest.mark.parametrize("kind", ["svr", "b"])
 def test_each_gradient_alone_has_the_same_bits(level, kind):
-    scene, masks, weights = (
-        scenes.random_scene(60, 3, 3, scale=0.3),
-        scenes.random_masks(60, 3),
-        image_weights(CAMERA),
-    )
+    scene, masks = scenes.random_scene(60, 3, 3, scale=0.3), scenes.random_masks(60, 3)
+    weights = image_weights(CAMERA)
     render(level, scene, CAMERA, masks, mask_kind=kind)
     together = backward(level, weights, 60)
     assert all(g.any() for g in together.values())

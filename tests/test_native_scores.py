@@ -62,11 +62,8 @@ def scored(name: str):
 @pytest.mark.parametrize("full", [True, False])
 def test_scores_add_up_over_views(level, name, full):
     scene, masks, weights = scored(name)
-    sum_, max_, pixels = (
-        np.zeros(scene.count),
-        np.zeros(scene.count, np.float32),
-        np.zeros(scene.count, np.int64),
-    )
+    sum_, max_ = np.zeros(scene.count), np.zeros(scene.count, np.float32)
+    pixels = np.zeros(scene.count, np.int64)
     for camera in SCORED[name][1]:
         render(level, scene, camera, masks, full=full)
         rasterizer(level).add_scores(sum_, max_, pixels)

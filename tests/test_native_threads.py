@@ -23,10 +23,8 @@ def test_cancel_stops_every_call_and_the_next_one_works():
     r, scene = Rasterizer(), scenes.random_scene(50, 1, 1)
     arrays, options = typed(scene, r.dtype), RenderOptions(mask_kind="svr")
     expected = r.forward(arrays, CAMERA, options, outputs=FLOAT_IMAGES)
-    ones, scores = (
-        np.ones((27, 40), r.dtype),
-        (np.zeros(50), np.zeros(50, np.float32), np.zeros(50, np.int64)),
-    )
+    ones = np.ones((27, 40), r.dtype)
+    scores = (np.zeros(50), np.zeros(50, np.float32), np.zeros(50, np.int64))
     gradient = r.backward({"alpha": ones}, ("masks",))["masks"].copy()
     r.cancel[0] = 1
     for call in (

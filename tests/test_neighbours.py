@@ -36,9 +36,8 @@ def test_the_nearest_of_all_pairs(name):
 def test_the_nearest_rows_have_the_smallest_distances(name):
     points = CLOUDS[name].astype(np.float32).astype(np.float64)
     rows = nearest_rows(points, 30)
-    assert (np.diff(np.sort(rows, axis=1), axis=1) > 0).all() and (
-        rows != np.arange(len(points))[:, None]
-    ).all()
+    assert (np.diff(np.sort(rows, axis=1), axis=1) > 0).all()
+    assert (rows != np.arange(len(points))[:, None]).all()
     dx, dy, dz = (points[:, None, axis] - points[rows, axis] for axis in range(3))
     assert np.array_equal(
         np.sqrt(np.sort(dx * dx + dy * dy + dz * dz, axis=1)), nearest_distances(points, 30)

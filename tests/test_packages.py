@@ -61,9 +61,8 @@ def test_fitting_wheels_are_unpacked_once(root, tmp_path):
     assert found == {"numpy": Path("/numpy")} | {
         name: cache / f"{name.lower()}-1.0-{TAG}-{TAG}-{PLATFORM}" for name in NAMES
     }
-    assert len(list(cache.iterdir())) == 2 and all(
-        (found[name] / name / "__init__.py").is_file() for name in NAMES
-    )
+    assert len(list(cache.iterdir())) == 2
+    assert all((found[name] / name / "__init__.py").is_file() for name in NAMES)
     for wheel in made:
         wheel.write_bytes(b"no longer read")
     assert wheels.find() == found

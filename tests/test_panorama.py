@@ -88,11 +88,8 @@ def test_a_view_sees_all_of_its_pixels_near_its_middle(panorama):
         rays = all_directions(panorama)[share(patch) > 0] @ patch.turn.T
         assert (rays[:, 2] > np.cos(np.radians(45))).all()
         x, y = patch.camera.pixels(rays).T
-        assert (
-            min(x.min(), y.min()) >= 2
-            and x.max() <= patch.camera.width - 2
-            and y.max() <= patch.camera.height - 2
-        )
+        assert min(x.min(), y.min()) >= 2 and x.max() <= patch.camera.width - 2
+        assert y.max() <= patch.camera.height - 2
         np.testing.assert_allclose(patch.turn @ panorama.viewmat[:3, :3], patch.camera.viewmat[:3, :3])
 
 
@@ -123,10 +120,8 @@ def test_pixels_are_those_of_perspective_views_in_their_direction():
     viewmat = np.eye(4)
     viewmat[:3, :3], viewmat[:3, 3] = TURN, (0.3, 0.2, 0.5)
     panorama = Panorama(viewmat, 1024, 512)
-    picture, exact = (
-        composite_panorama(lambda camera: composite(Rasterizer(), scene, camera), panorama),
-        typed(scene, np.float64),
-    )
+    picture = composite_panorama(lambda camera: composite(Rasterizer(), scene, camera), panorama)
+    exact = typed(scene, np.float64)
     rows, columns = rng.integers(0, 512, 80), rng.integers(0, 1024, 80)
     errors = []
     for row, column in zip(rows, columns, strict=True):
@@ -212,12 +207,8 @@ def test_a_perspective_view_is_drawn_as_it_is_and_a_stop_comes_through():
 
 
 def test_wrong_views_are_refused():
-    image, sums, rows, columns = (
-        np.zeros((5, 6, 2), np.float32),
-        np.zeros((3, 4, 2), np.float32),
-        np.zeros(3),
-        np.zeros(4),
-    )
+    image, sums, rows = np.zeros((5, 6, 2), np.float32), np.zeros((3, 4, 2), np.float32), np.zeros(3)
+    columns = np.zeros(4)
     good = {
         "image": image, "turn": np.eye(3), "K": np.eye(3), "along": 1, "sums": sums, "latitudes": rows,
         "longitudes": columns,

@@ -366,9 +366,8 @@ def test_masks_without_photographs_are_refused(tiny, tmp_path, svrgs, words):
     shutil.copy(tiny.splat, splat)
     for command in (["prune", splat, "--target", 0.5, "--out"], ["compare", splat, splat, "--out"]):
         found = svrgs(*command, tmp_path / "o.ply", *words)
-        assert (
-            found.status == 2 and f"{words[0]} is of the photographs of a dataset: give --data" in found.err
-        )
+        assert found.status == 2
+        assert f"{words[0]} is of the photographs of a dataset: give --data" in found.err
     assert list(tmp_path.iterdir()) == [splat]
 
 

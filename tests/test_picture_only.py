@@ -17,10 +17,8 @@ OUTPUTS = (*IMAGES, *COUNTS)
 def views(level: str, mask_kind: str = "svr", camera=CAMERA, count: int = 60, **more):
     """The same view, kept and not."""
     r = rasterizer(level)
-    scene, masks = (
-        typed(scenes.random_scene(count, 1, 2, scale=0.3), r.dtype),
-        scenes.random_masks(count, 1).astype(np.uint8),
-    )
+    scene = typed(scenes.random_scene(count, 1, 2, scale=0.3), r.dtype)
+    masks = scenes.random_masks(count, 1).astype(np.uint8)
     draw = lambda only: r.forward(
         scene, camera, RenderOptions(mask_kind=mask_kind, picture_only=only), masks, OUTPUTS, **more
     )

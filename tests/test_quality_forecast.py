@@ -66,9 +66,8 @@ def test_the_fewer_stay_the_lower_it_is(scene, data, ranking):
 def test_where_nothing_is_removed_it_is_the_psnr_of_now(scene, data, ranking):
     found = foreseen(scene, data, ranking, 1.0)
     now = mean_quality(scene, data, data.test_indices, Rasterizer(), render_options(scene))
-    assert found.before == found.removed == pytest.approx(now, abs=1e-6) and found.after == pytest.approx(
-        now, abs=1e-6
-    )
+    assert found.before == found.removed == pytest.approx(now, abs=1e-6)
+    assert found.after == pytest.approx(now, abs=1e-6)
 
 
 def test_a_removal_without_steps_wins_nothing_back():
@@ -99,11 +98,8 @@ def test_a_removal_that_makes_the_views_better_promises_nothing():
 )
 def test_what_was_not_measured_is_not_foreseen(scene, data, ranking, plan):
     found = foreseen(scene, data, ranking, 0.5, plan)
-    assert (
-        found.before == foreseen(scene, data, ranking, 0.5).before
-        and found.removed is None
-        and found.after is None
-    )
+    assert found.before == foreseen(scene, data, ranking, 0.5).before and found.removed is None
+    assert found.after is None
 
 
 @pytest.mark.parametrize("quick", [False, True])

@@ -77,10 +77,8 @@ def test_an_order_gives_every_number(ordered):
 def test_pictures_that_nobody_wants_are_not_rendered(ordered):
     scene, _, pictures, rasterizer = ordered
     cameras, options = cameras_around(scene, 12, 128), render_options(scene)
-    with_pictures, without = (
-        visibility_sums(scene, cameras, rasterizer, options),
-        visibility_sums(scene, cameras, rasterizer, options, pictures=False),
-    )
+    with_pictures = visibility_sums(scene, cameras, rasterizer, options)
+    without = visibility_sums(scene, cameras, rasterizer, options, pictures=False)
     assert len(pictures) == 12 and without[1] == [] and (with_pictures[0] == without[0]).all()
 
 
@@ -309,18 +307,12 @@ def test_the_smallest_file_within_a_drop_is_chosen_by_count_and_steps_together(s
     )
     out = tmp_path / "a.spz"
     together = run(splat, out=out, target=None, max_drop=0.5)
-    assert (
-        any("--quantise" in note for note in together["notes"])
-        and together["bytes"] == out.stat().st_size
-        and together["drop"] < 0.5
-    )
+    assert any("--quantise" in note for note in together["notes"]) and together["bytes"] == out.stat().st_size
+    assert together["drop"] < 0.5
     monkeypatch.setattr(smallest_file, "FACTORS", (1.0,))
     alone = run(splat, out=out, target=None, max_drop=0.5)
-    assert (
-        together["bytes"] < alone["bytes"]
-        and together["count"] >= alone["count"]
-        and not any("--quantise" in note for note in alone["notes"])
-    )
+    assert together["bytes"] < alone["bytes"] and together["count"] >= alone["count"]
+    assert not any("--quantise" in note for note in alone["notes"])
 
 
 @pytest.mark.parametrize("suffix", (".ply", ".sog"))
@@ -338,9 +330,8 @@ def test_levels_of_detail_go_into_one_streamed_sog(splat, tmp_path):
     out = tmp_path / "town" / "lod-meta.json"
     result = run(splat, out=out, target=None, levels=(0.5, 0.25))
     assert [sum(part.count for part in read_level(out, level)) for level in range(3)] == [2000, 1000, 500]
-    assert result["bytes"] > result["levels"][0]["bytes"] > result["levels"][1]["bytes"] > 0 and {
-        level["out"] for level in result["levels"]
-    } == {str(out)}
+    assert result["bytes"] > result["levels"][0]["bytes"] > result["levels"][1]["bytes"] > 0
+    assert {level["out"] for level in result["levels"]} == {str(out)}
     alone = run(splat, out=tmp_path / "half.sog", target=0.5)
     assert abs(alone["psnr"] - result["levels"][0]["psnr"]) < 0.5
 

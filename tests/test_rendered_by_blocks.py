@@ -75,11 +75,8 @@ def test_pictures_are_those_of_the_scene_in_memory(
     assert SAID not in caplog.text
     place = request.getfixturevalue("short")
     in_blocks = rendered(svrgs, source, cameras, tmp_path / "blocks")
-    assert (
-        f"{SAID}{place} (TMPDIR), which takes longer" in caplog.text
-        and "svrgs convert" not in caplog.text
-        and not any(place.iterdir())
-    )
+    assert f"{SAID}{place} (TMPDIR), which takes longer" in caplog.text and "svrgs convert" not in caplog.text
+    assert not any(place.iterdir())
     assert in_memory.keys() == in_blocks.keys() and len(in_memory) == 3 * len(PICTURES)
     for name, picture in in_memory.items():
         bound = 0 if name.endswith(("depth.npy", "alpha.npy")) else 1e-6 * np.abs(picture).max()
@@ -115,9 +112,8 @@ def test_scenes_are_compared_by_blocks(svrgs, tiny, tmp_path, request, caplog):
     in_memory = svrgs(*words, "--out", tmp_path / "whole").json
     request.getfixturevalue("short")
     found = svrgs(*words, "--out", tmp_path / "blocks").json
-    assert caplog.text.count(SAID) == 2 and found["a"]["psnr"] == pytest.approx(
-        in_memory["a"]["psnr"], abs=1e-4
-    )
+    assert caplog.text.count(SAID) == 2
+    assert found["a"]["psnr"] == pytest.approx(in_memory["a"]["psnr"], abs=1e-4)
     assert sorted(path.name for path in (tmp_path / "blocks").iterdir()) == sorted(
         path.name for path in (tmp_path / "whole").iterdir()
     )
@@ -134,12 +130,8 @@ def test_pictures_of_a_divided_scene_take_the_place_of_photographs(
     assert svrgs(*words, "--out", tmp_path / "whole").json["b"]["psnr"] is None
     request.getfixturevalue("short")
     found = svrgs(*words, "--out", tmp_path / "blocks").json
-    assert (
-        caplog.text.count(SAID) == 2
-        and found["a"].keys() == {"count", "bytes"}
-        and found["b"]["psnr"] is None
-        and len(found["pictures"]) == 3
-    )
+    assert caplog.text.count(SAID) == 2 and found["a"].keys() == {"count", "bytes"}
+    assert found["b"]["psnr"] is None and len(found["pictures"]) == 3
 
 
 def test_other_cameras_are_refused(svrgs, short, tiny, tmp_path):
@@ -148,9 +140,8 @@ def test_other_cameras_are_refused(svrgs, short, tiny, tmp_path):
     scene.means[:] += 1e6
     write_scene(far, scene)
     said = svrgs("eval", far, "--data", tiny.folder)
-    assert (
-        said.status == 2 and "none of its Gaussians is near a camera" in said.err and not any(short.iterdir())
-    )
+    assert said.status == 2 and "none of its Gaussians is near a camera" in said.err
+    assert not any(short.iterdir())
 
 
 def test_pictures_that_are_too_large_are_refused_at_once(

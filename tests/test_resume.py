@@ -100,10 +100,8 @@ def test_resume_while_values_are_averaged(tiny, data, tmp_path, iteration):
     samples = max(0, iteration - 75)
     assert read_manifest(folder)["averaged"] == samples
     with np.load(folder / "arrays.npz") as arrays:
-        size, coefficients = (
-            sum(array.nbytes for name, array in arrays.items() if not name.startswith("views")),
-            arrays["values.sh"].shape[1],
-        )
+        size = sum(array.nbytes for name, array in arrays.items() if not name.startswith("views"))
+        coefficients = arrays["values.sh"].shape[1]
     # the estimate has room for existence logits
     assert 0.9 <= size / checkpoint_bytes(12, coefficients, 12 if samples else 0) <= 1
     assert prune(tiny, data, tmp_path / "o.ply", settings, resume=True) == expected

@@ -89,10 +89,8 @@ def test_a_task_that_was_stopped_goes_on_within_its_block(tiny, data, tmp_path, 
 def test_a_checkpoint_of_other_settings_or_photographs_is_not_taken(tiny, tmp_path, steps):
     shutil.copytree(tiny.folder, tmp_path / "data")
     data = load_dataset(tmp_path / "data")
-    divided, plan = (
-        ready(tiny.splat, data, tmp_path / "work", 130),
-        prune_settings("removal", 40, 0, full=False),
-    )
+    divided = ready(tiny.splat, data, tmp_path / "work", 130)
+    plan = prune_settings("removal", 40, 0, full=False)
     for change in ({"seed": 7}, {}):
         with pytest.raises(Cancelled):
             decide(divided, 0, data, replace(plan, **change), 60, stopping(0.8))
@@ -104,10 +102,8 @@ def test_a_checkpoint_of_other_settings_or_photographs_is_not_taken(tiny, tmp_pa
 
 
 def test_a_disk_that_is_full_costs_the_checkpoint_alone(tiny, data, tmp_path, monkeypatch, caplog):
-    divided, plan = (
-        ready(tiny.splat, data, tmp_path / "work", 130),
-        prune_settings("removal", 20, 0, full=False),
-    )
+    divided = ready(tiny.splat, data, tmp_path / "work", 130)
+    plan = prune_settings("removal", 20, 0, full=False)
 
     def full(*_):
         raise SceneError("arrays.npz: needs 1 GB, but only 1 MB are free")
@@ -115,10 +111,8 @@ def test_a_disk_that_is_full_costs_the_checkpoint_alone(tiny, data, tmp_path, mo
     monkeypatch.setattr(loop, "CHECKPOINT_SECONDS", 0)
     monkeypatch.setattr(checkpoint, "save", full)
     decide(divided, 0, data, plan, 60)
-    assert (
-        "the block 0 goes on without a checkpoint" in caplog.text
-        and (tmp_path / "work" / CUT / "0.rows").stat().st_size == 60 * 4
-    )
+    assert "the block 0 goes on without a checkpoint" in caplog.text
+    assert (tmp_path / "work" / CUT / "0.rows").stat().st_size == 60 * 4
 
 
 GOALS = {"target": ["--target", 0.5], "drop": ["--max-drop", 2.0]}
@@ -139,9 +133,8 @@ def test_a_job_that_was_stopped_goes_on_with_resume(
     stop_at(step, at)
     stopped = svrgs(*words, "--out", tmp_path / "o.ply")
     assert stopped.status == 130 and "continue from the last checkpoint with --resume" in stopped.err
-    assert (tmp_path / "o.ply").exists() == (step == "measure") and progress(tmp_path / "o.ply.blocks")[
-        0
-    ] >= 3
+    assert (tmp_path / "o.ply").exists() == (step == "measure")
+    assert progress(tmp_path / "o.ply.blocks")[0] >= 3
     result = svrgs(*words, "--out", tmp_path / "o.ply", "--resume", "--json").json
     assert len(steps) == done and result["scene"] == str(tiny.splat)
     assert (tmp_path / "o.ply").read_bytes() == (tmp_path / "whole.ply").read_bytes()
@@ -163,9 +156,8 @@ def whole_and_stopped(svrgs, short, stop_at, tiny, tmp_path, monkeypatch) -> lis
 def test_what_was_begun_by_blocks_goes_on_by_blocks(svrgs, whole_and_stopped, tmp_path, caplog):
     assert svrgs(*whole_and_stopped, "--out", tmp_path / "o.ply", "--resume").status == 0
     assert "its blocks are there from an earlier start; it is pruned by blocks" in caplog.text
-    assert (tmp_path / "o.ply").read_bytes() == (tmp_path / "whole.ply").read_bytes() and not (
-        tmp_path / "o.ply.blocks"
-    ).exists()
+    assert (tmp_path / "o.ply").read_bytes() == (tmp_path / "whole.ply").read_bytes()
+    assert not (tmp_path / "o.ply.blocks").exists()
 
 
 def test_a_job_that_begins_again_leaves_no_blocks(svrgs, whole_and_stopped, tmp_path):
@@ -174,9 +166,8 @@ def test_a_job_that_begins_again_leaves_no_blocks(svrgs, whole_and_stopped, tmp_
     for name in ("o.ply", "p.ply"):
         assert svrgs(*whole_and_stopped, "--out", tmp_path / name).status == 0
     assert (tmp_path / "o.ply").read_bytes() != (tmp_path / "whole.ply").read_bytes(), "it was done in memory"
-    assert (
-        not (tmp_path / "o.ply.blocks").exists() and (tmp_path / "p.ply.blocks/0.rows").read_text() == "mine"
-    )
+    assert not (tmp_path / "o.ply.blocks").exists()
+    assert (tmp_path / "p.ply.blocks/0.rows").read_text() == "mine"
 
 
 def words_for(tiny, out: Path, *more) -> list:
@@ -218,11 +209,8 @@ def test_what_is_done_is_not_done_again(svrgs, tiny, tmp_path, steps, stopped):
 )
 def test_another_job_is_not_continued(svrgs, tiny, tmp_path, stopped, change):
     done = svrgs(*words_for(tiny, tmp_path / "o.ply", *change, "--resume"))
-    assert (
-        done.status == 2
-        and "is one with other settings or inputs; delete" in done.err
-        and progress(stopped) == (6, 7)
-    )
+    assert done.status == 2 and "is one with other settings or inputs; delete" in done.err
+    assert progress(stopped) == (6, 7)
 
 
 @pytest.mark.slow
@@ -283,21 +271,14 @@ def test_a_job_of_blender_says_what_it_goes_on_with_and_can_be_moved(tiny, tmp_p
 
 
 def test_a_job_by_blocks_says_how_much_of_it_is_done(tiny, tmp_path, short):
-    job, told = (
-        create(tmp_path / "job", tiny, method="removal", iterations=40, recovery=20, target=0.5),
-        list[tuple[str, float]](),
-    )
+    job = create(tmp_path / "job", tiny, method="removal", iterations=40, recovery=20, target=0.5)
+    told = list[tuple[str, float]]()
     pipeline.prune_scene(
         job.options(), lambda context: replace(context, part=lambda text, share: told.append((text, share)))
     )
     starts = {text.split(":")[0]: share for text, share in reversed(told)}
-    assert (
-        starts["divide"] == 0
-        and starts["score"] == 1 / 6
-        and starts["decide"] == 3 / 6
-        and starts["recover"] == 4 / 6
-        and starts["measure"] == 5.5 / 6
-    )
+    assert starts["divide"] == 0 and starts["score"] == 1 / 6 and starts["decide"] == 3 / 6
+    assert starts["recover"] == 4 / 6 and starts["measure"] == 5.5 / 6
     shares = [share for _, share in told]
     assert shares == sorted(shares) and len(set(shares)) > 20 and shares[-1] < 1
     ended = Job(job)

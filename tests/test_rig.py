@@ -83,11 +83,8 @@ def test_a_room_is_looked_at_from_inside():
 def test_a_room_whose_walls_show_from_outside_is_looked_at_from_there_too():
     rig = place_rig(room(), held_out=8)
     outside = ~within_the_room(rig)
-    assert (
-        rig.inside_out
-        and outside[: len(rig.cameras)].sum() == OUTSIDE
-        and outside[len(rig.cameras) :].sum() == 2
-    )
+    assert rig.inside_out and outside[: len(rig.cameras)].sum() == OUTSIDE
+    assert outside[len(rig.cameras) :].sum() == 2
     assert (np.linalg.norm(eyes(rig)[outside], axis=1) > 3 * 3**0.5).all(), "a camera is in a wall"
 
 
@@ -171,9 +168,8 @@ def test_the_same_seed_gives_the_same_rig_on_any_number_of_threads(default_threa
 )
 def test_scenes_of_every_place_and_size(scene):
     rig = quick_rig(scene)
-    assert rig.cameras and all(
-        np.isfinite(camera.viewmat).all() and np.isfinite(camera.K).all() for camera in rig.cameras
-    )
+    assert rig.cameras
+    assert all(np.isfinite(camera.viewmat).all() and np.isfinite(camera.K).all() for camera in rig.cameras)
     assert 512 <= rig.width == rig.height <= 1024
 
 

@@ -89,9 +89,8 @@ def test_removal_error_is_that_of_removing_one_gaussian(monkeypatch):
     expected = sums("removal_error")
     middle = float(np.median(expected))
     sure = np.abs(expected / middle - 1) > 0.02
-    assert (np.array(chosen(removal_error=(middle, math.inf))) == (expected >= middle))[
-        sure
-    ].all() and sure.sum() > 150
+    assert (np.array(chosen(removal_error=(middle, math.inf))) == (expected >= middle))[sure].all()
+    assert sure.sum() > 150
 
 
 def test_contribution_and_views_are_those_of_the_rasterizer():
@@ -112,11 +111,8 @@ def test_all_criteria_must_hold():
 
 
 def test_nothing_and_everything():
-    assert (
-        not any(chosen(opacity=(2.0, 3.0)))
-        and all(chosen(opacity=(0.0, 1.0)))
-        and all(chosen(lowest_contribution=1.0))
-    )
+    assert not any(chosen(opacity=(2.0, 3.0))) and all(chosen(opacity=(0.0, 1.0)))
+    assert all(chosen(lowest_contribution=1.0))
     assert selected(scenes.empty_scene(), Criteria(opacity=(0, 1)), views).shape == (0,)
 
 

@@ -75,10 +75,8 @@ def test_a_result_is_kept_under_another_name_while_a_viewer_has_the_old_one_open
                 ),
             ):
                 write(old, b"new" + number.encode())
-        assert (
-            old.read_bytes() == b"old"
-            and old.with_stem(f"{old.stem} (new{number})").read_bytes() == b"new" + number.encode()
-        )
+        assert old.read_bytes() == b"old"
+        assert old.with_stem(f"{old.stem} (new{number})").read_bytes() == b"new" + number.encode()
     assert len(names(old.parent)) == 3
 
 

@@ -66,11 +66,8 @@ def test_other_names_are_allowed(windows, path):
 
 @pytest.mark.skipif(sys.platform == "win32", reason="this is Windows")
 def test_other_systems_forbid_nothing():
-    assert (
-        what_is_forbidden("NUL./a:b ") == ""
-        and extended("/" + "x" * 300) == Path("/" + "x" * 300)
-        and shown("\\\\?\\a") == "\\\\?\\a"
-    )
+    assert what_is_forbidden("NUL./a:b ") == "" and extended("/" + "x" * 300) == Path("/" + "x" * 300)
+    assert shown("\\\\?\\a") == "\\\\?\\a"
 
 
 @pytest.mark.parametrize(
@@ -211,10 +208,8 @@ def test_long_paths_with_umlauts_and_spaces(place, command, console):
 
 def test_a_sentence_on_a_console_that_lacks_the_letters(tmp_path):
     done = run("info", tmp_path / "größe-λ.ply", PYTHONIOENCODING="cp850")
-    assert (
-        done.returncode == 2
-        and "größe-".encode("cp850") + rb"\u03bb.ply: there is no such file" in done.stderr
-    )
+    assert done.returncode == 2
+    assert "größe-".encode("cp850") + rb"\u03bb.ply: there is no such file" in done.stderr
 
 
 def test_the_system_is_known():

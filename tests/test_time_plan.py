@@ -123,9 +123,8 @@ def test_a_method_foresees_its_looks(method, data, tiny, monkeypatch):
     run.close()
     foreseen = plan.method.ranking_passes(plan, 0 if plan.method.ranks else 120, 60 / scene.count)
     assert calls == [len(data.train_indices)] * len(foreseen) and bool(foreseen) == (method in LOOKING)
-    assert foreseen == sorted(foreseen, key=lambda look: look[0]) and all(
-        left == pytest.approx(60 / scene.count) for _, left in foreseen[-1:]
-    )
+    assert foreseen == sorted(foreseen, key=lambda look: look[0])
+    assert all(left == pytest.approx(60 / scene.count) for _, left in foreseen[-1:])
 
 
 def test_a_longer_time_gives_as_many_steps_or_more_and_never_too_many():
@@ -160,18 +159,11 @@ def test_the_result_says_what_was_asked_foreseen_and_used_and_can_be_repeated(ti
     words = ["prune", tiny.splat, "--data", tiny.folder, "--target", 0.4, "--json"]
     done = svrgs(*words, "--time", 20, "--out", tmp_path / "a.ply")
     time = done.json["time"]
-    assert (
-        time["asked"] == 20
-        and 15 < time["foreseen"] <= 18.4
-        and time["used"] == 1.5
-        and MIN_SCHEDULE < time["schedule"] < 0.1
-    )
+    assert time["asked"] == 20 and 15 < time["foreseen"] <= 18.4 and time["used"] == 1.5
+    assert MIN_SCHEDULE < time["schedule"] < 0.1
     (line,) = [line for line in done.err.splitlines() if line.startswith("--time 20: ")]
-    assert (
-        f"{done.json['iterations']:,} steps" in line
-        and f"about {time['foreseen']:.0f} s" in line
-        and f"--schedule {time['schedule']}" in line
-    )
+    assert f"{done.json['iterations']:,} steps" in line and f"about {time['foreseen']:.0f} s" in line
+    assert f"--schedule {time['schedule']}" in line
     assert not any("were allowed" in note for note in done.json["notes"])
     again = svrgs(*words, "--schedule", time["schedule"], "--out", tmp_path / "b.ply")
     assert again.json["time"] is None and "--time" not in again.err
@@ -346,11 +338,8 @@ def test_speeds_are_measured_and_the_scene_stays_as_it_was(tiny, data):
     }
     pace = pace_of(scene, data, whole("removal"))
     assert min(pace.step, pace.ranking, pace.drawn, pace.point, pace.measured, pace.photograph) > 0
-    assert (pace.train_views, pace.test_views, pace.uncached) == (
-        len(data.train_indices),
-        len(data.test_indices),
-        0,
-    )
+    assert (pace.train_views, pace.test_views) == (len(data.train_indices), len(data.test_indices))
+    assert pace.uncached == 0
     assert before == {name: getattr(scene, name).tobytes() for name in before}
     assert pace_of(scene, replace(data, memory_budget=0), whole("opacity")).uncached == 1
     assert pace_of(scene, data, whole("maskgs")).ranking == 0, "it ranks nothing between the steps"

@@ -37,14 +37,11 @@ def test_a_job_trains_and_leaves_its_splat(done, tiny, svrgs, tmp_path):
     job, heard = done
     progress = [message for message in heard if message["type"] == "PROGRESS"]
     assert progress[-1]["iteration"] == progress[-1]["total"] == SHORT and progress[-1]["psnr"] > 5
-    assert (
-        any(message["type"] == "PREVIEW" for message in heard)
-        and job.folder.metrics()["iteration"][-1] == SHORT
-    )
+    assert any(message["type"] == "PREVIEW" for message in heard)
+    assert job.folder.metrics()["iteration"][-1] == SHORT
     result = job.folder.result()
-    assert result["count"] == read_ply(job.folder.output).count and result["out"] == str(
-        job.folder / "trained.ply"
-    ) == str(job.folder.output)
+    assert result["count"] == read_ply(job.folder.output).count
+    assert result["out"] == str(job.folder / "trained.ply") == str(job.folder.output)
     words = ("--iterations", SHORT, "--quiet", "--out", tmp_path / "shell.ply")
     assert svrgs("train", "--data", tiny.folder, *words).status == 0
     assert (tmp_path / "shell.ply").read_bytes() == job.folder.output.read_bytes(), (

@@ -52,12 +52,10 @@ def test_the_same_dataset_as_from_colmap(tmp_path, model, scale, caplog):
         assert (a.name, a.width, a.height) == (b.name, b.width, b.height)
         assert np.abs(a.viewmat - b.viewmat).max() < 1e-9 and np.abs(a.K - b.K).max() < 1e-9
         assert np.array_equal(data.image(index), colmap.image(index))
-    assert np.array_equal(data.points, colmap.points) and np.array_equal(
-        data.point_colors, colmap.point_colors
-    )
-    assert data.notes == (f"the cameras are those of {tmp_path / FILE}",) and caplog.messages[-1:] == list(
-        data.notes
-    )
+    assert np.array_equal(data.points, colmap.points)
+    assert np.array_equal(data.point_colors, colmap.point_colors)
+    assert data.notes == (f"the cameras are those of {tmp_path / FILE}",)
+    assert caplog.messages[-1:] == list(data.notes)
 
 
 def test_a_colmap_model_goes_first_and_it_is_said(tmp_path):
@@ -77,13 +75,10 @@ def test_intrinsics_of_the_file_and_of_a_frame(tmp_path):
     frames[0]["fl_x"] = 70.0
     rewrite(tmp_path, facts, frames=frames, w=float(WIDTH), h=HEIGHT, fl_x=60.0, fl_y=58.0)
     *others, last = load_dataset(tmp_path, cameras_only=True).cameras
-    assert (
-        all(
-            np.array_equal(camera.K, [[60, 0, WIDTH / 2], [0, 58, HEIGHT / 2], [0, 0, 1]])
-            for camera in others
-        )
-        and last.K[0, 0] == 70
+    assert all(
+        np.array_equal(camera.K, [[60, 0, WIDTH / 2], [0, 58, HEIGHT / 2], [0, 0, 1]]) for camera in others
     )
+    assert last.K[0, 0] == 70
 
 
 def test_an_angle_of_view_and_the_size_of_the_photographs_are_enough(tmp_path):
@@ -96,11 +91,8 @@ def test_an_angle_of_view_and_the_size_of_the_photographs_are_enough(tmp_path):
     rewrite(tmp_path, {"frames": frames, "camera_angle_x": 2 * math.atan(0.5)})
     data = load_dataset(tmp_path)
     assert np.allclose(data.cameras[3].K, [[WIDTH, 0, WIDTH / 2], [0, WIDTH, HEIGHT / 2], [0, 0, 1]])
-    assert (
-        data.cameras[3].name == "03"
-        and np.array_equal(data.image(3), photo(3))
-        and data.points.shape == (0, 3)
-    )
+    assert data.cameras[3].name == "03" and np.array_equal(data.image(3), photo(3))
+    assert data.points.shape == (0, 3)
 
 
 def test_other_image_folders(tmp_path):
@@ -118,10 +110,8 @@ def test_photographs_of_several_folders_and_with_backslashes(tmp_path):
     facts["frames"][-1]["file_path"] = "left\\00.png"
     rewrite(tmp_path, facts)
     data = load_dataset(tmp_path)
-    assert [camera.name for camera in data.cameras][7:] == [
-        "images/08.png",
-        "left/00.png",
-    ] and np.array_equal(data.image(8), photo(0))
+    assert [camera.name for camera in data.cameras][7:] == ["images/08.png", "left/00.png"]
+    assert np.array_equal(data.image(8), photo(0))
 
 
 def test_a_third_radial_coefficient(tmp_path):
@@ -151,9 +141,8 @@ def test_the_world_of_a_splat_of_nerfstudio(tmp_path):
     assert np.allclose(data.points, world, atol=1e-6) and "moved into the world of the splat" in data.notes[1]
     for a, b in zip(data.cameras, colmap.cameras, strict=True):
         seen = POINTS @ b.viewmat[:3, :3].T + b.viewmat[:3, 3]
-        assert np.allclose(world @ a.viewmat[:3, :3].T + a.viewmat[:3, 3], 0.25 * seen) and np.allclose(
-            a.K, b.K
-        )
+        assert np.allclose(world @ a.viewmat[:3, :3].T + a.viewmat[:3, 3], 0.25 * seen)
+        assert np.allclose(a.K, b.K)
 
 
 def test_what_is_not_used_is_said(tmp_path):
@@ -240,9 +229,8 @@ def test_frames_without_focal_length_or_size(tmp_path):
     rewrite(tmp_path, facts, frames=[{k: v for k, v in frame.items() if k != "w"} for frame in frames])
     (tmp_path / "images/05.png").unlink()
     found = load_dataset(tmp_path)
-    assert len(found.cameras) == len(
-        frames
-    ) - 1 and "nothing says the size of a photograph: 05.png" in "".join(found.notes)
+    assert len(found.cameras) == len(frames) - 1
+    assert "nothing says the size of a photograph: 05.png" in "".join(found.notes)
 
 
 def test_a_list_of_distortion_is_that_of_nerfstudio(tmp_path):
@@ -381,9 +369,8 @@ def test_commands_take_it_like_colmap(tiny, svrgs, tmp_path):
     a, b = (
         svrgs("eval", tiny.splat, "--colmap", folder, "--json").json for folder in (tiny.folder, tmp_path)
     )
-    assert a["psnr"] == pytest.approx(b["psnr"], abs=1e-6) and b["notes"] == [
-        f"the cameras are those of {tmp_path / FILE}"
-    ]
+    assert a["psnr"] == pytest.approx(b["psnr"], abs=1e-6)
+    assert b["notes"] == [f"the cameras are those of {tmp_path / FILE}"]
     words = ("--method", "opacity", "--target", 0.5, "--recovery", 3, "--quiet", "--json")
     assert svrgs("prune", splat, *words).json["count"] == 125, "the dataset is found above the splat"
     trained = svrgs(
@@ -418,10 +405,8 @@ def test_pinhole_cameras_need_no_pycolmap(tmp_path, monkeypatch):
     expected = load_dataset(tmp_path / "a")
     monkeypatch.setitem(sys.modules, "pycolmap", None)
     data = load_dataset(tmp_path / "a/transforms.json")
-    assert (
-        np.array_equal(data.image(0), expected.image(0))
-        and np.abs(data.cameras[0].K - expected.cameras[0].K).max() < 1e-9
-    )
+    assert np.array_equal(data.image(0), expected.image(0))
+    assert np.abs(data.cameras[0].K - expected.cameras[0].K).max() < 1e-9
     with pytest.raises(
         SceneError,
         match=(

@@ -66,9 +66,8 @@ def test_the_prim_has_the_attributes_of_the_schema_and_no_others(tmp_path, suffi
     count = len(splat.GetPositionsAttr().Get())
     assert count == 20 and len(splat.GetRadianceSphericalHarmonicsCoefficientsAttr().Get()) == 9 * count
     lows, highs = np.array(splat.GetExtentAttr().Get())
-    assert (np.array(splat.GetPositionsAttr().Get()) > lows).all() and (
-        np.array(splat.GetPositionsAttr().Get()) < highs
-    ).all()
+    assert (np.array(splat.GetPositionsAttr().Get()) > lows).all()
+    assert (np.array(splat.GetPositionsAttr().Get()) < highs).all()
     assert UsdGeom.GetStageUpAxis(stage) == "Y" and stage.HasDefaultPrim()
 
 

@@ -145,17 +145,10 @@ def stage():
     scene = bpy.context.scene
     render = scene.render
     render.engine, scene.view_settings.view_transform = "SVRGS", "Standard"
-    render.image_settings.file_format, render.image_settings.color_mode, render.image_settings.color_depth = (
-        "PNG",
-        "RGBA",
-        "8",
-    )
-    render.resolution_x, render.resolution_y, render.resolution_percentage, render.pixel_aspect_x = (
-        101,
-        61,
-        100,
-        1,
-    )
+    render.image_settings.file_format, render.image_settings.color_mode = "PNG", "RGBA"
+    render.image_settings.color_depth = "8"
+    render.resolution_x, render.resolution_y, render.resolution_percentage = 101, 61, 100
+    render.pixel_aspect_x = 1
     render.dither_intensity = 1.0  # as Blender has it
     render.use_border = render.use_crop_to_border = render.film_transparent = False
     render.border_min_x, render.border_max_x, render.border_min_y, render.border_max_y = 0.23, 0.71, 0.1, 0.55

@@ -55,25 +55,19 @@ def test_a_pruned_splat_is_pruned_again(pruned, watch, results, bridge):
     first, second = pruned
     bpy.ops.svrgs.apply()
     third = prune(second, watch, results)
-    assert results.pair_of(third) == results.pair_of(second) == (second, third) and results.pair_of(
-        first
-    ) == (first, second)
-    assert [hidden(obj) for obj in (first, second, third)] == [True, True, False] and bridge.count(
-        third
-    ) == 62
+    assert results.pair_of(third) == results.pair_of(second) == (second, third)
+    assert results.pair_of(first) == (first, second)
+    assert [hidden(obj) for obj in (first, second, third)] == [True, True, False]
+    assert bridge.count(third) == 62
     third.svrgs_share = 100
     assert [hidden(obj) for obj in (first, second, third)] == [True, False, True]
     third.svrgs_share = 40
     apply(third)
-    assert bridge.count(third) == 50 and [hidden(obj) for obj in (first, second, third)] == [
-        True,
-        True,
-        False,
-    ]
+    assert bridge.count(third) == 50
+    assert [hidden(obj) for obj in (first, second, third)] == [True, True, False]
     bpy.ops.svrgs.discard(what="ORIGINAL")
-    assert (
-        set(bpy.data.objects) == {first, third} and results.pair_of(third) == (first, third) and hidden(first)
-    )
+    assert set(bpy.data.objects) == {first, third} and results.pair_of(third) == (first, third)
+    assert hidden(first)
     bpy.context.view_layer.update()
     assert results.pair_of(third) == (first, third) and hidden(first)
 
@@ -85,11 +79,8 @@ def test_a_second_result_that_does_not_please_leaves_the_first(pruned, watch, re
     bpy.context.view_layer.objects.active = third
     bpy.ops.svrgs.discard(what="RESULT")
     bpy.context.view_layer.update()
-    assert (
-        set(bpy.data.objects) == {first, second}
-        and bridge.count(second) == 125
-        and "removed" not in second.data.attributes
-    )
+    assert set(bpy.data.objects) == {first, second} and bridge.count(second) == 125
+    assert "removed" not in second.data.attributes
     assert results.pair_of(second) == (first, second) and [hidden(first), hidden(second)] == [True, False]
 
 

@@ -242,9 +242,8 @@ def test_photographs_of_a_distorting_lens_are_shown_as_their_pinholes_see_them(t
     bpy.ops.svrgs.import_colmap(directory=str(DATA / "distorted"), undistorted=str(tmp_path))
     for obj in cameras():
         image = obj.data.background_images[0].image
-        assert Path(bpy.path.abspath(image.filepath)).resolve().parent == tmp_path and tuple(
-            image.size
-        ) == tuple(obj.data["svrgs_size"])
+        assert Path(bpy.path.abspath(image.filepath)).resolve().parent == tmp_path
+        assert tuple(image.size) == tuple(obj.data["svrgs_size"])
 
 
 def follow(work, seconds: float = 60):
@@ -271,10 +270,8 @@ def test_cameras_are_there_before_their_photographs_are_undistorted(tmp_path, mo
     bpy.data.objects.remove(cameras()[0])
     follow(work)
     (left,) = cameras()
-    assert (
-        Path(bpy.path.abspath(left.data.background_images[0].image.filepath)).resolve().parent == tmp_path
-        and not part("operators.io.undistort").status()
-    )
+    assert Path(bpy.path.abspath(left.data.background_images[0].image.filepath)).resolve().parent == tmp_path
+    assert not part("operators.io.undistort").status()
 
 
 def test_photographs_that_cannot_be_undistorted_are_missed_and_it_is_said(tmp_path, capfd):
@@ -292,10 +289,8 @@ def test_cameras_come_without_photographs_and_say_so(tmp_path, capfd):
     bpy.ops.svrgs.import_colmap(directory=str(tmp_path))
     assert len(cameras()) == 12 and not any(obj.data.background_images for obj in cameras())
     out = capfd.readouterr().out
-    assert (
-        "has no image folder images; give the name" in out
-        and "; the cameras were loaded without photographs" in out
-    )
+    assert "has no image folder images; give the name" in out
+    assert "; the cameras were loaded without photographs" in out
 
 
 def copy_of(name: str, folder: Path) -> Path:
@@ -336,10 +331,8 @@ def test_each_photograph_finds_its_camera_if_others_vanish_meanwhile(tmp_path, m
     )
     bpy.ops.svrgs.import_colmap(directory=str(folder))
     first, second = cameras()
-    assert (
-        not first.data.background_images
-        and Path(second.data.background_images[0].image.filepath).name == "01.png.png"
-    )
+    assert not first.data.background_images
+    assert Path(second.data.background_images[0].image.filepath).name == "01.png.png"
 
 
 def test_a_folder_without_a_model_is_refused(tmp_path):

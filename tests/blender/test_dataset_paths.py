@@ -62,9 +62,8 @@ def test_a_project_that_is_moved_keeps_its_photographs(project, tmp_path):
     bpy.context.scene.svrgs_prune.data = str(project / "data")
     save(project / "work.blend")
     settings = bpy.context.scene.svrgs_prune
-    assert root()["svrgs_dataset"] == settings.data == "//data" and all(
-        image.filepath.startswith("//data") for image in bpy.data.images if image.filepath
-    )
+    assert root()["svrgs_dataset"] == settings.data == "//data"
+    assert all(image.filepath.startswith("//data") for image in bpy.data.images if image.filepath)
     bpy.ops.wm.read_homefile(use_empty=True)
     moved = tmp_path / "moved/deeper"
     shutil.move(project, moved)
@@ -148,16 +147,10 @@ def test_a_lost_dataset_is_said_and_found_again(lost, project):
         with pytest.raises(RuntimeError, match="press Find Dataset in Scene"):
             operator()
     bpy.ops.svrgs.find_dataset(directory=str(lost))
-    assert (
-        dataset() == lost
-        and root()["svrgs_dataset"] == "//../new place"
-        and photographs() == {lost / "images"}
-    )
-    assert (
-        "Find Dataset" not in drawn("prune")
-        and "svrgs.find_dataset" not in drawn("scene")
-        and bpy.ops.svrgs.job_start.poll()
-    )
+    assert dataset() == lost and root()["svrgs_dataset"] == "//../new place"
+    assert photographs() == {lost / "images"}
+    assert "Find Dataset" not in drawn("prune") and "svrgs.find_dataset" not in drawn("scene")
+    assert bpy.ops.svrgs.job_start.poll()
 
 
 def test_photographs_that_are_missing_in_the_new_place_are_counted(lost, capfd):

@@ -44,18 +44,14 @@ def test_the_result_stands_beside_the_original_until_it_is_applied(splat, bridge
     set_up({"effort": effort, "goal": "SHARE", "share": 40, "recovery": 20})
     result = run(watch)
     assert result is not splat and bridge.count(result) == 100 and result.name == "scene pruned"
-    assert (
-        splat.hide_get()
-        and not result.hide_get()
-        and ("svrgs_share" in drawn("prune")) == (effort == "QUICK")
-    )
+    assert splat.hide_get() and not result.hide_get()
+    assert ("svrgs_share" in drawn("prune")) == (effort == "QUICK")
     assert "100 of 250 Gaussians" in said() and "against the original's own pictures" in said()
     assert not part("operators.jobs.job_result").undecided(splat)
     means = bridge.scene_from_object(result).means
     bpy.ops.svrgs.apply()
-    assert (bridge.scene_from_object(result).means == means).all() and not part(
-        "operators.jobs.job_result"
-    ).undecided(result)
+    assert (bridge.scene_from_object(result).means == means).all()
+    assert not part("operators.jobs.job_result").undecided(result)
     assert splat.hide_get() and bridge.count(splat) == 250
 
 
@@ -63,9 +59,8 @@ def test_it_can_be_discarded(splat, bridge, watch):
     set_up({"effort": "QUICK", "goal": "COUNT", "count": 60})
     assert bridge.count(run(watch)) == 60
     bpy.ops.svrgs.discard(what="RESULT")
-    assert (
-        list(bpy.data.objects) == [splat] and not splat.hide_get() and "removed" not in splat.data.attributes
-    )
+    assert list(bpy.data.objects) == [splat] and not splat.hide_get()
+    assert "removed" not in splat.data.attributes
     assert bpy.ops.svrgs.job_start.poll()
 
 
@@ -82,16 +77,13 @@ def test_a_moved_original_moves_its_result(splat, bridge, watch):
 def test_goals_that_quick_cannot_reach_say_so(splat):
     set_up({"effort": "QUICK"})
     set_up({"goal": "DROP", "iterations": 0})
-    assert bpy.ops.svrgs.job_start.poll() and "max_drop" in part("operators.jobs.job").options_of(
-        bpy.context, splat
-    )
+    assert bpy.ops.svrgs.job_start.poll()
+    assert "max_drop" in part("operators.jobs.job").options_of(bpy.context, splat)
     set_up({"goal": "LAMBDA"})
     assert not bpy.ops.svrgs.job_start.poll() and "Quick needs a number of Gaussians" in said()
     set_up({"effort": "TUNED"})
-    assert (
-        bpy.ops.svrgs.job_start.poll()
-        and part("operators.jobs.job").options_of(bpy.context, splat)["method"] == "removal"
-    )
+    assert bpy.ops.svrgs.job_start.poll()
+    assert part("operators.jobs.job").options_of(bpy.context, splat)["method"] == "removal"
 
 
 @pytest.mark.parametrize("effort", ["QUICK", "TUNED"])
@@ -148,13 +140,8 @@ def shot(splat):
     bpy.ops.object.camera_add(location=middle + [0, -6, 0], rotation=(np.pi / 2, 0, 0))
     camera = bpy.context.object
     scene = bpy.context.scene
-    scene.camera, scene.frame_start, scene.frame_end, scene.render.resolution_x, scene.render.resolution_y = (
-        camera,
-        1,
-        10,
-        96,
-        64,
-    )
+    scene.camera, scene.frame_start, scene.frame_end, scene.render.resolution_x = camera, 1, 10, 96
+    scene.render.resolution_y = 64
     for frame, x in ((1, -0.5), (10, 0.5)):
         camera.location.x = middle[0] + x
         camera.keyframe_insert("location", frame=frame)
@@ -166,9 +153,8 @@ def shot(splat):
 def test_a_camera_path_is_a_set_of_views_in_the_coordinates_of_the_splat(splat, shot, bridge):
     views = part("operators.data.views_of_file").views(bpy.context, splat)
     assert len(views) == 10 and bpy.context.scene.frame_current == 3
-    assert len({view.name for view in views}) == 10 and {(view.width, view.height) for view in views} == {
-        (96, 64)
-    }
+    assert len({view.name for view in views}) == 10
+    assert {(view.width, view.height) for view in views} == {(96, 64)}
     matrix = np.array(splat.matrix_world)
     for view in views:
         assert (matrix @ [*view.position, 1])[1] == pytest.approx(shot.matrix_world.translation.y, abs=1e-4)
@@ -216,10 +202,8 @@ def test_placed_cameras_are_children_of_the_splat_and_look_at_it(splat, bridge):
     ]
     assert np.mean(towards) > 0.8
     bpy.ops.svrgs.place_cameras()
-    assert (
-        len(bridge_views.placed(splat)) == len(bpy.data.cameras) == len(placed)
-        and len(bpy.data.collections) == 1
-    )
+    assert len(bridge_views.placed(splat)) == len(bpy.data.cameras) == len(placed)
+    assert len(bpy.data.collections) == 1
 
 
 def test_a_job_uses_what_is_left_of_the_placed_cameras(splat, watch):
@@ -269,19 +253,16 @@ def test_a_second_job_replaces_a_discarded_result_and_keeps_an_applied_one(splat
     set_up({"share": 20})
     watch.jobs.clear()
     second = run(watch)
-    assert (
-        sorted(bridge.count(obj) for obj in bpy.data.objects if bridge.is_splat(obj)) == [50, 100, 250]
-        and bridge.count(second) == 50
-    )
+    assert sorted(bridge.count(obj) for obj in bpy.data.objects if bridge.is_splat(obj)) == [50, 100, 250]
+    assert bridge.count(second) == 50
 
 
 def test_a_setting_without_effect_is_not_shown(splat):
     set_up({"effort": "TUNED", "goal": "SHARE"})
     assert "nested" not in drawn("prune")
     set_up({"goal": "LAMBDA", "nested": True})
-    assert "nested" in drawn("prune") and "nested" in part("operators.jobs.job").options_of(
-        bpy.context, splat
-    )
+    assert "nested" in drawn("prune")
+    assert "nested" in part("operators.jobs.job").options_of(bpy.context, splat)
     set_up({"goal": "SHARE"})
     assert "nested" not in part("operators.jobs.job").options_of(bpy.context, splat)
 

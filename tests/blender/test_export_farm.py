@@ -63,9 +63,8 @@ def test_every_selected_splat_is_a_task_with_its_photographs(splat, tmp_path):
     splat.select_set(True)
     assert export(tmp_path / "job") == {"FINISHED"}
     contents = json.loads((tmp_path / "job/job.json").read_text())
-    assert contents["root"] == str(DATA / "tiny") and [
-        task["options"]["data"] for task in contents["tasks"]
-    ] == [".", "."]
+    assert contents["root"] == str(DATA / "tiny")
+    assert [task["options"]["data"] for task in contents["tasks"]] == [".", "."]
     assert run(tmp_path / "job") == 0 and len(list((tmp_path / "job/results").glob("*.spz"))) == 2
 
 
@@ -89,10 +88,8 @@ def test_a_worker_may_have_job_and_photographs_elsewhere(splat, tmp_path):
     shutil.move(tmp_path / "here", tmp_path / "there")
     shutil.move(tmp_path / "job", tmp_path / "moved")
     assert run(tmp_path / "moved") != 0
-    assert (
-        run(tmp_path / "moved", "--root", str(tmp_path / "there/tiny")) == 0
-        and len(list((tmp_path / "moved/results").glob("*.spz"))) == 1
-    )
+    assert run(tmp_path / "moved", "--root", str(tmp_path / "there/tiny")) == 0
+    assert len(list((tmp_path / "moved/results").glob("*.spz"))) == 1
 
 
 def test_splats_whose_files_would_be_one_are_refused(splat, tmp_path):

@@ -19,11 +19,8 @@ def options(splat) -> dict:
 
 def test_light_balanced_and_small_come_first_and_balanced_is_the_default(splat):
     goals = bpy.context.scene.svrgs_prune.bl_rna.properties["goal"]
-    assert [item.name for item in goals.enum_items][:3] == [
-        "Light",
-        "Balanced",
-        "Small",
-    ] and goals.default == "BALANCED"
+    assert [item.name for item in goals.enum_items][:3] == ["Light", "Balanced", "Small"]
+    assert goals.default == "BALANCED"
     assert len({item.value for item in goals.enum_items}) == len(goals.enum_items)
     assert [goals.enum_items[name].value for name in ("LAMBDA", "SHARE", "COUNT", "SIZE", "DROP")] == [
         0,
@@ -48,9 +45,8 @@ def test_the_plain_goals_are_multiples_of_the_default_strength_or_shares(splat, 
         set_up({"method": method, "goal": goal})
         assert options(splat) == pytest.approx(wanted)
         assert bpy.ops.svrgs.job_start.poll()
-        assert ("Keeps" in drawn("prune")) == (
-            "target_count" in wanted or method == "gns"
-        ) and "amount" not in drawn("prune")
+        assert ("Keeps" in drawn("prune")) == ("target_count" in wanted or method == "gns")
+        assert "amount" not in drawn("prune")
 
 
 @pytest.mark.parametrize(
@@ -74,9 +70,8 @@ def test_balanced_is_what_the_default_strength_is(splat):
     strength = options(splat)
     plan = part("svrgs_addon.prune.plans").plan_of_pruning
     make = part("svrgs_addon.prune.options").PruneOptions
-    assert plan(make(method="removal", **strength)) == plan(make(method="removal")) and strength == {
-        "lambda_f": 1e-4
-    }
+    assert plan(make(method="removal", **strength)) == plan(make(method="removal"))
+    assert strength == {"lambda_f": 1e-4}
 
 
 @pytest.mark.parametrize("degree, further", [(0, False), (1, True), (3, True), (3, False)])

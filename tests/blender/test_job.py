@@ -88,16 +88,10 @@ def test_a_result_deleted_with_x_leaves_the_original_free(pruned, bridge, result
     original, result = pruned
     source = bridge.scene_from_object(original).means.tobytes()
     delete(result)
-    assert (
-        not original.hide_get()
-        and not original.hide_render
-        and not original.modifiers
-        and results.PRUNED not in original
-    )
-    assert (
-        "removed" not in original.data.attributes
-        and bridge.scene_from_object(original).means.tobytes() == source
-    )
+    assert not original.hide_get() and not original.hide_render and not original.modifiers
+    assert results.PRUNED not in original
+    assert "removed" not in original.data.attributes
+    assert bridge.scene_from_object(original).means.tobytes() == source
     bpy.context.view_layer.objects.active = original
     assert results.pair_of(original) == (None, None) and "load its result, or discard it" in drawn("prune")
     bpy.ops.svrgs.job_discard()
@@ -126,11 +120,8 @@ def test_an_original_deleted_with_x_leaves_a_result_that_can_be_applied(pruned, 
     original.hide_set(False)
     delete(original)
     bpy.context.view_layer.objects.active = result
-    assert (
-        results.pair_of(result) == (None, result)
-        and results.ORIGINAL not in result
-        and "Gaussians" in drawn("prune")
-    )
+    assert results.pair_of(result) == (None, result) and results.ORIGINAL not in result
+    assert "Gaussians" in drawn("prune")
     result.svrgs_share = 40
     bpy.ops.svrgs.apply()
     assert bridge.count(result) == 50 and bpy.ops.svrgs.job_start.poll()
@@ -140,12 +131,8 @@ def test_probability_of_existence_is_an_attribute_where_masks_were_learned(prune
     original, result = pruned
     (job,) = watch.jobs.values()
     learned, kept = bridge.values(original, "svrgs:probability"), job.folder.arrays()[0]
-    assert (
-        learned.shape == (COUNT,)
-        and (learned >= 0).all()
-        and (learned <= 1).all()
-        and learned[kept].min() > 0
-    )
+    assert learned.shape == (COUNT,) and (learned >= 0).all() and (learned <= 1).all()
+    assert learned[kept].min() > 0
     np.testing.assert_array_equal(bridge.values(result, "svrgs:probability"), learned[kept])
     bpy.ops.svrgs.discard(what="RESULT")
     assert "svrgs:probability" not in original.data.attributes
@@ -174,9 +161,8 @@ def test_stopped_and_resumed(splat, watch):
         bpy.ops.svrgs.job_resume()
     follow(watch, lambda: job.facts.get("iteration", 0) > 200)
     bpy.ops.svrgs.job_stop()
-    assert "Stop Now does not wait for it. Resume starts it from the beginning" in drawn(
-        "prune"
-    ) and "Stop Now" in drawn("prune")
+    assert "Stop Now does not wait for it. Resume starts it from the beginning" in drawn("prune")
+    assert "Stop Now" in drawn("prune")
     follow(watch, lambda: not job.running)
     saved = job.folder.checkpoint()
     assert job.state == "stopped" and saved > 200
@@ -361,12 +347,8 @@ def test_the_estimate_comes_before_anything_runs_and_soon(splat, capfd):
         seconds.append(time.monotonic() - started)
     assert min(seconds) < 5
     found = part("operators.jobs.estimate").of(splat)
-    assert (
-        found["count"] == COUNT
-        and found["invisible"] == 10
-        and found["unseen"] >= 10
-        and 0 < found["kept"] <= COUNT - 10
-    )
+    assert found["count"] == COUNT and found["invisible"] == 10 and found["unseen"] >= 10
+    assert 0 < found["kept"] <= COUNT - 10
     assert found["seconds"] > 0 and "would stay" in capfd.readouterr().out and len(bpy.data.objects) == 1
 
 
@@ -413,11 +395,8 @@ def test_the_panel_draws_in_any_state(tmp_path, watch, monkeypatch):
     assert "Quality at 125 Gaussians: PSNR" in said and "not measured" not in said
     bpy.context.object.svrgs_share = 20
     said = " ".join(drawn("prune").split())
-    assert (
-        "50 of 250 Gaussians" in said
-        and "Quality at 125 Gaussians: PSNR" in said
-        and "not measured at this setting" in said
-    )
+    assert "50 of 250 Gaussians" in said and "Quality at 125 Gaussians: PSNR" in said
+    assert "not measured at this setting" in said
     bpy.context.object.svrgs_share = 60
     assert "25 more than were recovered" in drawn("prune")
     bpy.ops.svrgs.apply()

@@ -75,11 +75,8 @@ def folder_of(row) -> str:
 def test_a_second_job_waits_and_starts_when_the_first_has_ended(two, watch, results, listed):
     (splat, first), (other, second) = two
     assert first.running and not second.running and second.folder.state()["state"] == "queued"
-    assert (
-        bpy.context.object == other
-        and "Waiting for 'scene'. One job runs at a time" in drawn("prune")
-        and "svrgs.job_stop" in drawn("prune")
-    )
+    assert bpy.context.object == other and "Waiting for 'scene'. One job runs at a time" in drawn("prune")
+    assert "svrgs.job_stop" in drawn("prune")
     assert listed()["other"].state == "Waiting for 'scene'" and listed()["scene"].state.startswith("Running")
     with pytest.raises(RuntimeError, match="Waiting for 'scene'"):
         bpy.ops.svrgs.job_start()
@@ -164,9 +161,8 @@ def test_one_line_tells_what_runs_and_how_it_ended(two, watch, results):
 def test_a_job_that_waits_can_be_taken_out_of_the_queue_and_put_back(two, watch):
     (_, first), (_, second) = two
     bpy.ops.svrgs.job_stop()
-    assert "Not started yet Resume starts it from the beginning" in drawn("prune") and "job_resume" in drawn(
-        "prune"
-    )
+    assert "Not started yet Resume starts it from the beginning" in drawn("prune")
+    assert "job_resume" in drawn("prune")
     bpy.ops.svrgs.job_resume()
     assert "Waiting for 'scene'" in drawn("prune")
     bpy.ops.svrgs.job_stop()
@@ -218,17 +214,13 @@ def test_a_job_whose_splat_was_deleted_is_listed_stopped_continued_and_opened(sp
     delete(splat)
     new_file()
     row = listed()["scene"]
-    assert (
-        row.actions == ("stop",)
-        and row.state.startswith("Running at")
-        and row.size.endswith("its splat is not in this file")
-    )
+    assert row.actions == ("stop",) and row.state.startswith("Running at")
+    assert row.size.endswith("its splat is not in this file")
     assert "svrgs.job_stop" in drawn("jobs")
     bpy.ops.svrgs.job_stop(folder=folder_of(row))
     follow(watch, lambda: not job.running)
-    assert listed()["scene"].actions == ("resume", "discard") and listed()["scene"].state.startswith(
-        "Stopped at"
-    )
+    assert listed()["scene"].actions == ("resume", "discard")
+    assert listed()["scene"].state.startswith("Stopped at")
     with pytest.raises(RuntimeError, match="has no result yet"):
         bpy.ops.svrgs.job_load(folder=folder_of(row))
     bpy.ops.svrgs.job_resume(folder=folder_of(row))
@@ -271,9 +263,8 @@ def test_a_result_is_opened_beside_its_splat_where_that_is(splat, watch, listed,
     bpy.ops.object.mode_set(mode="OBJECT")
     bpy.ops.svrgs.job_load(folder=folder)
     assert results.pruned_of(splat) == bpy.context.object
-    assert listed()["scene"].state == "Finished, its result is in this file" and listed()[
-        "scene"
-    ].actions == ("discard",)
+    assert listed()["scene"].state == "Finished, its result is in this file"
+    assert listed()["scene"].actions == ("discard",)
 
 
 def test_a_job_that_runs_is_not_deleted(splat, watch, listed):

@@ -98,11 +98,8 @@ def test_a_result_arrives_where_its_collection_is_excluded(splat, watch, results
     (job,) = watch.jobs.values()
     follow(watch, lambda: not job.running)
     result = results.pruned_of(splat)
-    assert (
-        job.state == "done"
-        and result.svrgs_share == pytest.approx(50)
-        and results.pair_of(result) == (splat, result)
-    )
+    assert job.state == "done" and result.svrgs_share == pytest.approx(50)
+    assert results.pair_of(result) == (splat, result)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows keeps files that are open")

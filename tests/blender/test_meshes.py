@@ -101,10 +101,8 @@ def test_the_texture_of_the_base_colour_is_shown(tmp_path, alone, camera, wires)
     paint, quarters = obj.data.materials[0], np.array([[(1, 0, 0), (0, 1, 0)], [(0, 0, 1), (1, 1, 0)]], float)
     tree, base = paint.node_tree, shader_of(paint).inputs["Base Color"]
     node = tree.nodes.new("ShaderNodeTexImage")
-    node.image, node.interpolation = (
-        picture("quarters", np.repeat(np.repeat(quarters, 64, 0), 64, 1)),
-        "Linear",
-    )
+    node.image = picture("quarters", np.repeat(np.repeat(quarters, 64, 0), 64, 1))
+    node.interpolation = "Linear"
     if wires == "group":
         group = bpy.data.node_groups.new("inside", "ShaderNodeTree")
         tree.nodes.remove(node)
@@ -131,10 +129,8 @@ def test_the_texture_of_the_base_colour_is_shown(tmp_path, alone, camera, wires)
         coordinates, mapping = tree.nodes.new("ShaderNodeTexCoord"), tree.nodes.new("ShaderNodeMapping")
         link(paint, coordinates.outputs["UV" if wires == "mapped" else "Generated"], mapping.inputs["Vector"])
         link(paint, mapping.outputs[0], node.inputs["Vector"])
-        mapping.inputs["Location"].default_value, mapping.inputs["Scale"].default_value = (
-            (0, 0.5, 0),
-            (1, -1, 1),
-        )
+        mapping.inputs["Location"].default_value = (0, 0.5, 0)
+        mapping.inputs["Scale"].default_value = (1, -1, 1)
         quarters = quarters if wires == "mapped" else np.full((2, 2, 3), quarters.mean(axis=(0, 1)))
         quarters = np.roll(quarters[::-1], 1, axis=0)
     seen = f12(tmp_path / "wall.png")
@@ -205,11 +201,8 @@ def test_meshes_of_instances_and_curves_are_there(tmp_path, alone, stage, camera
     inner.objects.link(obj)
     for place in (-1.2, 1.2):
         copy = bpy.data.objects.new("copy", None)
-        copy.instance_type, copy.instance_collection, copy.location = (
-            "COLLECTION",
-            inner,
-            camera.matrix_world.to_3x3() @ Matrix.Identity(3).col[0] * place,
-        )
+        copy.instance_type, copy.instance_collection = "COLLECTION", inner
+        copy.location = camera.matrix_world.to_3x3() @ Matrix.Identity(3).col[0] * place
         stage.collection.objects.link(copy)
     covered = f12(tmp_path / "copies.png")[..., 0] > 0.3
     middle = covered[:, 40:60].sum()

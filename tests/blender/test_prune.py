@@ -57,11 +57,8 @@ def test_pruning_the_active_splat_is_the_job_of_the_command_line(from_a_shell, b
     ply.write_ply(tmp_path / "object.ply", bridge.scene_from_object(pruned))
     assert (tmp_path / "object.ply").read_bytes() == content
     assert pruned.matrix_world == source.matrix_world
-    assert (
-        part("operators.jobs.job_result").pair_of(pruned) == (source, pruned)
-        and source.hide_render
-        and not pruned.hide_render
-    )
+    assert part("operators.jobs.job_result").pair_of(pruned) == (source, pruned) and source.hide_render
+    assert not pruned.hide_render
 
 
 def test_photographs_imported_beside_the_splat_need_not_be_named(from_a_shell, bridge, tmp_path):
@@ -72,11 +69,8 @@ def test_photographs_imported_beside_the_splat_need_not_be_named(from_a_shell, b
     bpy.ops.svrgs.prune(out=str(tmp_path / "out.ply"), **SHORT)
     pruned = bpy.context.object
     bpy.context.view_layer.update()
-    assert (
-        bridge.count(pruned) == from_a_shell[0]["count"]
-        and pruned.parent == source.parent
-        and pruned.matrix_world == source.matrix_world
-    )
+    assert bridge.count(pruned) == from_a_shell[0]["count"] and pruned.parent == source.parent
+    assert pruned.matrix_world == source.matrix_world
 
 
 def test_pruning_a_file_needs_no_object(from_a_shell, bridge, tmp_path):
@@ -129,9 +123,8 @@ def unsaved():
 def test_in_background_the_result_lies_beside_the_blend(saved, tmp_path, capfd):
     bpy.ops.svrgs.prune(data="//data", report_folder="//report", **SHORT)
     (result,) = json_lines(capfd.readouterr().out)
-    assert result["out"] == str(saved / "tiny_001_pruned.spz") and result["scene"] == str(
-        saved / "work.blend"
-    )
+    assert result["out"] == str(saved / "tiny_001_pruned.spz")
+    assert result["scene"] == str(saved / "work.blend")
     assert Path(result["out"]).read_bytes() == by_a_shell(tmp_path / "shell.spz")[1]
     assert (saved / "report/index.html").exists()
 
@@ -274,9 +267,8 @@ def test_figures_that_cannot_be_compared_are_left_out(capfd, monkeypatch, tmp_pa
     bpy.ops.svrgs.prune(
         scene=str(DATA / "tiny/scene.ply"), data=str(DATA / "tiny"), out=str(tmp_path / "out.ply"), **SHORT
     )
-    assert (
-        "Kept 125 of 250 Gaussians\n" in capfd.readouterr().out and bpy.context.object.name == "scene pruned"
-    )
+    assert "Kept 125 of 250 Gaussians\n" in capfd.readouterr().out
+    assert bpy.context.object.name == "scene pruned"
 
 
 def test_only_what_prunes_can_be_chosen():

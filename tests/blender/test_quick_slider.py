@@ -79,12 +79,8 @@ def test_it_shows_any_number_at_once_and_the_data_stay_those_of_the_job(result, 
             == part("operators.view.compare").shown_scene(result).count
             == count
         )
-        assert (
-            f"{count} of 250 Gaussians" in said()
-            and "not fine-tuned yet" in said()
-            and "pictures; not measured at this setting" in said()
-            and "prune_again" in drawn("prune")
-        )
+        assert f"{count} of 250 Gaussians" in said() and "not fine-tuned yet" in said()
+        assert "pictures; not measured at this setting" in said() and "prune_again" in drawn("prune")
         assert (bridge.scene_from_object(result).means == own).all()
     result.svrgs_share = 40
     assert sorted(cached(result).means[:, 0]) == sorted(own[:, 0]) and "not fine-tuned yet" not in said()
@@ -106,15 +102,10 @@ def test_apply_keeps_what_is_shown(result, splat, bridge):
     result.svrgs_share = 70
     means = np.sort(cached(result).means, axis=0)
     bpy.ops.svrgs.apply()
-    assert (
-        bridge.count(result) == 175
-        and (np.sort(bridge.scene_from_object(result).means, axis=0) == means).all()
-    )
-    assert (
-        "svrgs_shown" not in result
-        and not part("operators.jobs.job_result").undecided(result)
-        and bridge.count(splat) == 250
-    )
+    assert bridge.count(result) == 175
+    assert (np.sort(bridge.scene_from_object(result).means, axis=0) == means).all()
+    assert "svrgs_shown" not in result and not part("operators.jobs.job_result").undecided(result)
+    assert bridge.count(splat) == 250
     assert shown().count == 175
 
 
@@ -229,10 +220,8 @@ def test_without_its_files_the_number_of_the_job_is_shown(result, splat, name):
 
 
 def test_the_order_can_be_read_before_it_is_needed(result, splat, monkeypatch):
-    bridge_order, folder = (
-        part("operators.data.quick_order"),
-        Path(part("operators.data.job_paths").folder_of(splat)),
-    )
+    bridge_order = part("operators.data.quick_order")
+    folder = Path(part("operators.data.job_paths").folder_of(splat))
     with monkeypatch.context() as patch:
         patch.setattr(bridge_order, "bpy", SimpleNamespace(app=SimpleNamespace(background=False)))
         bridge_order.read_ahead(part("svrgs_addon.jobs.job_folder").JobFolder(folder))
@@ -258,12 +247,8 @@ def test_fine_tune_prunes_again_to_what_is_shown(result, splat, watch, bridge):
     (job,) = watch.jobs.values()
     follow(watch, lambda: ended(job))
     again = bpy.context.object
-    assert (
-        again != splat
-        and bridge.count(again) == 50
-        and again.svrgs_share == pytest.approx(20)
-        and "not fine-tuned yet" not in said()
-    )
+    assert again != splat and bridge.count(again) == 50 and again.svrgs_share == pytest.approx(20)
+    assert "not fine-tuned yet" not in said()
     assert not np.array_equal(
         np.sort(bridge.scene_from_object(again).sh, axis=0), np.sort(untuned.sh, axis=0)
     )

@@ -245,16 +245,12 @@ def test_viewports_show_splats_of_instanced_collections_as_renders_do(stage, bri
         )
 
     view = types.SimpleNamespace(view_layer=bpy.context.view_layer, space_data=None)
-    in_view, in_render = (
-        lambda: graph.splats_in_view(view),
-        lambda: graph.placed_splats(bpy.context.evaluated_depsgraph_get()),
-    )
+    in_view = lambda: graph.splats_in_view(view)
+    in_render = lambda: graph.placed_splats(bpy.context.evaluated_depsgraph_get())
     inner, outer = bpy.data.collections.new("inner"), bpy.data.collections.new("outer")
     bridge.object_from_scene("copied", gaussians, inner)
-    once, nested = (
-        instance("once", inner, stage.collection, (1, 0, 0)),
-        instance("nested", outer, stage.collection, (0, 2, 0)),
-    )
+    once = instance("once", inner, stage.collection, (1, 0, 0))
+    nested = instance("nested", outer, stage.collection, (0, 2, 0))
     instance("within", inner, outer, (0, 0, 3))
     own, first, second = ("room", (0, 0, 0)), ("copied", (1, 0, 0)), ("copied", (0, 2, 3))
     assert places(in_view) == places(in_render) == sorted([own, first, second])

@@ -40,9 +40,8 @@ def test_images_of_a_reopened_file_are_drawn_again_in_place(tmp_path, room, came
     settings = bpy.context.scene.svrgs_view
     settings.mask_colors = "grey" if settings.mask_colors != "grey" else "values"
     settings.wipe = 1.0
-    assert (pixels(bpy.data.images["SVR-GS Spatial Mask"]) != mask).any() and (
-        pixels(bpy.data.images["SVR-GS Wipe"]) != wipe
-    ).any()
+    assert (pixels(bpy.data.images["SVR-GS Spatial Mask"]) != mask).any()
+    assert (pixels(bpy.data.images["SVR-GS Wipe"]) != wipe).any()
     bpy.context.scene.camera.location.x += 1
     bpy.context.view_layer.update()
     bpy.ops.svrgs.spatial_mask()

@@ -52,10 +52,8 @@ def activate(*objects):
 def in_world(parts) -> object:
     """The Gaussians of [(scene, matrix to the world)], sorted by opacity, which no operation changes;
     instances by place."""
-    transformed, concatenated = (
-        part("svrgs_addon.scene.affine").transformed,
-        part("svrgs_addon.scene.concatenate").concatenated,
-    )
+    transformed = part("svrgs_addon.scene.affine").transformed
+    concatenated = part("svrgs_addon.scene.concatenate").concatenated
     scene = concatenated([transformed(scene, np.array(matrix)) for scene, matrix in parts])
     return scene.select(np.lexsort((scene.means[:, 0], scene.opacity_logits)))
 

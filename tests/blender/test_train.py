@@ -27,10 +27,8 @@ def test_a_splat_is_trained_and_placed_with_its_cameras(root, watch, bridge):
     bpy.ops.svrgs.train()
     (job,) = watch.jobs.values()
     assert job.folder.kind == "train" and not part("operators.jobs.train").about(bpy.context)
-    assert (
-        part("operators.jobs.prune_state").stage(bpy.context) == "BUSY"
-        and part("operators.jobs.prune_state").subject(bpy.context).name == root.name
-    )
+    assert part("operators.jobs.prune_state").stage(bpy.context) == "BUSY"
+    assert part("operators.jobs.prune_state").subject(bpy.context).name == root.name
     opened = part("operators.jobs.steps").opened
     assert opened(bpy.context) == "train"
     assert "job_stop" in drawn("train") and "iterations" not in drawn("train")
@@ -175,10 +173,8 @@ def test_a_job_whose_cameras_are_gone_is_opened_as_a_splat(root, watch, bridge):
     assert "its cameras are not in this file" in drawn("jobs")
     follow(watch, lambda: not job.running)
     bpy.ops.svrgs.job_load(folder=str(job.folder.path))
-    assert (
-        bpy.context.object.name == f"{job.name} splat"
-        and bridge.count(bpy.context.object) == job.folder.result()["count"]
-    )
+    assert bpy.context.object.name == f"{job.name} splat"
+    assert bridge.count(bpy.context.object) == job.folder.result()["count"]
 
 
 def test_discarding_leaves_the_cameras(root, watch):

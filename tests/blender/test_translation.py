@@ -177,10 +177,8 @@ def test_panels_and_reports_show_translated_texts(drawn, splat, room, camera, ca
     bpy.context.scene.svrgs_view.pruned = room
     bpy.ops.svrgs.compare()
     bpy.context.view_layer.objects.active = splat
-    bpy.context.scene.render.engine, bpy.context.scene.view_settings.view_transform = (
-        "BLENDER_WORKBENCH",
-        "AgX",
-    )
+    bpy.context.scene.render.engine = "BLENDER_WORKBENCH"
+    bpy.context.scene.view_settings.view_transform = "AgX"
     for panel in ("scene", "spatial_mask", "compare", "export", "rendering"):
         assert "⟦" in drawn(panel) and not untranslated(drawn(panel)), panel
     reports = re.findall(r"(?:Info|Warning|Error): (.*)", capfd.readouterr().out)
@@ -234,6 +232,5 @@ def test_lines_of_chinese_fit_and_do_not_begin_with_a_mark():
     wrapped_label.wrapped_label(Layout(set(), shown), sentence)
     widths = [sum(1 + (character > "\u2fff") for character in line) for line in shown]
     assert len(shown) > 5 and max(widths) <= wrapped_label.SIDEBAR_WIDTH / wrapped_label.CHARACTER_WIDTH
-    assert "".join(shown).replace(" ", "") == sentence.replace(" ", "") and not [
-        line for line in shown if line[0] in "，。"
-    ]
+    assert "".join(shown).replace(" ", "") == sentence.replace(" ", "")
+    assert not [line for line in shown if line[0] in "，。"]

@@ -32,12 +32,8 @@ def test_a_splat_is_imported_with_cameras_of_transforms_json_pruned_and_rendered
     assert np.abs(f12(tmp_path / "original.png")[..., :3] - expected[..., :3]).max() <= LEVEL
     bpy.ops.svrgs.prune(out=str(tmp_path / "pruned.ply"), report_folder=str(tmp_path / "report"), **SHORT)
     pruned = bpy.context.object
-    assert (
-        pruned != room
-        and bridge.count(pruned) == 125
-        and (tmp_path / "pruned.ply").exists()
-        and (tmp_path / "report/index.html").exists()
-    )
+    assert pruned != room and bridge.count(pruned) == 125 and (tmp_path / "pruned.ply").exists()
+    assert (tmp_path / "report/index.html").exists()
     assert f12(tmp_path / "pruned.png").std() > 0.01
 
 

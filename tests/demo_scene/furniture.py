@@ -227,10 +227,8 @@ def pictures() -> Things:
 
 
 def desk() -> Things:
-    top, steel = (
-        wood("desk", 0.9, 0.25),
-        mat.patterned("steel", "Noise", [(0.20, 0.20, 0.22), (0.50, 0.50, 0.52)], 0.3, 1.0, Scale=15),
-    )
+    top = wood("desk", 0.9, 0.25)
+    steel = mat.patterned("steel", "Noise", [(0.20, 0.20, 0.22), (0.50, 0.50, 0.52)], 0.3, 1.0, Scale=15)
     things = [add("top", block(1.7, 0.7, 0.04), top, at=(0, 0.36, 0.72))]
     for x in (-0.8, 0.8):
         for y in (0.06, 0.66):
@@ -323,10 +321,8 @@ def pinboard() -> Things:
     ]
     rng = np.random.default_rng(10)
     for k in range(26):
-        x, z = (
-            -0.58 + 0.13 * (k % 10) + rng.uniform(-0.02, 0.02),
-            1.42 + 0.25 * (k // 10) + rng.uniform(-0.03, 0.05),
-        )
+        x = -0.58 + 0.13 * (k % 10) + rng.uniform(-0.02, 0.02)
+        z = 1.42 + 0.25 * (k // 10) + rng.uniform(-0.03, 0.05)
         colour = tuple(rng.uniform(0.15, 0.85, 3))
         note = mat.bricks(
             "note", [colour, colour, tuple(0.2 * c for c in colour)], Scale=14, Brick_Width=2, Row_Height=0.25

@@ -112,14 +112,10 @@ def tuft(blades: int, seed: int):
         for _ in range(blades):
             angle, away, lean, height, heading = rng.uniform((0, 0, 0.1, 0.4, 0), (6.28, 0.6, 0.6, 1.0, 6.28))
             root = Vector((away * math.cos(angle), away * math.sin(angle), 0))
-            along, across = (
-                Vector((math.cos(heading), math.sin(heading), 0)),
-                Vector((-math.sin(heading), math.cos(heading), 0)) * 0.035,
-            )
-            middle, tip = (
-                root + along * lean * 0.3 + Vector((0, 0, 0.6 * height)),
-                root + along * lean + Vector((0, 0, height)),
-            )
+            along = Vector((math.cos(heading), math.sin(heading), 0))
+            across = Vector((-math.sin(heading), math.cos(heading), 0)) * 0.035
+            middle = root + along * lean * 0.3 + Vector((0, 0, 0.6 * height))
+            tip = root + along * lean + Vector((0, 0, height))
             foot, knee = [
                 [solid.verts.new(point + side) for side in (-across, across)] for point in (root, middle)
             ]
@@ -161,11 +157,8 @@ def trees(seed: int, places: list[tuple[float, float, float, float]]) -> None:
     core = mould("core", rock, mat.plain("shade", (0.015, 0.03, 0.01)))
     for x, y, z, height in places:
         wide = height * rng.uniform(0.30, 0.42)
-        at, turn, size = (
-            (x, y, z + 0.66 * height),
-            (0, 0, rng.uniform(0, 360)),
-            Vector((wide, wide, 0.36 * height)),
-        )
+        at, turn = (x, y, z + 0.66 * height), (0, 0, rng.uniform(0, 360))
+        size = Vector((wide, wide, 0.36 * height))
         again(crowns[rng.integers(len(crowns))], at, turn, size)
         again(core, at, turn, 0.7 * size)
         bar(bark, (x, y, z - 0.3), (x, y, z + 0.6 * height), 0.03 * height)

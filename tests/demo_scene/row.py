@@ -80,13 +80,8 @@ def cameras(count: int) -> list[Pose]:
 def _lit(scene: bpy.types.Scene, x: float) -> None:
     """The lamp of a shop."""
     light = bpy.data.lights.new("lamp", "AREA")
-    light.energy, light.color, light.shape, light.size, light.size_y = (
-        45,
-        (1.0, 0.82, 0.60),
-        "RECTANGLE",
-        2.6,
-        0.6,
-    )
+    light.energy, light.color, light.shape, light.size = 45, (1.0, 0.82, 0.60), "RECTANGLE", 2.6
+    light.size_y = 0.6
     lamp = bpy.data.objects.new("lamp", light)
     lamp.location = (x, WALL + 0.5, STOREY - 0.25)
     lamp.visible_camera = lamp.visible_glossy = False
@@ -130,10 +125,8 @@ def _front(index: int, x: float, width: float, sign: str, paint) -> None:
     """The ground floor: a wall with a wide window and a door, panelled woodwork, the sign, the shop
     behind."""
     wall = mat.weathered(mat.bricks("front", WALLS[index], Scale=2.4), 0.5, Scale=2)
-    door, window = (
-        (width / 2 - 1.15, width / 2 - 0.2, 0, 2.25),
-        (-width / 2 + 0.25, width / 2 - 1.4, 0.62, 2.25),
-    )
+    door = (width / 2 - 1.15, width / 2 - 0.2, 0, 2.25)
+    window = (-width / 2 + 0.25, width / 2 - 1.4, 0.62, 2.25)
     add("front", slab(width, STOREY, WALL, [window, door]), wall, at=(x, WALL, 0), turn=(90, 0, 0))
     varnish = mat.weathered(mat.plain("woodwork", paint, 0.35), 0.45, Scale=7)
     for left, right, bottom, top in (window, door):
@@ -190,10 +183,8 @@ def _upstairs(index: int, x: float, width: float) -> None:
         mat.bricks("tiles", [(0.30, 0.09, 0.05), (0.48, 0.20, 0.12), (0.12, 0.05, 0.04)], Scale=3), 0.5
     )
     add("roof", block(width, 4.0, 0.1), tiles, at=(x, 1.9, 2 * STOREY + 1.0), turn=(32, 0, 0))
-    paint, pane = (
-        mat.plain("frame", (0.75, 0.72, 0.65), 0.4),
-        mat.patterned("pane", "Noise", [(0.02, 0.03, 0.04), (0.30, 0.26, 0.20)], 0.12, Scale=2),
-    )
+    paint = mat.plain("frame", (0.75, 0.72, 0.65), 0.4)
+    pane = mat.patterned("pane", "Noise", [(0.02, 0.03, 0.04), (0.30, 0.26, 0.20)], 0.12, Scale=2)
     shutter = mat.weathered(
         mat.plain("shutter", ((0.10, 0.25, 0.22), (0.12, 0.18, 0.34), (0.30, 0.14, 0.06))[index]),
         0.5,

@@ -187,10 +187,8 @@ def _stool(iron, seat) -> list:
 def bicycle(at: Vector) -> None:
     """It leans on its stand before the alley, along x."""
     tyre = mat.plain("tyre", (0.03, 0.03, 0.03))
-    paint, steel = (
-        mat.weathered(mat.plain("bicycle", (0.05, 0.30, 0.38), 0.25), 0.6, Scale=9),
-        mat.patterned("spokes", "Noise", [(0.4, 0.4, 0.4), (0.7, 0.7, 0.7)], 0.3, 1.0, Scale=9),
-    )
+    paint = mat.weathered(mat.plain("bicycle", (0.05, 0.30, 0.38), 0.25), 0.6, Scale=9)
+    steel = mat.patterned("spokes", "Noise", [(0.4, 0.4, 0.4), (0.7, 0.7, 0.7)], 0.3, 1.0, Scale=9)
 
     def ring(u: float, v: float) -> Vector:
         out = 0.33 + 0.02 * math.cos(2 * math.pi * v)
@@ -207,11 +205,8 @@ def bicycle(at: Vector) -> None:
         smooth(add("tyre", sheet(48, 8, ring, closed=True), tyre, at=hub))
         for angle in np.arange(0, 2 * math.pi, math.pi / 8):
             bar(steel, hub, hub + 0.32 * Vector((math.cos(angle), 0, math.sin(angle))), 0.004)
-    saddle, pedals, head = (
-        at + Vector((-0.22, 0, 0.86)),
-        at + Vector((-0.08, 0, 0.32)),
-        at + Vector((0.38, 0, 0.82)),
-    )
+    saddle, pedals = at + Vector((-0.22, 0, 0.86)), at + Vector((-0.08, 0, 0.32))
+    head = at + Vector((0.38, 0, 0.82))
     for start, end in (
         (hubs[0], saddle),
         (hubs[0], pedals),
@@ -234,10 +229,8 @@ def bicycle(at: Vector) -> None:
 
 def notice(text: str, at, turn: float) -> None:
     """A board on the pavement."""
-    slate, frame = (
-        mat.patterned("slate", "Noise", [(0.03, 0.04, 0.04), (0.10, 0.11, 0.11)], Scale=9, Detail=6),
-        wood("frame", 0.7),
-    )
+    slate = mat.patterned("slate", "Noise", [(0.03, 0.04, 0.04), (0.10, 0.11, 0.11)], Scale=9, Detail=6)
+    frame = wood("frame", 0.7)
     chalk = mat.weathered(mat.plain("chalk", (0.85, 0.83, 0.75)), 0.5, Scale=30)
     things = [
         add("board", block(0.62, 0.03, 0.95), frame, at=(0, 0, 0)),

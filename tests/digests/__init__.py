@@ -76,10 +76,8 @@ def cross_build(target: str) -> Path:
     fails."""
     library = library_of(target)
     windows = library.suffix == ".dll"
-    linked, program = (
-        library.with_name("libsvrgs.dll.a") if windows else library,
-        library.with_name("digests.exe" if windows else "digests"),
-    )
+    linked = library.with_name("libsvrgs.dll.a") if windows else library
+    program = library.with_name("digests.exe" if windows else "digests")
     Path(WINE["WINEPREFIX"]).mkdir(exist_ok=True)
     rpath = [] if windows else ["-Wl,-rpath,$ORIGIN"]
     done = _zig(

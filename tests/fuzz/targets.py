@@ -71,11 +71,8 @@ def cameras_json(data: bytes) -> bool:
     with _file(data, ".json") as path:
         accepted, cameras = _held(lambda: load_cameras_json(path), len(data))
         for camera in cameras or ():
-            assert (
-                np.isfinite(camera.viewmat).all()
-                and np.isfinite(camera.K).all()
-                and camera.K[0, 0] > 0 < camera.K[1, 1]
-            )
+            assert np.isfinite(camera.viewmat).all() and np.isfinite(camera.K).all()
+            assert camera.K[0, 0] > 0 < camera.K[1, 1]
         return accepted
 
 

@@ -35,10 +35,8 @@ def part(name: str):
 def apart(space: bpy.types.SpaceView3D) -> float:
     """Pixels between where Blender and the extension show the corners of a small cube before the viewport."""
     region = next(region for region in area("VIEW_3D").regions if region.type == "WINDOW")
-    camera, centre = (
-        part("operators.data.visible_splats").region_camera(region, space.region_3d),
-        space.region_3d.view_matrix.inverted() @ Vector((0, 0, -3)),
-    )
+    camera = part("operators.data.visible_splats").region_camera(region, space.region_3d)
+    centre = space.region_3d.view_matrix.inverted() @ Vector((0, 0, -3))
     corners = [centre + Vector(corner) for corner in itertools.product((-0.5, 0.5), repeat=3)]
     shown = [location_3d_to_region_2d(region, space.region_3d, corner) for corner in corners]
     pixels = camera.pixels(np.array(corners) @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3])
@@ -158,11 +156,8 @@ def see_comparison(seen: dict):
 
 def see_wipe(space: bpy.types.SpaceView3D, seen: dict):
     """Both sides, exact, in a Solid and in a Rendered viewport; the mouse moves the line."""
-    looking, wipe, viewport = (
-        bpy.context.scene.svrgs_view,
-        part("operators.view.viewport_wipe"),
-        part("operators.view.viewport"),
-    )
+    looking, wipe = bpy.context.scene.svrgs_view, part("operators.view.viewport_wipe")
+    viewport = part("operators.view.viewport")
     yield from click(LEFT, driver.header_height("Compare") + WIPE)
     yield from until(lambda: wipe.pair(bpy.context.scene), "the wipe")
     panes = lambda: [pane.live for view in viewport._open for pane in view.panes.values()]
@@ -174,10 +169,8 @@ def see_wipe(space: bpy.types.SpaceView3D, seen: dict):
     yield from until(lambda: len(overlay_views()) == 2, "two sides")
     yield from rest(overlay_views)
     seen["wipe"] = [*(obj.name for obj in wipe.pair(bpy.context.scene)), *sides, len(overlay_views())]
-    area_3d, region = (
-        area("VIEW_3D"),
-        next(region for region in area("VIEW_3D").regions if region.type == "WINDOW"),
-    )
+    area_3d = area("VIEW_3D")
+    region = next(region for region in area("VIEW_3D").regions if region.type == "WINDOW")
     x = area_3d.x + round(looking.wipe * region.width)
     yield from drag(x, VIEW[1], x - 200, VIEW[1])
     seen["moved"] = [looking.wipe * region.width + area_3d.x, x - 200]

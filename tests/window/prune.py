@@ -33,13 +33,8 @@ def load() -> str:
     bpy.ops.svrgs.import_colmap(directory=str(DATA))
     bpy.context.view_layer.objects.active = bpy.data.objects[splat]
     settings = bpy.context.scene.svrgs_prune
-    settings.iterations, settings.recovery, settings.goal, settings.share, settings.folder = (
-        6000,
-        3000,
-        "SHARE",
-        40,
-        str(OUT / "jobs"),
-    )
+    settings.iterations, settings.recovery, settings.goal, settings.share = 6000, 3000, "SHARE", 40
+    settings.folder = str(OUT / "jobs")
     bpy.ops.ed.undo_push(message="Ready")
     return splat
 
