@@ -2,10 +2,13 @@
 quality."""
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
+from svrgs_addon.finetune import checkpoint
 from svrgs_addon.finetune.engine import StepResult
 from svrgs_addon.finetune.model import Model
 from svrgs_addon.finetune.run import Run
@@ -35,6 +38,26 @@ def to_the_end(run: Run) -> Run:
         run.advance()
     run.close()
     return run
+
+
+def counts_of(run: Run) -> list[int]:
+    """Gaussians after each step."""
+    counts = []
+    while not run.finished:
+        run.advance()
+        counts.append(run.model.count)
+    run.close()
+    return counts
+
+
+def whole_and_taken_up(make: Callable[[], Run], folder: Path, steps: int = 9) -> tuple[Run, Run]:
+    """A run to its end, and one that goes on where another was saved after so many steps."""
+    whole, first, second = to_the_end(make()), make(), make()
+    for _ in range(steps):
+        first.advance()
+    checkpoint.save(first, folder, "id")
+    assert checkpoint.restore(second, folder, "id")
+    return whole, to_the_end(second)
 
 
 def bits(model: Model) -> dict[str, bytes]:

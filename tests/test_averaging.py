@@ -11,6 +11,7 @@ import pytest
 import scenes
 from pictures import photographed
 from plans import prune_settings
+from short_runs import to_the_end
 from svrgs_addon.finetune import averaging
 from svrgs_addon.finetune.averaging import Average
 from svrgs_addon.finetune.engine import NativeEngine
@@ -25,12 +26,8 @@ STEPS = 60  # of the recovery
 
 def run_of(**changes) -> Run:
     scene = scenes.random_scene(60, 2, 1, scale=0.25)
-    return Run(
-        Model.of(scene),
-        photographed(scene),
-        replace(prune_settings("removal", 10, STEPS), target=20, **changes),
-        NativeEngine(),
-    )
+    plan = replace(prune_settings("removal", 10, STEPS), target=20, **changes)
+    return Run(Model.of(scene), photographed(scene), plan, NativeEngine())
 
 
 def copied(model: Model) -> dict[str, np.ndarray]:
@@ -107,9 +104,7 @@ def test_it_begins_again_when_gaussians_go():
     assert run.average.samples == 0 and not run.average.values
     run.advance()
     assert run.average.samples == 1
-    while not run.finished:
-        run.advance()
-    run.close()
+    to_the_end(run)
 
 
 def test_memory_and_disk_for_it_are_foreseen():

@@ -14,9 +14,9 @@ import pytest
 from job_checks import create, follow
 from native_helpers import LEVELS
 from plans import prune_settings
+from short_runs import whole_and_taken_up
 from svrgs_addon.files.images import linear_to_srgb, read_image, srgb_to_linear, write_image
 from svrgs_addon.files.registry import read_scene, write_scene
-from svrgs_addon.finetune import checkpoint
 from svrgs_addon.finetune.engine import NativeEngine, Step
 from svrgs_addon.finetune.exposure import IDENTITY, Exposures, stops
 from svrgs_addon.finetune.model import Model
@@ -226,15 +226,7 @@ def test_a_run_that_is_taken_up_again_gives_the_same_matrices(drifting, tiny, tm
     def run() -> Run:
         return Run(Model.of(read_scene(tiny.splat)), data, plan, NativeEngine())
 
-    whole, first, second = run(), run(), run()
-    while not whole.finished:
-        whole.advance()
-    for _ in range(9):
-        first.advance()
-    checkpoint.save(first, tmp_path / "kept", "id")
-    assert checkpoint.restore(second, tmp_path / "kept", "id")
-    while not second.finished:
-        second.advance()
+    whole, second = whole_and_taken_up(run, tmp_path / "kept")
     np.testing.assert_array_equal(whole.exposures.matrices, second.exposures.matrices)
     np.testing.assert_array_equal(whole.model.values["sh"], second.model.values["sh"])
 

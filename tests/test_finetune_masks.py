@@ -8,7 +8,7 @@ import pytest
 import scenes
 from pictures import photographed
 from plans import plan_of
-from short_runs import Puller, bits, logit, quality, to_the_end
+from short_runs import Puller, bits, counts_of, logit, quality, to_the_end
 from svrgs_addon.finetune import masks
 from svrgs_addon.finetune.engine import NativeEngine
 from svrgs_addon.finetune.model import Model
@@ -105,17 +105,9 @@ def test_mask_events_keep_their_times():
     """Every prune_every, and at the end of the phase, where the decision falls too and the logits go."""
     scene = scenes.random_scene(400, sh_degree=0)
     phases = (Phase("prune", 10, Rates(), active=True, prune_every=4), recovery_phase(3))
-    run = Run(
-        Model.of(scene),
-        photographed(scene),
-        plan_of("svr", phases, mask_init=logit(0.1), target=20),
-        Puller(),
-    )
-    counts = []
-    while not run.finished:
-        run.advance()
-        counts.append(run.model.count)
-    run.close()
+    plan = plan_of("svr", phases, mask_init=logit(0.1), target=20)
+    run = Run(Model.of(scene), photographed(scene), plan, Puller())
+    counts = counts_of(run)
     assert np.flatnonzero(np.diff([400, *counts])).tolist() == [3, 7, 9]
     assert counts[3] == pytest.approx(400 * 0.6513, abs=50) and counts[-1] == 20
     assert not run.model.learns_masks and len(set(run.model.origin)) == 20

@@ -16,6 +16,7 @@ import room_dataset
 from block_checks import ready
 from job_checks import create
 from plans import prune_settings
+from short_runs import to_the_end
 from svrgs_addon.files.registry import read_scene, write_scene
 from svrgs_addon.finetune.engine import NativeEngine
 from svrgs_addon.finetune.methods import METHODS
@@ -159,11 +160,7 @@ def test_the_target_of_masks_is_of_the_own_gaussians(tiny, data, target):
 def run_of(scene: Scene, data: Dataset, plan: Plan) -> Model:
     """What is left after all steps, on a SIMD level that gives the same on every processor that has it."""
     level = "baseline" if "baseline" in supported_levels() else "neon"
-    run = Run(Model.of(scene), data, plan, NativeEngine(level), scene.antialiased)
-    while not run.finished:
-        run.advance()
-    run.close()
-    return run.model
+    return to_the_end(Run(Model.of(scene), data, plan, NativeEngine(level), scene.antialiased)).model
 
 
 @pytest.mark.slow

@@ -15,6 +15,7 @@ from pictures import photographed
 from plans import prune_settings, train_settings
 from reference import rasterize as reference
 from reference.rasterize import rotations
+from short_runs import counts_of
 from svrgs_addon.finetune import admm, redundancy, scores
 from svrgs_addon.finetune.engine import NativeEngine
 from svrgs_addon.finetune.methods import METHODS, popspa, speedy
@@ -87,24 +88,10 @@ def test_gaussianpop_removes_in_looks_what_really_changes_the_pictures_least():
 # --- methods with events
 
 
-def counts_of(run: Run) -> list[int]:
-    """Gaussians after each step."""
-    counts = []
-    while not run.finished:
-        run.advance()
-        counts.append(run.model.count)
-    run.close()
-    return counts
-
-
 def run_of(method: str, steps: int, **changes) -> Run:
     scene = scenes.random_scene(200, 2, 1, scale=0.2)
-    return Run(
-        Model.of(scene),
-        photographed(scene),
-        replace(prune_settings(method, steps, 5), **changes),
-        NativeEngine(),
-    )
+    plan = replace(prune_settings(method, steps, 5), **changes)
+    return Run(Model.of(scene), photographed(scene), plan, NativeEngine())
 
 
 @pytest.mark.parametrize("target", [20, 34])

@@ -85,12 +85,8 @@ def test_the_gates_gradient_is_that_of_opacity_and_scale():
 
 def test_a_closed_gate_neither_shows_nor_learns_from_the_image():
     scene = scenes.random_scene(25, 3, 1, scale=0.3)
-    run = Run(
-        Model.of(scene),
-        photographed(scene),
-        replace(train_settings("compact3dgs", 10, 0), lambda_m=0.0),
-        NativeEngine(),
-    )
+    plan = replace(train_settings("compact3dgs", 10, 0), lambda_m=0.0)
+    run = Run(Model.of(scene), photographed(scene), plan, NativeEngine())
     run._prepare(run.plan.phases[0], 1)
     run.model.values[MASK][:5] = compact3dgs.THRESHOLD - 1e-3
     before = {name: run.model.values[name][run.model.origin < 25].copy() for name in (*PARAMETERS, MASK)}

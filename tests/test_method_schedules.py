@@ -11,7 +11,7 @@ import pytest
 import scenes
 from pictures import photographed
 from plans import RANKED, prune_settings, train_settings
-from short_runs import to_the_end
+from short_runs import counts_of, to_the_end
 from svrgs_addon.finetune.engine import NativeEngine
 from svrgs_addon.finetune.methods import gns
 from svrgs_addon.finetune.model import Model
@@ -33,6 +33,14 @@ def test_a_shorter_schedule_keeps_the_spacing_of_what_needs_views():
         )
 
 
+def prepared(method: str, steps: int) -> Run:
+    """Training before its first step."""
+    scene = scenes.random_scene(5)
+    run = Run(Model.of(scene), photographed(scene), train_settings(method, steps, 0), None)
+    run.method.prepare(run, run.plan.phases[0], 1)
+    return run
+
+
 def test_maskgs_counts_in_its_window():
     """Alpha: 19 000 to 20 000 of 30 000, both included, and the same share of shorter runs; masks are drawn
     all the time."""
@@ -40,13 +48,7 @@ def test_maskgs_counts_in_its_window():
         (30_000, (19_000, 19_500, 20_000), (1, 18_999, 20_001)),
         (300, (190, 200), (189, 201)),
     ):
-        run = Run(
-            Model.of(scenes.random_scene(5)),
-            photographed(scenes.random_scene(5)),
-            train_settings("maskgs-alpha", steps, 0),
-            None,
-        )
-        run.method.prepare(run, run.plan.phases[0], 1)
+        run = prepared("maskgs-alpha", steps)
         weights = [
             run.method.terms(run, run.plan.phases[0], number)["lambda_m"] for number in (*inside, *outside)
         ]
@@ -58,13 +60,7 @@ def test_maskgs_counts_in_its_window():
     ("method", "weight"), [("maskgs", 5e-4), ("maskgs-beta", 5e-4), ("maskgs-gamma", 1e-3)]
 )
 def test_the_other_maskgs_count_all_the_time(method, weight):
-    run = Run(
-        Model.of(scenes.random_scene(5)),
-        photographed(scenes.random_scene(5)),
-        train_settings(method, 300, 0),
-        None,
-    )
-    run.method.prepare(run, run.plan.phases[0], 1)
+    run = prepared(method, 300)
     assert {run.method.terms(run, run.plan.phases[0], number)["lambda_m"] for number in (1, 150, 300)} == {
         weight
     }
@@ -82,12 +78,7 @@ def test_maskgs_after_training_decides_once():
     scene = scenes.random_scene(60)
     short = replace(prune_settings("maskgs", 30, 0), mask_init=-1.0)  # ten draws would have missed some
     run = Run(Model.of(scene), photographed(scene), replace(short, target=40), NativeEngine())
-    counts = []
-    while not run.finished:
-        run.advance()
-        counts.append(run.model.count)
-    run.close()
-    assert counts == [60] * 29 + [40]
+    assert counts_of(run) == [60] * 29 + [40]
 
 
 def test_gns_presses_in_the_last_8_of_23_parts_of_training():

@@ -36,12 +36,8 @@ def grown_run(method: str, engine=None, dtype=np.float32, **changes) -> Run:
     settings = train_settings(method, 60, 10, densify=rule, seed=4, share=share)
     start = {} if method == "compact3dgs" else {"mask_init": 1.0}  # undecided masks, so that events bite
     phases = tuple(replace(phase, prune_every=phase.prune_every and 10) for phase in settings.phases)
-    return Run(
-        Model.of(disturbed(truth), dtype),
-        photographed(truth),
-        replace(settings, phases=phases, **start, **changes),
-        engine or NativeEngine(),
-    )
+    plan = replace(settings, phases=phases, **start, **changes)
+    return Run(Model.of(disturbed(truth), dtype), photographed(truth), plan, engine or NativeEngine())
 
 
 # --- the registry

@@ -12,8 +12,8 @@ import pytest
 
 from colmap_model import write_colmap
 from plans import prune_settings
+from short_runs import whole_and_taken_up
 from svrgs_addon.files.registry import read_scene, write_scene
-from svrgs_addon.finetune import checkpoint
 from svrgs_addon.finetune.engine import NativeEngine, Step
 from svrgs_addon.finetune.model import Model
 from svrgs_addon.finetune.poses import Poses
@@ -223,15 +223,7 @@ def test_a_run_that_is_taken_up_again_gives_the_same_poses(splat, shaken, tmp_pa
     def run() -> Run:
         return Run(Model.of(read_scene(splat)), load_dataset(shaken), plan, NativeEngine())
 
-    whole, first, second = run(), run(), run()
-    while not whole.finished:
-        whole.advance()
-    for _ in range(9):
-        first.advance()
-    checkpoint.save(first, tmp_path / "kept", "id")
-    assert checkpoint.restore(second, tmp_path / "kept", "id")
-    while not second.finished:
-        second.advance()
+    whole, second = whole_and_taken_up(run, tmp_path / "kept")
     np.testing.assert_array_equal(whole.poses.viewmats, second.poses.viewmats)
     np.testing.assert_array_equal(whole.model.values["sh"], second.model.values["sh"])
     assert whole.dataset.cameras[1].viewmat.tolist() == whole.poses.viewmats[0].tolist()

@@ -10,6 +10,7 @@ import pytest
 import scenes
 from pictures import photographed
 from plans import prune_settings, train_settings
+from short_runs import counts_of
 from svrgs_addon.finetune import settings
 from svrgs_addon.finetune.engine import NativeEngine
 from svrgs_addon.finetune.methods import removal
@@ -32,16 +33,6 @@ def scene_and_data(count: int = COUNT):
 def run_of(settings, count: int = COUNT) -> Run:
     scene, data = scene_and_data(count)
     return Run(Model.of(scene), data, settings, NativeEngine())
-
-
-def counts_of(run: Run) -> list[int]:
-    """Gaussians after each step."""
-    counts = []
-    while not run.finished:
-        run.advance()
-        counts.append(run.model.count)
-    run.close()
-    return counts
 
 
 def test_saliency_is_the_removal_error_over_the_mask_penalty():

@@ -14,6 +14,7 @@ pytest.importorskip("OpenImageIO")
 import tiny_dataset
 import whole_jobs
 from plans import prune_settings
+from short_runs import to_the_end
 from svrgs_addon.files import compressed_ply
 from svrgs_addon.files.registry import as_stored, load_scene
 from svrgs_addon.finetune import checkpoint, quality, recovery_pruning
@@ -90,13 +91,6 @@ def steered_run(tiny, data, method: str, steps: int = 1_200, seed: int = 3, **go
     scene = load_scene(tiny.splat)
     settings = prune_settings(method, steps, 0, seed=seed, **goal)
     return Run(Model.of(fine_tuned.first_scene(scene, data, settings)), data, settings, NativeEngine())
-
-
-def to_the_end(run: Run) -> Run:
-    while not run.finished:
-        run.advance()
-    run.close()
-    return run
 
 
 @pytest.mark.slow
@@ -217,12 +211,8 @@ def test_the_command_line_reaches_the_drop(tiny, svrgs, tmp_path):
 
 
 def test_an_allowed_drop_keeps_a_twentieth_at_least_and_needs_photographs_that_show_something(tiny, data):
-    run = Run(
-        Model.of(load_scene(tiny.splat)),
-        data,
-        replace(prune_settings("removal", 60, 0), max_loss=1.0),
-        NativeEngine(),
-    )
+    plan = replace(prune_settings("removal", 60, 0), max_loss=1.0)
+    run = Run(Model.of(load_scene(tiny.splat)), data, plan, NativeEngine())
     assert fewest_within(run, np.arange(run.model.count), -10.0).sum() == math.ceil(
         quality.MIN_SHARE * run.model.count
     )

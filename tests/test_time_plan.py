@@ -14,6 +14,7 @@ pytest.importorskip("OpenImageIO")
 
 from command_checks import refused
 from plans import prune_settings, train_settings
+from short_runs import to_the_end
 from svrgs_addon.files.ply import read_ply
 from svrgs_addon.finetune.engine import NativeEngine
 from svrgs_addon.finetune.methods import METHODS, removal
@@ -118,9 +119,7 @@ def test_a_method_foresees_its_looks(method, data, tiny, monkeypatch):
     run = Run(Model.of(scene), data, plan, NativeEngine())
     if plan.method.ranks:
         plan.method.cut(scene, run.training_cameras, run.rasterizer, run.score_options, 60)
-    while not run.finished:
-        run.advance()
-    run.close()
+    to_the_end(run)
     foreseen = plan.method.ranking_passes(plan, 0 if plan.method.ranks else 120, 60 / scene.count)
     assert calls == [len(data.train_indices)] * len(foreseen) and bool(foreseen) == (method in LOOKING)
     assert foreseen == sorted(foreseen, key=lambda look: look[0])
