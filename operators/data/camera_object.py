@@ -111,9 +111,14 @@ def borders(low: float, high: float, size: int) -> tuple[int, int]:
     return int(np.float32(low) * np.float32(size)), int(np.float32(high) * np.float32(size))
 
 
+def photograph_size(scene: bpy.types.Scene) -> tuple[int, int] | None:
+    """(width, height) of the photograph of the scene's camera, if it has one."""
+    data = scene.camera.data if scene.camera is not None and scene.camera.type == "CAMERA" else {}
+    return tuple(data[SIZE]) if SIZE in data else None
+
+
 def apply_camera_size(scene: bpy.types.Scene):
     """Gives the scene the image size and the pixel aspect of its camera's photograph, if it has one."""
-    data = scene.camera.data if scene.camera is not None and scene.camera.type == "CAMERA" else {}
-    if SIZE in data:
-        scene.render.resolution_x, scene.render.resolution_y = data[SIZE]
-        scene.render.pixel_aspect_x, scene.render.pixel_aspect_y = data[ASPECT]
+    if (size := photograph_size(scene)) is not None:
+        scene.render.resolution_x, scene.render.resolution_y = size
+        scene.render.pixel_aspect_x, scene.render.pixel_aspect_y = scene.camera.data[ASPECT]

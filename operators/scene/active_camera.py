@@ -19,7 +19,7 @@ def follow(scene, *_):
     remember(scene)
     if camera in (None, now.camera):
         return
-    if size != now.size:
+    if size != now.size and now.size != camera_object.photograph_size(scene):
         now.chosen_size = now.size
     bound = any(marker.camera == scene.camera for marker in scene.timeline_markers)
     if now.size != now.chosen_size and not bound:

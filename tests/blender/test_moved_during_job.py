@@ -9,7 +9,8 @@ import pytest
 from extension import DATA, part
 from job_helpers import SHORT, follow, set_up
 from mathutils import Euler, Matrix
-from test_splat_transforms import crop_nodes, node_group
+from test_splat_transforms import crop_nodes
+from view_helpers import add_geometry_nodes
 
 MOVED = Matrix.LocRotScale((2, 1, 0.5), Euler((1.0, 2.0, 3.0)), (1.7, 1.7, 1.7))
 
@@ -61,12 +62,12 @@ def test_points_moved_one_by_one_meanwhile_are_refused(splat, watch, results, br
 
 
 def test_the_result_has_the_modifiers_of_its_original(splat, watch, results):
-    splat.modifiers.new("crop", "NODES").node_group = node_group(crop_nodes)
+    add_geometry_nodes(splat, crop_nodes)
     set_up(SHORT)
     bpy.ops.svrgs.job_start()
     pruned = finish(watch, results, splat)
-    assert [m.name for m in pruned.modifiers] == ["crop", "SVR-GS Removed"]
-    assert pruned.modifiers["crop"].node_group == splat.modifiers["crop"].node_group
+    assert [m.name for m in pruned.modifiers] == ["test", "SVR-GS Removed"]
+    assert pruned.modifiers["test"].node_group == splat.modifiers["test"].node_group
 
 
 def test_gaussians_brought_back_lie_where_the_original_shows_them(pruned, bridge):
