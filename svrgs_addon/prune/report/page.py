@@ -27,7 +27,8 @@ from .line_chart import Series, line_chart
 from .pictures import DIFFERENCE_GAIN, data_uri, difference_image, mask_to_rgb
 from .style import CSS, SCRIPT
 
-GENERATOR = '<meta name="generator" content="SVR-GS report">'
+# of a report; by it, one is told from a page of another program
+POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
 HEAD_BYTES = 1 << 10  # of a page, in which it stands
 # of F, gets the brightest colour: with the maximum, one bright pixel would darken all masks
 MASK_PERCENTILE = 99.5
@@ -84,7 +85,7 @@ class Report:
     files: tuple[str, ...] = ()  # those of before and after, to be looked at with svrgs view
 
 
-def refuse_foreign(folder: Path, generator: str = GENERATOR):
+def refuse_foreign(folder: Path, mark: str = POLICY):
     """Raises SceneError if the folder holds a page without this mark in its head, FormatError if it cannot be
     read."""
     page = folder / "index.html"
@@ -92,7 +93,7 @@ def refuse_foreign(folder: Path, generator: str = GENERATOR):
         return
     with readable(page), open(page, "rb") as file:
         head = file.read(HEAD_BYTES)
-    if generator.encode() not in head:
+    if mark.encode() not in head:
         raise SceneError(f"{folder} holds another page: name a new folder")
 
 
@@ -111,11 +112,10 @@ def page(report: Report) -> str:
     """The HTML page as text."""
     figures = f'<div class="columns">\n{_quality(report)}\n{_run(report)}\n</div>'
     sections = (_head(report), figures, _swing(report), _curves(report), _views(report))
-    policy = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
     return (
-        f'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n{GENERATOR}\n'
+        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n'
+        f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">\n'
         f"<title>{escape(report.scene)}: {escape(' and '.join(report.names))}</title>\n"
         f"<style>{CSS}</style>\n</head>\n<body>\n"
         + "\n".join(section for section in sections if section)
