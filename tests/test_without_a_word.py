@@ -76,7 +76,7 @@ def test_reports_and_comparisons_replace_their_own_pages_alone(tiny, tmp_path, c
 def test_placed_cameras_replace_no_others(tiny, tmp_path, small_rig, capsys):
     mine = tmp_path / "transforms.json"
     shutil.copy(tiny.folder / "sparse/0/cameras.bin", mine)
-    assert "something else than cameras of svrgs rig" in refused(capsys, "rig", tiny.splat, "--out", mine)
+    assert "holds no cameras that svrgs rig has placed" in refused(capsys, "rig", tiny.splat, "--out", mine)
     same = tmp_path / "a.png"
     assert "two names" in refused(capsys, "rig", tiny.splat, "--out", same, "--preview", same)
     (tmp_path / "cameras.json").touch()  # as mktemp makes one
@@ -131,7 +131,7 @@ def test_a_format_is_named_with_or_without_its_dot(tiny, tmp_path):
 
 def test_a_farm_job_whose_tasks_would_all_be_refused_is_refused(tiny, tmp_path, capsys):
     words = ("farm", "export", tiny.splat, "--out", tmp_path / "job", "--seen-from-only")
-    assert "these are in" in refused(capsys, *words)
+    assert "holds some: leave them out" in refused(capsys, *words)
     assert not (tmp_path / "job" / "job.json").exists()
 
 

@@ -105,7 +105,7 @@ def redraw_panels():
 
 
 def areas() -> list[bpy.types.Area]:
-    """Those of all windows."""
+    """The areas of all windows."""
     return [area for window in bpy.context.window_manager.windows for area in window.screen.areas]
 
 

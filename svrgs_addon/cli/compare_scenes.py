@@ -16,7 +16,7 @@ from ..prune.job_views import MAX_SIDE_PIXELS
 from ..prune.options import DatasetOptions
 from ..prune.plans import dataset_of
 from ..prune.report.compare import compare
-from ..prune.report.page import refuse_foreign
+from ..prune.report.page import refuse_other_page
 from ..scene.camera import evenly
 from ..views.camera_files import load_cameras
 from ..views.dataset import Dataset
@@ -31,7 +31,7 @@ def compare_scenes(args: argparse.Namespace) -> dict:
     """Writes the report. Returns the result of report.compare.compare(). Raises SplatError."""
     refuse_both_views(args)
     check_writable(args.out / "index.html")  # before cameras are placed
-    refuse_foreign(args.out)
+    refuse_other_page(args.out)
     for path in (args.a, args.b):
         check_readable(path)
     dataset = dataset_of(options_from(DatasetOptions, args)) if args.data else _views_alone(args)

@@ -29,7 +29,7 @@ def place_cameras(args: argparse.Namespace) -> dict:
         if out is not None:
             refuse_input(out, args.scene)
             check_writable(out)
-    refuse_foreign(args.out)
+    refuse_other_cameras(args.out)
     if args.preview is not None and real(args.preview) == real(args.out):
         raise SceneError(f"{args.out}: is to be both the cameras and the preview; give two names")
     if args.preview is not None and args.preview.suffix.lower() != ".png":
@@ -44,7 +44,7 @@ def place_cameras(args: argparse.Namespace) -> dict:
     return {**rig.facts(), "out": str(args.out), "preview": args.preview and str(args.preview)}
 
 
-def refuse_foreign(out: Path):
+def refuse_other_cameras(out: Path):
     """Raises SceneError for a file that is there and holds no cameras that were placed, as those of a 3DGS
     run or a dataset."""
     if not out.exists() or not out.stat().st_size:
@@ -54,7 +54,7 @@ def refuse_foreign(out: Path):
     except (FormatError, SceneError):
         placed = False
     if not placed:
-        raise SceneError(f"{out}: holds something else than cameras of svrgs rig: name a new file")
+        raise SceneError(f"{out}: holds no cameras that svrgs rig has placed: name a new file")
 
 
 def _scene(path: Path) -> tuple[Scene, float]:

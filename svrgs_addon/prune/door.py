@@ -55,8 +55,9 @@ def check_view_options(options: PruneOptions):
     """Raises SceneError for options of views that do not go together."""
     if options.data is not None and (options.cameras or options.seen_from_only):
         raise SceneError(
-            "--seen-from and --seen-from-only are for scenes without photographs, and these are in"
-            f" {options.data}: leave them out, or --data, or move the splat to another folder"
+            "--seen-from and --seen-from-only are for scenes without photographs, and"
+            f" {options.data} holds some: leave them out, or --data, or move the splat to another"
+            " folder"
         )
     if options.seen_from_only and options.cameras is None:
         raise SceneError("--seen-from-only keeps what given cameras see: name them with --seen-from")

@@ -53,8 +53,8 @@ class FileSize:
         if more < WORTH * count:
             return replace(plan, target=count), []
         sentence = (
-            f"spherical harmonics end at degree {FEWER_BANDS}: {more:,} Gaussians fit, and {count:,} with"
-            f" those of degree {degree}, which show less; --sh-degree {degree} keeps them"
+            f"spherical harmonics end at degree {FEWER_BANDS}, so that {more:,} Gaussians fit instead of"
+            f" {count:,}, which looks better; --sh-degree {degree} keeps all"
         )
         return replace(plan, target=more, sh_degree=FEWER_BANDS), [sentence]
 

@@ -22,7 +22,7 @@ from .recipe import Recipe
 from .recipes.fine_tuned import FineTuned
 from .recipes.quick import Quick
 from .recipes.trained import Trained
-from .report.page import refuse_foreign
+from .report.page import refuse_other_page
 from .stop_request import StopRequest
 
 # changes the context of the command line; a background job adds its own observer and stop
@@ -88,7 +88,7 @@ def _prepared(recipe: Recipe) -> Iterator[Recipe]:
     further = [job.report / "index.html"] if job.report else []
     with outputs(job.scene, job.outs, [*further, *recipe.further_files()]), contextlib.closing(recipe):
         if job.report:
-            refuse_foreign(job.report)
+            refuse_other_page(job.report)
         recipe.open()
         recipe.views()
         recipe.check()

@@ -20,7 +20,7 @@ from ..files.atomic import atomic_write
 from ..files.registry import load_scene
 from ..native.library import thresholds
 from ..native.rasterizer import Rasterizer
-from ..prune.report.page import refuse_foreign
+from ..prune.report.page import refuse_other_page
 from ..prune.seen import seen_from
 from ..render.metrics.evaluate import evaluate
 from ..scene.camera import evenly
@@ -80,7 +80,7 @@ def _check(folder: Path):
     if lacking := [name for name in MODULES if not packed_module(name).exists()]:
         raise SceneError(f"the modules of web pages are missing ({lacking[0]}): make wheels fetches them")
     page, names = folder / "index.html", (*FILES, *itertools.chain(*NAMES.values()))
-    refuse_foreign(folder, GENERATOR)
+    refuse_other_page(folder, GENERATOR)
     if page.exists():
         return
     if found := next((name for name in names if (folder / name).exists()), ""):

@@ -85,7 +85,7 @@ class Report:
     files: tuple[str, ...] = ()  # those of before and after, to be looked at with svrgs view
 
 
-def refuse_foreign(folder: Path, mark: str = POLICY):
+def refuse_other_page(folder: Path, mark: str = POLICY):
     """Raises SceneError if the folder holds a page without this mark in its head, FormatError if it cannot be
     read."""
     page = folder / "index.html"
@@ -99,9 +99,8 @@ def refuse_foreign(folder: Path, mark: str = POLICY):
 
 def write_report(folder: str | Path, report: Report) -> Path:
     """Writes folder/index.html and returns its path. The folder is made if needed; the file is replaced as a
-    whole. Raises SceneError if it cannot be written, and for a page of another program."""
+    whole. Raises SceneError if it cannot be written."""
     path = Path(folder) / "index.html"
-    refuse_foreign(path.parent)
     with atomic_write(path) as file:
         # paths need not be UTF-8
         file.write(page(report).encode(errors="surrogateescape").decode(errors="replace").encode())
