@@ -151,5 +151,21 @@ def _dither_back(scene, *_):
         scene.render.dither_intensity, known.of_scene(scene).dither = own, None
 
 
+def _before_save(*_):
+    """A file that is saved while a scene is rendered holds the scene's own dither."""
+    for scene in bpy.data.scenes:
+        if (own := known.of_scene(scene).dither) is not None:
+            scene.render.dither_intensity = own
+
+
+def _after_save(*_):
+    for scene in bpy.data.scenes:
+        if known.of_scene(scene).dither is not None:
+            scene.render.dither_intensity = 0
+
+
 CLASSES = (SVRGS_engine,)
-HANDLERS = {"render_init": _dither_off, "render_complete": _dither_back, "render_cancel": _dither_back}
+HANDLERS = {
+    "render_init": _dither_off, "render_complete": _dither_back, "render_cancel": _dither_back,
+    "save_pre": _before_save, "save_post": _after_save, "save_post_fail": _after_save,
+}  # fmt: skip

@@ -272,3 +272,16 @@ def test_an_object_in_front_counts_while_it_is_shown(stage, room):
     finally:
         room.show_in_front = False
         room.hide_set(False)
+
+
+def test_a_file_that_is_saved_during_a_render_holds_the_dither_of_its_scene(stage, room, camera, tmp_path):
+    save = lambda *_: bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "saved.blend"), copy=True)
+    bpy.app.handlers.render_pre.append(save)
+    try:
+        f12(tmp_path / "f12.png")
+    finally:
+        bpy.app.handlers.render_pre.remove(save)
+    with bpy.data.libraries.load(str(tmp_path / "saved.blend")) as (_, wanted):
+        wanted.scenes = [stage.name]
+    assert wanted.scenes[0].render.dither_intensity == stage.render.dither_intensity == 1
+    bpy.data.scenes.remove(wanted.scenes[0])
