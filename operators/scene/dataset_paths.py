@@ -191,10 +191,14 @@ class SVRGS_OT_find_dataset(FolderOperator):
         assert root is not None  # see problem()
         find_cameras(Path(folder))
         shown, found = find_photographs(root, folder)
+        settings, before = context.scene.svrgs_prune, dataset_of_root(root)
         root[splat_object.DATASET] = stored(folder)
-        settings = context.scene.svrgs_prune
         if settings.data and not os.path.exists(absolute(settings.data)):
             settings.data = stored(folder)
+        if masks := _moved(absolute(settings.masks), before, folder):
+            settings.masks = stored(masks)
+        if masks := _moved(masks_of_job(root), before, folder):
+            root[splat_object.MASKS] = masks
         text = tr("Found {found:,} of {count:,} photographs in {folder}")
         text = text.format(found=found, count=shown, folder=folder)
         self.report({"INFO"} if found == shown else {"WARNING"}, text)
@@ -247,6 +251,15 @@ def _beside(file: str, dataset: str) -> str:
         return os.path.relpath(file, dataset)
     except ValueError:
         return ""
+
+
+def _moved(masks: str, before: str, folder: str) -> str:
+    """Where a folder of masks that was inside the dataset is in its new folder; '' if it is still where it
+    was, or is not there either."""
+    if not masks or os.path.exists(masks) or not Path(masks).is_relative_to(before):
+        return ""
+    found = os.path.normpath(os.path.join(folder, _beside(masks, before)))
+    return found if os.path.isdir(found) else ""
 
 
 CLASSES = (SVRGS_OT_find_dataset,)

@@ -153,6 +153,17 @@ def test_a_lost_dataset_is_said_and_found_again(lost, project):
     assert bpy.ops.svrgs.job_start.poll()
 
 
+def test_masks_that_were_in_the_dataset_are_found_with_it(lost, project):
+    for name in ("masks", "distractors"):
+        (lost / name).mkdir()
+    bpy.context.scene.svrgs_prune.masks = "//data/masks"
+    root()["svrgs_masks"] = str(project / "data/distractors")
+    bpy.ops.svrgs.find_dataset(directory=str(lost))
+    paths = part("operators.scene.dataset_paths")
+    assert paths.masks_of(bpy.context)["masks"] == str(lost / "masks")
+    assert paths.masks_of_job(root()) == str(lost / "distractors")
+
+
 def test_photographs_that_are_missing_in_the_new_place_are_counted(lost, capfd):
     (lost / "images/03.png").unlink()
     bpy.ops.svrgs.find_dataset(directory=str(lost))
