@@ -5,6 +5,8 @@ A posed photograph is a camera with properties that hold the size and the pixel 
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import bpy
 import numpy as np
 from bpy.app.translations import pgettext_iface as tr
@@ -63,9 +65,16 @@ def viewmat_of(matrix: Matrix) -> np.ndarray:
     return FLIP @ np.linalg.inv(pose)
 
 
-def is_photograph(obj: bpy.types.Object) -> bool:
-    """Whether the object is the camera of a photograph, or was imported; not one that was placed."""
-    return obj.type == "CAMERA" and SIZE in obj.data and PLACED not in obj.data
+def photographs(objects: Iterable[bpy.types.Object]) -> list[bpy.types.Object]:
+    """The cameras of photographs, or imported, among the objects; not those that were placed. Of a camera and
+    its copies below one root, the first alone: a copy may stand where no photograph was taken."""
+    found: dict[tuple, bpy.types.Object] = {}
+    age = lambda obj: (obj.name != obj.data[IMAGE], obj.session_uid)
+    for obj in objects:
+        if obj.type == "CAMERA" and SIZE in obj.data and PLACED not in obj.data:
+            key = obj.parent, obj.data[IMAGE]
+            found[key] = min(found.get(key, obj), obj, key=age)
+    return list(found.values())
 
 
 def backgrounds(obj: bpy.types.Object) -> list[bpy.types.Image]:

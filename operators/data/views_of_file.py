@@ -110,6 +110,7 @@ def _standing(scene: bpy.types.Scene) -> Iterator[Camera]:
     """The other cameras of the scene, as they are now: those that were placed too, those of photographs
     not."""
     others = (obj for obj in scene.objects if obj.type == "CAMERA" and obj != scene.camera)
+    photographs = camera_object.photographs(scene.objects)
     for obj in sorted(others, key=lambda obj: obj.name):
-        if obj.data.type in ("PERSP", "ORTHO") and not camera_object.is_photograph(obj):
+        if obj.data.type in ("PERSP", "ORTHO") and obj not in photographs:
             yield camera_object.camera_from_object(obj, scene)

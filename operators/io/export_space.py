@@ -121,7 +121,7 @@ def camera_objects(context, obj: bpy.types.Object) -> list[bpy.types.Object]:
     """The imported cameras of a splat; all that are imported, if it is joined to none."""
     root = splat_object.root_of(obj)
     pool = context.scene.objects if root is None else root.children_recursive
-    return [one for one in pool if camera_object.is_photograph(one) and one.data.type == "PERSP"]
+    return [one for one in camera_object.photographs(pool) if one.data.type == "PERSP"]
 
 
 def imported_cameras(context, obj: bpy.types.Object) -> tuple[list[Camera], list[Camera]]:

@@ -134,7 +134,11 @@ class SVRGS_OT_import_colmap(FolderOperator):
         collection = bpy.data.collections.new(name)
         open_collection(context).children.link(collection)
         root, points = root_for(context.object, folder, collection), []
-        former = {obj.name: obj for obj in root.children if _is_as_imported(obj)}
+        cameras = camera_object.photographs(root.children)
+        former = {obj.name: obj for obj in cameras if _is_as_imported(obj)}
+        if self.points:
+            for obj in [obj for obj in root.children if _are_points_as_imported(obj, root)]:
+                splat_object.delete(obj)
         root[splat_object.DATASET], root[splat_object.IMAGES] = dataset_paths.stored(str(folder)), self.images
         root[splat_object.POINTS] = len(photos.points)
         if self.points and len(photos.points):
@@ -158,10 +162,17 @@ class SVRGS_OT_import_colmap(FolderOperator):
 
 
 def _is_as_imported(obj: bpy.types.Object) -> bool:
-    """Whether it is the camera of a photograph of which the user has made nothing else."""
-    if not camera_object.is_photograph(obj) or obj.name != obj.data[camera_object.IMAGE]:
+    """Whether the user has made nothing else of the camera of a photograph."""
+    untouched = obj.animation_data is None and obj.data.animation_data is None
+    return obj.name == obj.data[camera_object.IMAGE] and obj.data.users == 1 and untouched
+
+
+def _are_points_as_imported(obj: bpy.types.Object, root: bpy.types.Object) -> bool:
+    """Whether they are the sparse points of the root's dataset, of which the user has made nothing else."""
+    name = Path(dataset_paths.dataset_of_root(root)).name
+    if obj.type != "MESH" or obj.name != f"{name} points" or obj.data.users != 1 or obj.modifiers:
         return False
-    return obj.data.users == 1 and obj.animation_data is None and obj.data.animation_data is None
+    return len(obj.data.vertices) == root.get(splat_object.POINTS) and obj.animation_data is None
 
 
 def joined(active: bpy.types.Object | None, splat: bpy.types.Object | None) -> str:

@@ -101,7 +101,7 @@ def about(context) -> str:
     job = job_of(root)
     if root is None or (job is not None and (job_state.is_busy(job) or job_state.is_resumable(job))):
         return ""
-    photographs = sum(map(camera_object.is_photograph, root.children_recursive))
+    photographs = len(camera_object.photographs(root.children_recursive))
     points = root.get(splat_object.POINTS)
     text = tr("'{name}': {photographs:,} photographs, {points:,} sparse points")
     if points is None:

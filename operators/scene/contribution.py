@@ -111,7 +111,7 @@ def chosen_cameras(context, which: str = "PHOTOGRAPHS") -> list[bpy.types.Object
         return cameras
     root = splat_object.root_of(context.object)
     family = cameras if root is None else set(root.children_recursive)
-    return [obj for obj in cameras if obj in family and camera_object.is_photograph(obj)] or cameras
+    return camera_object.photographs(obj for obj in cameras if obj in family) or cameras
 
 
 def views(

@@ -85,7 +85,7 @@ def _family(objects: list[bpy.types.Object]) -> list[bpy.types.Object]:
 def _first_camera(scene: bpy.types.Scene, family: list[bpy.types.Object]) -> bpy.types.Object | None:
     """The scene's camera, if it is among the objects; else the first of their photographs' cameras; None if
     there is none."""
-    cameras = [obj for obj in family if camera_object.is_photograph(obj) and obj.data.type == "PERSP"]
+    cameras = [obj for obj in camera_object.photographs(family) if obj.data.type == "PERSP"]
     cameras.sort(key=lambda obj: obj.data[camera_object.IMAGE])
     return scene.camera if scene.camera in cameras else next(iter(cameras), None)
 

@@ -23,8 +23,7 @@ TINT = (0.8, 0.1, 0.1, 0.6)  # of what does not count
 def of(root: bpy.types.Object | None) -> list[bpy.types.Object]:
     """The cameras of photographs below a root, in the order of their images' names."""
     below = root.children_recursive if root is not None else ()
-    cameras = filter(camera_object.is_photograph, below)
-    return sorted(cameras, key=lambda obj: obj.data[camera_object.IMAGE])
+    return sorted(camera_object.photographs(below), key=lambda obj: obj.data[camera_object.IMAGE])
 
 
 def store(root: bpy.types.Object | None, found: dict[str, dict[str, float]], masks: str = ""):

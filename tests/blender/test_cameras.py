@@ -339,3 +339,23 @@ def test_a_folder_without_a_model_is_refused(tmp_path):
     with pytest.raises(RuntimeError, match="holds no COLMAP model"):
         bpy.ops.svrgs.import_colmap(directory=str(tmp_path))
     assert not bpy.data.objects
+
+
+def test_a_copy_of_a_photographs_camera_is_no_photograph():
+    bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
+    before, module = cameras(), part("operators.data.camera_object")
+    copy = before[3].copy()
+    copy.data = before[3].data.copy()
+    bpy.context.scene.collection.objects.link(copy)
+    assert copy.parent == before[3].parent
+    found = module.photographs(bpy.data.objects)
+    assert len(found) == 12 and copy not in found
+
+
+def test_importing_a_dataset_again_replaces_its_points_as_it_does_its_cameras():
+    for expected in (1, 1, 2):
+        bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
+        meshes = [obj for obj in bpy.data.objects if obj.type == "MESH"]
+        assert len(cameras()) == 12 and len(meshes) == expected
+        if expected == 1 and len(bpy.data.collections) > 1:  # what the user made of them stays
+            meshes[0].modifiers.new("thin", "DECIMATE")
