@@ -19,7 +19,7 @@ class SVRGS_PT_color(SplatPanel):
         row = column.row()
         row.active = obj.svrgs_grade.crop is not None
         row.prop(obj.svrgs_grade, "softness")
-        if problem := grading.problem(obj):
+        if problem := grading.problem(obj) or grading.still(obj, context.view_layer.depsgraph):
             wrapped_label(self.layout, problem, "ERROR")
         if not grading.is_graded(obj):
             return

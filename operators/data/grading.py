@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import bpy
 import numpy as np
+from bpy.app.translations import pgettext_iface as tr
 from bpy.props import FloatProperty, PointerProperty
 
 from ...svrgs_addon.scene.gaussians import Scene
@@ -14,32 +15,55 @@ from ...svrgs_addon.scene.grade import Grade, graded, inside
 from ...svrgs_addon.system.errors import SceneError
 from . import background_work, volumes
 from .edit_guard import animation_curves
-from .world_matrix import world_matrix
+from .world_matrix import is_evaluated, world_matrix
 
+OVERRIDABLE = {"LIBRARY_OVERRIDABLE"}
 NAMES = ("exposure", "warmth", "tint", "saturation", "contrast", "opacity")
 
 
 def _changed(self, context):
+    override = self.id_data.override_library
+    if override is not None and override.reference is not None:
+        # Blender 5 stores overrides of a group only if the linked object has that group, which this makes
+        linked = override.reference.svrgs_grade
+        linked.opacity = linked.opacity
     self.id_data.update_tag()
     background_work.redraw_panels()
 
 
 class SVRGS_PG_grade(bpy.types.PropertyGroup):
     exposure: FloatProperty(
-        name="Exposure", soft_min=-5, soft_max=5, update=_changed, description="Stops of light, about"
+        name="Exposure",
+        soft_min=-5,
+        soft_max=5,
+        update=_changed,
+        override=OVERRIDABLE,
+        description="Stops of light, about",
     )
     warmth: FloatProperty(
         name="Warmth",
         soft_min=-2,
         soft_max=2,
         update=_changed,
+        override=OVERRIDABLE,
         description="Stops of red over blue: above 0 for warmer colours",
     )
     tint: FloatProperty(
-        name="Tint", soft_min=-2, soft_max=2, update=_changed, description="Stops of magenta over green"
+        name="Tint",
+        soft_min=-2,
+        soft_max=2,
+        update=_changed,
+        override=OVERRIDABLE,
+        description="Stops of magenta over green",
     )
     saturation: FloatProperty(
-        name="Saturation", min=0, default=1, soft_max=2, update=_changed, description="0: grey. 1: as it is"
+        name="Saturation",
+        min=0,
+        default=1,
+        soft_max=2,
+        update=_changed,
+        override=OVERRIDABLE,
+        description="0: grey. 1: as it is",
     )
     contrast: FloatProperty(
         name="Contrast",
@@ -47,12 +71,14 @@ class SVRGS_PG_grade(bpy.types.PropertyGroup):
         default=1,
         soft_max=2,
         update=_changed,
+        override=OVERRIDABLE,
         description="Around middle grey. 1: as it is",
     )
     crop: PointerProperty(
         name="Crop Box",
         type=bpy.types.Object,
         update=_changed,
+        override=OVERRIDABLE,
         description="Only what is inside the bounding box of this object stays; an empty is a cube",
     )
     softness: FloatProperty(
@@ -61,6 +87,7 @@ class SVRGS_PG_grade(bpy.types.PropertyGroup):
         max=1,
         subtype="FACTOR",
         update=_changed,
+        override=OVERRIDABLE,
         description="Over what share of the way from the faces of the box to its middle opacity grows",
     )
     opacity: FloatProperty(
@@ -70,6 +97,7 @@ class SVRGS_PG_grade(bpy.types.PropertyGroup):
         default=1,
         subtype="FACTOR",
         update=_changed,
+        override=OVERRIDABLE,
         description="Factor on the opacity of every Gaussian",
     )
 
@@ -100,6 +128,26 @@ def problem(obj: bpy.types.Object) -> str:
     except SceneError as error:
         return str(error)
     return ""
+
+
+def still(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> str:
+    """That the crop box of a splat moves, but not in this graph, which leaves it out, in a sentence; '' if
+    that is not so."""
+    box = _crop_box(obj)
+    if box is None or not _moves(box.original):
+        return ""
+    rendered = depsgraph.mode == "RENDER" and any(one.original == box.original for one in depsgraph.objects)
+    if rendered or (depsgraph.mode == "VIEWPORT" and is_evaluated(box.original)):
+        return ""
+    text = tr("'{name}' is disabled in viewports or renders, so it stands still there: take a visible empty")
+    return text.format(name=box.name)
+
+
+def _moves(obj: bpy.types.Object | None) -> bool:
+    """Whether the object, or one above it, is animated or constrained."""
+    if obj is None:
+        return False
+    return obj.animation_data is not None or len(obj.constraints) > 0 or _moves(obj.parent)
 
 
 def _crop_box(obj: bpy.types.Object) -> bpy.types.Object | None:
@@ -134,4 +182,4 @@ def reset(obj: bpy.types.Object):
 
 
 CLASSES = (SVRGS_PG_grade,)
-PROPERTIES = {("Object", "svrgs_grade"): PointerProperty(type=SVRGS_PG_grade)}
+PROPERTIES = {("Object", "svrgs_grade"): PointerProperty(type=SVRGS_PG_grade, override=OVERRIDABLE)}

@@ -10,11 +10,16 @@ from mathutils import Matrix, Vector
 from ...svrgs_addon.system.errors import SceneError
 from .world_matrix import world_matrix
 
+CURVES = ("CURVE", "SURFACE", "FONT")
+
 
 def matrix_of(obj: bpy.types.Object) -> np.ndarray:
     """(4, 4) float64, from the cube of -1 to 1 to Blender's world: the bounding box of an object, or the size
     of an empty."""
-    corners = np.array(obj.bound_box, np.float64)
+    # Blender's box of an evaluated curve is that of its control points with their radius
+    corners = np.array((obj.original if obj.type in CURVES else obj).bound_box, np.float64)
+    if obj.type == "LATTICE":  # of which Blender knows the box of the evaluated one alone
+        corners = np.array([point.co_deform for point in obj.data.points], np.float64)
     if obj.type == "EMPTY":
         corners = obj.empty_display_size * np.array([(-1.0,) * 3, (1.0,) * 3])
     low, high = corners.min(axis=0), corners.max(axis=0)

@@ -21,7 +21,7 @@ from ...svrgs_addon.render.composite import composite, composite_while, split
 from ...svrgs_addon.render.panorama import composite_view
 from ...svrgs_addon.render.passes import BEHIND, PASSES, blank, passes
 from ...svrgs_addon.system.errors import NativeError, SceneError, SplatError
-from ..data import camera_object, image_pixels, known, mesh_triangles, panorama, visible_splats
+from ..data import camera_object, grading, image_pixels, known, mesh_triangles, panorama, visible_splats
 from ..data.image_pixels import working_space
 from ..data.preferences import use_threads
 from .viewport import Viewport
@@ -85,6 +85,10 @@ class SVRGS_engine(bpy.types.RenderEngine):
                 "some of these splats were trained with antialiasing and some were not: none is drawn with it"
             )
             self.report({"WARNING"}, text)
+        if self.is_animation:
+            found = {grading.still(obj, depsgraph) for obj, _ in visible_splats.placed_splats(depsgraph)}
+            for text in found - {""}:
+                self.report({"WARNING"}, text)
         view = panorama.view_of(visible_splats.camera(depsgraph, self.camera_override), scene)
         self.show_progress(tr("Reading meshes"), 0.1)
         triangles = mesh_triangles.triangles(depsgraph, cut=meshes == "CUT")

@@ -186,3 +186,53 @@ def test_it_is_saved_with_the_file_and_a_box_that_is_deleted_crops_nothing(splat
     bpy.data.objects.remove(bpy.data.objects["box"])
     bpy.context.view_layer.update()
     assert part("operators.data.visible_splats").visible_scene(evaluated(again)).count == 250
+
+
+def test_an_override_of_a_linked_splat_has_a_grade_of_its_own(splat, tmp_path):
+    collection = bpy.data.collections.new("asset")
+    bpy.context.scene.collection.children.link(collection)
+    collection.objects.link(splat)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "asset.blend"))
+    bpy.ops.wm.read_homefile(use_empty=True)
+    with bpy.data.libraries.load(str(tmp_path / "asset.blend"), link=True) as (_, wanted):
+        wanted.collections = ["asset"]
+    scene, layer = bpy.context.scene, bpy.context.view_layer
+    scene.collection.children.link(wanted.collections[0])
+    wanted.collections[0].override_hierarchy_create(scene, layer)
+    (mine,) = (obj for obj in bpy.data.objects if obj.override_library)
+    grade(mine, **VALUES)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "shot.blend"))
+    (again,) = (obj for obj in bpy.data.objects if obj.override_library)
+    assert {name: getattr(again.svrgs_grade, name) for name in VALUES} == VALUES
+
+
+def test_it_is_said_where_a_crop_box_that_moves_stands_still(splat, box, stage, camera, tmp_path, capfd):
+    for frame, place in ((1, 0), (2, 50)):
+        box.location.x = place
+        box.keyframe_insert("location", frame=frame)
+    sentence = "'box' is disabled in viewports or renders"
+    stage.frame_end, stage.render.filepath = 2, str(tmp_path / "frame")
+    for hidden in (False, True):
+        box.hide_viewport = box.hide_render = hidden
+        bpy.context.view_layer.update()
+        assert (sentence in drawn("color")) == hidden
+        bpy.ops.render.render(animation=True)
+        assert (sentence in capfd.readouterr().out) == hidden
+
+
+@pytest.mark.parametrize("kind", ["LATTICE", "FONT"])
+def test_a_crop_box_is_the_box_that_is_seen(splat, kind):
+    """Of these, Blender knows it of the evaluated object alone, or of the other alone."""
+    bpy.ops.object.add(type=kind, location=(0, 0, 0))
+    obj = bpy.context.object
+    if kind == "LATTICE":
+        obj.data.points_w, wanted = 2, (0.5, 0.5, 0.5)
+    else:
+        obj.data.extrude, wanted = 0.4, None
+    bpy.context.view_layer.update()
+    matrix_of = part("operators.data.volumes").matrix_of
+    found = matrix_of(obj)
+    np.testing.assert_array_equal(found, matrix_of(evaluated(obj)))
+    assert wanted is None or tuple(np.diag(found)[:3]) == wanted
+    assert abs(found[2, 2] - (0.5 if wanted else 0.4)) < 1e-6
