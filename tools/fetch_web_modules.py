@@ -15,7 +15,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from pinned import download
-from svrgs_addon.files.atomic import atomic_write
+from svrgs_addon.files.atomic import write_bytes
 from svrgs_addon.viewer.web_page import MODULES, packed_module
 
 PACKAGE = "fiftyone==1.22.1"
@@ -32,8 +32,7 @@ def main() -> None:
     ):
         for name in MODULES:
             packed_module(name).parent.mkdir(exist_ok=True)
-            with atomic_write(packed_module(name)) as file:
-                file.write(gzip.compress(wheel.read(f"{FOLDER}/{name}"), 9, mtime=0))
+            write_bytes(packed_module(name), gzip.compress(wheel.read(f"{FOLDER}/{name}"), 9, mtime=0))
     print(f"{packed_module(MODULES[0]).parent}: written")
 
 

@@ -6,7 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from svrgs_addon.files.atomic import atomic_write, check_writable
+from svrgs_addon.files.atomic import check_writable, write_bytes
 from svrgs_addon.native import library
 
 from .accuracy import error
@@ -82,6 +82,5 @@ def _write(folder: Path, documents: dict[str, str]) -> list[str]:
     paths = []
     for name, document in documents.items():
         paths.append(folder / f"{name}.svg")
-        with atomic_write(paths[-1]) as file:
-            file.write(document.encode())
+        write_bytes(paths[-1], document.encode())
     return [str(path) for path in paths]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..files.atomic import atomic_write, check_writable
+from ..files.atomic import check_writable, write_array
 from ..files.images import to_bytes, write_image
 from ..native.outputs import OUTPUTS, PICTURES
 from ..prune.blocks.block_rasterizer import opened
@@ -98,8 +98,7 @@ def choose(cameras: list[Camera], views: str) -> list[Camera]:
 def _save(folder: Path, camera: Camera, output: str, image: np.ndarray, extension: str) -> Path:
     path = folder / f"{view_stem(camera.name)}.{output}.{extension}"
     if extension == "npy":
-        with atomic_write(path) as file:
-            np.save(file, image)
+        write_array(path, image)
     else:
         write_image(path, image if extension == "exr" else _as_picture(output, image))
     return path

@@ -9,14 +9,18 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import itertools
+import json
 import os
 import secrets
 import shutil
 import stat
+import zipfile
 from collections.abc import Callable, Iterator
 from contextvars import ContextVar
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
+
+import numpy as np
 
 from ..system import file_names, here, locks, replacing
 from ..system.errors import SceneError, SplatError, system_errors
@@ -42,6 +46,36 @@ def atomic_write(path: str | os.PathLike, keep: bool = True) -> Iterator[BinaryI
     """
     with atomic_path(path, keep) as temporary, open(temporary, "r+b") as file:
         yield file
+
+
+def write_bytes(path: str | os.PathLike, data: bytes | memoryview, keep: bool = True) -> None:
+    """Writes a file whose bytes are all there. keep, errors: as of atomic_write()."""
+    with atomic_write(path, keep) as file:
+        file.write(data)
+
+
+def write_json(path: str | os.PathLike, value: Any, *, indented: bool = False, keep: bool = True) -> None:
+    """Writes a value as JSON. indented: in lines, for people. keep, errors: as of atomic_write()."""
+    text = json.dumps(value, indent=1) + "\n" if indented else json.dumps(value)
+    write_bytes(path, text.encode(), keep)
+
+
+def write_array(path: str | os.PathLike, array: np.ndarray, keep: bool = True) -> None:
+    """Writes an array as .npy. keep, errors: as of atomic_write()."""
+    with atomic_write(path, keep) as file:
+        np.save(file, array)
+
+
+def write_arrays(path: str | os.PathLike, arrays: dict[str, np.ndarray]) -> None:
+    """Writes arrays by name as .npz. Errors: as of atomic_write().
+
+    The archive is always closed here. After an error, np.savez leaves that to the garbage collector, which
+    prints a stack trace.
+    """
+    with atomic_write(path) as file, zipfile.ZipFile(file, "w") as archive:
+        for name, array in arrays.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, np.asanyarray(array), allow_pickle=False)
 
 
 def start_writeback(file: BinaryIO, size: int) -> None:

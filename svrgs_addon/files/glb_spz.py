@@ -12,7 +12,7 @@ import os
 
 from ..scene.gaussians import Scene
 from . import glb, spz, zstd
-from .atomic import atomic_write, check_space
+from .atomic import check_space, write_bytes
 from .axes import turned_around, turned_over
 from .glb_container import glb_of
 from .sh_rounding import SeenFrom
@@ -33,10 +33,7 @@ def write(path: str | os.PathLike, scene: Scene, quantise: float = 1.0, seen: Se
     contents["extensionsUsed"] = contents["extensionsRequired"] = [glb.EXTENSION, glb.PACKED[0]]
     head = glb_of(contents, [len(data)], arrays=False)
     check_space(path, len(head) + len(data))
-    with atomic_write(path) as file:
-        file.write(head)
-        file.write(data)
-        file.write(bytes(-len(data) % 4))
+    write_bytes(path, head + data + bytes(-len(data) % 4))
 
 
 FORMAT = SplatFormat(

@@ -25,7 +25,7 @@ from ..scene.morton_order import morton_order
 from ..system import memory
 from ..system.errors import SceneError
 from . import sog_layout as layout
-from .atomic import atomic_path, atomic_write, check_space
+from .atomic import atomic_path, atomic_write, check_space, write_bytes
 from .images import write_texture
 from .palette import nearest, palette, refined, table
 from .quantised import COARSE, alphas_of, picture_weights, small_scale, three_of_quats, to_uint8
@@ -243,8 +243,7 @@ def _write_folder(path: Path, meta: dict[str, Any], textures: dict[str, np.ndarr
 
     with ThreadPoolExecutor(os.cpu_count()) as threads:
         list(threads.map(write_one, textures))
-    with atomic_write(path) as file:
-        file.write(text.encode())
+    write_bytes(path, text.encode())
     for texture in old:
         texture.unlink(missing_ok=True)
 

@@ -27,7 +27,7 @@ import numpy as np
 from ..scene.gaussians import Scene
 from ..scene.morton_order import morton_order
 from . import zstd
-from .atomic import atomic_write, check_space
+from .atomic import check_space, write_bytes
 from .axes import turned_over
 from .memory_mapped import array_for
 from .quantised import (
@@ -90,8 +90,7 @@ def write(
     newest = NEWEST if scene.sh_degree else SMALLEST_THREE
     data = content(path, scene, version or newest, quantise, seen=seen)
     check_space(path, len(data))
-    with atomic_write(path) as file:
-        file.write(data)
+    write_bytes(path, data)
 
 
 def content(

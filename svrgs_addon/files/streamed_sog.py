@@ -11,7 +11,6 @@ as they need them.
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import re
 import secrets
@@ -29,7 +28,7 @@ from ..scene.rotations import rotation_matrices
 from ..system.errors import FormatError
 from ..system.foreign import inside, own
 from . import images, sog
-from .atomic import atomic_write, check_space
+from .atomic import check_space, write_json
 from .reading import MAX_COUNT, MAX_IN_PARTS, json_object, open_splat, refuse_many
 from .sh_rounding import SeenFrom
 from .sog_layout import META, files_of
@@ -123,8 +122,7 @@ def write_levels(
         write_in_order(
             path.parent / name, scenes[level].select(some), quantise, view.select(some) if view else None
         )
-    with atomic_write(path) as file:
-        file.write(json.dumps(meta | {"filenames": list(cut.files), "tree": tree}).encode())
+    write_json(path, meta | {"filenames": list(cut.files), "tree": tree})
     for one in old:
         one.unlink(missing_ok=True)
     for folder in {one.parent for one in old}:

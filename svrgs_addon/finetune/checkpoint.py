@@ -17,9 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..files.atomic import atomic_write, check_space
+from ..files.atomic import check_space, write_arrays, write_json
 from ..files.digests import sha256
-from ..files.npz import write_arrays
 from ..scene.gaussians import PARAMETERS
 from ..system.errors import OtherRun, SceneError
 from ..views.dataset import Dataset
@@ -86,8 +85,7 @@ def _write(run: Run, target: Path, identity: str, time: dict | None):
         "curves": asdict(run.curves),
     }
     manifest["digest"] = text_digest(manifest)
-    with atomic_write(target / "manifest.json") as file:
-        file.write(json.dumps(manifest).encode())
+    write_json(target / "manifest.json", manifest)
 
 
 def identity_of(start: Model, dataset: Dataset, plan: Plan, engine: str) -> str:

@@ -10,13 +10,12 @@ result and are never baked into it.
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from ..files.atomic import atomic_write
+from ..files.atomic import write_json
 from ..files.images import srgb_to_linear
 from .photo_adam import PhotoAdam
 
@@ -59,5 +58,4 @@ def file_of(out: Path) -> Path:
 
 def write(path: Path, names: list[str], matrices: np.ndarray):
     """As 3DGS writes exposure.json: the matrix of each photograph by its name. Raises SceneError."""
-    with atomic_write(path) as file:
-        file.write(json.dumps(dict(zip(names, matrices.tolist(), strict=True)), indent=1).encode() + b"\n")
+    write_json(path, dict(zip(names, matrices.tolist(), strict=True)), indented=True)

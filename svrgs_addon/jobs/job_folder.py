@@ -38,7 +38,6 @@ import contextlib
 import csv
 import hashlib
 import io
-import json
 import math
 import os
 import shutil
@@ -50,7 +49,7 @@ from pathlib import Path
 import numpy as np
 
 from .. import __version__
-from ..files.atomic import atomic_write
+from ..files.atomic import write_json
 from ..files.ply_header import MAX_HEADER_BYTES, parse_header
 from ..files.reading import json_object
 from ..files.registry import write_scene
@@ -270,8 +269,7 @@ class JobFolder:
         return []
 
     def write_json(self, name: str, value: dict):
-        with atomic_write(self / name, keep=False) as file:
-            file.write(json.dumps(value).encode())
+        write_json(self / name, value, keep=False)
 
     def raise_flag(self):
         """Creates the flag file STOP."""

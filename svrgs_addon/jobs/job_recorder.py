@@ -10,7 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ..files.atomic import atomic_write
+from ..files.atomic import atomic_write, write_array, write_bytes
 from ..files.images import to_bytes
 from ..files.registry import load_scene, read_scene, write_scene
 from ..finetune import loop, masks
@@ -121,8 +121,7 @@ class JobRecorder:
         )
         name = f"previews/{iteration:07d}.png"
         rgb = run.engine.rasterizer.forward(run.model, camera, options, kept)["rgb"]
-        with atomic_write(self.folder / name) as file:
-            file.write(png_bytes(to_bytes(rgb)))
+        write_bytes(self.folder / name, png_bytes(to_bytes(rgb)))
         self.listener.tell("PREVIEW", path=name)
 
     def flush(self):
@@ -184,11 +183,13 @@ class PruneRecorder(JobRecorder):
         if self.run.plan.nested:  # its rows are in the order of importance
             rank[rows] = np.linspace(1, 0, recovered.count, dtype=np.float32)
             recovered = recovered.select(np.argsort(rows))
-        _save(self.folder / "kept.npy", kept)
-        _save(self.folder / "score.npy", self.ranking.scores(kept, rank, nested=self.run.plan.nested > 0))
+        write_array(self.folder / "kept.npy", kept)
+        write_array(
+            self.folder / "score.npy", self.ranking.scores(kept, rank, nested=self.run.plan.nested > 0)
+        )
         probability = self.ranking.probabilities()
         if probability is not None:
-            _save(self.folder / "probability.npy", probability)
+            write_array(self.folder / "probability.npy", probability)
         return self._write_pruned(recovered, result)
 
     def _write_pruned(self, recovered: Scene, result: dict) -> dict:
@@ -235,8 +236,3 @@ def _line(row) -> str:
         "" if value is None else f"{value:.6g}" if i > 1 else str(int(value))
         for i, value in enumerate(values)
     )
-
-
-def _save(path, array: np.ndarray):
-    with atomic_write(path) as file:
-        np.save(file, array)

@@ -18,7 +18,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from ..files.npz import write_arrays
+from ..files.atomic import write_arrays
 from ..finetune import scores
 from ..finetune.model import MASK
 from ..finetune.run import Run

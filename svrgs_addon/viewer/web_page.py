@@ -16,7 +16,7 @@ from pathlib import Path
 from string import Template
 
 from ..files import spz
-from ..files.atomic import atomic_write
+from ..files.atomic import write_bytes
 from ..files.registry import load_scene
 from ..native.library import thresholds
 from ..native.rasterizer import Rasterizer
@@ -63,8 +63,7 @@ def export(source: Source, folder: Path) -> list[dict]:
     page = json.dumps(_page(source, facts)).replace("<", "\\u003c")  # the text ends no element
     template = Template((WEB / "index.html").read_text(encoding="utf-8"))
     text = template.substitute(title=html.escape(title), background=background, page=page)
-    with atomic_write(folder / "index.html") as file:
-        file.write(text.encode())
+    write_bytes(folder / "index.html", text.encode())
     for name in {*itertools.chain(*NAMES.values())} - {one["file"] for one in facts}:
         (folder / name).unlink(missing_ok=True)  # of an older page in this folder
     return facts
@@ -88,8 +87,7 @@ def _check(folder: Path):
 
 
 def _copy(source: Path, target: Path):
-    with atomic_write(target) as file:
-        file.write(source.read_bytes())
+    write_bytes(target, source.read_bytes())
 
 
 def _written(source: Source, k: int, folder: Path) -> dict:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..files.atomic import atomic_write
+from ..files.atomic import write_bytes
 from ..files.images import MAX_SIDE
 from ..files.reading import read_json, usable
 from ..scene.camera import Camera
@@ -54,8 +54,7 @@ def write_cameras_json(path: str | os.PathLike, cameras: Sequence[Camera]):
         if centre != {"cx": camera.width / 2, "cy": camera.height / 2}:
             entry |= centre
         entries.append(entry)
-    with atomic_write(path) as file:
-        file.write(json.dumps(entries, indent=1).encode())
+    write_bytes(path, json.dumps(entries, indent=1).encode())
 
 
 def _read_entries(path: str | os.PathLike) -> list:

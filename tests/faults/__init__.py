@@ -20,8 +20,8 @@ from pathlib import Path
 
 import numpy as np
 
+from svrgs_addon.files.atomic import write_array, write_arrays
 from svrgs_addon.files.images import write_image
-from svrgs_addon.files.npz import write_arrays
 from svrgs_addon.files.ply import write_ply
 from svrgs_addon.jobs.job_folder import JobFolder
 from svrgs_addon.scene.gaussians import Scene
@@ -85,13 +85,6 @@ def scene_of(count: int, value: float) -> Scene:
     return Scene(full(3), full(3), full(4), full(), full(4, 3))
 
 
-def write_npy(path: Path, version: int):
-    from svrgs_addon.files.atomic import atomic_write
-
-    with atomic_write(path) as file:
-        np.save(file, np.full(200_000, version))
-
-
 def write_npz(path: Path, version: int):
     write_arrays(path, {"a": np.full(100_000, version), "b": np.full((3, 50_000), version, np.float32)})
 
@@ -104,7 +97,7 @@ WRITERS: dict[str, Callable[[Path, int], object]] = {
     "view.exr": lambda path, version: write_image(
         path, np.full((300, 400, 3), 0.25 + version / 2, np.float32)
     ),
-    "array.npy": write_npy,
+    "array.npy": lambda path, version: write_array(path, np.full(200_000, version)),
     "arrays.npz": write_npz,
     "state.json": lambda path, version: JobFolder(path.parent).write_json(
         path.name, {"version": version, "text": "x" * 50_000}

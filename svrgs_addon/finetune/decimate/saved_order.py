@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...files.atomic import atomic_write
+from ...files.atomic import write_array
 from ...files.registry import read_scene, write_scene
 from ...files.sh_rounding import without_bands
 from ...scene.affine import scaled, transformed
@@ -61,8 +61,7 @@ def write_order(folder: Path, order: Order, rows: np.ndarray, total: int, factor
     )
     near = morton_order(np.concatenate([order.scene.means, made.means]))
     write_scene(folder / MERGED, scaled(made, factor))
-    with atomic_write(folder / ORDER, keep=False) as file:
-        np.save(file, table[near])
+    write_array(folder / ORDER, table[near], keep=False)
 
 
 def read_order(folder: Path, source: Scene) -> SavedOrder:

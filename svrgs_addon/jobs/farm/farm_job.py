@@ -19,7 +19,6 @@ are plain.
 
 from __future__ import annotations
 
-import json
 import os
 import re
 from collections.abc import Sequence
@@ -28,7 +27,7 @@ from pathlib import Path
 from typing import Any
 
 from ... import __version__
-from ...files.atomic import atomic_write
+from ...files.atomic import write_json
 from ...files.reading import json_object
 from ...files.registry import USUAL, suffixes
 from ...prune.options import PruneOptions
@@ -93,7 +92,7 @@ class FarmJob:
     def write(self):
         """Writes job.json. Raises SceneError."""
         facts = {"schema": SCHEMA, "version": __version__, "root": str(self.root), "to": self.to}
-        write_json(self.folder / JOB, facts | {"tasks": [asdict(task) for task in self.tasks]})
+        write_json(self.folder / JOB, facts | {"tasks": [asdict(task) for task in self.tasks]}, indented=True)
 
     def options(self, task: Task) -> PruneOptions:
         """The options of the task on this machine; a run of it that was interrupted goes on."""
@@ -178,12 +177,6 @@ def relative(root: Path, path: Path) -> str:
     """The path relative to the root, with slashes; absolute if it lies elsewhere."""
     place, base = real(path), real(root)
     return Path(place).relative_to(base).as_posix() if Path(place).is_relative_to(base) else str(place)
-
-
-def write_json(path: Path, contents: dict[str, Any]):
-    """Raises SceneError."""
-    with atomic_write(path) as file:
-        file.write(json.dumps(contents, indent=1).encode() + b"\n")
 
 
 def _plain(value: Any) -> Any:

@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
+from ...files.atomic import write_json
 from ...system.here import MACOS, WINDOWS
-from .farm_job import FarmJob, write_json
+from .farm_job import FarmJob
 
 TYPE, PRIORITY = "svrgs-prune", 50  # the manager names a type after its file, with - for _
 
@@ -20,4 +21,4 @@ def write_submission(job: FarmJob, name: str):
     }
     platform = "windows" if WINDOWS else "darwin" if MACOS else "linux"
     submission = {"name": name, "type": TYPE, "priority": PRIORITY, "submitter_platform": platform}
-    write_json(job.folder / "flamenco.json", submission | {"settings": settings})
+    write_json(job.folder / "flamenco.json", submission | {"settings": settings}, indented=True)

@@ -10,7 +10,8 @@ import json
 from pathlib import Path
 from typing import Any
 
-from .farm_job import FarmJob, write_json
+from ...files.atomic import write_json
+from .farm_job import FarmJob
 
 TEMPLATE = Path(__file__).parent / "openjd" / "captures.json"
 MEMORY = "amount.worker.memory"  # MiB
@@ -20,7 +21,7 @@ MIB, STEP = 1 << 20, 512  # memory is asked for in steps of so many MiB
 def write_bundle(job: FarmJob, name: str, memory: int):
     """Writes the bundle into the folder of the job. name: of the job, as engines show it. memory: bytes that
     a task needs. Raises SceneError."""
-    write_json(job.folder / "template.json", template(memory))
+    write_json(job.folder / "template.json", template(memory), indented=True)
     values = {
         "JobName": name,
         "JobFolder": str(job.folder),
@@ -28,9 +29,9 @@ def write_bundle(job: FarmJob, name: str, memory: int):
         "LastTask": len(job.tasks) - 1,
     }
     parameters = [{"name": key, "value": value} for key, value in values.items()]
-    write_json(job.folder / "parameter_values.json", {"parameterValues": parameters})
+    write_json(job.folder / "parameter_values.json", {"parameterValues": parameters}, indented=True)
     folders = {"inputs": {"directories": [str(job.root)]}, "outputs": {"directories": [str(job.folder)]}}
-    write_json(job.folder / "asset_references.json", {"assetReferences": folders})
+    write_json(job.folder / "asset_references.json", {"assetReferences": folders}, indented=True)
 
 
 def template(memory: int) -> dict[str, Any]:

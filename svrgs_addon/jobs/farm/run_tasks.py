@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from ...files.atomic import write_json
 from ...files.digests import scene_sha256, sha256
 from ...finetune.loop import Progress
 from ...prune.context import JobContext
@@ -21,7 +22,7 @@ from ...views.sources import read_source
 from ...views.transforms_json import PARSER_NAME
 from ...views.valid_pixels import MaskOptions, masks_of
 from .engine_messages import Messages
-from .farm_job import FarmJob, Task, write_json
+from .farm_job import FarmJob, Task
 
 
 def run_tasks(job: FarmJob, numbers: Sequence[int], messages: Messages) -> list[dict[str, Any]]:
@@ -97,7 +98,7 @@ def _run(job: FarmJob, task: Task, messages: Messages) -> dict[str, Any]:
         raise type(error)(f"task {task.name}: {error}") from None
     digest = sha256(out)
     facts = {"task": {"scene": task.scene, "options": task.options}, **inputs, "sha256": digest}
-    write_json(job.result_path(task), facts | {"result": result})
+    write_json(job.result_path(task), facts | {"result": result}, indented=True)
     before, after = result["before"]["count"], result["after"]["count"]
     messages.tell(f"{task.name}: keeps {after:,} of {before:,} Gaussians", 1.0)
     return {"name": task.name, "out": str(out), "sha256": digest, "done_before": False}

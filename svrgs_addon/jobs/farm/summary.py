@@ -11,7 +11,7 @@ from statistics import fmean
 from typing import Any
 
 from ... import __version__
-from ...files.atomic import atomic_write
+from ...files.atomic import write_bytes, write_json
 from ...prune.report.point_chart import Axis, Point, chart, front
 from ...prune.report.style import CSS
 from ...render.metrics.allowed_loss import ASSUMED
@@ -20,7 +20,7 @@ from ...system.errors import FormatError, SceneError
 from ...system.foreign import own
 from ...system.memory import size_text
 from ...views.rendered import PHOTOGRAPHED
-from .farm_job import FarmJob, Task, write_json
+from .farm_job import FarmJob, Task
 
 COLUMNS: dict[str, Callable[[dict[str, Any]], str]] = {  # title -> text of a row
     "task": lambda row: row["name"],
@@ -48,7 +48,7 @@ def summarise(job: FarmJob) -> dict[str, Any]:
         )
     means, page = _means(rows), own(job.folder, "report", "index.html")
     facts = {"tasks": rows, "over_all_scenes": means, "missing": missing}
-    write_json(own(job.folder, "report", "table.json"), facts)
+    write_json(own(job.folder, "report", "table.json"), facts, indented=True)
     _write(own(job.folder, "report", "table.md"), "\n".join(_markdown(rows)) + "\n")
     _write(page, _page(rows, means, missing))
     return facts | {"report": str(page)}
@@ -144,5 +144,4 @@ def _cells(row: dict[str, Any]) -> str:
 
 
 def _write(path: Path, text: str):
-    with atomic_write(path) as file:
-        file.write(text.encode(errors="replace"))
+    write_bytes(path, text.encode(errors="replace"))

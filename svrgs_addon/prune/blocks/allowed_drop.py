@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from ...files.atomic import atomic_write
+from ...files.atomic import write_bytes
 from ...files.registry import format_to_write
 from ...finetune.methods.removal import floor_of_drop
 from ...finetune.plan import Plan
@@ -99,8 +99,7 @@ def _held(divided: Divided, out: Path, progress_of: ProgressOf) -> Iterator[Divi
 
 def write_number(folder: Path, number: int):
     """Keeps the number of Gaussians that was found, for a job that is continued. Raises SceneError."""
-    with atomic_write(folder / NUMBER) as file:
-        file.write(str(number).encode())
+    write_bytes(folder / NUMBER, str(number).encode())
 
 
 def read_number(folder: Path) -> int:

@@ -14,7 +14,6 @@ part of it.
 from __future__ import annotations
 
 import hashlib
-import json
 import logging
 import math
 from collections.abc import Callable, Iterator
@@ -24,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from ...files.atomic import atomic_write, check_space
+from ...files.atomic import check_space, write_bytes, write_json
 from ...files.reading import json_object
 from ...files.registry import load_parts, size_on_disk
 from ...finetune.decimate.order import NORMALS
@@ -133,8 +132,7 @@ class Divided:
             "antialiased": self.antialiased,
             "blocks": [[one.count, one.low.tolist(), one.high.tolist(), one.largest] for one in self.blocks],
         }
-        with atomic_write(self.folder / INDEX) as file:
-            file.write(json.dumps(facts).encode())
+        write_json(self.folder / INDEX, facts)
 
     @property
     def bytes(self) -> int:
@@ -222,8 +220,7 @@ def write_block(folder: Path, number: int, scene: Scene, start: int):
     rows = np.arange(start, start + scene.count, dtype=np.uint32)
     for name, array in (("geometry", _geometry(scene)), ("sh", scene.sh), ("rows", rows)):
         check_space(folder / f"{number}.{name}", array.nbytes)
-        with atomic_write(folder / f"{number}.{name}") as file:
-            file.write(np.ascontiguousarray(array).data.cast("B"))
+        write_bytes(folder / f"{number}.{name}", np.ascontiguousarray(array).data.cast("B"))
 
 
 def gathered(folder: Path, like: Divided) -> Divided:

@@ -12,7 +12,6 @@ whatever the number of blocks, if these are not smaller than cells. Beside the b
 
 from __future__ import annotations
 
-import json
 import zipfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -20,8 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from ...files.atomic import atomic_write, check_space
-from ...files.npz import write_arrays
+from ...files.atomic import check_space, write_arrays, write_bytes, write_json
 from ...files.reading import json_object
 from ...files.registry import too_faint
 from ...finetune.decimate.order import Order, hidden
@@ -64,15 +62,13 @@ def reduce(divided: Divided, cameras: Sequence[Camera]):
     drawn, unseen = 0, 0
     for block in divided.blocks:
         values = visibility(sums[block.rows])
-        with atomic_write(divided.folder / f"{block.number}.visibility") as file:
-            file.write(values.data)
+        write_bytes(divided.folder / f"{block.number}.visibility", values.data)
         visible = ~too_faint(block.geometry[:, OPACITY])
         drawn, unseen = drawn + int(visible.sum()), unseen + hidden(values[visible])
     means = np.concatenate([block.geometry[seen[block.rows], :3] for block in divided.blocks])
     middle = [float(np.median(means[:, axis])) for axis in range(3)]
-    with atomic_write(divided.folder / REDUCED) as file:
-        facts = {"pixel": pixel, "middle": middle, "seen": 1 - unseen / max(1, drawn), "views": len(cameras)}
-        file.write(json.dumps(facts).encode())
+    facts = {"pixel": pixel, "middle": middle, "seen": 1 - unseen / max(1, drawn), "views": len(cameras)}
+    write_json(divided.folder / REDUCED, facts)
 
 
 def merge(divided: Divided, number: int):

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from ...files.atomic import atomic_write
+from ...files.atomic import write_json
 from ...files.reading import json_object
 from ...finetune.methods import METHODS, method_named
 from ...finetune.methods.removal import Removal
@@ -90,8 +89,7 @@ class Request:
         return hold_apart(found)
 
     def write(self, folder: Path):
-        with atomic_write(folder / FILE) as file:
-            file.write(json.dumps(asdict(self)).encode())
+        write_json(folder / FILE, asdict(self))
 
     @classmethod
     def read(cls, folder: Path) -> Request | None:

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...files.atomic import atomic_write, check_space
+from ...files.atomic import check_space, write_array
 from ...finetune.saliency import reduced
 from ...native.rasterizer import VISIBILITY, Rasterizer
 from ...render.metrics.evaluate import render_options
@@ -54,14 +54,12 @@ def score(
         progress(f"view {camera.name or number}", number / len(views))
         scene, rows = seen(divided, camera, rasterizer)
         picture = rasterizer.forward(scene, camera, render_options(scene))["rgb"]
-        with atomic_write(picture_path(divided, part + number * parts)) as file:
-            np.save(file, picture.astype(np.float16))
+        write_array(picture_path(divided, part + number * parts), picture.astype(np.float16))
         of_view = np.zeros((scene.count, len(VISIBILITY)))
         rasterizer.add_visibility(of_view)
         blended = of_view[:, PIXELS_SEEN] > 0
         sums[rows[blended]] += whole(of_view[blended])
-    with atomic_write(path) as file:
-        np.save(file, sums)
+    write_array(path, sums)
     return path
 
 

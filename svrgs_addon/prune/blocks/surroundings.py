@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...files.atomic import atomic_write
+from ...files.atomic import write_array
 from ...native.rasterizer import Rasterizer
 from ...scene.camera import Camera
 from ...scene.gaussians import Scene
@@ -101,8 +101,7 @@ def _blended(divided: Divided, view: int, camera: Camera, rasterizer: Rasterizer
     if not path.exists():
         found = shown(divided, camera, rasterizer)
         places = [firsts[block.number] + some for block, some in zip(found.blocks, found.places, strict=True)]
-        with atomic_write(path) as file:
-            np.save(file, np.concatenate([np.zeros(0, np.uint32), *places]).astype(np.uint32))
+        write_array(path, np.concatenate([np.zeros(0, np.uint32), *places]).astype(np.uint32))
     try:
         blended = np.load(path, allow_pickle=False).astype(np.int64)
     except (OSError, ValueError, EOFError) as error:

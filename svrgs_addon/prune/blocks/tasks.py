@@ -6,12 +6,11 @@ when it is continued.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ...files.atomic import atomic_write
+from ...files.atomic import write_json
 from ...files.reading import json_object
 from ...system.errors import OtherRun
 
@@ -76,10 +75,7 @@ class Tasks:
             return
         work()
         self.done.append(name)
-        with atomic_write(self._path) as file:
-            file.write(
-                json.dumps({"identity": self._identity, "total": self.total, "done": self.done}).encode()
-            )
+        write_json(self._path, {"identity": self._identity, "total": self.total, "done": self.done})
 
 
 class Overall:

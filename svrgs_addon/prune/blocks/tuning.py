@@ -13,14 +13,13 @@ Beside the blocks of the original lie
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from statistics import fmean
 
 import numpy as np
 
-from ...files.atomic import atomic_write
+from ...files.atomic import write_json
 from ...files.reading import json_object
 from ...finetune.refit import TrainingView, interpolated, middle_scale, pace_for, refit
 from ...finetune.saliency import reduced
@@ -49,8 +48,7 @@ def cut(
     the error is in some views. Raises SplatError."""
     emptied(divided, TUNED)
     left = level(divided, wanted, CUT, progress)
-    with atomic_write(left.folder / ERROR) as file:
-        file.write(json.dumps({"error": _error(divided, left, reduced(cameras))}).encode())
+    write_json(left.folder / ERROR, {"error": _error(divided, left, reduced(cameras))})
     return left
 
 
