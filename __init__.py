@@ -4,13 +4,13 @@ panels/."""
 
 def register():
     from . import operators, panels
+    from .operators import registration
 
-    operators.register()
-    panels.register()
+    registration.register((*operators.MODULES, *panels.MODULES))
 
 
 def unregister():
     from . import operators, panels
+    from .operators import registration
 
-    panels.unregister()
-    operators.unregister()
+    registration.unregister((*operators.MODULES, *panels.MODULES))

@@ -2,73 +2,20 @@
 
 from importlib import import_module
 
-from . import registration
+from . import translation
 
-# all that have classes, handlers, menus, properties or timers, in the order in which they are registered
-MODULES = [
-    import_module(f".{name}", __name__)
-    for name in (
-        "translation",
-        "data.background_work",
-        "data.known",
-        "data.job_paths",
-        "data.image_pixels",
-        "data.grading",
-        "io.import_ply",
-        "io.undistort",
-        "io.import_colmap",
-        "io.export_ply",
-        "io.export_farm",
-        "io.export_levels",
-        "io.export_page",
-        "io.usd_stage",
-        "jobs.prune",
-        "jobs.prune_settings",
-        "jobs.estimate",
-        "jobs.job_pictures",
-        "data.quick_order",
-        "jobs.job_queue",
-        "jobs.job_result",
-        "jobs.job_watch",
-        "scene.dataset_paths",
-        "jobs.job",
-        "jobs.job_operators",
-        "scene.place_cameras",
-        "jobs.applied_jobs",
-        "jobs.apply",
-        "jobs.job_list",
-        "jobs.orphan_jobs",
-        "scene.camera_match",
-        "scene.active_camera",
-        "jobs.command_line",
-        "view.scene_cache",
-        "view.view_properties",
-        "view.viewport",
-        "view.overlay",
-        "view.render_engine",
-        "view.spatial_mask",
-        "scene.contribution",
-        "scene.select_gaussians",
-        "view.select_region",
-        "scene.apply_grade",
-        "view.compare",
-        "scene.splat_transforms",
-        "scene.frame",
-        "view.viewport_wipe",
-        "view.open_image",
-        "view.manual",
-        "jobs.train",
-        "jobs.steps",
-        "data.materials",
-        "scene.set_up_rendering",
-        "scene.splat_layer",
-    )
-]
-
-
-def register():
-    registration.register(MODULES)
-
-
-def unregister():
-    registration.unregister(MODULES)
+# of each room the modules that have something to register, in this order
+ROOMS = {
+    "data": ("background_work", "known", "job_paths", "image_pixels", "grading", "quick_order", "materials"),
+    "scene": ("dataset_paths", "place_cameras", "camera_match", "active_camera", "contribution",
+        "select_gaussians", "apply_grade", "splat_transforms", "frame", "set_up_rendering", "splat_layer"),
+    "jobs": ("prune", "prune_settings", "estimate", "job_pictures", "job_queue", "job_result", "job_watch",
+        "job", "job_operators", "applied_jobs", "apply", "job_list", "orphan_jobs", "command_line", "train",
+        "steps"),
+    "io": ("import_ply", "undistort", "import_colmap", "export_ply", "export_farm", "export_levels",
+        "export_page", "usd_stage"),
+    "view": ("scene_cache", "view_properties", "viewport", "overlay", "render_engine", "spatial_mask",
+        "select_region", "compare", "viewport_wipe", "open_image", "manual"),
+}  # fmt: skip
+NAMES = [f".{room}.{name}" for room, names in ROOMS.items() for name in names]
+MODULES = [translation, *(import_module(name, __name__) for name in NAMES)]

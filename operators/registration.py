@@ -1,6 +1,7 @@
-"""Registers what a module has for Blender: CLASSES; PROPERTIES, {(type, name): property}; HANDLERS, {event:
-function}; MENUS, {menu: function that draws in it}; TIMERS, which end with the extension; forget(), which is
-called when another file is opened, and at the end; for all else register() and unregister() of its own."""
+"""Registers what a module has for Blender: its classes SVRGS_…; PROPERTIES, {(type, name): property};
+HANDLERS, {event: function}; MENUS, {menu: function that draws in it}; TIMERS, which end with the extension;
+forget(), which is called when another file is opened, and at the end; for all else register() and
+unregister() of its own."""
 
 from __future__ import annotations
 
@@ -13,7 +14,7 @@ from bpy.app.handlers import persistent
 
 def register(modules: Iterable[ModuleType]):
     for module in modules:
-        for cls in getattr(module, "CLASSES", ()):
+        for cls in _classes(module):
             bpy.utils.register_class(cls)
         for (kind, name), value in getattr(module, "PROPERTIES", {}).items():
             setattr(getattr(bpy.types, kind), name, value)
@@ -39,8 +40,15 @@ def unregister(modules: Iterable[ModuleType]):
             getattr(bpy.app.handlers, event).remove(handler)
         for kind, name in getattr(module, "PROPERTIES", {}):
             delattr(getattr(bpy.types, kind), name)
-        for cls in reversed(getattr(module, "CLASSES", ())):
+        for cls in reversed(_classes(module)):
             bpy.utils.unregister_class(cls)
+
+
+def _classes(module: ModuleType) -> list[type]:
+    """The classes SVRGS_… that a module defines, in their order, if this Blender knows their kind."""
+    named = (one for name, one in vars(module).items() if name.startswith("SVRGS_"))
+    own = (one for one in named if one.__module__ == module.__name__)
+    return [one for one in own if issubclass(one, bpy.types.bpy_struct)]
 
 
 def _handlers(module: ModuleType) -> list[tuple[str, Callable]]:

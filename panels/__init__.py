@@ -2,31 +2,9 @@
 
 from importlib import import_module
 
-from ..operators import registration
-
-MODULES = [
-    import_module(f".{name}", __name__)
-    for name in (
-        "preferences",
-        "scene",
-        "photographs",
-        "select",
-        "color",
-        "overlay",
-        "steps",
-        "jobs",
-        "spatial_mask",
-        "compare",
-        "rendering",
-        "engine",
-        "panorama",
-    )
-]
-
-
-def register():
-    registration.register(MODULES)
-
-
-def unregister():
-    registration.unregister(MODULES)
+# panels of equal bl_order are shown in this order
+NAMES = (
+    "preferences", "scene", "photographs", "select", "color", "overlay", "steps", "jobs", "spatial_mask",
+    "compare", "rendering", "engine", "panorama",
+)  # fmt: skip
+MODULES = [import_module(f".{name}", __name__) for name in NAMES]

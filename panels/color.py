@@ -26,6 +26,3 @@ class SVRGS_PT_color(SplatPanel):
         text = tr("Seen and exported so. Pruning takes the splat as it is stored")
         wrapped_label(self.layout, text, "INFO")
         self.layout.operator("svrgs.apply_grade", icon="CHECKMARK")
-
-
-CLASSES = (SVRGS_PT_color,)

@@ -70,6 +70,3 @@ def table(layout, result: dict):
         wrapped_label(box, text.format(share=result["hidden"]))
     if "lpips_missing" in result:
         wrapped_label(box, result["lpips_missing"], "ERROR")
-
-
-CLASSES = (SVRGS_PT_compare_image,)

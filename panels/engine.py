@@ -38,9 +38,6 @@ def shared_panels():
     return [panel for panel in panels if "BLENDER_RENDER" in getattr(panel, "COMPAT_ENGINES", ())]
 
 
-CLASSES = (SVRGS_PT_engine,)
-
-
 def register():
     for panel in shared_panels():
         panel.COMPAT_ENGINES.add(ENGINE)

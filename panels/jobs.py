@@ -8,13 +8,8 @@ from bpy.app.translations import pgettext_n as n_
 from ..operators.jobs import job_list, job_pictures, job_state, prune_state
 from .sidebar import SidebarPanel, wrapped_label
 
-BUTTONS = {  # action -> operator, icon
-    "run_now": ("svrgs.job_run_now", "TRIA_UP"),
-    "stop": ("svrgs.job_stop", "PAUSE"),
-    "resume": ("svrgs.job_resume", "PLAY"),
-    "load": ("svrgs.job_load", "IMPORT"),
-    "discard": ("svrgs.job_discard", "TRASH"),
-}
+# of the buttons, by what is done (job_state.State.actions)
+ICONS = {"run_now": "TRIA_UP", "stop": "PAUSE", "resume": "PLAY", "load": "IMPORT", "discard": "TRASH"}
 
 
 class SVRGS_PT_jobs(SidebarPanel):
@@ -49,8 +44,7 @@ def draw_actions(layout, job, actions: tuple[str, ...], named: bool = True):
     for action in actions:
         stop_now = action == "stop" and job.stopping
         options = {"text": n_("Stop Now")} if stop_now and named else {} if named else {"text": ""}
-        operator, icon = BUTTONS[action]
-        button = layout.operator(operator, icon=icon, **options)
+        button = layout.operator(f"svrgs.job_{action}", icon=ICONS[action], **options)
         button.folder = str(job.folder.path)
         if action == "stop":
             button.now = stop_now
@@ -78,5 +72,4 @@ def draw_headline(header, context):
         header.layout.label(text=line, icon="OUTLINER_OB_POINTCLOUD", translate=False)
 
 
-CLASSES = (SVRGS_PT_jobs,)
 MENUS = {"VIEW3D_HT_header": draw_headline}

@@ -19,6 +19,3 @@ class SVRGS_PT_overlay(SidebarPanel):
         column = split_column(layout)
         column.active = settings.overlay
         column.prop(settings, "overlay_shown")
-
-
-CLASSES = (SVRGS_PT_overlay,)

@@ -35,6 +35,3 @@ class SVRGS_PT_panorama(bpy.types.Panel):
             column = layout.column(align=True)
             for name, text in limits:
                 column.prop(camera, name, text=text)
-
-
-CLASSES = (SVRGS_PT_panorama,)

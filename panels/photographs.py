@@ -43,6 +43,3 @@ class SVRGS_PT_photographs(SplatPanel):
         root = splat_object.root_of(context.object)
         if root is not None and (problem := known.of(root).mask_problem):
             wrapped_label(layout, problem, "ERROR")
-
-
-CLASSES = (SVRGS_UL_photographs, SVRGS_PT_photographs)

@@ -18,6 +18,3 @@ class SVRGS_AP_preferences(bpy.types.AddonPreferences):
     def draw(self, context):
         self.layout.use_property_split = True
         self.layout.prop(self, "threads")
-
-
-CLASSES = (SVRGS_AP_preferences,)

@@ -50,6 +50,3 @@ def draw_standard(layout, scene):
         text = tr("The view transform {name} changes the colours of the training")
         wrapped_label(layout, text.format(name=tr(scene.view_settings.view_transform)), "INFO")
         layout.operator("svrgs.use_standard", icon="COLOR")
-
-
-CLASSES = (SVRGS_PT_rendering, SVRGS_PT_not_drawn)

@@ -82,6 +82,3 @@ def draw_cameras(layout, context):
     for name in camera_match.roots(context.scene)[:ROOTS]:
         text, icon = tr("Use Cameras of '{name}'").format(name=name), "OUTLINER_OB_CAMERA"
         layout.operator("svrgs.use_cameras", text=text, icon=icon, translate=False).root = name
-
-
-CLASSES = (SVRGS_PT_scene,)

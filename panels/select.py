@@ -47,6 +47,3 @@ class SVRGS_PT_select(SplatPanel):
         row = layout.row(align=True)
         row.operator("svrgs.hide_gaussians", icon="HIDE_ON")
         row.operator("svrgs.separate_gaussians", text="Separate Selected", icon="MOD_EXPLODE")
-
-
-CLASSES = (SVRGS_PT_select,)

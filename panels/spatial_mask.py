@@ -63,6 +63,3 @@ def legend(layout, top: float):
         cell = row.row()
         cell.alignment = "LEFT" if k == 0 else "RIGHT" if k == TICKS - 1 else "CENTER"
         cell.label(text=f"{top * k / (TICKS - 1):.2g}", translate=False)
-
-
-CLASSES = (SVRGS_PT_spatial_mask, SVRGS_PT_spatial_mask_image)

@@ -30,6 +30,3 @@ class SVRGS_PT_steps(SidebarPanel):
             manual_button(header, f"{self.manual}#{name}")
             if body is not None:
                 step.draw(body, context)
-
-
-CLASSES = (SVRGS_PT_steps,)

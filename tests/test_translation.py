@@ -34,6 +34,7 @@ NO_TEXT = {  # in English everywhere
     "f'visible_{kind}'", "f'CompositorNode{kind}'", "To Straight", "To Premultiplied",  # names of Blender
     "Name of the empty above the cameras", "Folder of the job",  # of hidden properties
     "f'{UNDISTORTED}/{name}.png'",  # a file
+    "f'svrgs.job_{action}'",  # an operator
 }  # fmt: skip
 CODE = {"operators/data/gpu_drawing.py"}  # shaders and what their constants mean
 

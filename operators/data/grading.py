@@ -181,5 +181,4 @@ def reset(obj: bpy.types.Object):
         obj.svrgs_grade.property_unset(name)
 
 
-CLASSES = (SVRGS_PG_grade,)
 PROPERTIES = {("Object", "svrgs_grade"): PointerProperty(type=SVRGS_PG_grade, override=OVERRIDABLE)}

@@ -23,6 +23,10 @@ class ReportingOperator(bpy.types.Operator):
 
     bl_options = {"REGISTER", "UNDO"}
 
+    def __init_subclass__(cls):
+        """Its name for Blender: SVRGS_OT_my_verb is svrgs.my_verb."""
+        cls.bl_idname = cls.__name__.replace("SVRGS_OT_", "svrgs.")
+
     @classmethod
     def problem(cls, context) -> str:
         """Why it cannot be done now, in a sentence; '' if it can."""

@@ -36,7 +36,6 @@ def lines() -> list[str]:
 
 
 class SVRGS_OT_export_farm_job(FolderOperator):
-    bl_idname = "svrgs.export_farm_job"
     bl_label = "Export Farm Job"
     bl_description = (
         "Write the selected splats and the settings of step 2 into a folder, as a job for a farm: for Open"
@@ -121,5 +120,4 @@ def menu(self, context):
     self.layout.operator(SVRGS_OT_export_farm_job.bl_idname, text="Splat Farm Job (folder)")
 
 
-CLASSES = (SVRGS_OT_export_farm_job,)
 MENUS = {"TOPBAR_MT_file_export": menu}

@@ -41,7 +41,6 @@ def lines() -> list[str]:
 
 
 class SVRGS_OT_export_levels(FolderOperator, ExportSpace):
-    bl_idname = "svrgs.export_levels"
     bl_label = "Export Levels of Detail"
     bl_description = (
         "Write the selected splats into a folder, and smaller ones of each for the web, for headsets and for"
@@ -154,7 +153,6 @@ def menu(self, context):
     self.layout.operator(SVRGS_OT_export_levels.bl_idname, text="Splat Levels of Detail (folder)")
 
 
-CLASSES = (SVRGS_OT_export_levels,)
 MENUS = {"TOPBAR_MT_file_export": menu}
 
 

@@ -23,7 +23,6 @@ from .export_space import ExportSpace
 
 
 class SVRGS_OT_export_page(BackgroundOperator, FolderOperator, ExportSpace):
-    bl_idname = "svrgs.export_page"
     bl_label = "Export Web Page"
     bl_description = (
         "Write a folder that any web server shows: the active splat to be turned with mouse or finger, first"
@@ -89,5 +88,4 @@ def menu(self, context):
     self.layout.operator(SVRGS_OT_export_page.bl_idname, text="Splat Web Page (folder)")
 
 
-CLASSES = (SVRGS_OT_export_page,)
 MENUS = {"TOPBAR_MT_file_export": menu}

@@ -33,7 +33,6 @@ from .export_space import ExportSpace, camera_objects, imported_cameras, shows_o
 
 
 class SVRGS_OT_export_ply(BackgroundOperator, ExportHelper, ExportSpace):
-    bl_idname = "svrgs.export_ply"
     bl_label = "Export 3D Gaussian Splat"
     bl_description = "Write the active splat into a 3DGS file, as it is seen"
     bl_options = {"REGISTER", "PRESET"}
@@ -207,5 +206,4 @@ def menu(self, context):
     self.layout.operator(SVRGS_OT_export_ply.bl_idname, text=registry.menu_label(written=True))
 
 
-CLASSES = (SVRGS_OT_export_ply,)
 MENUS = {"TOPBAR_MT_file_export": menu}

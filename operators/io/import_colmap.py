@@ -30,7 +30,6 @@ from . import undistort
 
 
 class SVRGS_OT_import_colmap(FolderOperator):
-    bl_idname = "svrgs.import_colmap"
     bl_label = "Import Cameras"
     bl_description = (
         "Import the cameras, photographs and sparse points of a dataset of COLMAP or transforms.json. They"
@@ -206,5 +205,4 @@ def menu(self, context):
     )
 
 
-CLASSES = (SVRGS_OT_import_colmap,)
 MENUS = {"TOPBAR_MT_file_import": menu}

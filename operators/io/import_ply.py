@@ -23,7 +23,6 @@ SAMPLE = Path(__file__).resolve().parents[2] / "svrgs_addon/sample.spz"  # of th
 
 
 class SVRGS_OT_import_ply(ReportingOperator, ImportHelper):
-    bl_idname = "svrgs.import_ply"
     bl_label = "Import 3D Gaussian Splat"
     bl_description = "Import splat files. Each becomes an object of points that keeps every value of its file"
     bl_options = {"REGISTER", "UNDO", "PRESET"}
@@ -125,5 +124,4 @@ def menu(self, context):
     self.layout.operator(SVRGS_OT_import_ply.bl_idname, text=registry.menu_label())
 
 
-CLASSES = (SVRGS_OT_import_ply, SVRGS_FH_ply)
 MENUS = {"TOPBAR_MT_file_import": menu}

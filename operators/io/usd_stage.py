@@ -52,6 +52,3 @@ def _prims(export_context, stage) -> list[tuple[Any, bpy.types.Object]]:
         )
         raise SceneError(text)
     return [(path, bpy.data.objects[name]) for path, name in names if name in bpy.data.objects]
-
-
-CLASSES = (SVRGS_USD_splats,) if HOOK is not object else ()

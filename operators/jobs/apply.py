@@ -20,7 +20,6 @@ from .job_watch import delete_job, job_of
 
 
 class SVRGS_OT_apply(ReportingOperator):
-    bl_idname = "svrgs.apply"
     bl_label = "Apply"
     bl_description = (
         "Keep the Gaussians that are shown and delete the others from the pruned splat. The original stays,"
@@ -50,7 +49,6 @@ class SVRGS_OT_apply(ReportingOperator):
 
 
 class SVRGS_OT_discard(ReportingOperator):
-    bl_idname = "svrgs.discard"
     bl_label = "Discard"
     bl_description = "Delete the original or the pruned splat from the file"
 
@@ -97,6 +95,3 @@ class SVRGS_OT_discard(ReportingOperator):
         except OSError as error:
             self.report({"WARNING"}, str(error))
         job_result.discard_result(original)
-
-
-CLASSES = (SVRGS_OT_apply, SVRGS_OT_discard)

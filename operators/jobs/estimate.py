@@ -123,7 +123,6 @@ def quality(found: dict) -> str:
 
 
 class SVRGS_OT_estimate(ReportingOperator):
-    bl_idname = "svrgs.estimate"
     bl_label = "Estimate"
     bl_description = (
         "Estimate within seconds how many Gaussians would stay, how good the result would be and how long"
@@ -209,5 +208,4 @@ def _begin_soon() -> float | None:
     return None
 
 
-CLASSES = (SVRGS_OT_estimate,)
 TIMERS = (_begin_soon,)

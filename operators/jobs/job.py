@@ -79,7 +79,6 @@ def start_problem(context) -> str:
 
 
 class SVRGS_OT_job_start(ReportingOperator):
-    bl_idname = "svrgs.job_start"
     bl_label = "Prune"
     bl_description = (
         "Prune the active splat in the background with the settings of the panel. The original stays"
@@ -101,7 +100,6 @@ class SVRGS_OT_job_start(ReportingOperator):
 
 
 class SVRGS_OT_prune_again(ReportingOperator):
-    bl_idname = "svrgs.prune_again"
     bl_label = "Fine-Tune"
     bl_description = (
         "Prune the original once more, to the number of Gaussians that is shown, with the steps that win"
@@ -129,6 +127,3 @@ class SVRGS_OT_prune_again(ReportingOperator):
         select(context, [original])
         text = tr("Fine-tuning {count:,} Gaussians in the background")
         return begin(original, folder) or text.format(count=count)
-
-
-CLASSES = (SVRGS_OT_job_start, SVRGS_OT_prune_again)

@@ -35,7 +35,6 @@ class JobOperator(ReportingOperator):
     """
 
     bl_options = set()
-    action = ""  # its name in job_state.State.actions
     refused = ""  # what is said of a job that does not allow it
     folder: bpy.props.StringProperty(
         name="Folder", options={"HIDDEN", "SKIP_SAVE"}, description="Folder of the job"
@@ -43,7 +42,7 @@ class JobOperator(ReportingOperator):
 
     def work(self, context) -> str:
         owner, job = self.chosen(context)
-        if self.action not in job_state.of(job).actions:
+        if type(self).__name__.removeprefix("SVRGS_OT_job_") not in job_state.of(job).actions:
             raise SplatError(self.refusal(job))
         try:
             return self.work_on(context, owner, job)
@@ -68,8 +67,6 @@ class JobOperator(ReportingOperator):
 
 
 class SVRGS_OT_job_stop(JobOperator):
-    action = "stop"
-    bl_idname = "svrgs.job_stop"
     bl_label = "Stop"
     bl_description = (
         "Finish the present step, save what was learned as a checkpoint, and stop. Resume continues there."
@@ -100,8 +97,7 @@ class SVRGS_OT_job_stop(JobOperator):
 
 
 class SVRGS_OT_job_run_now(JobOperator):
-    action, refused = "run_now", n_("'{name}' does not wait for another job")
-    bl_idname = "svrgs.job_run_now"
+    refused = n_("'{name}' does not wait for another job")
     bl_label = "Run Now"
     bl_description = (
         "Run this job next: the one that it waits for saves a checkpoint, stops, and goes on after it"
@@ -113,8 +109,7 @@ class SVRGS_OT_job_run_now(JobOperator):
 
 
 class SVRGS_OT_job_resume(JobOperator):
-    action, refused = "resume", n_("'{name}' does not wait to be resumed")
-    bl_idname = "svrgs.job_resume"
+    refused = n_("'{name}' does not wait to be resumed")
     bl_label = "Resume"
     bl_description = "Continue the job from its last checkpoint. While another job runs, it waits"
 
@@ -139,8 +134,7 @@ class SVRGS_OT_job_resume(JobOperator):
 
 
 class SVRGS_OT_job_load(JobOperator):
-    action, refused = "load", n_("'{name}' has no result yet")
-    bl_idname = "svrgs.job_load"
+    refused = n_("'{name}' has no result yet")
     bl_label = "Load Result"
     bl_description = (
         "Load the result of this job: beside its splat, or as a new splat if that is not in the file. Of a"
@@ -173,8 +167,7 @@ class ConfirmedDeletion(ReportingOperator):
 
 
 class SVRGS_OT_job_discard(JobOperator, ConfirmedDeletion):
-    action, refused = "discard", n_("'{name}' runs or waits: stop it first")
-    bl_idname = "svrgs.job_discard"
+    refused = n_("'{name}' runs or waits: stop it first")
     bl_label = "Discard"
     bl_description = (
         "Delete the job's files: what it has learned, and its result if it has ended. Splat and cameras stay."
@@ -187,7 +180,6 @@ class SVRGS_OT_job_discard(JobOperator, ConfirmedDeletion):
 
 
 class SVRGS_OT_delete_finished_jobs(ConfirmedDeletion):
-    bl_idname = "svrgs.delete_finished_jobs"
     bl_label = "Delete Finished Jobs"
     bl_description = (
         "Delete the files of all finished jobs, except those whose result still has to be loaded, or saved"
@@ -200,9 +192,3 @@ class SVRGS_OT_delete_finished_jobs(ConfirmedDeletion):
             delete_job(job)
         job_list.forget()
         return tr("Deleted {count:,} jobs, {size}").format(count=len(finished), size=size_text(size))
-
-
-CLASSES = (
-    SVRGS_OT_job_stop, SVRGS_OT_job_run_now, SVRGS_OT_job_resume, SVRGS_OT_job_load, SVRGS_OT_job_discard,
-    SVRGS_OT_delete_finished_jobs,
-)  # fmt: skip

@@ -52,7 +52,6 @@ def _digest(obj: bpy.types.Object) -> str:
 
 
 class SVRGS_OT_adopt_job(ReportingOperator):
-    bl_idname = "svrgs.adopt_job"
     bl_label = "Take Over Job"
     bl_description = (
         "Give this splat the job that was made of the same Gaussians. Then it can be stopped, resumed or"
@@ -72,6 +71,3 @@ class SVRGS_OT_adopt_job(ReportingOperator):
         link(obj, str(job.folder.path))
         watch(tick)
         return tr("'{name}' has its job again: {state}").format(name=obj.name, state=job_state.text(job))
-
-
-CLASSES = (SVRGS_OT_adopt_job,)

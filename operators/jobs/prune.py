@@ -38,7 +38,6 @@ FLAGS = ("quick", "mask_distractors", "invert_masks", "seen_from_only", "force")
 
 
 class SVRGS_OT_prune(JobOptions, ReportingOperator):
-    bl_idname = "svrgs.prune"
     bl_label = "Prune Splat"
     bl_description = (
         "Remove the Gaussians that the photographs do not need, then recover the quality. Without"
@@ -225,6 +224,3 @@ class SVRGS_OT_prune(JobOptions, ReportingOperator):
 
 def _flag(name: str) -> str:
     return f"--{name.replace('_', '-')}"
-
-
-CLASSES = (SVRGS_OT_prune,)

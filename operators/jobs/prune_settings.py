@@ -20,6 +20,7 @@ from ..data.option_properties import (
     option_property,
     time_property,
 )
+from ..data.reporting import ReportingOperator
 from ..translation import OWN
 from . import efforts, goals, job_result
 from .job_options import JobOptions
@@ -145,13 +146,11 @@ class SVRGS_PG_prune(JobOptions, bpy.types.PropertyGroup):
     )  # fmt: skip
 
 
-class SVRGS_OT_set_lambda(bpy.types.Operator):
-    bl_idname = "svrgs.set_lambda"
+class SVRGS_OT_set_lambda(ReportingOperator):
     bl_label = "Set Strength"
     bl_description = "Set λ_F to one of the values in the SVR-GS paper"
-    bl_options = {"REGISTER", "UNDO"}
 
-    value: bpy.props.FloatProperty(
+    value: FloatProperty(
         name="λ_F",
         min=1e-7,
         max=1,
@@ -160,12 +159,11 @@ class SVRGS_OT_set_lambda(bpy.types.Operator):
         description="A higher λ_F keeps fewer Gaussians",
     )
 
-    def execute(self, context):
+    def work(self, context) -> str:
         context.scene.svrgs_prune.lambda_f = self.value
-        return {"FINISHED"}
+        return ""
 
 
-CLASSES = (SVRGS_PG_prune, SVRGS_OT_set_lambda)
 PROPERTIES = {
     ("Scene", "svrgs_prune"): PointerProperty(type=SVRGS_PG_prune),
     ("Object", "svrgs_share"): FloatProperty(

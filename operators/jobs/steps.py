@@ -55,5 +55,4 @@ class SVRGS_PG_steps(bpy.types.PropertyGroup):
     export: _is_open("export")
 
 
-CLASSES = (SVRGS_PG_steps,)
 PROPERTIES = {("WindowManager", "svrgs_steps"): PointerProperty(type=SVRGS_PG_steps)}

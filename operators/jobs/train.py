@@ -70,7 +70,6 @@ def is_shown(context) -> bool:
 
 
 class SVRGS_OT_train(ReportingOperator):
-    bl_idname = "svrgs.train"
     bl_label = "Train Splat"
     bl_description = (
         "Train a splat in the background from the photographs and the sparse points of the imported cameras."
@@ -120,5 +119,4 @@ class SVRGS_PG_train(bpy.types.PropertyGroup):
     time: time_property(default=600)
 
 
-CLASSES = (SVRGS_OT_train, SVRGS_PG_train)
 PROPERTIES = {("Scene", "svrgs_train"): PointerProperty(type=SVRGS_PG_train)}

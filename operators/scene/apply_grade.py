@@ -9,7 +9,6 @@ from .select_gaussians import SplatOperator
 
 
 class SVRGS_OT_apply_grade(SplatOperator):
-    bl_idname = "svrgs.apply_grade"
     bl_label = "Apply Color"
     bl_description = "Give the Gaussians of the active splat the colours and opacities that are seen"
 
@@ -30,6 +29,3 @@ class SVRGS_OT_apply_grade(SplatOperator):
         splat_object.write_gaussians(obj, scene)
         grading.reset(obj)
         return tr("The Gaussians have the colours that are seen")
-
-
-CLASSES = (SVRGS_OT_apply_grade,)

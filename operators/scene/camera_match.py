@@ -102,7 +102,6 @@ def place_problem(context, splats: list[bpy.types.Object]) -> str:
 
 
 class SVRGS_OT_use_cameras(ReportingOperator):
-    bl_idname = "svrgs.use_cameras"
     bl_label = "Use Cameras"
     bl_description = "Join the selected splats to these cameras, in the coordinates of their dataset"
 
@@ -134,7 +133,6 @@ class SVRGS_OT_use_cameras(ReportingOperator):
 
 
 class SVRGS_OT_part_from_cameras(ReportingOperator):
-    bl_idname = "svrgs.part_from_cameras"
     bl_label = "Part From Cameras"
     bl_description = (
         "Take the selected splats away from their cameras, for instance because those belong to another"
@@ -153,6 +151,3 @@ class SVRGS_OT_part_from_cameras(ReportingOperator):
         for obj in parted:
             splat_object.move_below(obj, None)
         return tr("Parted from the cameras. Splats: {count}").format(count=len(parted))
-
-
-CLASSES = (SVRGS_OT_use_cameras, SVRGS_OT_part_from_cameras)

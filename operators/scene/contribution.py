@@ -67,7 +67,6 @@ class CamerasOperator(ReportingOperator):
 
 
 class SVRGS_OT_contribution(CamerasOperator):
-    bl_idname = "svrgs.contribution"
     bl_label = "Show Contribution"
     bl_description = (
         "Sum for each Gaussian what it adds to the images of the cameras, and store it as the attribute"
@@ -82,7 +81,6 @@ class SVRGS_OT_contribution(CamerasOperator):
 
 
 class SVRGS_OT_removal_error(CamerasOperator):
-    bl_idname = "svrgs.removal_error"
     bl_label = "Show Removal Error"
     bl_description = (
         "Measure for each Gaussian how much the images of the cameras need it, by how many of them that is"
@@ -123,6 +121,3 @@ def views(
         raise SceneError(tr("there is no such camera: import the cameras of the dataset, or choose others"))
     found = [camera_object.camera_from_object(obj, context.scene) for obj in cameras]
     return [placed.seen_by(view.reduced(max(1, max(view.width, view.height) // longest))) for view in found]
-
-
-CLASSES = (SVRGS_OT_contribution, SVRGS_OT_removal_error)

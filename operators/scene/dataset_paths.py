@@ -165,7 +165,6 @@ def _after_save(*_):
 
 
 class SVRGS_OT_find_dataset(FolderOperator):
-    bl_idname = "svrgs.find_dataset"
     bl_label = "Find Dataset"
     bl_description = (
         "Choose the folder in which the dataset of these cameras is now. Their photographs are found again by"
@@ -262,7 +261,6 @@ def _moved(masks: str, before: str, folder: str) -> str:
     return found if os.path.isdir(found) else ""
 
 
-CLASSES = (SVRGS_OT_find_dataset,)
 HANDLERS = {"save_pre": _before_save, "save_post": _after_save, "save_post_fail": _after_save}
 
 

@@ -19,7 +19,6 @@ from ..data.reporting import ReportingOperator
 
 
 class SVRGS_OT_frame(ReportingOperator):
-    bl_idname = "svrgs.frame"
     bl_label = "Frame Splat"
     bl_description = (
         "Show the active splat in the 3D viewports, as in its photograph if it has cameras. Gaussians far"
@@ -103,5 +102,4 @@ def menu(self, context):
     self.layout.operator(SVRGS_OT_frame.bl_idname)
 
 
-CLASSES = (SVRGS_OT_frame,)
 MENUS = {"VIEW3D_MT_view": menu}

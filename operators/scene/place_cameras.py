@@ -30,7 +30,6 @@ def sentence(obj: bpy.types.Object) -> str:
 
 
 class SVRGS_OT_place_cameras(ReportingOperator):
-    bl_idname = "svrgs.place_cameras"
     bl_label = "Place Cameras"
     bl_description = (
         "Add the cameras from which a fine-tuned job without photographs takes its pictures, to look at or to"
@@ -83,6 +82,3 @@ def _finished(uid: int, answer: Future):
     views_of_file.place(obj, cameras, collection)
     if not bpy.app.background:
         bpy.ops.ed.undo_push(message="Place Cameras")
-
-
-CLASSES = (SVRGS_OT_place_cameras,)

@@ -93,7 +93,6 @@ class SplatOperator(ReportingOperator):
 
 
 class SVRGS_OT_select_gaussians(SplatOperator):
-    bl_idname = "svrgs.select_gaussians"
     bl_label = "Select Gaussians"
     bl_description = (
         "Select Gaussians of the active splat by a criterion. The selection is stored as the attribute"
@@ -214,7 +213,6 @@ class SVRGS_OT_select_gaussians(SplatOperator):
 
 
 class SVRGS_OT_delete_gaussians(SplatOperator):
-    bl_idname = "svrgs.delete_gaussians"
     bl_label = "Delete Gaussians"
     bl_description = "Delete the selected Gaussians of the active splat, or all others"
 
@@ -240,7 +238,6 @@ class SVRGS_OT_delete_gaussians(SplatOperator):
 
 
 class SVRGS_OT_hide_gaussians(SplatOperator):
-    bl_idname = "svrgs.hide_gaussians"
     bl_label = "Hide Selected"
     bl_description = (
         "Hide the selected Gaussians of the active splat: no view, picture or file shows them. Pruning takes"
@@ -256,7 +253,6 @@ class SVRGS_OT_hide_gaussians(SplatOperator):
 
 
 class SVRGS_OT_show_gaussians(SplatOperator):
-    bl_idname = "svrgs.show_gaussians"
     bl_label = "Show Hidden"
     bl_description = "Show the Gaussians of the active splat that were hidden"
 
@@ -273,7 +269,6 @@ class SVRGS_OT_show_gaussians(SplatOperator):
 
 
 class SVRGS_OT_separate_gaussians(SplatOperator):
-    bl_idname = "svrgs.separate_gaussians"
     bl_label = "Separate Gaussians"
     bl_description = "Make the selected Gaussians of the active splat a splat of their own, in the same place"
 
@@ -288,7 +283,6 @@ class SVRGS_OT_separate_gaussians(SplatOperator):
 
 
 class SVRGS_OT_change_selection(SplatOperator):
-    bl_idname = "svrgs.change_selection"
     bl_label = "Change Selection"
     bl_description = "Invert, grow or shrink the selection of the active splat"
 
@@ -305,7 +299,6 @@ class SVRGS_OT_change_selection(SplatOperator):
 
 
 class SVRGS_OT_clear_selection(SplatOperator):
-    bl_idname = "svrgs.clear_selection"
     bl_label = "Clear Selection"
     bl_description = "Select no Gaussian of the active splat"
 
@@ -335,14 +328,3 @@ def show_selection(context, shown: bool):
     view, colors = context.scene.svrgs_view, ("COLOR", selection.SELECTED)
     if view.overlay_shown in colors:
         view.overlay_shown = colors[shown]
-
-
-CLASSES = (
-    SVRGS_OT_select_gaussians,
-    SVRGS_OT_delete_gaussians,
-    SVRGS_OT_hide_gaussians,
-    SVRGS_OT_show_gaussians,
-    SVRGS_OT_separate_gaussians,
-    SVRGS_OT_change_selection,
-    SVRGS_OT_clear_selection,
-)

@@ -15,7 +15,6 @@ WITHOUT_MATERIALS = ("SVRGS", "BLENDER_WORKBENCH")
 
 
 class SVRGS_OT_set_up_rendering(ReportingOperator):
-    bl_idname = "svrgs.set_up_rendering"
     bl_label = "Set Up Rendering"
     bl_description = (
         "Render with the engine SVR-GS, in the colours of the training and with the resolution of the"
@@ -34,19 +33,16 @@ class SVRGS_OT_set_up_rendering(ReportingOperator):
         return ". ".join([tr("The engine is SVR-GS, the view transform Standard"), camera_words(scene)])
 
 
-class SVRGS_OT_use_standard(bpy.types.Operator):
-    bl_idname = "svrgs.use_standard"
+class SVRGS_OT_use_standard(ReportingOperator):
     bl_label = "Use Standard (Matches Training)"
     bl_description = "Choose the view transform Standard. Then pictures have the colours of the training"
-    bl_options = {"REGISTER", "UNDO"}
 
-    def execute(self, context):
+    def work(self, context) -> str:
         use_standard(context.scene)
-        return {"FINISHED"}
+        return ""
 
 
 class SVRGS_OT_set_up_compositing(ReportingOperator):
-    bl_idname = "svrgs.set_up_compositing"
     bl_label = "Set Up Compositing"
     bl_description = (
         "Render meshes with EEVEE or Cycles and splats with SVR-GS, and put both together by depth. Adds a"
@@ -95,6 +91,3 @@ def is_layer(scene: bpy.types.Scene) -> str:
     main = scene.svrgs_view.layer_of
     text = tr("This scene renders the splats of '{name}': go to that scene")
     return text.format(name=main.name) if main is not None else ""
-
-
-CLASSES = (SVRGS_OT_set_up_rendering, SVRGS_OT_use_standard, SVRGS_OT_set_up_compositing)

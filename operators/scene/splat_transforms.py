@@ -53,7 +53,6 @@ class SplatsOperator(ReportingOperator):
 
 
 class SVRGS_OT_apply_transforms(SplatsOperator):
-    bl_idname = "svrgs.apply_transforms"
     bl_label = "Apply Splat Transforms"
     bl_description = (
         "Write location, rotation and scale of the selected splats into positions, shapes and view-dependent"
@@ -76,7 +75,6 @@ class SVRGS_OT_apply_transforms(SplatsOperator):
 
 
 class SVRGS_OT_join_splats(SplatsOperator):
-    bl_idname = "svrgs.join_splats"
     bl_label = "Join Splats"
     bl_description = (
         "Join the selected splats into the active one. Positions, shapes and view-dependent colours keep"
@@ -115,7 +113,6 @@ class SVRGS_OT_join_splats(SplatsOperator):
 
 
 class SVRGS_OT_write_shapes(SplatsOperator):
-    bl_idname = "svrgs.write_shapes"
     bl_label = "Write Shapes"
     bl_description = (
         "Blender's Apply or Join has moved the points of this splat and not its shapes. SVR-GS draws, prunes"
@@ -165,6 +162,5 @@ def object_menu(self, context):
         self.layout.operator(SVRGS_OT_join_splats.bl_idname)
 
 
-CLASSES = (SVRGS_OT_apply_transforms, SVRGS_OT_join_splats, SVRGS_OT_write_shapes)
 HANDLERS = {"depsgraph_update_post": _record_positions, "load_post": _after_load}
 MENUS = {"VIEW3D_MT_object": object_menu}

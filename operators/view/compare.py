@@ -123,7 +123,6 @@ class ComparingOperator(ReportingOperator):
 
 
 class SVRGS_OT_compare(ComparingOperator):
-    bl_idname = "svrgs.compare"
     bl_label = "Compare"
     bl_description = (
         "Render original and pruned splat from the camera, side by side. Measure both against its photograph,"
@@ -159,7 +158,6 @@ class SVRGS_OT_compare(ComparingOperator):
 
 
 class SVRGS_OT_contact_sheet(ComparingOperator):
-    bl_idname = "svrgs.contact_sheet"
     bl_label = "Render All Cameras"
     bl_description = (
         "Draw original, pruned splat and their difference from every camera, as small pictures in one image"
@@ -275,6 +273,3 @@ def summary(rows: list[dict], between: float, hidden: float) -> str:
     if hidden:
         texts.append(tr("{share:.1%} of it is masked out, and does not count").format(share=hidden))
     return "; ".join(texts)
-
-
-CLASSES = (SVRGS_OT_compare, SVRGS_OT_contact_sheet)

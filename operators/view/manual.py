@@ -25,7 +25,6 @@ PAGES = (  # of what Blender calls so
 
 
 class SVRGS_OT_manual(ReportingOperator):
-    bl_idname = "svrgs.manual"
     bl_label = "Manual"
     bl_description = "Open the page of the manual in the browser. It lies on this computer"
     bl_options = {"INTERNAL"}
@@ -63,6 +62,3 @@ def register():
 
 def unregister():
     bpy.utils.unregister_manual_map(pages)
-
-
-CLASSES = (SVRGS_OT_manual,)

@@ -10,7 +10,6 @@ from ..data.reporting import ReportingOperator
 
 
 class SVRGS_OT_open_image(ReportingOperator):
-    bl_idname = "svrgs.open_image"
     bl_label = "Open in Image Editor"
     bl_description = "Show the picture in its full size in an Image Editor in a new window"
     bl_options = {"REGISTER"}
@@ -32,6 +31,3 @@ class SVRGS_OT_open_image(ReportingOperator):
         area.ui_type = "IMAGE_EDITOR"
         area.spaces.active.image = image
         return ""
-
-
-CLASSES = (SVRGS_OT_open_image,)

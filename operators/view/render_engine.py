@@ -168,7 +168,6 @@ def _after_save(*_):
             scene.render.dither_intensity = 0
 
 
-CLASSES = (SVRGS_engine,)
 HANDLERS = {
     "render_init": _dither_off, "render_complete": _dither_back, "render_cancel": _dither_back,
     "save_pre": _before_save, "save_post": _after_save, "save_post_fail": _after_save,

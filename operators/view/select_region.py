@@ -32,7 +32,6 @@ _drawn: list = []  # the operator that draws its outline now
 
 
 class SVRGS_OT_select_region(SplatOperator):
-    bl_idname = "svrgs.select_region"
     bl_label = "Select Gaussians in View"
     bl_description = (
         "Select Gaussians of the active splat by a box, a lasso or a brush in the viewport. Shift adds, Ctrl"
@@ -182,7 +181,7 @@ class Tool(bpy.types.WorkSpaceTool):
             layout.prop(settings, "select_radius")
 
 
-class SVRGS_TOOL_select_box(Tool):
+class BoxTool(Tool):
     bl_idname = "svrgs.select_box"
     bl_label = "Select Gaussians: Box"
     bl_description = "Select Gaussians of the active splat in a rectangle. Shift adds, Ctrl removes"
@@ -190,7 +189,7 @@ class SVRGS_TOOL_select_box(Tool):
     bl_keymap = _keys("BOX")
 
 
-class SVRGS_TOOL_select_brush(Tool):
+class BrushTool(Tool):
     bl_idname = "svrgs.select_brush"
     bl_label = "Select Gaussians: Brush"
     bl_description = "Select Gaussians of the active splat under a round brush. Shift adds, Ctrl removes"
@@ -198,7 +197,7 @@ class SVRGS_TOOL_select_brush(Tool):
     bl_keymap = _keys("BRUSH")
 
 
-class SVRGS_TOOL_select_lasso(Tool):
+class LassoTool(Tool):
     bl_idname = "svrgs.select_lasso"
     bl_label = "Select Gaussians: Lasso"
     bl_description = "Select Gaussians of the active splat inside a drawn line. Shift adds, Ctrl removes"
@@ -206,8 +205,7 @@ class SVRGS_TOOL_select_lasso(Tool):
     bl_keymap = _keys("LASSO")
 
 
-CLASSES = (SVRGS_OT_select_region,)
-TOOLS = (SVRGS_TOOL_select_box, SVRGS_TOOL_select_brush, SVRGS_TOOL_select_lasso)
+TOOLS = (BoxTool, BrushTool, LassoTool)
 _handles: list = []
 
 

@@ -100,7 +100,6 @@ def _write(scene: bpy.types.Scene):
 
 
 class SVRGS_OT_spatial_mask(ReportingOperator):
-    bl_idname = "svrgs.spatial_mask"
     bl_label = "Show Spatial Mask"
     bl_description = (
         "Draw the spatial mask of the scene's camera into an image, for the Image Editor and for materials"
@@ -158,7 +157,6 @@ def _follow_in(context):
     background_work.redraw_panels()
 
 
-CLASSES = (SVRGS_OT_spatial_mask,)
 HANDLERS = {"depsgraph_update_post": _after_change, "frame_change_post": _after_change}
 TIMERS = (_follow,)
 

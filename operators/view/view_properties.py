@@ -151,5 +151,4 @@ class SVRGS_PG_view(bpy.types.PropertyGroup):
     )
 
 
-CLASSES = (SVRGS_PG_view,)
 PROPERTIES = {("Scene", "svrgs_view"): PointerProperty(type=SVRGS_PG_view)}

@@ -111,7 +111,6 @@ def moved(settings, context):
 
 
 class SVRGS_OT_viewport_wipe(ReportingOperator):
-    bl_idname = "svrgs.viewport_wipe"
     bl_label = "Wipe in Viewport"
     bl_description = (
         "Show the original left of a line and the pruned splat right of it, in the whole 3D viewport. Drag"
@@ -206,6 +205,3 @@ def rectangle(shader: gpu.types.GPUShader, bounds: tuple[float, ...], color: tup
 def forget(*_):
     _pair.clear()
     _pruned.clear()
-
-
-CLASSES = (SVRGS_OT_viewport_wipe, SVRGS_GT_wipe, SVRGS_GGT_wipe)
