@@ -15,17 +15,17 @@ def linear(rgb: Sequence[int]) -> Colour:
     return red, green, blue
 
 
-def plain(name: str, colour: Colour, roughness: float = 0.8) -> bpy.types.Material:
+def plain(colour: Colour, roughness: float = 0.8) -> bpy.types.Material:
     """One flat colour."""
-    material, shader = _new(name)
+    material, shader = _new()
     shader.inputs["Base Color"].default_value = (*colour, 1)
     shader.inputs["Roughness"].default_value = roughness
     return material
 
 
-def glowing(name: str, colour: Colour) -> bpy.types.Material:
+def glowing(colour: Colour) -> bpy.types.Material:
     """Sends out exactly `colour` towards the camera and is no lamp."""
-    material, shader = _new(name)
+    material, shader = _new()
     shader.inputs["Base Color"].default_value = (0, 0, 0, 1)
     shader.inputs["Specular IOR Level"].default_value = 0
     shader.inputs["Emission Color"].default_value = (*colour, 1)
@@ -35,7 +35,6 @@ def glowing(name: str, colour: Colour) -> bpy.types.Material:
 
 
 def patterned(
-    name: str,
     pattern: str,
     colours: list[Colour],
     roughness: float = 0.8,
@@ -47,7 +46,7 @@ def patterned(
     `settings` are the node's inputs, spaces written as underscores, such as `Scale=4`, or its properties,
     such as `wave_type="RINGS"`.
     """
-    material, shader = _new(name)
+    material, shader = _new()
     texture = _texture(material, pattern, settings)
     value = next(o for o in texture.outputs if o.identifier in ("Fac", "Distance"))
     _ramp(material, value, colours, shader.inputs["Base Color"])
@@ -56,18 +55,18 @@ def patterned(
     return material
 
 
-def cells(name: str, scale: float, roughness: float = 0.5) -> bpy.types.Material:
+def cells(scale: float, roughness: float = 0.5) -> bpy.types.Material:
     """Voronoi cells, each of another colour."""
-    material, shader = _new(name)
+    material, shader = _new()
     texture = _texture(material, "Voronoi", {"Scale": scale})
     _link(material, texture.outputs["Color"], shader.inputs["Base Color"])
     shader.inputs["Roughness"].default_value = roughness
     return material
 
 
-def bricks(name: str, colours: list[Colour], **settings: float) -> bpy.types.Material:
+def bricks(colours: list[Colour], **settings: float) -> bpy.types.Material:
     """Bricks between two colours, with the third as mortar."""
-    material, shader = _new(name)
+    material, shader = _new()
     texture = _texture(material, "Brick", settings)
     for socket, colour in zip(("Color1", "Color2", "Mortar"), colours, strict=True):
         texture.inputs[socket].default_value = (*colour, 1)
@@ -77,12 +76,13 @@ def bricks(name: str, colours: list[Colour], **settings: float) -> bpy.types.Mat
 
 
 def weathered(
-    material: bpy.types.Material, darkest: float = 0.5, **settings: float | str
+    material: bpy.types.Material, darkest: float = 0.5, scale: float = 3, roughness: float = 0.7
 ) -> bpy.types.Material:
-    """The same material with its colour multiplied by noise between `darkest` and 1: dirt, wear, grain."""
+    """The same material, its colour multiplied by noise of this scale and roughness, between `darkest` and 1:
+    dirt, wear, grain."""
     tree = material.node_tree
     colour = next(n for n in tree.nodes if n.type == "BSDF_PRINCIPLED").inputs["Base Color"]
-    noise = _texture(material, "Noise", {"Scale": 3, "Detail": 6, "Roughness": 0.7, **settings})
+    noise = _texture(material, "Noise", {"Scale": scale, "Detail": 6, "Roughness": roughness})
     mix = tree.nodes.new("ShaderNodeMixRGB")
     mix.blend_type = "MULTIPLY"
     mix.inputs["Fac"].default_value = 1
@@ -100,9 +100,9 @@ def weathered(
     return material
 
 
-def sky(name: str, radius: float) -> bpy.types.Material:
+def sky(radius: float) -> bpy.types.Material:
     """A glowing dome, `radius` in its object's units: haze below, blue above, clouds on both."""
-    material, shader = _new(name)
+    material, shader = _new()
     material.cycles.emission_sampling = "NONE"  # to be looked at, not to be a lamp
     tree = material.node_tree
     tree.nodes.remove(shader)
@@ -129,8 +129,8 @@ def sky(name: str, radius: float) -> bpy.types.Material:
     return material
 
 
-def _new(name: str) -> tuple[bpy.types.Material, bpy.types.Node]:
-    material = bpy.data.materials.new(name)
+def _new() -> tuple[bpy.types.Material, bpy.types.Node]:
+    material = bpy.data.materials.new("material")
     if material.node_tree is None:  # before Blender 5.0 nodes had to be asked for
         material.use_nodes = True
     shader = next(n for n in material.node_tree.nodes if n.type == "BSDF_PRINCIPLED")

@@ -7,7 +7,7 @@ import numpy as np
 from mathutils import Vector
 
 from demo_scene import materials as mat
-from demo_scene.shapes import again, bar, mould, patch, rock
+from demo_scene.shapes import again, bar, lift, mould, patch, rock
 
 GREENS = [
     [(0.02, 0.09, 0.01), (0.07, 0.22, 0.03), (0.20, 0.42, 0.06)],
@@ -29,18 +29,10 @@ def leaf(solid) -> None:
 def leaves() -> list[bpy.types.Object]:
     """One leaf of each kind, to be copied."""
     kinds = [
-        mat.patterned("leaf", "Noise", greens, roughness=0.45, Scale=5, Detail=6, Roughness=0.8)
-        for greens in GREENS
+        mat.patterned("Noise", greens, roughness=0.45, Scale=5, Detail=6, Roughness=0.8) for greens in GREENS
     ]
-    striped = mat.patterned(
-        "leaf",
-        "Wave",
-        [(0.03, 0.14, 0.03), (0.45, 0.55, 0.20)],
-        roughness=0.4,
-        Scale=3.5,
-        Distortion=2,
-        bands_direction="Y",
-    )
+    colours = [(0.03, 0.14, 0.03), (0.45, 0.55, 0.20)]
+    striped = mat.patterned("Wave", colours, 0.4, Scale=3.5, Distortion=2, bands_direction="Y")
     return [mould("leaf", leaf, kind) for kind in (*kinds, striped)]
 
 
@@ -54,15 +46,15 @@ def stem(
     rng: np.random.Generator,
 ) -> Vector:
     """A stem with leaves on both sides from `root` to `tip`, which hangs by `hang`. Returns where it ends."""
-    bark = bpy.data.materials.get("stem") or mat.patterned(
-        "stem", "Noise", [(0.10, 0.20, 0.04), (0.30, 0.22, 0.10)], Scale=20
-    )
-    points = [root.lerp(tip, t) + Vector((0, 0, hang * (t - t * t) * 2)) for t in np.linspace(0, 1, 7)]
+    if (bark := bpy.data.materials.get("stem")) is None:
+        bark = mat.patterned("Noise", [(0.10, 0.20, 0.04), (0.30, 0.22, 0.10)], Scale=20)
+        bark.name = "stem"
+    points = [root.lerp(tip, t) + lift(hang * (t - t * t) * 2) for t in np.linspace(0, 1, 7)]
     for start, end in zip(points, points[1:], strict=False):
         bar(bark, start, end, 0.05 * size)
     for k in range(count):
         t = (k + 1) / count
-        at = points[0].lerp(points[-1], t) + Vector((0, 0, hang * (t - t * t) * 2))
+        at = points[0].lerp(points[-1], t) + lift(hang * (t - t * t) * 2)
         heading = (
             math.degrees(math.atan2(tip.y - root.y, tip.x - root.x))
             - 90
@@ -114,8 +106,8 @@ def tuft(blades: int, seed: int):
             root = Vector((away * math.cos(angle), away * math.sin(angle), 0))
             along = Vector((math.cos(heading), math.sin(heading), 0))
             across = Vector((-math.sin(heading), math.cos(heading), 0)) * 0.035
-            middle = root + along * lean * 0.3 + Vector((0, 0, 0.6 * height))
-            tip = root + along * lean + Vector((0, 0, height))
+            middle = root + along * lean * 0.3 + lift(0.6 * height)
+            tip = root + along * lean + lift(height)
             foot, knee = [
                 [solid.verts.new(point + side) for side in (-across, across)] for point in (root, middle)
             ]
@@ -147,14 +139,13 @@ def crown(clumps: int, seed: int):
 def trees(seed: int, places: list[tuple[float, float, float, float]]) -> None:
     """Broad trees at (x, y, z, height in metres)."""
     rng = np.random.default_rng(seed)
-    bark = mat.patterned("bark", "Noise", [(0.05, 0.04, 0.03), (0.28, 0.22, 0.16)], Scale=3, Detail=5)
+    bark = mat.patterned("Noise", [(0.05, 0.04, 0.03), (0.28, 0.22, 0.16)], Scale=3, Detail=5)
     autumn = [(0.10, 0.05, 0.01), (0.35, 0.20, 0.03), (0.60, 0.42, 0.10)]
     looks = [
-        mat.patterned("crown", "Noise", colours, Scale=4, Detail=5, Roughness=0.9)
-        for colours in (*GREENS, autumn)
+        mat.patterned("Noise", colours, Scale=4, Detail=5, Roughness=0.9) for colours in (*GREENS, autumn)
     ]
     crowns = [mould("crown", crown(360, k), look) for k, look in enumerate(looks)]
-    core = mould("core", rock, mat.plain("shade", (0.015, 0.03, 0.01)))
+    core = mould("core", rock, mat.plain((0.015, 0.03, 0.01)))
     for x, y, z, height in places:
         wide = height * rng.uniform(0.30, 0.42)
         at, turn = (x, y, z + 0.66 * height), (0, 0, rng.uniform(0, 360))

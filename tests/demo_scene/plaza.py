@@ -13,7 +13,7 @@ from mathutils import Vector
 
 from demo_scene import lights
 from demo_scene import materials as mat
-from demo_scene.shapes import add, bar, cone, cube, rock, sheet, smooth, sphere
+from demo_scene.shapes import add, bar, cone, cube, lift, rock, sheet, smooth, sphere
 from demo_scene.views import Pose, look_at
 
 DOME_RADIUS = 60.0
@@ -62,58 +62,40 @@ def _surroundings() -> None:
         return Vector((x, y, _hill_height(x, y)))
 
     grass = [(0.0, 0.02, 0.0), (0.02, 0.08, 0.01), (0.10, 0.20, 0.03), (0.42, 0.36, 0.12), (0.7, 0.6, 0.3)]
-    meadow = mat.patterned("meadow", "Noise", grass, Scale=2.3, Detail=5, Roughness=0.85)
+    meadow = mat.patterned("Noise", grass, Scale=2.3, Detail=5, Roughness=0.85)
     smooth(add("ground", sheet(96, 48, ground, closed=False), meadow))
-    dome = add("sky", sphere, mat.sky("sky", 1.0), size=DOME_RADIUS)
+    dome = add("sky", sphere, mat.sky(1.0), size=DOME_RADIUS)
     # The dome is only looked at: light comes from the lamp and the world behind it.
     dome.visible_shadow = dome.visible_diffuse = False
 
-    floor = mat.bricks("floor", [(0.42, 0.17, 0.10), (0.62, 0.36, 0.22), (0.55, 0.53, 0.48)], Scale=3.2)
-    add("yard", cone(2.5, 2.5, 64), floor, at=(0, 0, PAVING / 2), size=(1, 1, PAVING))
+    floor = mat.bricks([(0.42, 0.17, 0.10), (0.62, 0.36, 0.22), (0.55, 0.53, 0.48)], Scale=3.2)
+    add("yard", cone(2.5, 2.5, 64), floor, (0, 0, PAVING / 2), size=(1, 1, PAVING))
     _pines_and_rocks()
 
 
 def _pines_and_rocks() -> None:
     rng = np.random.default_rng(3)
-    needles = mat.patterned(
-        "pine", "Noise", [(0.01, 0.03, 0.01), (0.03, 0.10, 0.03), (0.10, 0.22, 0.06)], Scale=9
-    )
-    stone = mat.patterned("rock", "Voronoi", [(0.10, 0.10, 0.11), (0.45, 0.42, 0.38)], Scale=3)
+    needles = mat.patterned("Noise", [(0.01, 0.03, 0.01), (0.03, 0.10, 0.03), (0.10, 0.22, 0.06)], Scale=9)
+    stone = mat.patterned("Voronoi", [(0.10, 0.10, 0.11), (0.45, 0.42, 0.38)], Scale=3)
     for index in range(48):
         angle, away, size = rng.uniform((0, 7.5, 0.7), (2 * math.pi, 30, 1.3))
         x, y = away * math.cos(angle), away * math.sin(angle)
         base = _hill_height(x, y) - 0.1
         if index % 4 == 0:
             size *= 0.5
-            add("rock", rock, stone, at=(x, y, base), turn=rng.uniform(0, 360, 3), size=size)
+            add("rock", rock, stone, (x, y, base), turn=rng.uniform(0, 360, 3), size=size)
         else:
             tall = (0.8 * size, 0.8 * size, 3.2 * size)
-            smooth(add("pine", cone(1, 0.02, 12), needles, at=(x, y, base + tall[2] / 2), size=tall))
+            smooth(add("pine", cone(1, 0.02, 12), needles, (x, y, base + tall[2] / 2), size=tall))
 
 
 def _monument() -> None:
-    marble = mat.patterned(
-        "marble",
-        "Wave",
-        [(0.75, 0.72, 0.66), (0.55, 0.50, 0.46), (0.16, 0.14, 0.15)],
-        roughness=0.4,
-        Scale=1.6,
-        Distortion=9,
-        Detail=4,
-    )
-    add("pedestal", cube, marble, at=(0, 0, PAVING + 0.35), turn=(0, 0, 20), size=(0.8, 0.8, 0.7))
-    glaze = mat.patterned(
-        "glaze",
-        "Noise",
-        [(0.02, 0.10, 0.16), (0.05, 0.35, 0.40), (0.80, 0.55, 0.15), (0.5, 0.08, 0.04)],
-        roughness=0.35,
-        Scale=4,
-        Detail=6,
-        Distortion=0.5,
-    )
-    monkey = add(
-        "monkey", bmesh.ops.create_monkey, glaze, at=(0, 0, PAVING + 1.19), turn=(-6, 0, 70), size=0.52
-    )
+    colours = [(0.75, 0.72, 0.66), (0.55, 0.50, 0.46), (0.16, 0.14, 0.15)]
+    marble = mat.patterned("Wave", colours, 0.4, Scale=1.6, Distortion=9, Detail=4)
+    add("pedestal", cube, marble, (0, 0, PAVING + 0.35), turn=(0, 0, 20), size=(0.8, 0.8, 0.7))
+    colours = [(0.02, 0.10, 0.16), (0.05, 0.35, 0.40), (0.80, 0.55, 0.15), (0.5, 0.08, 0.04)]
+    glaze = mat.patterned("Noise", colours, 0.35, Scale=4, Detail=6, Distortion=0.5)
+    monkey = add("monkey", bmesh.ops.create_monkey, glaze, (0, 0, PAVING + 1.19), turn=(-6, 0, 70), size=0.52)
     monkey.modifiers.new("rounder", "SUBSURF").levels = 2
     finished = monkey.evaluated_get(bpy.context.evaluated_depsgraph_get())
     monkey.data = bpy.data.meshes.new_from_object(finished)
@@ -123,15 +105,13 @@ def _monument() -> None:
 
 def _column() -> None:
     """The occluder: it stands in front of the clutter."""
-    bands = mat.patterned(
-        "bands", "Wave", [(0.06, 0.10, 0.30), (0.85, 0.80, 0.62)], Scale=3.2, Distortion=7, Detail=3
-    )
+    bands = mat.patterned("Wave", [(0.06, 0.10, 0.30), (0.85, 0.80, 0.62)], Scale=3.2, Distortion=7, Detail=3)
     x, y, z = MARKER["centre"]
     top = z - MARKER["radius"]
-    smooth(add("column", cone(0.17, 0.14), bands, at=(x, y, top / 2), size=(1, 1, top)))
-    ball = add("marker", sphere, None, at=MARKER["centre"], turn=(25, 15, 0), size=MARKER["radius"])
+    smooth(add("column", cone(0.17, 0.14), bands, (x, y, top / 2), size=(1, 1, top)))
+    ball = add("marker", sphere, None, MARKER["centre"], turn=(25, 15, 0), size=MARKER["radius"])
     for rgb in MARKER["rgb"]:
-        ball.data.materials.append(mat.glowing("marker", mat.linear(rgb)))
+        ball.data.materials.append(mat.glowing(mat.linear(rgb)))
     for face in ball.data.polygons:
         angle = math.atan2(face.center.y, face.center.x)
         face.material_index = int(angle / (2 * math.pi) % 1 * STRIPES) % 2
@@ -141,10 +121,10 @@ def _clutter() -> None:
     rng = np.random.default_rng(11)
     shapes = (cube, rock, cone(0.6, 0.0), cone(0.4, 0.4))
     finishes = [
-        mat.cells("confetti", 7),
-        mat.patterned("checks", "Checker", [(0.9, 0.85, 0.7), (0.6, 0.04, 0.03)], Scale=4),
-        mat.patterned("swirl", "Magic", [(0.9, 0.5, 0.05), (0.1, 0.05, 0.3)], Scale=3, Distortion=2),
-        mat.patterned("moss", "Noise", [(0.02, 0.08, 0.02), (0.5, 0.7, 0.2)], Scale=5, Detail=6),
+        mat.cells(7),
+        mat.patterned("Checker", [(0.9, 0.85, 0.7), (0.6, 0.04, 0.03)], Scale=4),
+        mat.patterned("Magic", [(0.9, 0.5, 0.05), (0.1, 0.05, 0.3)], Scale=3, Distortion=2),
+        mat.patterned("Noise", [(0.02, 0.08, 0.02), (0.5, 0.7, 0.2)], Scale=5, Detail=6),
     ]
     for index in range(34):
         x, y, size = rng.uniform((0.55, -1.25, 0.09), (1.15, 0.95, 0.20))
@@ -152,19 +132,17 @@ def _clutter() -> None:
             "clutter",
             shapes[index % 4],
             finishes[(index // 4) % 4],
-            at=(x, y, PAVING + size * 0.5),
+            (x, y, PAVING + size * 0.5),
             turn=(0, 0, rng.uniform(0, 360)),
             size=size,
         )
 
 
 def _toys() -> None:
-    ball = add("ball", sphere, mat.cells("cells", 5), at=(-1.15, 0.75, PAVING + 0.4), size=0.4)
+    ball = add("ball", sphere, mat.cells(5), (-1.15, 0.75, PAVING + 0.4), size=0.4)
     smooth(ball).rotation_euler = (0.4, 0.2, 0)
-    brass = mat.patterned(
-        "brass", "Noise", [(0.55, 0.30, 0.08), (0.95, 0.75, 0.40)], roughness=0.12, metallic=1, Scale=2
-    )
-    smooth(add("glossy ball", sphere, brass, at=(-0.95, -0.95, PAVING + 0.36), size=0.36))
+    brass = mat.patterned("Noise", [(0.55, 0.30, 0.08), (0.95, 0.75, 0.40)], 0.12, 1, Scale=2)
+    smooth(add("glossy ball", sphere, brass, (-0.95, -0.95, PAVING + 0.36), size=0.36))
 
     def ring(u: float, v: float) -> Vector:
         out = 0.42 + 0.15 * math.cos(2 * math.pi * v)
@@ -176,44 +154,36 @@ def _toys() -> None:
             )
         )
 
-    stripes = mat.patterned(
-        "stripes", "Wave", [(0.8, 0.1, 0.05), (0.95, 0.85, 0.7)], roughness=0.3, Scale=2.5, Distortion=1
-    )
-    smooth(add("ring", sheet(64, 24, ring, closed=True), stripes, at=(0.1, -1.45, 0.52), turn=(62, 0, 15)))
+    stripes = mat.patterned("Wave", [(0.8, 0.1, 0.05), (0.95, 0.85, 0.7)], 0.3, Scale=2.5, Distortion=1)
+    smooth(add("ring", sheet(64, 24, ring, closed=True), stripes, (0.1, -1.45, 0.52), turn=(62, 0, 15)))
 
 
 def _crates() -> None:
-    wood = mat.patterned(
-        "wood",
-        "Wave",
-        [(0.16, 0.07, 0.02), (0.42, 0.22, 0.08), (0.55, 0.34, 0.14)],
-        Scale=3,
-        Distortion=6,
-        Detail=3,
-    )
-    add("crate", cube, wood, at=(0.15, 1.45, PAVING + 0.28), turn=(0, 0, 12), size=0.56)
-    add("crate", cube, wood, at=(-0.42, 1.6, PAVING + 0.17), turn=(0, 0, 50), size=0.34)
-    add("crate", cube, wood, at=(0.18, 1.42, PAVING + 0.75), turn=(0, 0, 41), size=0.38)
-    wall = mat.plain("wall", (0.08, 0.42, 0.42))  # the one surface without texture
-    add("wall", cube, wall, at=(1.35, 1.3, PAVING + 0.5), turn=(0, 0, -44), size=(1.1, 0.09, 1.0))
+    colours = [(0.16, 0.07, 0.02), (0.42, 0.22, 0.08), (0.55, 0.34, 0.14)]
+    wood = mat.patterned("Wave", colours, Scale=3, Distortion=6, Detail=3)
+    add("crate", cube, wood, (0.15, 1.45, PAVING + 0.28), turn=(0, 0, 12), size=0.56)
+    add("crate", cube, wood, (-0.42, 1.6, PAVING + 0.17), turn=(0, 0, 50), size=0.34)
+    add("crate", cube, wood, (0.18, 1.42, PAVING + 0.75), turn=(0, 0, 41), size=0.38)
+    wall = mat.plain((0.08, 0.42, 0.42))  # the one surface without texture
+    add("wall", cube, wall, (1.35, 1.3, PAVING + 0.5), turn=(0, 0, -44), size=(1.1, 0.09, 1.0))
 
 
 def _railing() -> None:
-    paint = mat.patterned("rust", "Noise", [(0.02, 0.02, 0.03), (0.30, 0.10, 0.04)], roughness=0.5, Scale=3)
+    paint = mat.patterned("Noise", [(0.02, 0.02, 0.03), (0.30, 0.10, 0.04)], roughness=0.5, Scale=3)
     posts = [
         Vector((2.2 * math.cos(angle), 2.2 * math.sin(angle), PAVING))
         for angle in np.radians(np.linspace(140, 245, 16))
     ]
     for post in posts:
-        bar(paint, post, post + Vector((0, 0, 0.7)))
+        bar(paint, post, post + lift(0.7))
     for here, there in pairwise(posts):
         for height in (0.15, 0.7):
-            bar(paint, here + Vector((0, 0, height)), there + Vector((0, 0, height)))
+            bar(paint, here + lift(height), there + lift(height))
 
 
 def _trellis() -> None:
-    lath = mat.patterned("lath", "Noise", [(0.55, 0.50, 0.42), (0.85, 0.82, 0.75)], Scale=6)
-    corner, across, up = Vector((0.55, -2.0, PAVING)), Vector((1.0, 0.45, 0)), Vector((0, 0, 1.1))
+    lath = mat.patterned("Noise", [(0.55, 0.50, 0.42), (0.85, 0.82, 0.75)], Scale=6)
+    corner, across, up = Vector((0.55, -2.0, PAVING)), Vector((1.0, 0.45, 0)), lift(1.1)
     for step in np.linspace(0, 1, 6):
         bar(lath, corner + across * step, corner + across * step + up)
         bar(lath, corner + up * step, corner + up * step + across)

@@ -13,7 +13,21 @@ from demo_scene import lights
 from demo_scene import materials as mat
 from demo_scene.houses import row_of_houses
 from demo_scene.plants import bush, leaf, leaves, stem, trees, tuft
-from demo_scene.shapes import add, again, bar, block, cone, cube, mould, rock, sheet, smooth, sphere, turned
+from demo_scene.shapes import (
+    add,
+    again,
+    bar,
+    block,
+    cone,
+    cube,
+    lift,
+    mould,
+    rock,
+    sheet,
+    smooth,
+    sphere,
+    turned,
+)
 from demo_scene.views import Pose, pose
 
 DOME_RADIUS = 75.0
@@ -68,10 +82,10 @@ def _ground() -> None:
         return Vector((x, y, _height(x, y)))
 
     grass = [(0.05, 0.09, 0.02), (0.08, 0.20, 0.03), (0.22, 0.36, 0.07), (0.46, 0.44, 0.17), (0.6, 0.5, 0.25)]
-    lawn = mat.patterned("lawn", "Noise", grass, Scale=0.35, Detail=12, Roughness=0.9)
-    lawn = mat.weathered(mat.weathered(lawn, 0.35, Scale=1.7, Roughness=0.9), 0.4, Scale=16)
+    lawn = mat.patterned("Noise", grass, Scale=0.35, Detail=12, Roughness=0.9)
+    lawn = mat.weathered(mat.weathered(lawn, 0.35, 1.7, 0.9), 0.4, 16)
     smooth(add("ground", sheet(128, 64, place, closed=False), lawn))
-    dome = add("sky", sphere, mat.sky("sky", 1.0), size=DOME_RADIUS)
+    dome = add("sky", sphere, mat.sky(1.0), size=DOME_RADIUS)
     dome.visible_shadow = dome.visible_diffuse = False  # only looked at
 
 
@@ -79,9 +93,9 @@ def _grass() -> None:
     rng = np.random.default_rng(5)
     looks = [
         mat.patterned(
-            "grass", "Noise", [(0.03, 0.10, 0.01), (0.12, 0.26, 0.03), (0.40, 0.48, 0.12)], Scale=3, Detail=3
+            "Noise", [(0.03, 0.10, 0.01), (0.12, 0.26, 0.03), (0.40, 0.48, 0.12)], Scale=3, Detail=3
         ),
-        mat.patterned("hay", "Noise", [(0.16, 0.18, 0.04), (0.50, 0.44, 0.18)], Scale=3),
+        mat.patterned("Noise", [(0.16, 0.18, 0.04), (0.50, 0.44, 0.18)], Scale=3),
     ]
     tufts = [mould("tuft", tuft(26, seed), looks[seed % 3 == 2]) for seed in range(6)]
     for _ in range(900):
@@ -89,15 +103,8 @@ def _grass() -> None:
         away = 0.42 + 12 * away**2
         x, y = away * math.cos(angle), away * math.sin(angle)
         again(tufts[rng.integers(6)], (x, y, _height(x, y) - 0.01), (0, 0, turn), size)
-    petals = [
-        mat.plain(name, colour)
-        for name, colour in (
-            ("daisy", (0.85, 0.82, 0.75)),
-            ("dandelion", (0.85, 0.60, 0.02)),
-            ("clover", (0.60, 0.12, 0.40)),
-        )
-    ]
-    heads = [mould("flower", rock, petal) for petal in petals]
+    daisy, dandelion, clover = (0.85, 0.82, 0.75), (0.85, 0.60, 0.02), (0.60, 0.12, 0.40)
+    heads = [mould("flower", rock, mat.plain(petals)) for petals in (daisy, dandelion, clover)]
     for _ in range(420):
         away, angle, up = rng.uniform((0.5, -math.pi, 0.06), (9, math.pi, 0.15))
         x, y = away * math.cos(angle), away * math.sin(angle)
@@ -108,9 +115,7 @@ def _litter() -> None:
     """Fallen leaves and stones on the lawn, and a path of flags that leads to the houses."""
     rng = np.random.default_rng(6)
     fallen = [
-        mat.patterned(
-            "fallen", "Noise", [(0.25, 0.08, 0.02), (0.60, 0.32, 0.05), (0.75, 0.60, 0.20)], Scale=s
-        )
+        mat.patterned("Noise", [(0.25, 0.08, 0.02), (0.60, 0.32, 0.05), (0.75, 0.60, 0.20)], Scale=s)
         for s in (2, 5)
     ]
     dry = [mould("dry leaf", leaf, look) for look in fallen]
@@ -123,7 +128,7 @@ def _litter() -> None:
             rng.uniform((-20, -20, 0), (20, 20, 360)),
             size,
         )
-    stone = mat.patterned("stone", "Voronoi", [(0.14, 0.13, 0.13), (0.50, 0.46, 0.40)], Scale=3)
+    stone = mat.patterned("Voronoi", [(0.14, 0.13, 0.13), (0.50, 0.46, 0.40)], Scale=3)
     boulder, flag = mould("boulder", rock, stone), mould("flag", cone(0.32, 0.30, 9), stone)
     for _ in range(60):
         away, angle, size = rng.uniform((0.7, -math.pi, 0.02), (9, math.pi, 0.09))
@@ -142,22 +147,14 @@ def _stump() -> None:
         return Vector((out * math.cos(angle), out * math.sin(angle), STUMP * 0.3 * v))
 
     bark = [(0.04, 0.025, 0.015), (0.16, 0.10, 0.06), (0.34, 0.25, 0.17), (0.20, 0.24, 0.10)]
-    rough = mat.weathered(
-        mat.patterned("bark", "Noise", bark, Scale=16, Detail=6, Roughness=0.8), 0.4, Scale=40
-    )
+    rough = mat.weathered(mat.patterned("Noise", bark, Scale=16, Detail=6, Roughness=0.8), 0.4, 40)
     # Modelled low and stretched, so that the bark's pattern runs upwards.
     smooth(add("stump", sheet(120, 8, side, closed=False), rough, size=(1, 1, 1 / 0.3)))
     cut = [(0.26, 0.15, 0.07), (0.60, 0.42, 0.23), (0.46, 0.30, 0.15)]
     rings = mat.patterned(
-        "rings", "Wave", cut, wave_type="RINGS", rings_direction="Z", Scale=11, Distortion=2.5, Detail=3
+        "Wave", cut, wave_type="RINGS", rings_direction="Z", Scale=11, Distortion=2.5, Detail=3
     )
-    add(
-        "cut",
-        cone(0.315, 0.30, 48),
-        mat.weathered(rings, 0.5, Scale=6),
-        at=(0, 0, STUMP - 0.008),
-        size=(1, 1, 0.02),
-    )
+    add("cut", cone(0.315, 0.30, 48), mat.weathered(rings, 0.5, 6), (0, 0, STUMP - 0.008), size=(1, 1, 0.02))
 
 
 def _potted_plant() -> None:
@@ -168,36 +165,26 @@ def _potted_plant() -> None:
         return out, up
 
     clay = [(0.06, 0.16, 0.26), (0.55, 0.50, 0.38), (0.62, 0.22, 0.08), (0.07, 0.20, 0.30)]
-    glaze = mat.patterned(
-        "glaze", "Wave", clay, roughness=0.25, Scale=7, Distortion=7, Detail=3, bands_direction="Z"
-    )
-    smooth(add("pot", turned(wall, 64, 40), glaze, at=(-0.02, 0.02, STUMP)))
-    soil = mat.patterned("soil", "Noise", [(0.02, 0.012, 0.008), (0.10, 0.065, 0.04)], Scale=40)
+    glaze = mat.patterned("Wave", clay, roughness=0.25, Scale=7, Distortion=7, Detail=3, bands_direction="Z")
+    smooth(add("pot", turned(wall, 64, 40), glaze, (-0.02, 0.02, STUMP)))
+    soil = mat.patterned("Noise", [(0.02, 0.012, 0.008), (0.10, 0.065, 0.04)], Scale=40)
     middle = Vector((-0.02, 0.02, STUMP + POT))
-    add("soil", cone(0.135, 0.135), soil, at=middle - Vector((0, 0, 0.03)), size=(1, 1, 0.02))
+    add("soil", cone(0.135, 0.135), soil, middle - lift(0.03), size=(1, 1, 0.02))
     rng = np.random.default_rng(17)
     kinds = leaves()
-    ends = bush(middle - Vector((0, 0, 0.03)), 21, (0.12, 0.36), (0.20, 0.70), 0.155, kinds, rng)
+    ends = bush(middle - lift(0.03), 21, (0.12, 0.36), (0.20, 0.70), 0.155, kinds, rng)
     for k in range(7):  # hanging over the rim
         angle = 0.9 * k + 0.3
         out = Vector((math.cos(angle), math.sin(angle), 0))
         stem(
-            middle + 0.09 * out,
-            middle + 0.24 * out - Vector((0, 0, rng.uniform(0.1, 0.3))),
-            0.16,
-            7,
-            0.075,
-            kinds,
-            rng,
+            middle + 0.09 * out, middle + 0.24 * out - lift(rng.uniform(0.1, 0.3)), 0.16, 7, 0.075, kinds, rng
         )
     _blossoms(ends[::2])
 
 
 def _blossoms(places: list[Vector]) -> None:
-    red = mat.patterned(
-        "petal", "Noise", [(0.75, 0.03, 0.06), (0.90, 0.25, 0.30), (0.95, 0.75, 0.70)], roughness=0.5, Scale=2
-    )
-    gold = mat.patterned("heart", "Noise", [(0.35, 0.15, 0.01), (0.90, 0.60, 0.05)], Scale=3)
+    red = mat.patterned("Noise", [(0.75, 0.03, 0.06), (0.90, 0.25, 0.30), (0.95, 0.75, 0.70)], 0.5, Scale=2)
+    gold = mat.patterned("Noise", [(0.35, 0.15, 0.01), (0.90, 0.60, 0.05)], Scale=3)
     petal, heart = mould("petal", sphere, red), mould("heart", rock, gold)
     for index, at in enumerate(places):
         again(heart, at, (0, 0, 0), 0.016)
@@ -209,38 +196,24 @@ def _blossoms(places: list[Vector]) -> None:
 
 def _gnome() -> None:
     at = Vector((0.16, -0.20, STUMP))
-    coat = mat.patterned("coat", "Checker", [(0.05, 0.12, 0.40), (0.75, 0.70, 0.55)], Scale=9)
-    skin = mat.weathered(mat.plain("skin", (0.72, 0.42, 0.30), 0.5), 0.7, Scale=9)
-    beard = mat.patterned("beard", "Wave", [(0.55, 0.52, 0.48), (0.9, 0.88, 0.84)], Scale=6, Distortion=4)
-    hat = mat.patterned(
-        "hat",
-        "Wave",
-        [(0.62, 0.03, 0.03), (0.85, 0.70, 0.10)],
-        roughness=0.3,
-        Scale=2.2,
-        Distortion=2,
-        bands_direction="Z",
-    )
-    smooth(add("coat", cone(0.065, 0.035), coat, at=at + Vector((0, 0, 0.06)), size=(1, 1, 0.12)))
-    smooth(add("head", sphere, skin, at=at + Vector((0, 0, 0.145)), size=0.042))
-    smooth(add("beard", sphere, beard, at=at + Vector((0.028, -0.02, 0.115)), size=(0.03, 0.03, 0.045)))
-    smooth(add("nose", sphere, skin, at=at + Vector((0.038, -0.025, 0.15)), size=0.012))
+    coat = mat.patterned("Checker", [(0.05, 0.12, 0.40), (0.75, 0.70, 0.55)], Scale=9)
+    skin = mat.weathered(mat.plain((0.72, 0.42, 0.30), 0.5), 0.7, 9)
+    beard = mat.patterned("Wave", [(0.55, 0.52, 0.48), (0.9, 0.88, 0.84)], Scale=6, Distortion=4)
+    colours = [(0.62, 0.03, 0.03), (0.85, 0.70, 0.10)]
+    hat = mat.patterned("Wave", colours, 0.3, Scale=2.2, Distortion=2, bands_direction="Z")
+    smooth(add("coat", cone(0.065, 0.035), coat, at + lift(0.06), size=(1, 1, 0.12)))
+    smooth(add("head", sphere, skin, at + lift(0.145), size=0.042))
+    smooth(add("beard", sphere, beard, at + Vector((0.028, -0.02, 0.115)), size=(0.03, 0.03, 0.045)))
+    smooth(add("nose", sphere, skin, at + Vector((0.038, -0.025, 0.15)), size=0.012))
     smooth(
         add(
-            "hat",
-            cone(0.05, 0.004),
-            hat,
-            at=at + Vector((-0.006, 0, 0.215)),
-            turn=(0, -8, 0),
-            size=(1, 1, 0.12),
+            "hat", cone(0.05, 0.004), hat, at + Vector((-0.006, 0, 0.215)), turn=(0, -8, 0), size=(1, 1, 0.12)
         )
     )
-    brass = mat.patterned(
-        "brass", "Noise", [(0.55, 0.30, 0.08), (0.95, 0.75, 0.40)], roughness=0.15, metallic=1, Scale=2
-    )
-    smooth(add("ball", sphere, brass, at=(0.17, 0.17, STUMP + 0.05), size=0.05))
-    can = mat.weathered(mat.plain("can", (0.10, 0.32, 0.30), 0.35), 0.45, Scale=9)
-    smooth(add("can", cone(0.06, 0.05), can, at=(0.03, 0.23, STUMP + 0.055), size=(1, 1, 0.11)))
+    brass = mat.patterned("Noise", [(0.55, 0.30, 0.08), (0.95, 0.75, 0.40)], 0.15, 1, Scale=2)
+    smooth(add("ball", sphere, brass, (0.17, 0.17, STUMP + 0.05), size=0.05))
+    can = mat.weathered(mat.plain((0.10, 0.32, 0.30), 0.35), 0.45, 9)
+    smooth(add("can", cone(0.06, 0.05), can, (0.03, 0.23, STUMP + 0.055), size=(1, 1, 0.11)))
     bar(can, (0.06, 0.25, STUMP + 0.03), (0.17, 0.30, STUMP + 0.13), 0.008)
 
 
@@ -269,7 +242,7 @@ def _far() -> None:
 
 def _fence() -> None:
     """White pales, 20 m behind the plant."""
-    paint = mat.weathered(mat.plain("pale", (0.80, 0.78, 0.72)), 0.6, Scale=2)
+    paint = mat.weathered(mat.plain((0.80, 0.78, 0.72)), 0.6, 2)
     pale = mould("pale", block(0.16, 0.04, 1.0), paint)
     posts = []
     for angle in np.arange(1.7, 4.6, 0.3 / 19):
@@ -277,28 +250,27 @@ def _fence() -> None:
         posts.append(Vector((x, y, _height(x, y))))
         again(pale, posts[-1], (0, 0, math.degrees(angle) + 90))
     for here, there in zip(posts[::6], posts[6::6], strict=False):
-        bar(paint, here + Vector((0, 0, 0.75)), there + Vector((0, 0, 0.75)), 0.04)
+        bar(paint, here + lift(0.75), there + lift(0.75), 0.04)
 
 
 def _strollers() -> None:
     """People and cars between the fence and the houses."""
     rng = np.random.default_rng(14)
-    tyre = mat.plain("tyre", (0.02, 0.02, 0.02))
+    tyre = mat.plain((0.02, 0.02, 0.02))
     for x, y, z, _ in _ring(9, 41, (20.5, 27), 1.6, 4.7):
-        coat = mat.patterned(
-            "coat", "Checker", [tuple(rng.uniform(0.02, 0.7, 3)), tuple(rng.uniform(0.02, 0.7, 3))], Scale=3
-        )
-        add("coat", cone(0.32, 0.18, 12), coat, at=(x, y, z + 0.75), size=(1, 1, 1.5))
-        add("head", rock, mat.plain("skin", (0.6, 0.38, 0.27)), at=(x, y, z + 1.64), size=0.15)
+        colours = [tuple(rng.uniform(0.02, 0.7, 3)), tuple(rng.uniform(0.02, 0.7, 3))]
+        coat = mat.patterned("Checker", colours, Scale=3)
+        add("coat", cone(0.32, 0.18, 12), coat, (x, y, z + 0.75), size=(1, 1, 1.5))
+        add("head", rock, mat.plain((0.6, 0.38, 0.27)), (x, y, z + 1.64), size=0.15)
     for x, y, z, angle in _ring(5, 42, (24, 29), 1.5, 4.9):
-        paint = mat.weathered(mat.plain("paint", tuple(rng.uniform(0.03, 0.6, 3)), 0.2), 0.7, Scale=1)
+        paint = mat.weathered(mat.plain(tuple(rng.uniform(0.03, 0.6, 3)), 0.2), 0.7, 1)
         turn = (0, 0, math.degrees(angle) + 90 + rng.uniform(-20, 20))
-        add("body", block(4.2, 1.7, 0.75), paint, at=(x, y, z + 0.3), turn=turn)
+        add("body", block(4.2, 1.7, 0.75), paint, (x, y, z + 0.3), turn=turn)
         add(
             "cabin",
             cube,
-            mat.plain("glass", (0.03, 0.05, 0.07), 0.1),
-            at=(x, y, z + 1.3),
+            mat.plain((0.03, 0.05, 0.07), 0.1),
+            (x, y, z + 1.3),
             turn=turn,
             size=(2.2, 1.5, 0.55),
         )
@@ -308,7 +280,7 @@ def _strollers() -> None:
                 "wheels",
                 cone(0.33, 0.33, 16),
                 tyre,
-                at=Vector((x, y, z + 0.33)) + end * ahead,
+                Vector((x, y, z + 0.33)) + end * ahead,
                 turn=(90, 0, turn[2]),
                 size=(1, 1, 1.8),
             )

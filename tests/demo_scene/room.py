@@ -80,44 +80,25 @@ def _lamps(scene: bpy.types.Scene) -> None:
 
 def _shell() -> None:
     oak = [(0.30, 0.15, 0.06), (0.52, 0.31, 0.14), (0.10, 0.05, 0.02)]
-    planks = mat.bricks("parquet", oak, Scale=1, Brick_Width=0.7, Row_Height=0.12, Mortar_Size=0.006)
-    add("floor", block(LENGTH + 0.4, DEPTH + 0.4, 0.2), mat.weathered(planks, 0.45, Scale=9), at=(0, 0, -0.2))
+    planks = mat.bricks(oak, Scale=1, Brick_Width=0.7, Row_Height=0.12, Mortar_Size=0.006)
+    add("floor", block(LENGTH + 0.4, DEPTH + 0.4, 0.2), mat.weathered(planks, 0.45, 9), (0, 0, -0.2))
     plaster = mat.weathered(
-        mat.patterned(
-            "plaster", "Noise", [(0.55, 0.52, 0.46), (0.82, 0.79, 0.72)], Scale=5, Detail=8, Roughness=0.8
-        ),
+        mat.patterned("Noise", [(0.55, 0.52, 0.46), (0.82, 0.79, 0.72)], Scale=5, Detail=8, Roughness=0.8),
         0.7,
-        Scale=0.8,
+        0.8,
     )
-    add("ceiling", block(LENGTH + 0.4, DEPTH + 0.4, 0.2), plaster, at=(0, 0, HEIGHT))
-    wood = furniture.wood("beam", 0.5)
+    add("ceiling", block(LENGTH + 0.4, DEPTH + 0.4, 0.2), plaster, (0, 0, HEIGHT))
+    wood = furniture.wood(0.5)
     for x in np.linspace(-2.4, 2.4, 5):
-        add("beam", block(0.16, DEPTH, 0.18), wood, at=(x, 0, HEIGHT - 0.17))
-    striped = mat.patterned(
-        "stripes",
-        "Wave",
-        [(0.62, 0.55, 0.38), (0.40, 0.48, 0.36), (0.70, 0.66, 0.52)],
-        Scale=1.6,
-        Distortion=0.6,
-        Detail=2,
-    )
-    dotted = mat.patterned(
-        "dots",
-        "Voronoi",
-        [(0.70, 0.22, 0.12), (0.72, 0.62, 0.42), (0.60, 0.52, 0.36), (0.42, 0.50, 0.46)],
-        Scale=6,
-        Randomness=0.35,
-    )
-    red = mat.bricks("bricks", [(0.42, 0.16, 0.09), (0.62, 0.33, 0.21), (0.66, 0.62, 0.54)], Scale=3)
-    swirls = mat.patterned(
-        "swirls",
-        "Magic",
-        [(0.16, 0.26, 0.34), (0.40, 0.52, 0.55), (0.66, 0.62, 0.48)],
-        Scale=5,
-        Distortion=1.6,
-        turbulence_depth=3,
-    )
-    trim = mat.weathered(mat.plain("trim", (0.70, 0.66, 0.56), 0.4), 0.6, Scale=6)
+        add("beam", block(0.16, DEPTH, 0.18), wood, (x, 0, HEIGHT - 0.17))
+    colours = [(0.62, 0.55, 0.38), (0.40, 0.48, 0.36), (0.70, 0.66, 0.52)]
+    striped = mat.patterned("Wave", colours, Scale=1.6, Distortion=0.6, Detail=2)
+    colours = [(0.70, 0.22, 0.12), (0.72, 0.62, 0.42), (0.60, 0.52, 0.36), (0.42, 0.50, 0.46)]
+    dotted = mat.patterned("Voronoi", colours, Scale=6, Randomness=0.35)
+    red = mat.bricks([(0.42, 0.16, 0.09), (0.62, 0.33, 0.21), (0.66, 0.62, 0.54)], Scale=3)
+    colours = [(0.16, 0.26, 0.34), (0.40, 0.52, 0.55), (0.66, 0.62, 0.48)]
+    swirls = mat.patterned("Magic", colours, Scale=5, Distortion=1.6, turbulence_depth=3)
+    trim = mat.weathered(mat.plain((0.70, 0.66, 0.56), 0.4), 0.6, 6)
     walls = [
         (striped, 180, LENGTH, DEPTH, WINDOWS),
         (red, 0, LENGTH, DEPTH, []),
@@ -126,12 +107,9 @@ def _shell() -> None:
     ]
     for paper, turn, length, away, holes in walls:
         wall = add(
-            "wall",
-            slab(length + 0.4, HEIGHT, 0.2, holes),
-            mat.weathered(paper, 0.7, Scale=2),
-            turn=(90, 0, 0),
+            "wall", slab(length + 0.4, HEIGHT, 0.2, holes), mat.weathered(paper, 0.7, 2), turn=(90, 0, 0)
         )
-        skirting = add("skirting", block(length, 0.02, 0.12), trim, at=(0, 0.01, 0))
+        skirting = add("skirting", block(length, 0.02, 0.12), trim, (0, 0.01, 0))
         moved([wall, skirting], _against(turn, away), turn)
 
 
@@ -142,27 +120,25 @@ def _against(turn: float, away: float) -> Vector:
 
 
 def _windows() -> None:
-    paint = mat.weathered(mat.plain("window", (0.75, 0.73, 0.68), 0.4), 0.7, Scale=8)
-    cloth = mat.patterned("curtain", "Checker", [(0.55, 0.12, 0.08), (0.72, 0.60, 0.42)], Scale=9)
-    rust = mat.patterned(
-        "radiator", "Noise", [(0.50, 0.48, 0.42), (0.72, 0.70, 0.64)], roughness=0.3, Scale=12
-    )
+    paint = mat.weathered(mat.plain((0.75, 0.73, 0.68), 0.4), 0.7, 8)
+    cloth = mat.patterned("Checker", [(0.55, 0.12, 0.08), (0.72, 0.60, 0.42)], Scale=9)
+    rust = mat.patterned("Noise", [(0.50, 0.48, 0.42), (0.72, 0.70, 0.64)], roughness=0.3, Scale=12)
 
     def folds(u: float, v: float) -> Vector:
         return Vector(
             (0.42 * (u - 0.5) * (1.1 - 0.25 * v), 0.05 * math.sin(22 * u) * (1.2 - 0.5 * v), 1.85 * v)
         )
 
-    curtain = mould("curtain", patch(44, 6, folds), mat.weathered(cloth, 0.6, Scale=6))
+    curtain = mould("curtain", patch(44, 6, folds), mat.weathered(cloth, 0.6, 6))
     rib = mould("rib", block(0.05, 0.1, 0.5), rust)
     y = DEPTH / 2
     for left, right, bottom, top in WINDOWS:
         middle = (left + right) / 2
         for x in (left, middle, right):
-            add("frame", block(0.06, 0.08, top - bottom), paint, at=(x, y + 0.06, bottom))
+            add("frame", block(0.06, 0.08, top - bottom), paint, (x, y + 0.06, bottom))
         for z in (bottom, bottom + 0.95, top - 0.05):
-            add("frame", block(right - left, 0.07, 0.05), paint, at=(middle, y + 0.06, z))
-        add("sill", block(right - left + 0.2, 0.26, 0.04), paint, at=(middle, y - 0.02, bottom - 0.045))
+            add("frame", block(right - left, 0.07, 0.05), paint, (middle, y + 0.06, z))
+        add("sill", block(right - left + 0.2, 0.26, 0.04), paint, (middle, y - 0.02, bottom - 0.045))
         bar(rust, (left - 0.4, y - 0.1, 2.4), (right + 0.4, y - 0.1, 2.4), 0.015)
         for x in (left - 0.1, right + 0.1):
             again(curtain, (x, y - 0.1, 0.55))
@@ -175,10 +151,10 @@ def _outside() -> None:
     add(
         "lawn",
         cone(DOME_RADIUS, DOME_RADIUS, 64),
-        mat.patterned("lawn", "Noise", grass, Scale=1.5, Detail=8, Roughness=0.8),
-        at=(0, 0, -2.55),
+        mat.patterned("Noise", grass, Scale=1.5, Detail=8, Roughness=0.8),
+        (0, 0, -2.55),
     )
-    dome = add("sky", sphere, mat.sky("sky", 1.0), size=DOME_RADIUS)
+    dome = add("sky", sphere, mat.sky(1.0), size=DOME_RADIUS)
     dome.visible_shadow = dome.visible_diffuse = False  # only looked at
     row_of_houses(5, [(-14, 24, -2.1, 20), (1, 27, -2.1, 0), (16, 23, -2.1, -25)])
     trees(
@@ -196,16 +172,11 @@ def _outside() -> None:
 
 
 def _rug_and_table() -> None:
-    border = mat.patterned("border", "Checker", [(0.42, 0.05, 0.05), (0.70, 0.55, 0.25)], Scale=14)
-    weave = mat.patterned(
-        "rug",
-        "Magic",
-        [(0.10, 0.10, 0.30), (0.55, 0.08, 0.06), (0.75, 0.60, 0.32), (0.08, 0.25, 0.22)],
-        Scale=1.6,
-        Distortion=2.2,
-    )
-    add("rug", block(2.9, 2.0, 0.008), mat.weathered(border, 0.6, Scale=12))
-    add("rug", block(2.6, 1.7, 0.014), mat.weathered(weave, 0.55, Scale=16))
+    border = mat.patterned("Checker", [(0.42, 0.05, 0.05), (0.70, 0.55, 0.25)], Scale=14)
+    colours = [(0.10, 0.10, 0.30), (0.55, 0.08, 0.06), (0.75, 0.60, 0.32), (0.08, 0.25, 0.22)]
+    weave = mat.patterned("Magic", colours, Scale=1.6, Distortion=2.2)
+    add("rug", block(2.9, 2.0, 0.008), mat.weathered(border, 0.6, 12))
+    add("rug", block(2.6, 1.7, 0.014), mat.weathered(weave, 0.55, 16))
     furniture.low_table()
 
 
@@ -227,9 +198,8 @@ def _furnish() -> None:
     stand(furniture.door(), 0, DEPTH, -1.55, 0.005)
     stand(furniture.sideboard(), 180, DEPTH, 0.0)
     stand(furniture.boxes(), 0, DEPTH, 1.62, 0.03)
-    clay = mat.patterned(
-        "clay", "Wave", [(0.45, 0.18, 0.08), (0.70, 0.45, 0.25)], Scale=4, Distortion=3, bands_direction="Z"
-    )
-    add("pot", cone(0.17, 0.22), clay, at=(-2.55, 1.85, 0.2), size=(1, 1, 0.4))
+    colours = [(0.45, 0.18, 0.08), (0.70, 0.45, 0.25)]
+    clay = mat.patterned("Wave", colours, Scale=4, Distortion=3, bands_direction="Z")
+    add("pot", cone(0.17, 0.22), clay, (-2.55, 1.85, 0.2), size=(1, 1, 0.4))
     rng = np.random.default_rng(4)
     bush(Vector((-2.55, 1.85, 0.38)), 12, (0.15, 0.38), (0.5, 1.2), 0.22, leaves(), rng)

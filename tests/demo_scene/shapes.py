@@ -39,6 +39,11 @@ def _set(thing: bpy.types.Object, at, turn, size) -> bpy.types.Object:
     return thing
 
 
+def lift(height: float) -> Vector:
+    """So far upwards, in metres."""
+    return Vector((0, 0, height))
+
+
 def moved(things: list[bpy.types.Object], at, turn: float = 0.0) -> None:
     """Turn things that were modelled around the origin by `turn` degrees around z, then move the origin to
     `at`."""

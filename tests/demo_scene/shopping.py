@@ -15,6 +15,7 @@ from demo_scene.shapes import (
     block,
     cone,
     lettering,
+    lift,
     mould,
     moved,
     rock,
@@ -35,7 +36,7 @@ FRUIT = [
 
 
 def blossoms(places: list[Vector], colour: int) -> None:
-    red = mat.patterned("petals", "Noise", [PETALS[colour], tuple(0.55 * c for c in PETALS[colour])], Scale=4)
+    red = mat.patterned("Noise", [PETALS[colour], tuple(0.55 * c for c in PETALS[colour])], Scale=4)
     head = mould("petals", rock, red)
     for k, at in enumerate(places):
         again(head, at, (30 * k, 0, 50 * k), (0.045, 0.045, 0.03))
@@ -43,19 +44,19 @@ def blossoms(places: list[Vector], colour: int) -> None:
 
 def crate(kind: int, at: Vector, turn: float, width: float = 0.6) -> None:
     """An open crate, tilted towards the street, full of fruit."""
-    lath, rng = wood("lath", 0.85), np.random.default_rng(60 + kind)
-    things = [add("bottom", block(width, 0.44, 0.02), lath, at=(0, 0, 0))]
+    lath, rng = wood(0.85), np.random.default_rng(60 + kind)
+    things = [add("bottom", block(width, 0.44, 0.02), lath, (0, 0, 0))]
     for y in (-0.22, 0.22):
-        things += [add("lath", block(width, 0.02, 0.07), lath, at=(0, y, 0.02 + 0.085 * k)) for k in (0, 1)]
+        things += [add("lath", block(width, 0.02, 0.07), lath, (0, y, 0.02 + 0.085 * k)) for k in (0, 1)]
     for x in (-width / 2, width / 2):
-        things.append(add("lath", block(0.02, 0.44, 0.16), lath, at=(x, 0, 0.02)))
+        things.append(add("lath", block(0.02, 0.44, 0.16), lath, (x, 0, 0.02)))
     size = (0.042, 0.048, 0.04, 0.03, 0.05, 0.045)[kind]
     one = smooth(
         add(
             "fruit",
             sphere,
-            mat.patterned("fruit", "Noise", FRUIT[kind], 0.35, Scale=3, Detail=5),
-            at=(0, 0, 0.1),
+            mat.patterned("Noise", FRUIT[kind], 0.35, Scale=3, Detail=5),
+            (0, 0, 0.1),
             size=size,
         )
     )
@@ -70,41 +71,40 @@ def crate(kind: int, at: Vector, turn: float, width: float = 0.6) -> None:
 
 
 def greengrocer(x: float, y: float) -> None:
-    board = wood("stall", 0.7)
+    board = wood(0.7)
     for row, (out, up) in enumerate(((-1.25, 0.30), (-0.72, 0.62))):
-        add("stall", block(2.5, 0.1, up), board, at=(x - 0.55, out + 0.2, 0))
+        add("stall", block(2.5, 0.1, up), board, (x - 0.55, out + 0.2, 0))
         for k in range(4):
             crate((k + 3 * row) % 6, Vector((x - 1.48 + 0.62 * k, out, up)), 0)
     rng, kinds = np.random.default_rng(51), leaves()
-    zinc = mat.patterned("zinc", "Noise", [(0.25, 0.27, 0.28), (0.55, 0.56, 0.56)], 0.3, 1.0, Scale=7)
+    zinc = mat.patterned("Noise", [(0.25, 0.27, 0.28), (0.55, 0.56, 0.56)], 0.3, 1.0, Scale=7)
     for k in range(5):  # buckets of flowers by the door
         at = Vector((x + 0.95 + 0.27 * k, -0.5 - 0.38 * (k % 2), 0))
-        add("bucket", cone(0.10, 0.14, 20), zinc, at=at + Vector((0, 0, 0.16)), size=(1, 1, 0.32))
-        blossoms(bush(at + Vector((0, 0, 0.26)), 8, (0.06, 0.2), (0.25, 0.55), 0.11, kinds, rng), k % 4)
+        add("bucket", cone(0.10, 0.14, 20), zinc, at + lift(0.16), size=(1, 1, 0.32))
+        blossoms(bush(at + lift(0.26), 8, (0.06, 0.2), (0.25, 0.55), 0.11, kinds, rng), k % 4)
     shelves(x, y + 1.45, 3.4, 3, 70)
-    add("display", block(2.2, 0.5, 0.08), board, at=(x - 0.55, y + 0.32, 0.62))
+    add("display", block(2.2, 0.5, 0.08), board, (x - 0.55, y + 0.32, 0.62))
     for k in range(3):
         crate((k + 2) % 6, Vector((x - 1.25 + 0.68 * k, y + 0.36, 0.72)), 0)
 
 
 def shelves(x: float, y: float, width: float, count: int, seed: int) -> None:
     """Shelves at the back of a shop, with jars and boxes."""
-    rng, board = np.random.default_rng(seed), wood("shelf", 0.55)
+    rng, board = np.random.default_rng(seed), wood(0.55)
     for k in range(count):
         z = 0.75 + 0.55 * k
-        add("shelf", block(width, 0.3, 0.03), board, at=(x, y, z))
+        add("shelf", block(width, 0.3, 0.03), board, (x, y, z))
         for place in np.arange(-width / 2 + 0.12, width / 2 - 0.05, 0.21):
             ornament(int(rng.integers(20)), rng.uniform(0.15, 0.3), (x + place, y, z + 0.031))
 
 
 def bakery(x: float, y: float) -> None:
-    crust = mat.patterned(
-        "crust", "Noise", [(0.25, 0.09, 0.02), (0.60, 0.33, 0.10), (0.85, 0.66, 0.38)], Scale=3, Detail=6
-    )
-    loaf, cake_board = mould("loaf", sphere, crust), wood("counter", 0.8)
+    colours = [(0.25, 0.09, 0.02), (0.60, 0.33, 0.10), (0.85, 0.66, 0.38)]
+    crust = mat.patterned("Noise", colours, Scale=3, Detail=6)
+    loaf, cake_board = mould("loaf", sphere, crust), wood(0.8)
     rng = np.random.default_rng(52)
     for depth, up in ((0.2, 0.66), (0.45, 0.95), (0.7, 1.24)):
-        add("step", block(2.3, 0.26, 0.03), cake_board, at=(x - 0.57, y + depth, up))
+        add("step", block(2.3, 0.26, 0.03), cake_board, (x - 0.57, y + depth, up))
         for place in np.arange(-1.05, 1.06, 0.19):
             again(
                 loaf,
@@ -113,7 +113,7 @@ def bakery(x: float, y: float) -> None:
                 (0.075, rng.uniform(0.06, 0.15), 0.06),
             )
     icing = [
-        mat.patterned("icing", "Wave", [a, b], 0.3, Scale=3, Distortion=3)
+        mat.patterned("Wave", [a, b], 0.3, Scale=3, Distortion=3)
         for a, b in (((0.8, 0.35, 0.42), (0.9, 0.85, 0.8)), ((0.12, 0.05, 0.02), (0.85, 0.7, 0.5)))
     ]
     for k in range(5):
@@ -121,23 +121,23 @@ def bakery(x: float, y: float) -> None:
             "cake",
             cone(0.15, 0.14, 24),
             icing[k % 2],
-            at=(x - 1.45 + 0.42 * k, y + 0.98, 1.62),
+            (x - 1.45 + 0.42 * k, y + 0.98, 1.62),
             size=(1, 1, 0.16),
         )
-    add("step", block(2.3, 0.34, 0.03), cake_board, at=(x - 0.57, y + 0.98, 1.51))
+    add("step", block(2.3, 0.34, 0.03), cake_board, (x - 0.57, y + 0.98, 1.51))
     shelves(x, y + 1.5, 3.4, 4, 71)
 
 
 def bookshop(x: float, y: float) -> None:
-    rng, bindings, board = np.random.default_rng(53), covers(), wood("bookshelf", 0.6)
+    rng, bindings, board = np.random.default_rng(53), covers(), wood(0.6)
     for k in range(5):
         z = 0.3 + 0.42 * k
-        add("shelf", block(3.6, 0.3, 0.03), board, at=(x, y + 1.5, z))
+        add("shelf", block(3.6, 0.3, 0.03), board, (x, y + 1.5, z))
         moved(books(-1.7, 1.7, 0.36, -0.1, z + 0.031, bindings, rng), (x, y + 1.45, 0), 0)
     for depth, up in ((0.18, 0.64), (0.45, 0.92)):
-        add("step", block(2.3, 0.28, 0.03), board, at=(x - 0.57, y + depth, up))
+        add("step", block(2.3, 0.28, 0.03), board, (x - 0.57, y + depth, up))
         moved(books(-1.1, 1.1, 0.3, -0.1, up + 0.031, bindings, rng), (x - 0.57, y + depth, 0), 0)
-    add("table", block(1.3, 0.5, 0.05), board, at=(x - 0.9, -0.75, 0.7))
+    add("table", block(1.3, 0.5, 0.05), board, (x - 0.9, -0.75, 0.7))
     for k in range(4):
         bar(
             board,
@@ -150,19 +150,19 @@ def bookshop(x: float, y: float) -> None:
 
 def cafe(x: float, y: float) -> None:
     """Two small tables with chairs, laid."""
-    iron = mat.patterned("cafe iron", "Noise", [(0.02, 0.08, 0.05), (0.08, 0.20, 0.13)], 0.4, Scale=12)
-    seat = wood("seat", 0.9)
+    iron = mat.patterned("Noise", [(0.02, 0.08, 0.05), (0.08, 0.20, 0.13)], 0.4, Scale=12)
+    seat = wood(0.9)
     for k in range(2):
         at = Vector((x + 1.35 * k, y + 0.35 * k, 0))
         add(
             "top",
             cone(0.36, 0.36, 40),
-            cloth("tablecloth", [(0.80, 0.76, 0.66), (0.55, 0.10, 0.08)], 14),
-            at=at + Vector((0, 0, 0.72)),
+            cloth([(0.80, 0.76, 0.66), (0.55, 0.10, 0.08)], 14),
+            at + lift(0.72),
             size=(1, 1, 0.03),
         )
-        bar(iron, at, at + Vector((0, 0, 0.7)), 0.03)
-        add("foot", cone(0.22, 0.18, 24), iron, at=at + Vector((0, 0, 0.015)), size=(1, 1, 0.03))
+        bar(iron, at, at + lift(0.7), 0.03)
+        add("foot", cone(0.22, 0.18, 24), iron, at + lift(0.015), size=(1, 1, 0.03))
         for j, (dx, dy) in enumerate(((-0.1, -0.1), (0.14, 0.02), (-0.02, 0.16))):
             ornament(
                 4 + 5 * ((j + k) % 3) if j else 15 * k, (0.2, 0.11, 0.11)[j], at + Vector((dx, dy, 0.736))
@@ -177,7 +177,7 @@ def cafe(x: float, y: float) -> None:
 
 def _stool(iron, seat) -> list:
     """A chair whose back is away from the table, which lies at -y."""
-    things = [add("seat", block(0.38, 0.36, 0.03), seat, at=(0, 0, 0.44))]
+    things = [add("seat", block(0.38, 0.36, 0.03), seat, (0, 0, 0.44))]
     for dx in (-0.16, 0.16):
         for dy in (-0.15, 0.15):
             things.append(bar(iron, (dx, dy, 0), (dx, dy, 0.86 if dy > 0 else 0.45), 0.013))
@@ -186,9 +186,9 @@ def _stool(iron, seat) -> list:
 
 def bicycle(at: Vector) -> None:
     """It leans on its stand before the alley, along x."""
-    tyre = mat.plain("tyre", (0.03, 0.03, 0.03))
-    paint = mat.weathered(mat.plain("bicycle", (0.05, 0.30, 0.38), 0.25), 0.6, Scale=9)
-    steel = mat.patterned("spokes", "Noise", [(0.4, 0.4, 0.4), (0.7, 0.7, 0.7)], 0.3, 1.0, Scale=9)
+    tyre = mat.plain((0.03, 0.03, 0.03))
+    paint = mat.weathered(mat.plain((0.05, 0.30, 0.38), 0.25), 0.6, 9)
+    steel = mat.patterned("Noise", [(0.4, 0.4, 0.4), (0.7, 0.7, 0.7)], 0.3, 1.0, Scale=9)
 
     def ring(u: float, v: float) -> Vector:
         out = 0.33 + 0.02 * math.cos(2 * math.pi * v)
@@ -202,7 +202,7 @@ def bicycle(at: Vector) -> None:
 
     hubs = [at + Vector((dx, 0, 0.35)) for dx in (-0.52, 0.52)]
     for hub in hubs:
-        smooth(add("tyre", sheet(48, 8, ring, closed=True), tyre, at=hub))
+        smooth(add("tyre", sheet(48, 8, ring, closed=True), tyre, hub))
         for angle in np.arange(0, 2 * math.pi, math.pi / 8):
             bar(steel, hub, hub + 0.32 * Vector((math.cos(angle), 0, math.sin(angle))), 0.004)
     saddle, pedals = at + Vector((-0.22, 0, 0.86)), at + Vector((-0.08, 0, 0.32))
@@ -212,34 +212,32 @@ def bicycle(at: Vector) -> None:
         (hubs[0], pedals),
         (pedals, saddle),
         (pedals, head),
-        (saddle - Vector((0, 0, 0.1)), head),
+        (saddle - lift(0.1), head),
         (hubs[1], head),
     ):
         bar(paint, start, end, 0.018)
     bar(steel, head, head + Vector((-0.04, 0, 0.18)), 0.014)
     bar(steel, head + Vector((-0.04, -0.28, 0.18)), head + Vector((-0.04, 0.28, 0.18)), 0.013)
-    add("saddle", block(0.26, 0.14, 0.05), wood("leather", 0.35), at=saddle)
+    add("saddle", block(0.26, 0.14, 0.05), wood(0.35), saddle)
     add(
         "basket",
         block(0.26, 0.34, 0.24),
-        cloth("basket", [(0.55, 0.36, 0.15), (0.30, 0.17, 0.06)], 28),
-        at=head + Vector((0.2, 0, -0.02)),
+        cloth([(0.55, 0.36, 0.15), (0.30, 0.17, 0.06)], 28),
+        head + Vector((0.2, 0, -0.02)),
     )
 
 
 def notice(text: str, at, turn: float) -> None:
     """A board on the pavement."""
-    slate = mat.patterned("slate", "Noise", [(0.03, 0.04, 0.04), (0.10, 0.11, 0.11)], Scale=9, Detail=6)
-    frame = wood("frame", 0.7)
-    chalk = mat.weathered(mat.plain("chalk", (0.85, 0.83, 0.75)), 0.5, Scale=30)
+    slate = mat.patterned("Noise", [(0.03, 0.04, 0.04), (0.10, 0.11, 0.11)], Scale=9, Detail=6)
+    frame = wood(0.7)
+    chalk = mat.weathered(mat.plain((0.85, 0.83, 0.75)), 0.5, 30)
     things = [
-        add("board", block(0.62, 0.03, 0.95), frame, at=(0, 0, 0)),
-        add("slate", block(0.54, 0.03, 0.82), slate, at=(0, -0.006, 0.08)),
+        add("board", block(0.62, 0.03, 0.95), frame, (0, 0, 0)),
+        add("slate", block(0.54, 0.03, 0.82), slate, (0, -0.006, 0.08)),
     ]
     for k, word in enumerate(text.split()):
         things.append(lettering(word, chalk, (0, -0.024, 0.72 - 0.2 * k), (90, 0, 0), 0.15))
     for k in range(3):
-        things.append(
-            add("line", block(0.36 - 0.06 * k, 0.005, 0.025), chalk, at=(0, -0.022, 0.33 - 0.08 * k))
-        )
+        things.append(add("line", block(0.36 - 0.06 * k, 0.005, 0.025), chalk, (0, -0.022, 0.33 - 0.08 * k)))
     moved(things, at, turn)
