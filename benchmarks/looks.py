@@ -20,9 +20,9 @@ import numpy as np
 from svrgs_addon.files.registry import read_scene
 from svrgs_addon.finetune.saliency import removal_errors
 from svrgs_addon.finetune.scores import top
+from svrgs_addon.finetune.viewed_scene import ViewedScene
 from svrgs_addon.native.library import supported_levels
 from svrgs_addon.native.rasterizer import Rasterizer
-from svrgs_addon.render.metrics.evaluate import render_options
 from svrgs_addon.scene.gaussians import PARAMETERS
 from svrgs_addon.views.dataset import load_dataset
 
@@ -47,11 +47,13 @@ def look(name: str) -> Callable[..., np.ndarray]:
     """The ranking of `removal` with a look of LOOKS."""
     reduction, every, level = LOOKS[name]
 
-    def ranking(scene, cameras, _rasterizer, options) -> np.ndarray:
-        rasterizer = Rasterizer(level or None)
+    def ranking(viewed: ViewedScene) -> np.ndarray:
+        rasterizer, scene = Rasterizer(level or None), viewed.scene
         arrays = {key: np.asarray(getattr(scene, key), rasterizer.dtype) for key in PARAMETERS}
-        own = SimpleNamespace(**arrays, count=scene.count, antialiased=options.antialiased)
-        return removal_errors(own, cameras[::every], rasterizer, options, reduction=reduction)
+        own = SimpleNamespace(**arrays, count=scene.count, antialiased=scene.antialiased)
+        return removal_errors(
+            ViewedScene(own, viewed.cameras[::every], rasterizer, viewed.options), reduction=reduction
+        )
 
     return ranking
 
@@ -73,7 +75,7 @@ def main():
         seconds, errors = [], np.empty(0)
         for _ in range(1 if name == "exact" else ROUNDS):
             started = time.perf_counter()
-            errors = look(name)(scene, cameras, None, render_options(scene))
+            errors = look(name)(ViewedScene.of(scene, cameras))
             seconds.append(time.perf_counter() - started)
         kept = [top(errors, round(share * scene.count)) for share in SHARES]
         exact = exact or kept

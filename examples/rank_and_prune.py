@@ -8,6 +8,7 @@ import sys
 from svrgs_addon.files.registry import load_scene, write_scene
 from svrgs_addon.finetune.saliency import removal_errors
 from svrgs_addon.finetune.scores import top
+from svrgs_addon.finetune.viewed_scene import ViewedScene
 from svrgs_addon.native.rasterizer import Rasterizer
 from svrgs_addon.render.metrics.evaluate import mean_quality, render_options
 from svrgs_addon.views.dataset import load_dataset
@@ -19,7 +20,7 @@ options = render_options(scene, dataset.background)
 cameras = [dataset.cameras[i] for i in dataset.train_indices]
 
 # (N,): growth of the squared error without each Gaussian
-score = removal_errors(scene, cameras, rasterizer, options)
+score = removal_errors(ViewedScene(scene, cameras, rasterizer, options))
 half = scene.select(top(score, scene.count // 2))
 write_scene(out, half)
 

@@ -14,7 +14,7 @@ from svrgs_addon.files import ply
 from svrgs_addon.files.registry import load_scene, read_scene, size_on_disk, write_scene
 from svrgs_addon.files.streamed_sog import read_level
 from svrgs_addon.finetune.decimate.order import hidden, visibility_sums
-from svrgs_addon.finetune.saliency import reduced
+from svrgs_addon.finetune.viewed_scene import ViewedScene, reduced
 from svrgs_addon.native.rasterizer import Rasterizer
 from svrgs_addon.prune import by_blocks, job_views, pipeline, plans
 from svrgs_addon.prune.belonging import check_seen, seen_of
@@ -367,5 +367,5 @@ def test_only_some_jobs_can_be_done_by_blocks(tmp_path):
 def test_hidden_gaussians_are_counted(source):
     scene = load_scene(source)
     camera = cameras_around(scene, 1, 512)[0]
-    sums, _ = visibility_sums(scene, [camera], Rasterizer(), render_options(scene), pictures=False)
+    sums, _ = visibility_sums(ViewedScene.of(scene, [camera]), pictures=False)
     assert 0.1 * COUNT < hidden(sums) < COUNT, "a ball hides its other side"

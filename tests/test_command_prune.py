@@ -20,9 +20,8 @@ from svrgs_addon.cli.arguments import parser
 from svrgs_addon.files.ply import read_ply
 from svrgs_addon.finetune import scores
 from svrgs_addon.finetune.methods import METHODS
-from svrgs_addon.native.rasterizer import Rasterizer
+from svrgs_addon.finetune.viewed_scene import ViewedScene
 from svrgs_addon.prune.options import GROUPS, PruneOptions
-from svrgs_addon.render.metrics.evaluate import render_options
 from svrgs_addon.system.option_kinds import options_of
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -230,7 +229,7 @@ def test_contribution_keeps_what_contributes_most(tiny, svrgs, tmp_path):
     )
     scene = read_ply(tiny.splat)
     train = [camera for i, camera in enumerate(tiny.cameras) if i % 8]
-    sums, _, _ = scores.contribution(scene, train, Rasterizer(), render_options(scene))
+    sums, _, _ = scores.contribution(ViewedScene.of(scene, train))
     expected = scene.means[np.sort(np.argsort(-sums)[:50])]
     assert np.array_equal(read_ply(tmp_path / "o.ply").means, expected)
 
@@ -245,7 +244,7 @@ def test_the_first_cut_drops_what_contributes_little_to_every_training_view(tiny
     result = first_cut(tiny, svrgs, tmp_path / "o.ply", "--min-contribution", 0.3)
     scene = read_ply(tiny.splat)
     train = [camera for i, camera in enumerate(tiny.cameras) if i % 8]
-    _, peaks, _ = scores.contribution(scene, train, Rasterizer(), render_options(scene))
+    _, peaks, _ = scores.contribution(ViewedScene.of(scene, train))
     assert 10 < result["count"] == (peaks >= 0.3).sum() < 200
     assert result["first_cut"] == tiny_dataset.COUNT - result["count"]
     assert np.array_equal(read_ply(tmp_path / "o.ply").means, scene.means[peaks >= 0.3])

@@ -15,6 +15,7 @@ from svrgs_addon.files.registry import read_scene, write_scene
 from svrgs_addon.files.sh_rounding import ELSEWHERE, SeenFrom, without_bands
 from svrgs_addon.finetune.decimate.order import order_of, visibility_sums
 from svrgs_addon.finetune.decimate.saved_order import read_order, write_order
+from svrgs_addon.finetune.viewed_scene import ViewedScene
 from svrgs_addon.native.rasterizer import Rasterizer
 from svrgs_addon.prune.options import PruneOptions
 from svrgs_addon.prune.pipeline import prune_scene
@@ -142,7 +143,7 @@ def test_a_checkpoint_of_another_degree_is_refused(tiny, tmp_path):
 def test_the_order_of_a_result_with_fewer_bands_shows_no_more_of_them(tmp_path):
     scene, rasterizer = ball(400), Rasterizer()
     scene = replace(scene, sh=random_scene(400).sh)
-    sums, _ = visibility_sums(scene, CAMERAS, rasterizer, render_options(scene))
+    sums, _ = visibility_sums(ViewedScene(scene, CAMERAS, rasterizer, render_options(scene)))
     write_order(tmp_path, order_of(fewer_bands(scene, 1, CAMERAS), sums, 50), np.arange(400), 400, 1.0)
     assert read_order(tmp_path, scene).at(300).sh_degree == 1
 

@@ -17,7 +17,7 @@ from svrgs_addon.files.registry import read_scene, write_scene
 from svrgs_addon.finetune.decimate.order import order_of, visibility_sums
 from svrgs_addon.finetune.quality import best_share
 from svrgs_addon.finetune.refit import TrainingView, middle_scale, pace_for, refit
-from svrgs_addon.finetune.saliency import reduced
+from svrgs_addon.finetune.viewed_scene import ViewedScene, reduced
 from svrgs_addon.native.rasterizer import VISIBILITY, Rasterizer
 from svrgs_addon.prune.blocks.block_rasterizer import BlockRasterizer
 from svrgs_addon.prune.blocks.divided import Divided, divide, scene_of
@@ -89,9 +89,7 @@ def test_scores_hardly_depend_on_the_parts_of_a_picture(source, cameras, whole, 
 
 
 def test_scores_are_what_the_views_see_of_the_scene_in_memory(source, cameras, whole):
-    expected, _ = visibility_sums(
-        read_scene(source), reduced(cameras), Rasterizer(), render_options(read_scene(source)), pictures=False
-    )
+    expected, _ = visibility_sums(ViewedScene.of(read_scene(source), reduced(cameras)), pictures=False)
     scores = visibility(whole[1])
     # without Gaussians that are not blended, T rounds in another way, and a ray may stop one Gaussian later
     last = {"pixels": 1, "transmittance": 2e-4}
@@ -198,7 +196,7 @@ def test_blocks_and_formats_change_the_result_little(ordered, source, cameras, t
         return likeness.psnr(divide(tmp_path / name, tmp_path / f"{name}.blocks"))
 
     scene = read_scene(source)
-    sums, _ = visibility_sums(scene, reduced(cameras), Rasterizer(), render_options(scene), pictures=False)
+    sums, _ = visibility_sums(ViewedScene.of(scene, reduced(cameras)), pictures=False)
     write_scene(tmp_path / "memory.ply", order_of(scene, sums, COUNT // 4).at(COUNT // 4))
     undivided = likeness.psnr(divide(tmp_path / "memory.ply", tmp_path / "memory"))
     exact, packed = psnr_of("a.ply"), psnr_of("a.spz")

@@ -160,7 +160,7 @@ def test_the_target_of_masks_is_of_the_own_gaussians(tiny, data, target):
 def run_of(scene: Scene, data: Dataset, plan: Plan) -> Model:
     """What is left after all steps, on a SIMD level that gives the same on every processor that has it."""
     level = "baseline" if "baseline" in supported_levels() else "neon"
-    return to_the_end(Run(Model.of(scene), data, plan, NativeEngine(level), scene.antialiased)).model
+    return to_the_end(Run(Model.of(scene), data, plan, NativeEngine(level))).model
 
 
 @pytest.mark.slow

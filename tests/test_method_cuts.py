@@ -24,6 +24,7 @@ from svrgs_addon.finetune.model import MASK, Model
 from svrgs_addon.finetune.penalties import EffectiveRank
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.settings import Densify
+from svrgs_addon.finetune.viewed_scene import ViewedScene
 from svrgs_addon.native.rasterizer import RenderOptions
 from svrgs_addon.scene.gaussians import PARAMETERS
 from weights_of_pixels import expected_dominance, expected_slopes, weights
@@ -77,12 +78,11 @@ def test_gaussianpop_removes_in_looks_what_really_changes_the_pictures_least():
         expected = np.isin(
             np.arange(24), np.argsort(-errors, kind="stable")[: round(24 * 0.25 ** (look / PASSES))]
         )
-    r = rasterizer("float64")
-    double = Model.of(scene, np.float64)
-    kept = METHODS["gaussianpop"].cut(double, CAMERAS, r, OPTIONS, 6)
+    double = ViewedScene(Model.of(scene, np.float64), CAMERAS, rasterizer("float64"), OPTIONS)
+    kept = METHODS["gaussianpop"].cut(double, 6)
     assert kept.sum() == 6 and (kept == expected).all()
     assert not kept[once].all(), "one look would have kept the same: the test shows nothing"
-    assert METHODS["gaussianpop"].cut(double, CAMERAS, r, OPTIONS, 100).all()
+    assert METHODS["gaussianpop"].cut(double, 100).all()
 
 
 # --- methods with events
@@ -108,7 +108,7 @@ def test_speedy_keeps_the_largest_slopes():
     """One cut, against autograd on the float64 reference (test_native_dominance.py)."""
     scene = faint_scene(30, 4)
     expected = sum(expected_slopes(scene, np.ones(30), camera) for camera in CAMERAS)
-    found = scores.slopes(Model.of(scene, np.float64), CAMERAS, rasterizer("float64"), OPTIONS)
+    found = scores.slopes(ViewedScene(Model.of(scene, np.float64), CAMERAS, rasterizer("float64"), OPTIONS))
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12 * expected.max())
     data = replace(photographed(scene), cameras=CAMERAS, train_indices=[0, 1])
     run = Run(
@@ -237,7 +237,8 @@ def test_importance_is_that_of_mini_splatting(by_area):
         expected += np.where(dominant > 0, sums / np.maximum(pixels, 1), 0) if by_area else sums
         dominated += dominant
     expected[dominated == 0] = 0
-    found = scores.importance(Model.of(scene, np.float64), CAMERAS, rasterizer("float64"), OPTIONS, by_area)
+    viewed = ViewedScene(Model.of(scene, np.float64), CAMERAS, rasterizer("float64"), OPTIONS)
+    found = scores.importance(viewed, by_area)
     assert 5 < (expected == 0).sum() < 55
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
 
@@ -246,12 +247,12 @@ def test_importance_is_that_of_mini_splatting(by_area):
 def test_minisplatting_draws_half_then_keeps_99_percent_of_the_importance(method):
     scene = scenes.random_scene(600, 3, 1, scale=0.1, opacity=-1.0)
     run = run_with(method, scene)
-    value = scores.importance(run.model, CAMERAS, run.rasterizer, OPTIONS, method.endswith("outdoor"))
+    value = scores.importance(run.viewed, method.endswith("outdoor"))
     drawn = run.method.event(run, 1)
     assert drawn.sum() == (value > 0).sum() // 2 and (value[drawn] > 0).all()
     assert (drawn == run.method.event(run, 1)).all(), "the same seed draws the same"
     run.model.keep(drawn)
-    value = scores.importance(run.model, CAMERAS, run.rasterizer, OPTIONS, method.endswith("outdoor"))
+    value = scores.importance(run.viewed, method.endswith("outdoor"))
     kept = run.method.event(run, 2)
     assert 0 < kept.sum() < len(kept) and value[kept].min() > value[~kept].max()
     lost = value[~kept].sum() / value.sum()

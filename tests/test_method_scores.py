@@ -20,8 +20,9 @@ from svrgs_addon.finetune.methods import METHODS, lightgaussian, method_named
 from svrgs_addon.finetune.model import Model
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.settings import Densify
+from svrgs_addon.finetune.viewed_scene import ViewedScene
 from svrgs_addon.native.rasterizer import RenderOptions
-from svrgs_addon.scene.gaussians import PARAMETERS, Scene
+from svrgs_addon.scene.gaussians import PARAMETERS
 
 # of torch itself, where it differentiates forward
 pytestmark = pytest.mark.filterwarnings("ignore:.torch.jit.script")
@@ -60,11 +61,11 @@ def test_scores_are_those_of_the_reference(level):
         expected[0] += (alpha * T).sum(axis=0)
         expected[1] = np.maximum(expected[1], (alpha * T).max(axis=0))
         expected[2] += opacity * T.sum(axis=0)
-    arguments = scene, CAMERAS, r, RenderOptions()
+    viewed = ViewedScene(scene, CAMERAS, r, RenderOptions())
     found = (
-        METHODS["contribution"].score(*arguments),
-        METHODS["max-contribution"].score(*arguments),
-        scores.significance(*arguments),
+        METHODS["contribution"].score(viewed),
+        METHODS["max-contribution"].score(viewed),
+        scores.significance(viewed),
     )
     bounds = (1e-13, 1e-7, 1e-13) if level == "float64" else (2e-6,) * 3  # the maximum is kept in float32
     for value, wanted, bound in zip(found, expected, bounds, strict=True):
@@ -142,7 +143,7 @@ def test_pup_ranks_by_the_determinant_over_all_views():
     scene = small_scene(np.float64)
     expected = sum(map(expected_sensitivities, ("front", "rolled")))
     found = sensitivity.log_determinants(
-        scene, CAMERAS, rasterizer("float64"), RenderOptions(background=BACKGROUND)
+        ViewedScene(scene, CAMERAS, rasterizer("float64"), RenderOptions(background=BACKGROUND))
     )
     sign, log_det = np.linalg.slogdet(expected)
     sure = (sign > 0) & (np.linalg.cond(expected) < 1e10)
@@ -179,11 +180,11 @@ def test_methods_that_rank_keep_the_highest(method):
     moved = Run(after, dataset, replace(settings, method=method_named("3dgs")), NativeEngine())
     moved.advance()
     moved.close()
-    score = METHODS[method].score(moved.model, dataset.cameras, moved.engine.rasterizer, RenderOptions())
+    score = METHODS[method].score(replace(moved.viewed, cameras=dataset.cameras))
     assert sorted(run.model.origin) == sorted(np.argsort(-score, kind="stable")[:25])
 
 
 def test_scene_is_accepted_as_well_as_model():
-    scene: Scene = scenes.random_scene(20, 4, 1)
+    viewed = ViewedScene(scenes.random_scene(20, 4, 1), CAMERAS, rasterizer(LEVELS[0]), RenderOptions())
     for method in set(RANKED) - {"merge"}:
-        assert METHODS[method].score(scene, CAMERAS, rasterizer(LEVELS[0]), RenderOptions()).shape == (20,)
+        assert METHODS[method].score(viewed).shape == (20,)

@@ -73,7 +73,7 @@ def test_the_most_important_come_first():
     assert sorted(order) == list(range(40))
     kept = np.ones(40, bool)
     for size in smaller_sizes(40, SMALLEST):
-        error = removal_errors(run.model, run.training_cameras, run.rasterizer, run.score_options, kept)
+        error = removal_errors(run.viewed, kept)
         first = np.isin(np.arange(40), order[:size])
         assert kept[first].all() and error[first].min() >= error[kept & ~first].max(initial=0)
         kept = first

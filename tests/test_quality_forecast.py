@@ -11,6 +11,7 @@ from svrgs_addon.files.ply import read_ply
 from svrgs_addon.finetune import scores
 from svrgs_addon.finetune.methods import METHODS
 from svrgs_addon.finetune.quality import psnr_after, psnr_removed
+from svrgs_addon.finetune.viewed_scene import ViewedScene
 from svrgs_addon.jobs.estimate import estimate
 from svrgs_addon.native.rasterizer import Rasterizer
 from svrgs_addon.prune import quality_forecast
@@ -48,7 +49,7 @@ def scene(trained):
 
 @pytest.fixture(scope="module")
 def ranking(scene, data) -> np.ndarray:
-    return scores.contribution(scene, data.cameras, Rasterizer(), render_options(scene))[1]
+    return scores.contribution(ViewedScene.of(scene, data.cameras))[1]
 
 
 def foreseen(scene, data, ranking, share: float, plan=PLAN):

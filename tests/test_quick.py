@@ -16,12 +16,11 @@ from svrgs_addon.files.registry import read_scene
 from svrgs_addon.files.streamed_sog import read_level
 from svrgs_addon.finetune.decimate.order import order_of, visibility_sums
 from svrgs_addon.finetune.refit import interpolated
-from svrgs_addon.native.rasterizer import Rasterizer
+from svrgs_addon.finetune.viewed_scene import ViewedScene
 from svrgs_addon.prune import pipeline, smallest_file
 from svrgs_addon.prune.context import JobContext
 from svrgs_addon.prune.options import PruneOptions
 from svrgs_addon.prune.recipes.quick import Quick
-from svrgs_addon.render.metrics.evaluate import render_options
 from svrgs_addon.render.metrics.measures import psnr
 from svrgs_addon.scene.affine import scaled
 from svrgs_addon.scene.gaussians import Scene
@@ -45,9 +44,10 @@ def run(path, **more) -> dict:
 
 @pytest.fixture(scope="module")
 def ordered():
-    scene, rasterizer = ball(), Rasterizer()
-    sums, pictures = visibility_sums(scene, cameras_around(scene, 12, 128), rasterizer, render_options(scene))
-    return scene, order_of(scene, sums, 50), pictures, rasterizer
+    scene = ball()
+    viewed = ViewedScene.of(scene, cameras_around(scene, 12, 128))
+    sums, pictures = visibility_sums(viewed)
+    return scene, order_of(scene, sums, 50), pictures, viewed
 
 
 def test_more_than_there_are_keeps_all_that_can_be_seen(splat):
@@ -75,10 +75,8 @@ def test_an_order_gives_every_number(ordered):
 
 
 def test_pictures_that_nobody_wants_are_not_rendered(ordered):
-    scene, _, pictures, rasterizer = ordered
-    cameras, options = cameras_around(scene, 12, 128), render_options(scene)
-    with_pictures = visibility_sums(scene, cameras, rasterizer, options)
-    without = visibility_sums(scene, cameras, rasterizer, options, pictures=False)
+    _, _, pictures, viewed = ordered
+    with_pictures, without = visibility_sums(viewed), visibility_sums(viewed, pictures=False)
     assert len(pictures) == 12 and without[1] == [] and (with_pictures[0] == without[0]).all()
 
 
@@ -91,12 +89,12 @@ def test_the_whole_scene_is_the_original(ordered):
 
 
 def test_merging_keeps_the_pictures_better_than_removing_the_faintest(ordered):
-    scene, order, pictures, rasterizer = ordered
-    cameras, options = cameras_around(scene, 12, 128), render_options(scene)
+    scene, order, pictures, viewed = ordered
     chosen = np.random.default_rng(0).permutation(scene.count)[:500]
 
     def quality(small: Scene) -> float:
-        images = (rasterizer.forward(small, camera, options)["rgb"].clip(0, 1) for camera in cameras)
+        rendered = replace(viewed, scene=small).rendered(outputs=("rgb",))
+        images = (found["rgb"].clip(0, 1) for _, found in rendered)
         return float(
             np.mean(
                 [psnr(image, picture.clip(0, 1)) for image, picture in zip(images, pictures, strict=True)]

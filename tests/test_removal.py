@@ -19,6 +19,7 @@ from svrgs_addon.finetune.model import Model
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.saliency import SHARE, removal_errors, saliency, views_that_see
 from svrgs_addon.finetune.settings import Rates, rates_for
+from svrgs_addon.finetune.viewed_scene import ViewedScene
 from svrgs_addon.native.rasterizer import Rasterizer, RenderOptions
 from svrgs_addon.system.errors import SceneError
 
@@ -42,7 +43,7 @@ def test_saliency_is_the_removal_error_over_the_mask_penalty():
     camera = scenes.camera(41, 31)
     r, options = Rasterizer("float64"), RenderOptions(mask_kind="svr")
     double = Model.of(scene, np.float64)
-    found = saliency(double, [camera], r, options)
+    found = saliency(ViewedScene(double, [camera], r, options))
     whole = {
         name: image.copy()
         for name, image in r.forward(double, camera, options, outputs=("rgb", "mask", "hits")).items()
@@ -63,7 +64,7 @@ def test_saliency_is_the_removal_error_over_the_mask_penalty():
 
 def test_as_many_stay_as_have_a_saliency_above_lambda():
     look = run_of(prune_settings("removal", 40, 0))
-    value = np.sort(saliency(look.model, look.training_cameras, look.engine.rasterizer, look.score_options))
+    value = np.sort(saliency(look.viewed))
     limit = float(value[COUNT - 23 : COUNT - 21].mean())  # between the 22nd and the 23rd
     assert counts_of(run_of(prune_settings("removal", 40, 5, lambda_f=limit)))[-1] == 22
 
@@ -86,7 +87,7 @@ def test_those_of_lowest_removal_error_go_first(monkeypatch):
     run.close()
     other = run_of(replace(prune_settings("3dgs", 0, 1)))
     other.advance()  # the same step, at another rate of the opacities
-    errors = removal_errors(other.model, other.training_cameras, other.engine.rasterizer, other.score_options)
+    errors = removal_errors(other.viewed)
     other.close()
     lowest = other.model.origin[np.argsort(errors)[: COUNT - len(left)]]
     assert 0 < len(lowest) < COUNT / 2 and len(left & set(lowest)) <= 1
@@ -188,7 +189,7 @@ def test_opacities_are_lowered_before_the_first_step_but_not_of_what_no_view_see
     scene, data = scene_and_data()
     scene.means[:3] += 1_000
     run = Run(Model.of(scene), data, replace(prune_settings("removal", 240, 0), target=15), NativeEngine())
-    seen = views_that_see(run.model, run.training_cameras, run.engine.rasterizer, run.score_options)
+    seen = views_that_see(run.viewed)
     assert not seen[:3].any() and seen[3:].all()
     run._prepare(*run.phase())
     before, after = (

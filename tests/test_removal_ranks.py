@@ -14,6 +14,7 @@ import pytest
 from svrgs_addon.files.ply import read_ply, write_ply
 from svrgs_addon.finetune.saliency import removal_errors
 from svrgs_addon.finetune.scores import top
+from svrgs_addon.finetune.viewed_scene import ViewedScene
 from svrgs_addon.native import library
 from svrgs_addon.native.library import supported_levels
 from svrgs_addon.native.rasterizer import Rasterizer
@@ -40,8 +41,8 @@ def ranks(errors: np.ndarray) -> np.ndarray:
 
 def test_attributes_are_those_of_looks_at_single_views():
     scene = room(400)
-    rasterizer, options = Rasterizer(), render_options(scene)
-    views = np.array([removal_errors(scene, [camera], rasterizer, options) for camera in CAMERAS])
+    looks = [ViewedScene.of(scene, [camera]) for camera in CAMERAS]
+    views = np.array([removal_errors(look) for look in looks])
     found = measured(scene, CAMERAS)
     assert tuple(found) == NAMES and all(values.shape == (scene.count,) for values in found.values())
     errors, unseen = views.sum(axis=0), ~views.any(axis=0)
@@ -54,7 +55,7 @@ def test_attributes_are_those_of_looks_at_single_views():
     np.testing.assert_allclose(found["deciding_views"], expected, rtol=1e-5)
     moved = np.abs(ranks(views[::2].sum(axis=0)) - ranks(views[1::2].sum(axis=0)))
     np.testing.assert_allclose(found["rank_spread_views"], moved, atol=1e-6)
-    full = sum(removal_errors(scene, [camera], rasterizer, options, reduction=1) for camera in CAMERAS)
+    full = sum(removal_errors(look, reduction=1) for look in looks)
     np.testing.assert_allclose(found["rank_spread_size"], np.abs(ranks(errors) - ranks(full)), atol=1e-6)
     assert found["rank_spread_precision"].max() <= 2 / scene.count
 
@@ -91,9 +92,10 @@ def test_every_level_and_any_number_of_threads_keep_the_same_gaussians(reduction
         rasterizer = Rasterizer(level)
         arrays = {name: np.asarray(getattr(scene, name), rasterizer.dtype) for name in PARAMETERS}
         own = SimpleNamespace(**arrays, count=scene.count)
+        viewed = ViewedScene(own, CAMERAS, rasterizer, render_options(scene))
         for threads in (1, 3) if level == supported_levels()[-1] else (2,):
             library.set_threads(threads)
-            errors = removal_errors(own, CAMERAS, rasterizer, render_options(scene), reduction=reduction)
+            errors = removal_errors(viewed, reduction=reduction)
             kept[level, threads] = [
                 top(errors, round(share * scene.count)) for share in (0.5, 0.25, 0.1, 0.05)
             ]

@@ -12,10 +12,9 @@ from scenes import ball
 from svrgs_addon.files.ply import read_ply, write_ply
 from svrgs_addon.finetune.decimate.order import order_of, visibility_sums
 from svrgs_addon.finetune.decimate.saved_order import MERGED, ORDER, read_order, write_order
-from svrgs_addon.native.rasterizer import Rasterizer
+from svrgs_addon.finetune.viewed_scene import ViewedScene
 from svrgs_addon.prune.options import PruneOptions
 from svrgs_addon.prune.pipeline import prune_scene
-from svrgs_addon.render.metrics.evaluate import render_options
 from svrgs_addon.scene.gaussians import PARAMETERS, Scene
 from svrgs_addon.system.errors import SplatError
 from svrgs_addon.views.rig.around import cameras_around
@@ -36,9 +35,7 @@ def ordered():
     scene.opacity_logits[::10] = -12
     rows = np.flatnonzero(np.arange(600) % 10)
     visible = scene.select(rows)
-    sums, _ = visibility_sums(
-        visible, cameras_around(visible, 12, 128), Rasterizer(), render_options(visible), pictures=False
-    )
+    sums, _ = visibility_sums(ViewedScene.of(visible, cameras_around(visible, 12, 128)), pictures=False)
     return scene, rows, order_of(visible, sums, 7)
 
 

@@ -225,9 +225,7 @@ def test_haze_hangs_before_cameras_and_thin_things_do_not():
     air = np.array([[0.14, 0.14, 3.0], [3.2, -0.1, 0.05]])
     scene = with_points(with_points(solid(), rod, np.log(0.02)), air, np.log(0.15), logits=-2.0)
     cameras = ring(12)
-    mask = haze.hangs_before_cameras(scene, cameras, Rasterizer(), render_options(scene))
+    mask = haze.hangs_before_cameras(scene, cameras)
     assert mask[-2:].all() and not mask[:-2].any()
-    assert not haze.hangs_before_cameras(
-        scene, cameras[: haze.LEAST_VIEWS - 1], Rasterizer(), render_options(scene)
-    ).any()
+    assert not haze.hangs_before_cameras(scene, cameras[: haze.LEAST_VIEWS - 1]).any()
     assert criteria.floaters(scene, cameras)[-2:].all()

@@ -110,15 +110,13 @@ def test_a_method_foresees_its_looks(method, data, tiny, monkeypatch):
     """As many as score() is called in a run, each over all training views, and views_that_see()."""
     plan, calls = prune_settings(method, 120, 10, target=60), []
     cls, scene = type(plan.method), read_ply(tiny.splat)
-    score = lambda self, scene, cameras, *rest, score=cls.score: (
-        calls.append(len(cameras)) or score(self, scene, cameras, *rest)
-    )
+    score = lambda self, viewed, score=cls.score: calls.append(len(viewed.cameras)) or score(self, viewed)
     monkeypatch.setattr(cls, "score", score)
-    seen = lambda scene, cameras, *rest: calls.append(len(cameras)) or views_that_see(scene, cameras, *rest)
+    seen = lambda viewed: calls.append(len(viewed.cameras)) or views_that_see(viewed)
     monkeypatch.setattr(removal, "views_that_see", seen)
     run = Run(Model.of(scene), data, plan, NativeEngine())
     if plan.method.ranks:
-        plan.method.cut(scene, run.training_cameras, run.rasterizer, run.score_options, 60)
+        plan.method.cut(replace(run.viewed, scene=scene), 60)
     to_the_end(run)
     foreseen = plan.method.ranking_passes(plan, 0 if plan.method.ranks else 120, 60 / scene.count)
     assert calls == [len(data.train_indices)] * len(foreseen) and bool(foreseen) == (method in LOOKING)

@@ -16,7 +16,7 @@ from plans import prune_settings, train_settings
 from svrgs_addon.files.ply import read_ply, write_ply
 from svrgs_addon.files.registry import invisible, load_scene
 from svrgs_addon.finetune import scores
-from svrgs_addon.native.rasterizer import Rasterizer, RenderOptions
+from svrgs_addon.finetune.viewed_scene import ViewedScene
 from svrgs_addon.prune.context import JobContext
 from svrgs_addon.prune.recipes import fine_tuned
 from svrgs_addon.system.errors import SceneError
@@ -77,7 +77,7 @@ def test_the_first_cut_is_that_of_one_look_after_the_other(tiny, data, method, m
         (min_contribution, target),
         (np.inf, target if method == "contribution" else left.count),
     ):
-        score, peaks, _ = scores.contribution(left, views, Rasterizer(), RenderOptions())
+        score, peaks, _ = scores.contribution(ViewedScene.of(left, views))
         left = left.select((peaks >= limit) | scores.top(peaks if np.isfinite(limit) else score, count))
     cut = fine_tuned.first_scene(scene, data, settings)
     assert 0 < cut.count < scene.count

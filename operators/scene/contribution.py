@@ -8,9 +8,8 @@ from bpy.app.translations import pgettext_iface as tr
 from bpy.props import EnumProperty
 
 from ...svrgs_addon.finetune.scores import contribution
-from ...svrgs_addon.native.rasterizer import Rasterizer
+from ...svrgs_addon.finetune.viewed_scene import ViewedScene
 from ...svrgs_addon.prune.selection.measure import RANK, VIEW, measured, summary
-from ...svrgs_addon.render.metrics.evaluate import render_options
 from ...svrgs_addon.scene.camera import Camera
 from ...svrgs_addon.scene.gaussians import Scene
 from ...svrgs_addon.system.errors import SceneError
@@ -74,7 +73,7 @@ class SVRGS_OT_contribution(CamerasOperator):
     )
 
     def measure(self, context, scene, cameras):
-        sums, _, hits = contribution(scene, cameras, Rasterizer(), render_options(scene))
+        sums, _, hits = contribution(ViewedScene.of(scene, cameras))
         self.store(context, {ATTRIBUTE: sums.astype("float32")}, ATTRIBUTE)
         text = tr("{unseen:,} of {count:,} Gaussians add nothing to {images:,} images")
         return text.format(unseen=int((hits == 0).sum()), count=scene.count, images=len(cameras))

@@ -63,6 +63,11 @@ class Model:
         return self.values["means"].dtype
 
     @property
+    def antialiased(self) -> bool:
+        """Whether the source scene was trained with the filter of Mip-Splatting."""
+        return self.metadata.get("antialiased", False)
+
+    @property
     def learns_masks(self) -> bool:
         return MASK in self.values
 

@@ -33,7 +33,7 @@ def nested_order(run: RunView) -> np.ndarray:
     model = run.model
     within, kept = np.zeros(model.count, np.int64), np.ones(model.count, bool)
     for size in smaller_sizes(model.count, run.plan.nested):
-        error = removal_errors(model, run.training_cameras, run.rasterizer, run.score_options, kept)
+        error = removal_errors(run.viewed, kept)
         kept = top(np.where(kept, error, -1), size)
         within += kept
     place = np.empty(model.count, np.int64)

@@ -56,7 +56,7 @@ class RecoveryPruning:
         spare = now - (self.start - run.plan.max_loss)
         if spare <= 0:
             return None
-        ranking = removal_errors(run.model, run.training_cameras, run.rasterizer, run.score_options)
+        ranking = removal_errors(run.viewed)
         share = self.recovered_share(now)
         kept = fewest_within(
             run, ranking, now - spare - min(spare * share / (1 - share), MEASURES[run.plan.measure].deepest)

@@ -9,6 +9,8 @@ smallest count of all spheres that meet it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ..native.library import thresholds
@@ -23,7 +25,7 @@ UNSEEN = 10_000.0  # footprint where no view sees the centre: everything near is
 BLOCK = 8_192  # spheres that are tested at a time
 
 
-def redundancy(model: Model, cameras: list[Camera]) -> np.ndarray:
+def redundancy(model: Model, cameras: Sequence[Camera]) -> np.ndarray:
     """The redundancy of each Gaussian, (N,) int64, at least 1."""
     n, counts = model.count, np.ones(model.count, np.int64)
     if n < 2:
@@ -49,7 +51,7 @@ def _meets(model: Model, rows: np.ndarray, others: np.ndarray, radii: np.ndarray
     return ((local / reach) ** 2).sum(axis=2) < 1
 
 
-def pixel_footprints(points: np.ndarray, cameras: list[Camera]) -> np.ndarray:
+def pixel_footprints(points: np.ndarray, cameras: Sequence[Camera]) -> np.ndarray:
     """(N,) float64: the smallest side of a pixel, world units, at points (N, 3), over all views with it."""
     smallest = np.full(len(points), UNSEEN)
     for camera in cameras:
@@ -64,7 +66,7 @@ def pixel_footprints(points: np.ndarray, cameras: list[Camera]) -> np.ndarray:
     return smallest
 
 
-def survivors(model: Model, cameras: list[Camera]) -> np.ndarray:
+def survivors(model: Model, cameras: Sequence[Camera]) -> np.ndarray:
     """(N,) bool: the Gaussians that stay by the published rule."""
     return stays(redundancy(model, cameras), sigmoid(model.opacity_logits, np))
 

@@ -16,7 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..native.rasterizer import Rasterizer, RenderOptions
+from ..native.rasterizer import RenderOptions
 from ..render.metrics.evaluate import mean_quality
 from ..scene.camera import Camera
 from ..scene.morton_order import morton_order
@@ -38,6 +38,7 @@ from .recovery_pruning import RecoveryPruning
 from .settings import MCMC, Densify, Phase
 from .strength_controller import controller_for
 from .view_order import ViewOrder
+from .viewed_scene import ViewedScene
 
 SMOOTHING = 0.05  # weight of the newest loss in the smoothed one
 # opacities recover for 1/3 of the steps between two resets; a reset with fewer steps left is skipped
@@ -69,9 +70,8 @@ class Run:
     its state.
     """
 
-    def __init__(self, model: Model, dataset: Dataset, plan: Plan, engine, antialiased: bool = False):
+    def __init__(self, model: Model, dataset: Dataset, plan: Plan, engine):
         self.model, self.dataset, self.plan, self.engine = model, dataset, plan, engine
-        self.antialiased = antialiased
         self.method = copy(plan.method)
         self.controller = controller_for(plan, self.method.learns_masks, self.method.largest_strength)
         self.recovery_pruning = RecoveryPruning() if plan.max_loss else None
@@ -238,7 +238,7 @@ class Run:
         s = self.plan
         kind = self.method.mask_kind if phase.active else "none"
         degree = number // phase.sh_every if phase.sh_every else 3
-        return RenderOptions(min(degree, 3), self.antialiased, s.full, kind, background=s.background)
+        return RenderOptions(min(degree, 3), self.model.antialiased, s.full, kind, background=s.background)
 
     # --- RunView: what methods and controllers read
 
@@ -251,11 +251,15 @@ class Run:
         return self.recovery_pruning.start if self.recovery_pruning else 0.0
 
     @property
-    def rasterizer(self) -> Rasterizer:
-        return self.engine.rasterizer
+    def viewed(self) -> ViewedScene:
+        options = RenderOptions(
+            antialiased=self.model.antialiased, full=self.plan.full, background=self.plan.background
+        )
+        return ViewedScene(self.model, self.training_cameras, self.engine.rasterizer, options)
 
     def quality(self, kept: np.ndarray | None) -> float:
-        what = self.model, self.dataset, quality_views(self.dataset), self.rasterizer, self.score_options
+        viewed = self.viewed
+        what = self.model, self.dataset, quality_views(self.dataset), viewed.rasterizer, viewed.options
         masks_of_kept = None if kept is None else kept.astype(np.uint8)
         if self.plan.measure == "lpips":
             self.part("measures LPIPS", self.iteration / self.plan.total)
@@ -279,12 +283,6 @@ class Run:
     def expected_count(self) -> float:
         logits, own = self.model.values[MASK], self.own
         return self.method.expected_count(logits if own is None else logits[own])
-
-    @property
-    def score_options(self) -> RenderOptions:
-        return RenderOptions(
-            antialiased=self.antialiased, full=self.plan.full, background=self.plan.background
-        )
 
     @property
     def training_cameras(self) -> list[Camera]:

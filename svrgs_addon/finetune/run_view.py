@@ -6,10 +6,9 @@ from typing import Protocol
 
 import numpy as np
 
-from ..native.rasterizer import Rasterizer, RenderOptions
-from ..scene.camera import Camera
 from .model import Model
 from .settings import Settings
+from .viewed_scene import ViewedScene
 
 Keep = np.ndarray | None  # (N,) bool, True for the Gaussians that stay; None: all
 
@@ -39,16 +38,9 @@ class RunView(Protocol):
         """quality(None) before the first step. 0 if the settings allow no loss: then it is not measured."""
 
     @property
-    def training_cameras(self) -> list[Camera]:
-        """The cameras of all training views."""
-
-    @property
-    def rasterizer(self) -> Rasterizer:
-        """The engine's rasteriser, for scores. The next step overwrites its buffers."""
-
-    @property
-    def score_options(self) -> RenderOptions:
-        """Options for scores: all SH bands, no spatial mask."""
+    def viewed(self) -> ViewedScene:
+        """The model in all training views, for scores: with all SH bands and no spatial mask, by the engine's
+        rasterizer, whose buffers the next step overwrites."""
 
     @property
     def own(self) -> Keep:

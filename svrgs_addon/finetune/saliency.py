@@ -17,28 +17,19 @@ needs the same memory and time. The paper charges by pixel.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from ..native.rasterizer import Rasterizer, RenderOptions
+from ..native.rasterizer import Rasterizer
 from ..scene.camera import Camera
-from ..scene.gaussians import Scene
-from ..views.reduced_photos import fitting_reduction
-from .model import Model
+from .viewed_scene import REDUCTION, ViewedScene
 
 SHARE = 4e-7  # share of an image that each Gaussian is charged for
-REDUCTION = 2  # views are rendered at half their size: nearly the same ranking in a fraction of the time
 
 
 def removal_errors(
-    scene: Scene | Model,
-    cameras: list[Camera],
-    rasterizer: Rasterizer,
-    options: RenderOptions,
-    kept: np.ndarray | None = None,
-    reduction: int = REDUCTION,
+    viewed: ViewedScene, kept: np.ndarray | None = None, reduction: int = REDUCTION
 ) -> np.ndarray:
     """Removal error of each Gaussian, (N,) float64: squared error of colours in 0..1, summed over views. 0
     for Gaussians that no view sees.
@@ -46,43 +37,33 @@ def removal_errors(
     kept: (N,) bool, the Gaussians that the scene is rendered with; the others have 0. None: all. reduction:
     of the pictures, per side.
     """
-    total, masks = np.zeros(scene.count), None if kept is None else kept.astype(np.uint8)
-    for view in reduced(cameras, reduction):
-        rasterizer.forward(scene, view, options, masks, outputs=())
-        total += _removal_error(rasterizer, view, scene.count)
+    total, masks = np.zeros(viewed.scene.count), None if kept is None else kept.astype(np.uint8)
+    for camera, _ in viewed.reduced(reduction).rendered(masks):
+        total += _removal_error(viewed.rasterizer, camera, len(total))
     return total
 
 
-def views_that_see(
-    scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions
-) -> np.ndarray:
+def views_that_see(viewed: ViewedScene) -> np.ndarray:
     """In how many views, at half size, the removal of each Gaussian would change a pixel, (N,) int64."""
-    views = np.zeros(scene.count, np.int64)
-    for view in reduced(cameras):
-        rasterizer.forward(scene, view, options, outputs=())
-        views += _removal_error(rasterizer, view, scene.count) > 0
+    views = np.zeros(viewed.scene.count, np.int64)
+    for camera, _ in viewed.reduced().rendered():
+        views += _removal_error(viewed.rasterizer, camera, len(views)) > 0
     return views
 
 
-def saliency(
-    scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions
-) -> np.ndarray:
+def saliency(viewed: ViewedScene) -> np.ndarray:
     """Saliency of each Gaussian, (N,) float64, in units of lambda_F. 0 for Gaussians that no view sees."""
-    n, options = scene.count, replace(options, mask_kind="svr")
+    n, rasterizer = viewed.scene.count, viewed.rasterizer
     removal_error, mask_penalty = np.zeros(n), np.zeros(n)
-    for view in reduced(cameras):
-        F = rasterizer.forward(scene, view, options, outputs=("mask",))["mask"]
-        removal_error += _removal_error(rasterizer, view, n)
+    masked = replace(viewed.reduced(), options=replace(viewed.options, mask_kind="svr"))
+    for camera, images in masked.rendered(outputs=("mask",)):
+        removal_error += _removal_error(rasterizer, camera, n)
         pixels = np.zeros(n, np.int64)
         rasterizer.add_scores(hits=pixels)
-        ids, d_masks = rasterizer.visible(), rasterizer.backward({"mask": 2 * F}, ("masks",))["masks"]
+        F, ids = images["mask"], rasterizer.visible()
+        d_masks = rasterizer.backward({"mask": 2 * F}, ("masks",))["masks"]
         mask_penalty[ids] += SHARE * d_masks / np.maximum(pixels[ids], 1)
     return np.divide(removal_error, mask_penalty, out=np.zeros(n), where=mask_penalty > 0)
-
-
-def reduced(cameras: Sequence[Camera], reduction: int = REDUCTION) -> list[Camera]:
-    """The cameras as views are scored: `reduction` times smaller per side, as far as that fits."""
-    return [camera.reduced(fitting_reduction(reduction, camera.width, camera.height)) for camera in cameras]
 
 
 def _removal_error(rasterizer: Rasterizer, view: Camera, count: int) -> np.ndarray:

@@ -6,74 +6,54 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..native.rasterizer import Rasterizer, RenderOptions
-from ..scene.camera import Camera
-from ..scene.gaussians import Scene
-from .model import Model
+from .viewed_scene import ViewedScene
 
 
-def contribution(
-    scene: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def contribution(viewed: ViewedScene) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of each Gaussian over all views, (N,) each: sum of alpha T (float64), largest alpha T (float32), pixels
     in which it is blended (int64)."""
-    sums, peaks, pixels, _ = _statistics(scene, cameras, rasterizer, options)
+    sums, peaks, pixels, _ = _statistics(viewed)
     return sums, peaks, pixels
 
 
-def significance(
-    scene: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions
-) -> np.ndarray:
+def significance(viewed: ViewedScene) -> np.ndarray:
     """Opacity times the sum of T over all pixels in which it is blended, (N,) float64 (LightGaussian)."""
-    *_, transmittance = _statistics(scene, cameras, rasterizer, options)
-    return transmittance / (1 + np.exp(-scene.opacity_logits.astype(np.float64)))
+    *_, transmittance = _statistics(viewed)
+    return transmittance / (1 + np.exp(-viewed.scene.opacity_logits.astype(np.float64)))
 
 
-def slopes(
-    scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions
-) -> np.ndarray:
+def slopes(viewed: ViewedScene) -> np.ndarray:
     """Sum over all views and pixels of the squared derivative of the colour, its channels summed, with
     respect to the value of the Gaussian at the pixel, (N,) float64 (Speedy-Splat)."""
-    return _sums(scene, cameras, rasterizer, options, rasterizer.add_slopes)
+    return _sums(viewed, viewed.rasterizer.add_slopes)
 
 
-def dominance(
-    scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions
-) -> np.ndarray:
+def dominance(viewed: ViewedScene) -> np.ndarray:
     """The number of pixels of all views in which the Gaussian has the largest alpha T, (N,) float64."""
-    return _sums(scene, cameras, rasterizer, options, rasterizer.add_dominance)
+    return _sums(viewed, viewed.rasterizer.add_dominance)
 
 
-def _sums(
-    scene: Scene | Model,
-    cameras: list[Camera],
-    rasterizer: Rasterizer,
-    options: RenderOptions,
-    add: Callable[[np.ndarray], None],
-) -> np.ndarray:
+def _sums(viewed: ViewedScene, add: Callable[[np.ndarray], None]) -> np.ndarray:
     """What add() adds for each view, (N,) float64."""
-    sums = np.zeros(scene.count)
-    for camera in cameras:
-        rasterizer.forward(scene, camera, options, outputs=())
+    sums = np.zeros(viewed.scene.count)
+    for _ in viewed.rendered():
         add(sums)
     return sums
 
 
-def importance(
-    scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions, by_area: bool
-) -> np.ndarray:
+def importance(viewed: ViewedScene, by_area: bool) -> np.ndarray:
     """Sum of alpha T over all pixels and views, (N,) float64; 0 for Gaussians that dominate no pixel
     (Mini-Splatting).
 
     by_area: the sum of each view is divided by its number of pixels, and only views in which the Gaussian
     dominates a pixel count.
     """
-    total, dominated, n = np.zeros(scene.count), np.zeros(scene.count, bool), scene.count
-    for camera in cameras:
+    n = viewed.scene.count
+    total, dominated = np.zeros(n), np.zeros(n, bool)
+    for _ in viewed.rendered():
         sums, pixels, dominant = np.zeros(n), np.zeros(n, np.int64), np.zeros(n)
-        rasterizer.forward(scene, camera, options, outputs=())
-        rasterizer.add_scores(sums, hits=pixels)
-        rasterizer.add_dominance(dominant)
+        viewed.rasterizer.add_scores(sums, hits=pixels)
+        viewed.rasterizer.add_dominance(dominant)
         total += np.where(dominant > 0, sums / np.maximum(pixels, 1), 0) if by_area else sums
         dominated |= dominant > 0
     return np.where(dominated, total, 0)
@@ -87,14 +67,11 @@ def drawn(score: np.ndarray, count: int, key: list[int]) -> np.ndarray:
         return top(np.log(score) + np.random.default_rng(key).gumbel(size=len(score)), count)
 
 
-def _statistics(
-    scene: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    n = scene.count
+def _statistics(viewed: ViewedScene) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    n = viewed.scene.count
     arrays = np.zeros(n), np.zeros(n, np.float32), np.zeros(n, np.int64), np.zeros(n)
-    for camera in cameras:
-        rasterizer.forward(scene, camera, options, outputs=())
-        rasterizer.add_scores(*arrays)
+    for _ in viewed.rendered():
+        viewed.rasterizer.add_scores(*arrays)
     return arrays
 
 

@@ -19,11 +19,11 @@ from __future__ import annotations
 import numpy as np
 
 from ..native.library import thresholds
-from ..native.rasterizer import MOMENTS, Rasterizer, RenderOptions
+from ..native.rasterizer import MOMENTS
 from ..scene.camera import Camera
 from ..scene.gaussians import Scene
 from ..scene.rotations import rotation_matrices
-from ..views.reduced_photos import fitting_reduction
+from .viewed_scene import ViewedScene
 
 REDUCTION = 4  # views are rendered at a quarter of their size, as published
 K2 = 2 * np.log(2)
@@ -34,15 +34,12 @@ _T = ("u", "v", "uu", "uv", "vv")
 _S = np.array([[MOMENTS.index("".join(sorted(a + b))) for b in _T] for a in _T])
 
 
-def log_determinants(
-    scene: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions
-) -> np.ndarray:
+def log_determinants(viewed: ViewedScene) -> np.ndarray:
     """log det H of each Gaussian, (N,) float64. -inf if H is singular: no pixel sees the Gaussian, or only
     pixels on one line do."""
+    scene, rasterizer = viewed.scene, viewed.rasterizer
     sums = np.zeros((scene.count, len(_UPPER[0])))
-    for camera in cameras:
-        view = camera.reduced(fitting_reduction(REDUCTION, camera.width, camera.height))
-        rasterizer.forward(scene, view, options, outputs=())
+    for view, _ in viewed.reduced(REDUCTION).rendered():
         ids, moments = rasterizer.visible(), rasterizer.moments()
         for start in range(0, len(ids), ROWS):
             rows = ids[start : start + ROWS]

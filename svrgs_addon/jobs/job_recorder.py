@@ -15,11 +15,10 @@ from ..files.images import to_bytes
 from ..files.registry import load_scene, read_scene, write_scene
 from ..finetune import loop, masks
 from ..finetune.run import Run
-from ..native.rasterizer import Rasterizer, RenderOptions
 from ..prune.context import JobContext
 from ..prune.disk_room import ROW
 from ..prune.report.pictures import png_bytes
-from ..render.metrics.evaluate import render_options
+from ..render.metrics.evaluate import picture_options
 from ..scene.gaussians import Scene
 from ..system.errors import FormatError, SceneError
 from ..system.exit_status import plain
@@ -116,9 +115,7 @@ class JobRecorder:
         camera = run.dataset.cameras[views[0]]
         camera = camera.reduced(max(1, -(-max(camera.width, camera.height) // PREVIEW_SIDE)))
         kept = masks.most_probable(run.model).astype(np.uint8) if run.model.learns_masks else None
-        options = RenderOptions(
-            antialiased=run.antialiased, background=run.plan.background, picture_only=True
-        )
+        options = picture_options(run.model, run.plan.background)
         name = f"previews/{iteration:07d}.png"
         rgb = run.engine.rasterizer.forward(run.model, camera, options, kept)["rgb"]
         write_bytes(self.folder / name, png_bytes(to_bytes(rgb)))
@@ -178,8 +175,7 @@ class PruneRecorder(JobRecorder):
         rank = np.zeros(self.count, np.float32)
         source = load_scene(self.folder / "scene.ply")
         source_rows = self._checked_rows(source.attributes.get(ROW))
-        options = render_options(source, self.run.plan.background)
-        rank[source_rows] = importance(source, self.run.dataset, Rasterizer(), options)
+        rank[source_rows] = importance(source, self.run.dataset, self.run.plan.background)
         if self.run.plan.nested:  # its rows are in the order of importance
             rank[rows] = np.linspace(1, 0, recovered.count, dtype=np.float32)
             recovered = recovered.select(np.argsort(rows))

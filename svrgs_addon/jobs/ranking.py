@@ -22,9 +22,11 @@ from ..files.atomic import write_arrays
 from ..finetune import scores
 from ..finetune.model import MASK
 from ..finetune.run import Run
+from ..finetune.viewed_scene import ViewedScene
 from ..scene.activation import opacities as sigmoid
 from ..scene.gaussians import Scene
 from ..system.errors import FormatError
+from ..views.dataset import Dataset
 
 ALIVE = np.iinfo(np.int32).max  # value of Ranking.dropped for Gaussians that are still in the model
 VIEWS = 32  # views for the order of Gaussians for which no mask was learned
@@ -113,11 +115,12 @@ class Ranking:
             self.probability[self._rows[self._origin]] = sigmoid(self._logits)
 
 
-def importance(scene: Scene, dataset, rasterizer, options) -> np.ndarray:
+def importance(scene: Scene, dataset: Dataset, background: tuple[float, float, float]) -> np.ndarray:
     """The rank of each Gaussian by its sum of alpha T over some training views, (N,) float32 from 0 (lowest)
     to 1."""
     views = dataset.train_indices[:: max(1, len(dataset.train_indices) // VIEWS)]
-    sums, _, _ = scores.contribution(scene, [dataset.cameras[i] for i in views], rasterizer, options)
+    viewed = ViewedScene.of(scene, [dataset.cameras[i] for i in views], background)
+    sums, _, _ = scores.contribution(viewed)
     ranks = np.empty(scene.count, np.float32)
     ranks[np.argsort(sums, kind="stable")] = np.linspace(0, 1, scene.count, dtype=np.float32)
     return ranks

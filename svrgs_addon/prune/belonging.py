@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 from ..files.images import to_float
 from ..files.registry import invisible
 from ..finetune.decimate.order import hidden, visibility_sums
-from ..native.rasterizer import Rasterizer
-from ..render.metrics.evaluate import Renderable, Renderer, render_options
+from ..finetune.viewed_scene import ViewedScene
+from ..render.metrics.evaluate import Renderable, Renderer
 from ..render.metrics.explained import fit, mismatch, sample_views
 from ..render.metrics.measures import almost_empty
 from ..scene.camera import Camera, evenly
@@ -47,7 +47,7 @@ def seen_of(scene: Scene, cameras: Sequence[Camera]) -> Seen:
     drawn = ~invisible(scene)
     for most in (FIRST_LOOKED, MAX_LOOKED):
         some = [camera.fitted(LOOKED_SIDE) for camera in evenly(cameras, most)]
-        sums, _ = visibility_sums(scene, some, Rasterizer(), render_options(scene), pictures=False)
+        sums, _ = visibility_sums(ViewedScene.of(scene, some), pictures=False)
         seen = Seen(1 - hidden(sums[drawn]) / max(1, int(drawn.sum())), len(some))
         if seen.share >= MIN_SEEN or len(some) == len(cameras):
             break

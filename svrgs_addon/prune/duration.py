@@ -38,10 +38,10 @@ from ..finetune.run import Run
 from ..finetune.saliency import removal_errors
 from ..finetune.settings import MCMC, Phase
 from ..finetune.strength_controller import UPDATES
+from ..finetune.viewed_scene import ViewedScene
 from ..native import library
-from ..native.rasterizer import Rasterizer
 from ..render.metrics import worst
-from ..render.metrics.evaluate import BLOCKS, evaluate, mean_quality, render_options
+from ..render.metrics.evaluate import BLOCKS, evaluate, mean_quality
 from ..scene.gaussians import Scene
 from ..views.dataset import READER_THREADS, Dataset
 from ..views.rendered import RenderedDataset
@@ -169,13 +169,12 @@ def pace_of(scene: Scene, dataset: Dataset, plan: Plan, lpips: Callable | None =
     train = dataset.train_indices or list(range(len(dataset.cameras)))
     test = dataset.test_indices or dataset.train_indices
     shown, photograph = _read_some(dataset, spread(train))
-    views, rasterizer = spread(test)[:MEASURED], Rasterizer()
-    options = render_options(scene, dataset.background)
-    _read_some(dataset, views)
     ranked_views = [dataset.cameras[index] for index in spread(train)[:RANKED_VIEWS]]
+    views, viewed = spread(test)[:MEASURED], ViewedScene.of(scene, ranked_views, dataset.background)
+    rasterizer, options = viewed.rasterizer, viewed.options
+    _read_some(dataset, views)
     passes = bool(plan.method.ranking_passes(plan, max(1, plan.total), 1.0))
     look = plan.method.score if passes else removal_errors
-    ranking = lambda: look(scene, ranked_views, rasterizer, options)
     drawn = _seconds(lambda: mean_quality(scene, dataset, views, rasterizer, options)) / len(views)
     measure = lambda: evaluate(
         scene, dataset, views, rasterizer, lpips, plan.exposure == "on", plan.refine_poses == "on"
@@ -186,7 +185,9 @@ def pace_of(scene: Scene, dataset: Dataset, plan: Plan, lpips: Callable | None =
     step = _step(scene, replace(dataset, train_indices=shown), plan)
     return Pace(
         count=scene.count,
-        ranking=_seconds(ranking) * len(train) / len(ranked_views) if passes or plan.nested else 0.0,
+        ranking=_seconds(lambda: look(viewed)) * len(train) / len(ranked_views)
+        if passes or plan.nested
+        else 0.0,
         drawn=drawn,
         point=drawn * min(CURVE_VIEWS, len(dataset.test_indices)),
         measured=_seconds(measure, warm=True) / len(views),
@@ -270,7 +271,7 @@ def _step(scene: Scene, dataset: Dataset, plan: Plan) -> float:
     method = plan.method if plan.method.learns_masks else method_named("3dgs")
     same = {name: getattr(plan, name) for name in ("background", "exposure", "refine_poses")}
     steps = prune_plan(method, STEPS + 2, STEPS + 2, **same)
-    run = Run(Model.of(scene), dataset, steps, NativeEngine(), scene.antialiased)
+    run = Run(Model.of(scene), dataset, steps, NativeEngine())
     seconds: list[float] = []
     try:
         run.advance()

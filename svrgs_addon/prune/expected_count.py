@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from statistics import fmean
 from typing import NamedTuple
 
@@ -16,8 +17,9 @@ from ..finetune.methods.removal import Removal, floor_of_drop
 from ..finetune.plan import Plan
 from ..finetune.quality import MIN_SHARE, fewest, quality_views
 from ..finetune.saliency import saliency
+from ..finetune.viewed_scene import ViewedScene
 from ..native.rasterizer import Rasterizer
-from ..render.metrics.evaluate import picture_options, quality_of_view, render_options, rounded_to_8_bits
+from ..render.metrics.evaluate import picture_options, quality_of_view, rounded_to_8_bits
 from ..scene.camera import Camera, spaced
 from ..scene.gaussians import Scene
 from ..views.dataset import Dataset
@@ -49,13 +51,13 @@ class Seen(NamedTuple):
 
 def seen_by_some(scene: Scene, dataset: Dataset, plan: Plan) -> Seen:
     """What some training views see, as many as time allows."""
-    rasterizer, options = Rasterizer(), render_options(scene, dataset.background)
+    viewed = ViewedScene.of(scene, [], dataset.background)
     chosen = spread(_views(dataset))[: RANKING_VIEWS if plan.method.learns_masks else VIEWS]
     sums, hits = np.zeros(scene.count), np.zeros(scene.count, np.int64)
     peaks = np.zeros(scene.count, np.float32)
     views, end = 0, time.monotonic() + VIEW_SECONDS
     for index in chosen:
-        found = scores.contribution(scene, [_reduced(dataset.cameras[index])], rasterizer, options)
+        found = scores.contribution(replace(viewed, cameras=[_reduced(dataset.cameras[index])]))
         sums, peaks, hits = sums + found[0], np.maximum(peaks, found[1]), hits + found[2]
         views += 1
         if time.monotonic() > end:
@@ -86,7 +88,7 @@ def expected_order(plan: Plan, scene: Scene, dataset: Dataset, seen: Seen) -> np
 def _from_some(ranking: Callable, scene: Scene, dataset: Dataset) -> np.ndarray:
     """Saliency or removal error (N,), from some of the views."""
     views = [_reduced(dataset.cameras[index]) for index in spaced(_views(dataset), RANKING_VIEWS)]
-    return ranking(scene, views, Rasterizer(), render_options(scene, dataset.background))
+    return ranking(ViewedScene.of(scene, views, dataset.background))
 
 
 def _views(dataset: Dataset) -> list[int]:

@@ -9,8 +9,7 @@ import numpy as np
 from ..files.registry import invisible
 from ..finetune import scores
 from ..finetune.plan import Plan
-from ..native.rasterizer import Rasterizer
-from ..render.metrics.evaluate import render_options
+from ..finetune.viewed_scene import ViewedScene
 from ..scene.camera import Camera
 from ..scene.gaussians import Scene
 
@@ -25,7 +24,6 @@ def first_cut(
     """
     keep = ~invisible(scene) if among is None else among & ~invisible(scene)
     if plan.min_contribution:
-        options = render_options(scene, plan.background)
-        _, peaks, _ = scores.contribution(scene, list(views), Rasterizer(), options)
+        _, peaks, _ = scores.contribution(ViewedScene.of(scene, views, plan.background))
         keep &= (peaks >= plan.min_contribution) | scores.top(np.where(keep, peaks, -1), target)
     return keep

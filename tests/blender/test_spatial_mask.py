@@ -98,11 +98,9 @@ def test_contribution_is_the_score(stage, gaussians, room, camera):
     bpy.ops.svrgs.contribution(cameras="ACTIVE")
     values = np.empty(gaussians.count, np.float32)
     room.data.attributes["contribution"].data.foreach_get("value", values)
-    native = part("svrgs_addon.native.rasterizer")
     view = view_of(camera, stage).moved(room.matrix_world)
-    expected, _, _ = part("svrgs_addon.finetune.scores").contribution(
-        gaussians, [view], native.Rasterizer(), native.RenderOptions()
-    )
+    viewed = part("svrgs_addon.finetune.viewed_scene").ViewedScene.of(gaussians, [view])
+    expected, _, _ = part("svrgs_addon.finetune.scores").contribution(viewed)
     np.testing.assert_allclose(values, expected, rtol=1e-3, atol=1e-3)
 
 

@@ -15,10 +15,10 @@ import numpy as np
 
 from ...files.ply import NORMALS
 from ...native.decimation import REMOVED, Merges, decimate
-from ...native.rasterizer import VISIBILITY, Rasterizer, RenderOptions
-from ...scene.camera import Camera
+from ...native.rasterizer import VISIBILITY
 from ...scene.gaussians import PARAMETERS, Scene
 from ...system.errors import SceneError
+from ..viewed_scene import ViewedScene
 
 HIDDEN = 0.01  # mean transmittance up to which a Gaussian is hidden
 MOST_HIDDEN = 0.3  # share of the Gaussians that placed cameras may leave hidden
@@ -68,20 +68,13 @@ class Order:
         }
 
 
-def visibility_sums(
-    scene: Scene,
-    cameras: Sequence[Camera],
-    rasterizer: Rasterizer,
-    options: RenderOptions,
-    pictures: bool = True,
-) -> tuple[np.ndarray, list[np.ndarray]]:
+def visibility_sums(viewed: ViewedScene, pictures: bool = True) -> tuple[np.ndarray, list[np.ndarray]]:
     """What all views see of each Gaussian, (N, 9) float64 in the order of VISIBILITY, and the pictures (H, W,
     3) of the views, if they are wanted."""
-    sums, seen = np.zeros((scene.count, len(VISIBILITY))), []
-    for camera in cameras:
-        images = rasterizer.forward(scene, camera, options, outputs=("rgb",) if pictures else ())
-        seen += [images["rgb"]] if pictures else []
-        rasterizer.add_visibility(sums)
+    sums, seen = np.zeros((viewed.scene.count, len(VISIBILITY))), list[np.ndarray]()
+    for _, images in viewed.rendered(outputs=("rgb",) if pictures else ()):
+        seen += images.values()
+        viewed.rasterizer.add_visibility(sums)
     return sums, seen
 
 

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ...native.rasterizer import Rasterizer, RenderOptions
-from ...scene.camera import Camera
 from ...scene.gaussians import Scene
-from ..masks import refuse_emptying
 from ..model import Model
 from ..run_view import Keep, RunView
 from ..settings import Densify, Phase, Rates, Settings, rates_for, recovery_phase
+from ..viewed_scene import ViewedScene
 
 # the SH degree rises after so many steps of training; at least after this part of them
 SH_EVERY, SH_PARTS = 1_000, 7
@@ -48,6 +47,8 @@ class Method:
     # bound on the factor that strength_controller.py puts on lambda_F and lambda_m
     largest_strength: float = 1e4
     ranks: bool = False  # decides by score() alone
+    # what score() gives, unless a subclass defines that
+    ranking: Callable[[ViewedScene], np.ndarray] | None = field(default=None, repr=False)
     merges: bool = False  # its cut merges Gaussians, too
     supports_max_loss: bool = False  # --max-drop is allowed
     first_cut: bool = False  # `svrgs prune` starts by removing Gaussians whose alpha T is small in every view
@@ -141,30 +142,14 @@ class Method:
         """The expected number of Gaussians with these existence logits. Only where masks are learned."""
         raise NotImplementedError
 
-    def score(
-        self, scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions
-    ) -> np.ndarray:
+    def score(self, viewed: ViewedScene) -> np.ndarray:
         """The score of each Gaussian, (N,); the highest stay. Only where methods rank or cut in events."""
-        raise NotImplementedError
+        assert self.ranking is not None
+        return self.ranking(viewed)
 
-    def cut(
-        self,
-        scene: Scene | Model,
-        cameras: list[Camera],
-        rasterizer: Rasterizer,
-        options: RenderOptions,
-        count: int,
-    ) -> np.ndarray:
-        """(N,) bool: the `count` Gaussians that stay. Only methods that rank have it."""
-        raise NotImplementedError
-
-    def reduced(
-        self, scene: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions, count: int
-    ) -> Scene:
+    def reduced(self, viewed: ViewedScene, count: int) -> Scene:
         """The scene with `count` Gaussians, of methods that rank. Raises SceneError for almost none."""
-        keep = self.cut(scene, cameras, rasterizer, options, count)
-        refuse_emptying(keep, scene.count, count)
-        return scene.select(keep)
+        raise NotImplementedError
 
     # --- checkpoints
 

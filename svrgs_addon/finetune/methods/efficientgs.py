@@ -5,8 +5,11 @@ of 30 000."""
 from dataclasses import dataclass
 from typing import ClassVar
 
+import numpy as np
+
 from ..run_view import Keep, RunView
 from ..scores import contribution, dominance, top
+from ..viewed_scene import ViewedScene
 from .stepwise import Stepwise
 
 
@@ -14,14 +17,14 @@ from .stepwise import Stepwise
 class EfficientGS(Stepwise):
     EVENTS: ClassVar = (0.0, 0.2, 0.4)
 
-    def score(self, scene, cameras, rasterizer, options):
+    def score(self, viewed: ViewedScene) -> np.ndarray:
         """The number of dominated pixels; equal numbers are ranked by the sum of alpha T, a fraction."""
-        sums = contribution(scene, cameras, rasterizer, options)[0]
-        return dominance(scene, cameras, rasterizer, options) + sums / (1 + sums.max(initial=0))
+        sums = contribution(viewed)[0]
+        return dominance(viewed) + sums / (1 + sums.max(initial=0))
 
     def event(self, run: RunView, done: int) -> Keep:
         """With a target those of highest score stay: never fewer, and at the last event not more."""
-        score = self.score(run.model, run.training_cameras, run.rasterizer, run.score_options)
+        score = self.score(run.viewed)
         wanted = top(score, run.target)
         return wanted if run.target and done == len(self.EVENTS) else (score >= 1) | wanted
 

@@ -22,14 +22,12 @@ class GaussianPOP(Ranked):
         # Gaussians that are left out of a rendering take nearly as long
         return [(0.0, 1.0)] * (PASSES - 1) + [(0.0, share)]
 
-    def score(self, scene, cameras, rasterizer, options):
-        return removal_errors(scene, cameras, rasterizer, options)
-
-    def cut(self, scene, cameras, rasterizer, options, count):
+    def cut(self, viewed, count):
         """The number of Gaussians falls by the same ratio at each pass."""
-        kept, start = np.ones(scene.count, bool), scene.count
+        start = viewed.scene.count
+        kept = np.ones(start, bool)
         for number in range(1, PASSES + 1):
-            errors = removal_errors(scene, cameras, rasterizer, options, kept)
+            errors = removal_errors(viewed, kept)
             left = round(start * (min(count, start) / start) ** (number / PASSES))
             kept = top(np.where(kept, errors, -1.0), left)
         return kept
@@ -42,5 +40,6 @@ METHODS = (
         19,
         "GaussianPOP",
         source="GaussianPOP, arXiv 2602.06830",
+        ranking=removal_errors,
     ),
 )

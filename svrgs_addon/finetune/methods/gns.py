@@ -67,7 +67,7 @@ class GNS(Method):
 
     def budget(self, run: RunView) -> int:
         """With an allowed drop: the number, of highest saliency, that holds it before any learning."""
-        value = saliency(run.model, run.training_cameras, run.rasterizer, run.score_options)
+        value = saliency(run.viewed)
         return int(fewest_within(run, value, run.quality_before - run.plan.max_loss).sum())
 
     def prepare(self, run: RunView, phase: Phase, number: int):

@@ -19,11 +19,6 @@ VOLUME_POWER = 0.1
 VOLUME_RANK = 0.9  # rank of the volume that volumes are divided by, as a share
 
 
-class LightGaussian(Ranked):
-    def score(self, scene, cameras, rasterizer, options) -> np.ndarray:
-        return significance(scene, cameras, rasterizer, options) * volume_factor(scene.log_scales)
-
-
 def volume_factor(log_scales: np.ndarray) -> np.ndarray:
     """gamma (N,) float64 from log-scales (N, 3). Computed with logarithms, so that no volume underflows."""
     if not len(log_scales):
@@ -34,12 +29,13 @@ def volume_factor(log_scales: np.ndarray) -> np.ndarray:
 
 
 METHODS = (
-    LightGaussian(
+    Ranked(
         "lightgaussian",
         "removes, in one cut, the Gaussians of lowest significance (opacity, size, visibility)",
         13,
         "LightGaussian",
         share=0.34,
         source="LightGaussian, arXiv 2311.17245",
+        ranking=lambda viewed: significance(viewed) * volume_factor(viewed.scene.log_scales),
     ),
 )

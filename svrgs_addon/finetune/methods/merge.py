@@ -11,14 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...native.rasterizer import Rasterizer, RenderOptions
-from ...scene.camera import Camera, evenly
+from ...scene.camera import evenly
 from ...scene.gaussians import PARAMETERS, Scene
 from ..decimate.order import Order, order_of, visibility_sums
-from ..model import Model
 from ..refit import FASTER, LAST, POSITION, middle_scale, pace_at
 from ..run_view import Keep, RunView
 from ..settings import Phase, Rates
+from ..viewed_scene import ViewedScene
 from .base import Method
 
 MAX_VIEWS = 32  # training views in which the order is measured
@@ -52,38 +51,33 @@ class Merge(Method):
         falls = number // phase.rates.decay_every
         return rates | {"means": pace * POSITION * self.middle * phase.rates.decay**falls}
 
-    def reduced(self, scene, cameras, rasterizer, options, count) -> Scene:
-        count = min(count, scene.count)
-        self.kept = count / scene.count
-        return _order(scene, cameras, rasterizer, options, count).at(count)
+    def reduced(self, viewed: ViewedScene, count: int) -> Scene:
+        count = min(count, viewed.scene.count)
+        return self._order(viewed.scene, viewed, count).at(count)
 
     def final_mask(self, run: RunView) -> Keep:
         """The Gaussians that stay at the end of training; merged ones are added to the model."""
         model, count = run.model, min(run.target, run.model.count)
-        self.kept = count / model.count
-        order = _order(model, run.training_cameras, run.rasterizer, run.score_options, count)
-        rows, made = order.rows_at(count)
+        arrays = Scene.of(*(getattr(model, name) for name in PARAMETERS))
+        scene = replace(arrays, antialiased=model.antialiased)
+        rows, made = self._order(scene, run.viewed, count).rows_at(count)
         keep = np.zeros(model.count, bool)
         keep[rows] = True
         model.append(made)
         return np.concatenate([keep, np.ones(len(made["means"]), bool)])
+
+    def _order(self, scene: Scene, viewed: ViewedScene, count: int) -> Order:
+        """The order that leaves `count`, by some of the views, evenly spread in the list. viewed: has the
+        arrays of the scene."""
+        self.kept = count / scene.count
+        some = replace(viewed, cameras=evenly(viewed.cameras, MAX_VIEWS))
+        return order_of(scene, visibility_sums(some, pictures=False)[0], count)
 
     def state(self) -> dict:
         return {"middle": self.middle, "kept": self.kept}
 
     def restore(self, state: dict):
         self.middle, self.kept = state["middle"], state["kept"]
-
-
-def _order(
-    scene: Scene | Model, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions, least: int
-) -> Order:
-    """The order by some of the views, evenly spread in the list."""
-    if isinstance(scene, Model):
-        arrays = Scene.of(*(getattr(scene, name) for name in PARAMETERS))
-        scene = replace(arrays, antialiased=options.antialiased)
-    sums, _ = visibility_sums(scene, evenly(cameras, MAX_VIEWS), rasterizer, options, pictures=False)
-    return order_of(scene, sums, least)
 
 
 METHODS = (

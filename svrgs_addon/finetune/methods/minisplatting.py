@@ -10,6 +10,7 @@ import numpy as np
 
 from ..run_view import Keep, RunView
 from ..scores import drawn, importance
+from ..viewed_scene import ViewedScene
 from .stepwise import Stepwise
 
 SAMPLED = 0.5  # share of the Gaussians with an importance above 0 that the first simplification draws
@@ -24,15 +25,15 @@ class MiniSplatting(Stepwise):
     def ranking_passes(self, settings, steps, share):
         return [(0.0, share)] if settings.target else super().ranking_passes(settings, steps, share)
 
-    def score(self, scene, cameras, rasterizer, options):
-        return importance(scene, cameras, rasterizer, options, self.by_area)
+    def score(self, viewed: ViewedScene) -> np.ndarray:
+        return importance(viewed, self.by_area)
 
     def event(self, run: RunView, done: int) -> Keep:
         """With a target the first draws as many Gaussians, and the second does nothing."""
         first = run.model.count == self.count  # nothing is drawn yet
         if run.target and not first:
             return None
-        scores = self.score(run.model, run.training_cameras, run.rasterizer, run.score_options)
+        scores = self.score(run.viewed)
         if first:
             return drawn(
                 scores, run.target or int(SAMPLED * (scores > 0).sum()), [run.plan.seed, 5, run.iteration]

@@ -38,9 +38,6 @@ class POPSpa(Stepwise):
     def _pulls(self, phase: Phase, number: int) -> bool:
         return number % pull_every(phase.steps - self.begun(phase)) == 0
 
-    def score(self, scene, cameras, rasterizer, options):
-        return removal_errors(scene, cameras, rasterizer, options)
-
 
 def pull_every(steps: int) -> int:
     """The number of steps from one pull to the next."""
@@ -54,5 +51,6 @@ METHODS = (
         21,
         "POPSpa",
         source="POPSpa in KISS-GS, arXiv 2608.26948",
+        ranking=removal_errors,
     ),
 )

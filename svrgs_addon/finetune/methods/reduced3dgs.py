@@ -31,11 +31,11 @@ class Reduced3DGS(Stepwise):
 
     def after_densification(self, run: RunView, phase: Phase, number: int) -> Keep:
         due = phase.densify and number % (10 * EVERY) == 0 and number % phase.densify.reset_every
-        return survivors(run.model, run.training_cameras) if due else None
+        return survivors(run.model, run.viewed.cameras) if due else None
 
     def event(self, run: RunView, done: int) -> Keep:
         # with a target what the rule keeps comes first, then what has a higher opacity
-        keep = survivors(run.model, run.training_cameras)
+        keep = survivors(run.model, run.viewed.cameras)
         return (
             top(keep + sigmoid(run.model.opacity_logits, np), self.falling(run, done)) if run.target else keep
         )

@@ -37,6 +37,7 @@ from ..run_view import Keep, RunView
 from ..saliency import removal_errors, saliency, views_that_see
 from ..scores import top
 from ..settings import LARGEST, LARGEST_OF_POSITION, Phase, Rates, Settings, rates_for
+from ..viewed_scene import ViewedScene
 from .base import REMOVE, Method
 
 PASSES, FEWEST = 16, 4  # ranking passes in a long phase, and in a short one
@@ -64,10 +65,9 @@ AVERAGED = 0.25  # share of the recovery, its last steps, over which the values 
 
 @dataclass
 class Removal(Method):
-    """The method. ranking: what a pass measures."""
+    """The method. ranking: what a pass measures; the lowest are removed."""
 
-    # (scene, cameras, rasterizer, options) -> (N,); the lowest are removed
-    ranking: Callable = field(default=removal_errors, repr=False)
+    ranking: Callable[[ViewedScene], np.ndarray] = field(default=removal_errors, repr=False)
     lambda_f: float = 1e-4
     lambda_f_help: str = field(default="the saliency above which a Gaussian stays", repr=False)
     supports_max_loss: bool = True
@@ -122,7 +122,7 @@ class Removal(Method):
         an allowed drop: the fewest that are foreseen to hold it at the end of the run."""
         if run.plan.max_loss:
             return self.budget_of_drop(run)
-        value = saliency(run.model, run.training_cameras, run.rasterizer, run.score_options)
+        value = saliency(run.viewed)
         stays = value > run.plan.lambda_f
         stays = stays if run.protected is None else stays | run.protected
         masks.refuse_emptying(stays, run.initial_count)
@@ -130,7 +130,7 @@ class Removal(Method):
 
     def budget_of_drop(self, run: RunView) -> int:
         """The fewest Gaussians of highest rank that are foreseen to hold the allowed drop."""
-        rank = self.score(run.model, run.training_cameras, run.rasterizer, run.score_options)
+        rank = self.score(run.viewed)
         return int(fewest_within(run, rank, floor_of_drop(run.quality_before, run.plan)).sum())
 
     def prepare(self, run: RunView, phase: Phase, number: int):
@@ -138,8 +138,8 @@ class Removal(Method):
         if number == 1:
             self.lowered = _has_opaque(run.model)
             if self.lowered:
-                seen = views_that_see(run.model, run.training_cameras, run.rasterizer, run.score_options)
-                steps = phase.steps * seen.mean() / len(run.training_cameras)
+                seen = views_that_see(run.viewed)
+                steps = phase.steps * seen.mean() / len(run.viewed.cameras)
                 lowered = seen > 0 if run.protected is None else (seen > 0) & ~run.protected
                 lower_opacity(run.model, lowered, *lowering(steps))
 
@@ -154,12 +154,9 @@ class Removal(Method):
 
     def stays(self, run: RunView, done: float) -> np.ndarray:
         """The Gaussians that stay after a pass, (N,) bool. done: share of the passes, with this one."""
-        rank = self.score(run.model, run.training_cameras, run.rasterizer, run.score_options)
+        rank = self.score(run.viewed)
         rank = rank if run.protected is None else np.where(run.protected, np.inf, rank)
         return top(rank, round(self.count * (min(run.target, self.count) / self.count) ** sqrt(done)))
-
-    def score(self, scene, cameras, rasterizer, options) -> np.ndarray:
-        return self.ranking(scene, cameras, rasterizer, options)
 
     def ranking_passes(self, settings: Settings, steps: int, share: float) -> list[tuple[float, float]]:
         """The lowering and the budget of a drop take a pass each, that of lambda_F two."""

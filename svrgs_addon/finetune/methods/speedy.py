@@ -31,9 +31,6 @@ class Speedy(Stepwise):
         due = rule and any(number - rule.every < share * rule.until <= number for share in SOFT_CUTS)
         return self.highest(run, round(SOFT_KEPT * run.model.count)) if due else None
 
-    def score(self, scene, cameras, rasterizer, options):
-        return slopes(scene, cameras, rasterizer, options)
-
 
 METHODS = (
     Speedy(
@@ -42,5 +39,6 @@ METHODS = (
         20,
         "Speedy-Splat",
         source="Speedy-Splat, arXiv 2412.00578",
+        ranking=slopes,
     ),
 )

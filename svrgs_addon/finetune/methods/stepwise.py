@@ -15,8 +15,8 @@ from .base import Method, learning_phase
 
 @dataclass
 class Stepwise(Method):
-    """A subclass defines EVENTS, the shares of the phase after which it cuts, and score() or event(). In
-    training the shares are those of the steps that are left when densification ends."""
+    """A subclass defines EVENTS, the shares of the phase after which it cuts. In training the shares are
+    those of the steps that are left when densification ends."""
 
     EVENTS: ClassVar[tuple[float, ...]]
     count: int = 0  # state: number of Gaussians before the first event
@@ -55,7 +55,7 @@ class Stepwise(Method):
 
     def highest(self, run: RunView, count: int) -> np.ndarray:
         """(N,) bool: the `count` Gaussians of highest score."""
-        return top(self.score(run.model, run.training_cameras, run.rasterizer, run.score_options), count)
+        return top(self.score(run.viewed), count)
 
     def state(self) -> dict:
         return {"count": self.count}

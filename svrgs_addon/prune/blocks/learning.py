@@ -197,7 +197,7 @@ def _run(
     """The scene after all steps of the plan, and the rows of the block in it. The arrays of the given scene
     are changed. kept_at: folder of the checkpoints."""
     refuse_tuning(divided, number, scene, views.training_cameras, views.memory_budget)
-    run = Run(Model.of(scene, copy=False), views, plan, NativeEngine(), scene.antialiased)
+    run = Run(Model.of(scene, copy=False), views, plan, NativeEngine())
     identity = checkpoint.identity_of(run.model, views, plan, "native")
     try:
         checkpoint.restore(run, kept_at, identity)

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from ...files.atomic import check_space, write_array
-from ...finetune.saliency import reduced
+from ...finetune.viewed_scene import reduced
 from ...native.rasterizer import VISIBILITY, Rasterizer
 from ...render.metrics.evaluate import render_options
 from ...scene.camera import Camera

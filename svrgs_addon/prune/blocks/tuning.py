@@ -22,7 +22,7 @@ import numpy as np
 from ...files.atomic import write_json
 from ...files.reading import json_object
 from ...finetune.refit import TrainingView, interpolated, middle_scale, pace_for, refit
-from ...finetune.saliency import reduced
+from ...finetune.viewed_scene import reduced
 from ...native.rasterizer import Rasterizer
 from ...render.metrics.evaluate import picture_options, render_options
 from ...scene.camera import Camera, evenly

@@ -32,7 +32,8 @@ from ...finetune.model import Model
 from ...finetune.plan import Plan
 from ...finetune.quality import NOT_APART, hold_apart, quality_views
 from ...finetune.run import Run
-from ...native.rasterizer import Rasterizer, RenderOptions
+from ...finetune.viewed_scene import ViewedScene
+from ...native.rasterizer import Rasterizer
 from ...render.metrics.allowed_loss import MEASURES, format_loss, loss_notes, missed_loss, rounding_notes
 from ...render.metrics.evaluate import (
     evaluate,
@@ -96,7 +97,7 @@ class Tuned(Recipe):
     def tune(self):
         """All phases, with checkpoints."""
         job, plan, dataset = self.job, self.plan, self.dataset
-        run = Run(self.model, dataset, plan, make_engine(job.engine), self.model.metadata["antialiased"])
+        run = Run(self.model, dataset, plan, make_engine(job.engine))
         run.part = job.part
         if run.recovery_pruning:
             run.recovery_pruning.start = self.held
@@ -468,8 +469,7 @@ def first_scene(scene: Scene, dataset: Dataset, plan: Plan) -> Scene:
     # one selection, because two copies would raise the peak memory of the job
     scene = scene if keep.all() else scene.select(keep)
     if plan.method.ranks:
-        options = render_options(scene, plan.background)
-        scene = plan.method.reduced(scene, views, Rasterizer(), options, plan.target)
+        scene = plan.method.reduced(ViewedScene.of(scene, views, plan.background), plan.target)
     return fewer_bands(scene, plan.sh_degree, views)
 
 
@@ -489,5 +489,5 @@ def curve_psnr(run: Run) -> float | None:
         return None
     kept = run.method.current_mask(model) if model.learns_masks else None
     mask = None if kept is None else kept.astype(np.uint8)
-    options = RenderOptions(antialiased=run.antialiased, background=run.plan.background)
+    options = render_options(model, run.plan.background)
     return mean_quality(model, dataset, views, run.engine.rasterizer, options, mask)

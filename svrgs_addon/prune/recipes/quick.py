@@ -22,8 +22,8 @@ from ...finetune.decimate.order import MOST_HIDDEN, Order, hidden, lost_columns,
 from ...finetune.decimate.saved_order import write_order
 from ...finetune.quality import MIN_SHARE, best_share
 from ...finetune.refit import USUAL, TrainingView, interpolated, middle_scale, pace_at, refit
+from ...finetune.viewed_scene import ViewedScene
 from ...native.library import thresholds
-from ...native.rasterizer import Rasterizer
 from ...render.metrics.allowed_loss import loss_notes, missed_loss
 from ...render.metrics.evaluate import render_options
 from ...scene.affine import scaled
@@ -87,12 +87,13 @@ class Quick(Recipe):
 
     def rank(self):
         options, scene, job = self.options, self.scene, self.job
-        self.rasterizer, settings = Rasterizer(), render_options(scene, options.background)
-        sums, self.pictures = visibility_sums(self.enlarged, self.cameras, self.rasterizer, settings)
+        viewed = ViewedScene.of(self.enlarged, self.cameras, options.background)
+        self.rasterizer = viewed.rasterizer
+        sums, self.pictures = visibility_sums(viewed)
         if hidden(sums) > MOST_HIDDEN * scene.count:
             if (instead := job_views.quick_instead(options, self.enlarged)) is not None:
                 self.cameras, self.test, self.notes, _ = instead
-                sums, self.pictures = visibility_sums(self.enlarged, self.cameras, self.rasterizer, settings)
+                sums, self.pictures = visibility_sums(replace(viewed, cameras=self.cameras))
         if job.stop():
             raise Cancelled(NOT_FINISHED)
         if self.size:

@@ -7,9 +7,8 @@ import numpy as np
 
 from ...finetune.saliency import removal_errors
 from ...finetune.scores import contribution
+from ...finetune.viewed_scene import ViewedScene
 from ...native.library import thresholds
-from ...native.rasterizer import Rasterizer
-from ...render.metrics.evaluate import picture_options, render_options
 from ...scene.camera import Camera
 from ...scene.gaussians import SH_C0, Scene
 from ...system.errors import SceneError
@@ -69,28 +68,24 @@ def sizes(scene: Scene) -> np.ndarray:
 
 def contributions(scene: Scene, cameras: list[Camera]) -> np.ndarray:
     """Sum of αT over all pixels of all views, (N,) float64. Raises SceneError without views."""
-    return contribution(scene, _some(cameras), Rasterizer(), render_options(scene))[0]
+    return contribution(_viewed(scene, cameras))[0]
 
 
 def errors(scene: Scene, cameras: list[Camera]) -> np.ndarray:
     """Removal error (finetune/saliency.py), (N,) float64: squared error of colours, summed over views. Raises
     SceneError without views."""
-    return removal_errors(scene, _some(cameras), Rasterizer(), render_options(scene))
+    return removal_errors(_viewed(scene, cameras))
 
 
 def seen(scene: Scene, cameras: list[Camera]) -> np.ndarray:
     """Gaussians that reach αT = 1/255 in a pixel of at least one view, (N,) bool. Raises SceneError without
     views."""
-    return contribution(scene, _some(cameras), Rasterizer(), render_options(scene))[1] >= np.float32(
-        thresholds().alpha_cut
-    )
+    return contribution(_viewed(scene, cameras))[1] >= np.float32(thresholds().alpha_cut)
 
 
 def floaters(scene: Scene, cameras: list[Camera]) -> np.ndarray:
     """Gaussians on small islands (islands.py) and, with enough views, haze (haze.py), (N,) bool."""
-    return on_small_islands(scene) | hangs_before_cameras(
-        scene, cameras, Rasterizer(), picture_options(scene)
-    )
+    return on_small_islands(scene) | hangs_before_cameras(scene, cameras)
 
 
 def _moved(means: np.ndarray, matrix: np.ndarray | None) -> np.ndarray:
@@ -100,7 +95,7 @@ def _moved(means: np.ndarray, matrix: np.ndarray | None) -> np.ndarray:
         return points if matrix is None else points @ matrix[:3, :3].T + matrix[:3, 3]
 
 
-def _some(cameras: list[Camera]) -> list[Camera]:
+def _viewed(scene: Scene, cameras: list[Camera]) -> ViewedScene:
     if not cameras:
         raise SceneError("there are no views to measure Gaussians in")
-    return cameras
+    return ViewedScene.of(scene, cameras)

@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...native.rasterizer import Rasterizer, RenderOptions
+from ...native.rasterizer import Rasterizer
+from ...render.metrics.evaluate import picture_options
 from ...scene.camera import Camera
 from ...scene.gaussians import Scene
 
@@ -26,11 +27,10 @@ MOST_VIEWS = 64  # that are looked at, evenly spaced in the list
 LEAST_VIEWS = 8  # with fewer views, nothing is known about a Gaussian near one of them
 
 
-def hangs_before_cameras(
-    scene: Scene, cameras: list[Camera], rasterizer: Rasterizer, options: RenderOptions
-) -> np.ndarray:
+def hangs_before_cameras(scene: Scene, cameras: list[Camera]) -> np.ndarray:
     """(N,) bool: haze, as the top of this file describes it; none with fewer views than LEAST_VIEWS. scene:
     finite values."""
+    rasterizer, options = Rasterizer(), picture_options(scene)
     near, in_front, on_surface = (np.zeros(scene.count, np.int64) for _ in range(3))  # numbers of views
     for view in cameras[:: -(-len(cameras) // MOST_VIEWS)] if len(cameras) >= LEAST_VIEWS else ():
         camera = view.reduced(max(1, max(view.width, view.height) // LONGER_SIDE))

@@ -7,14 +7,14 @@ decision about the Gaussian is sure.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 
 from ...finetune.saliency import removal_errors
+from ...finetune.viewed_scene import ViewedScene
 from ...native.rasterizer import Rasterizer
-from ...render.metrics.evaluate import render_options
 from ...scene.camera import Camera, spaced
 from ...scene.gaussians import PARAMETERS, Scene
 from ...system.errors import SceneError
@@ -39,11 +39,11 @@ def measured(scene: Scene, cameras: list[Camera], all_looks: bool = True) -> dic
     """
     if len(cameras) < 2:
         raise SceneError("at least two views are needed to tell how sure a rank is")
-    n, rasterizer, options = scene.count, Rasterizer(), render_options(scene)
+    n, viewed = scene.count, ViewedScene.of(scene, cameras)
     halves, squares, largest = np.zeros((2, n)), np.zeros(n), np.zeros(n)
     deciding = np.full(n, -1, np.int32)
     for number, camera in enumerate(cameras):
-        errors = removal_errors(scene, [camera], rasterizer, options)
+        errors = removal_errors(replace(viewed, cameras=[camera]))
         halves[number % 2] += errors
         squares += errors**2
         deciding[errors > largest] = number
@@ -57,15 +57,13 @@ def measured(scene: Scene, cameras: list[Camera], all_looks: bool = True) -> dic
         BY_VIEWS: _moved(*halves),
     }
     if all_looks:
-        some, exact = spaced(cameras, EXACT_VIEWS), Rasterizer("float64")
+        some = replace(viewed, cameras=spaced(cameras, EXACT_VIEWS))
         arrays = {name: getattr(scene, name).astype(np.float64) for name in PARAMETERS}
-        precise: Any = SimpleNamespace(**arrays, count=n)
+        precise = SimpleNamespace(**arrays, count=n)
+        exact = replace(some, scene=precise, rasterizer=Rasterizer("float64"))
         found |= {
-            BY_SIZE: _moved(total, removal_errors(scene, cameras, rasterizer, options, reduction=1)),
-            BY_PRECISION: _moved(
-                removal_errors(scene, some, rasterizer, options),
-                removal_errors(precise, some, exact, options),
-            ),
+            BY_SIZE: _moved(total, removal_errors(viewed, reduction=1)),
+            BY_PRECISION: _moved(removal_errors(some), removal_errors(exact)),
         }
     return found
 
