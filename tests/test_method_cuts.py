@@ -16,12 +16,12 @@ from plans import prune_settings, train_settings
 from reference import rasterize as reference
 from reference.rasterize import rotations
 from short_runs import counts_of
-from svrgs_addon.finetune import admm, redundancy, scores
+from svrgs_addon.finetune import scores
 from svrgs_addon.finetune.engine import NativeEngine
-from svrgs_addon.finetune.methods import METHODS, popspa, speedy
+from svrgs_addon.finetune.methods import METHODS, popspa, reduced3dgs, speedy
 from svrgs_addon.finetune.methods.gaussianpop import PASSES
 from svrgs_addon.finetune.model import MASK, Model
-from svrgs_addon.finetune.penalties import EffectiveRank
+from svrgs_addon.finetune.penalties import EffectiveRank, OpacityGoal
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.settings import Densify
 from svrgs_addon.finetune.viewed_scene import ViewedScene
@@ -173,8 +173,8 @@ def test_admm_is_that_of_gaussianspa():
         z = np.array([o[i] + u[i] if stays[i] else 0.0 for i in range(5)])
         if not first:
             u = u + o - z
-        admm.project(model, np.array(stays, bool))
-        term = admm.pull(model, 5e-4)
+        popspa.project(model, np.array(stays, bool))
+        term = OpacityGoal(5e-4, model.values[popspa.GOAL])
         np.testing.assert_allclose(term.goal, z - u, atol=1e-15)
         assert term.value(model.opacity_logits, np) == pytest.approx(0.5 * 5e-4 * ((o - z + u) ** 2).sum())
         model.opacity_logits[:] += np.random.default_rng(len(stays)).normal(0, 0.5, 5)
@@ -190,7 +190,7 @@ def test_popspa_fades_what_is_to_go():
             while run.iteration < 59:
                 run.advance()
         run.close()
-        goes = run.model.values[admm.GOAL] + run.model.values[admm.DUAL] == 0
+        goes = run.model.values[popspa.GOAL] + run.model.values[popspa.DUAL] == 0
         means.append((1 / (1 + np.exp(-run.model.opacity_logits[goes]))).mean())
         assert goes.sum() == 50
     assert means[1] < 0.8 * means[0]
@@ -331,21 +331,21 @@ def expected_redundancy(scene, cameras, neighbours: int = 30) -> np.ndarray:
 
 def test_redundancy_is_that_of_the_definition():
     scene = scenes.random_scene(120, 7, 0, spread=0.6, scale=0.15)
-    found = redundancy.redundancy(Model.of(scene), CAMERAS)
+    found = reduced3dgs.redundancy(Model.of(scene), CAMERAS)
     np.testing.assert_array_equal(found, expected_redundancy(scene, CAMERAS))
     assert len(np.unique(found)) > 5 and found.min() >= 1
-    assert (redundancy.redundancy(Model.of(scenes.random_scene(1)), CAMERAS) == 1).all()
+    assert (reduced3dgs.redundancy(Model.of(scenes.random_scene(1)), CAMERAS) == 1).all()
 
 
 def test_the_faint_half_of_the_redundant_goes_and_the_faintest_go():
     redundancies = np.array([1] * 90 + [9] * 10)
     opacity = np.r_[np.linspace(0.01, 0.5, 90), np.linspace(0.2, 0.9, 10)]
-    stays = redundancy.stays(redundancies, opacity)
+    stays = reduced3dgs.stays(redundancies, opacity)
     lowest = np.flatnonzero(opacity < np.quantile(opacity, 0.03))
     assert sorted(np.flatnonzero(~stays)) == sorted({*lowest, *range(90, 94)}), (
         "below the lower median of ten: four"
     )
-    assert redundancy.stays(np.full(100, 3), np.full(100, 0.9)).all(), (
+    assert reduced3dgs.stays(np.full(100, 3), np.full(100, 0.9)).all(), (
         "a redundancy of 3 is none, and an opacity of 0.05 is enough"
     )
 

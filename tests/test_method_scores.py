@@ -14,9 +14,9 @@ from native_helpers import LEVELS, rasterizer, typed
 from pictures import photographed
 from plans import RANKED, train_settings
 from reference import rasterize as reference
-from svrgs_addon.finetune import scores, sensitivity
+from svrgs_addon.finetune import scores
 from svrgs_addon.finetune.engine import NativeEngine
-from svrgs_addon.finetune.methods import METHODS, lightgaussian, method_named
+from svrgs_addon.finetune.methods import METHODS, lightgaussian, method_named, pup
 from svrgs_addon.finetune.model import Model
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.settings import Densify
@@ -128,9 +128,9 @@ def test_sensitivities_are_those_of_the_reference(level, view):
     r.forward(scene, camera, RenderOptions(background=BACKGROUND), outputs=())
     ids = r.visible()
     found = np.zeros((30, 6, 6))
-    upper = sensitivity._view_part(r.moments(), sensitivity.jacobians(scene, camera, ids))
-    found[ids[:, None], sensitivity._UPPER[0], sensitivity._UPPER[1]] = upper
-    found[ids[:, None], sensitivity._UPPER[1], sensitivity._UPPER[0]] = upper
+    upper = pup._view_part(r.moments(), pup.jacobians(scene, camera, ids))
+    found[ids[:, None], pup._UPPER[0], pup._UPPER[1]] = upper
+    found[ids[:, None], pup._UPPER[1], pup._UPPER[0]] = upper
     scale = np.abs(expected).max(axis=(1, 2))
     assert (scale > 0).sum() > 10
     assert np.abs(found[scale == 0]).max(initial=0) == 0
@@ -142,7 +142,7 @@ def test_sensitivities_are_those_of_the_reference(level, view):
 def test_pup_ranks_by_the_determinant_over_all_views():
     scene = small_scene(np.float64)
     expected = sum(map(expected_sensitivities, ("front", "rolled")))
-    found = sensitivity.log_determinants(
+    found = pup.log_determinants(
         ViewedScene(scene, CAMERAS, rasterizer("float64"), RenderOptions(background=BACKGROUND))
     )
     sign, log_det = np.linalg.slogdet(expected)

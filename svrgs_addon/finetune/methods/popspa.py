@@ -1,12 +1,19 @@
-"""POPSpa (KISS-GS, arXiv 2608.26948): a cut by Delta SE (../saliency.py), ADMM on the opacities (../admm.py)
-together with a term for round shapes, a second cut, recovery. ADMM pulls the opacities of all but the
-Gaussians of highest Delta SE, as many as the target, to 0."""
+"""POPSpa (KISS-GS, arXiv 2608.26948): a cut by Delta SE (../saliency.py), ADMM on the opacities together with
+a term for round shapes, a second cut, recovery. ADMM pulls the opacities of all but the Gaussians of highest
+Delta SE, as many as the target, to 0.
+
+ADMM (GaussianSpa, arXiv 2411.06019) has a proxy z that is 0 for the Gaussians that are to go, and a dual
+variable u. The loss gets rho/2 |o - (z - u)|^2. The dual u and the goal z - u are among the model's values,
+so that rows move with them and checkpoints hold them. They are not learned.
+"""
 
 from dataclasses import dataclass
 from typing import ClassVar
 
-from .. import admm
-from ..penalties import EffectiveRank
+import numpy as np
+
+from ..model import Model
+from ..penalties import EffectiveRank, OpacityGoal, sigmoid
 from ..run_view import RunView
 from ..saliency import removal_errors
 from ..settings import Phase, Settings
@@ -15,6 +22,7 @@ from .stepwise import Stepwise
 RHO = 5e-4
 PULL_EVERY = 50 / 5_000  # share of the steps from one in which ADMM pulls, then projects, to the next
 MIN_PULL_STEPS = 10  # the same, at least
+DUAL, GOAL = "admm_dual", "admm_goal"  # names of the values u and z - u
 
 
 @dataclass
@@ -23,12 +31,14 @@ class POPSpa(Stepwise):
     share: float = 0.2
 
     def prepare(self, run: RunView, phase: Phase, number: int):
-        if self.count and (self._pulls(phase, number - 1) or not admm.begun(run.model)):
-            admm.project(run.model, self.highest(run, run.target))
+        if self.count and (self._pulls(phase, number - 1) or GOAL not in run.model.values):
+            project(run.model, self.highest(run, run.target))
 
     def terms(self, run: RunView, phase: Phase, number: int) -> dict:
-        pull = (admm.pull(run.model, RHO),) if self.count and self._pulls(phase, number) else ()
-        return {"penalties": (EffectiveRank(), *pull)} if self.count else {}
+        if not self.count:
+            return {}
+        pull = (OpacityGoal(RHO, run.model.values[GOAL]),) if self._pulls(phase, number) else ()
+        return {"penalties": (EffectiveRank(), *pull)}
 
     def ranking_passes(self, settings: Settings, steps: int, share: float) -> list[tuple[float, float]]:
         first, last = super().ranking_passes(settings, steps, share)
@@ -37,6 +47,16 @@ class POPSpa(Stepwise):
 
     def _pulls(self, phase: Phase, number: int) -> bool:
         return number % pull_every(phase.steps - self.begun(phase)) == 0
+
+
+def project(model: Model, stays: np.ndarray):
+    """z becomes o + u for Gaussians of `stays` (N,) bool, else 0; then u, at first 0, grows by o - z."""
+    o, begun = sigmoid(model.opacity_logits, np), GOAL in model.values
+    u = model.values[DUAL] if begun else np.zeros_like(o)
+    z = np.where(stays, o + u, 0).astype(o.dtype)
+    u = u + o - z if begun else u
+    model.add(DUAL, u)
+    model.add(GOAL, z - u)
 
 
 def pull_every(steps: int) -> int:
