@@ -16,7 +16,7 @@ import pytest
 from svrgs_addon.cli.main import main
 from svrgs_addon.files.images import write_image
 from svrgs_addon.files.registry import describe, read_scene, write_scene
-from svrgs_addon.jobs.farm import openjd, run_tasks
+from svrgs_addon.jobs.farm import engines, run_tasks
 from svrgs_addon.jobs.farm.farm_job import FarmJob
 from svrgs_addon.jobs.farm.run_tasks import dataset_sha256
 
@@ -256,7 +256,7 @@ def test_an_engine_prunes_a_large_scene_as_one_machine_does(tiny, tmp_path, caps
     }
     values |= {"Block": 60, "Parts": 3, "LastPart": 2}
     (tmp_path / "work").mkdir()
-    run = engine_run(openjd.TEMPLATE.with_name("large_scene.json"), values, tmp_path, *TO_THE_END)
+    run = engine_run(engines.TEMPLATE.with_name("large_scene.json"), values, tmp_path, *TO_THE_END)
     said = run.communicate(timeout=120)[0]
     assert run.returncode == 0 and "openjd_status: score: " in said, said
     assert (tmp_path / "many.ply").read_bytes() == (tmp_path / "one.ply").read_bytes()
@@ -278,7 +278,7 @@ def test_an_engine_lets_a_method_decide_on_a_large_scene_as_one_machine_does(tin
     }
     values |= {"Iterations": 40, "Recovery": 20, "Block": 70, "Parts": 2, "LastPart": 1}
     (tmp_path / "work").mkdir()
-    template = openjd.TEMPLATE.with_name("large_scene_photographs.json")
+    template = engines.TEMPLATE.with_name("large_scene_photographs.json")
     run = engine_run(template, values, tmp_path, *TO_THE_END)
     said = run.communicate(timeout=180)[0]
     assert run.returncode == 0 and "openjd_status: decide: " in said, said
@@ -300,7 +300,8 @@ def wait_for_task(job: Path) -> list[str]:
 
 def test_the_template_asks_for_the_memory_of_the_largest_task():
     amounts = {
-        one["name"]: one["min"] for one in openjd.template(3 << 30)["steps"][0]["hostRequirements"]["amounts"]
+        one["name"]: one["min"]
+        for one in engines.template(3 << 30)["steps"][0]["hostRequirements"]["amounts"]
     }
     assert amounts == {"amount.worker.vcpu": 2, "amount.worker.memory": 3072}
 

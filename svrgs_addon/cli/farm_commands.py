@@ -10,10 +10,8 @@ from typing import Any
 
 from ..files.registry import format_to_write
 from ..jobs.farm.engine_messages import Messages
+from ..jobs.farm.engines import memory_of, write_engine_files
 from ..jobs.farm.farm_job import FarmJob, common_folder, refuse_folder, tasks_of
-from ..jobs.farm.flamenco import write_submission
-from ..jobs.farm.needs import memory_of
-from ..jobs.farm.openjd import write_bundle
 from ..jobs.farm.run_tasks import numbers_of, run_tasks
 from ..jobs.farm.summary import summarise
 from ..prune.door import allowed_loss, check_view_options
@@ -77,8 +75,7 @@ def _write(job: FarmJob) -> dict[str, Any]:
     """Writes job.json and the files of the engines."""
     needed = max(memory_of(one) for one in {one.scene: one for one in map(job.options, job.tasks)}.values())
     job.write()
-    write_bundle(job, job.folder.name, needed)
-    write_submission(job, job.folder.name)
+    write_engine_files(job, needed)
     facts = {"folder": str(job.folder), "tasks": len(job.tasks), "memory": needed}
     return facts | {"names": [task.name for task in job.tasks]}
 

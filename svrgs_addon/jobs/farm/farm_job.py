@@ -8,8 +8,7 @@ needs to know is in job.json.
     report/              table and chart over all tasks (summary.py)
     captures/            the splats of a job that Blender made
     template.json, parameter_values.json, asset_references.json      the job in Open Job Description
-                                                                     (openjd.py)
-    flamenco.json        the job for the manager of Flamenco (flamenco.py)
+    flamenco.json        the job for the manager of Flamenco; both: engines.py
 
 Paths in job.json are relative to `root`, the folder of the captures, or begin with OWN, the folder of the job
 itself; a worker that has the captures elsewhere gives its own root. job.json is read like a file of a
