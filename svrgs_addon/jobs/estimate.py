@@ -23,7 +23,7 @@ from ..prune.belonging import check_dataset
 from ..prune.context import PROCESS
 from ..prune.door import check_view_options, check_views, check_visible
 from ..prune.duration import pace_of
-from ..prune.expected_count import expected_count, expected_order, seen_by_some
+from ..prune.expected_count import Expected
 from ..prune.file_size import asked_size, bytes_of
 from ..prune.options import PruneOptions
 from ..prune.photographs import in_its_colours
@@ -76,15 +76,15 @@ def estimate(options: PruneOptions, suffix: str = USUAL.suffixes[0]) -> dict:
     dataset = toned.dataset
     if plan.max_loss:
         dataset = hold_apart(dataset, plan.measure)
-    pace, seen = pace_of(scene, dataset, plan), seen_by_some(scene, dataset, plan)
-    measured = time.perf_counter() - begun
-    kept = expected_count(plan, scene, dataset, seen)
+    pace, expected = pace_of(scene, dataset, plan), Expected(plan, scene, dataset)
+    seen, measured = expected.seen, time.perf_counter() - begun
+    kept = expected.kept
     seconds_of = lambda some: pace.pruning(some, kept / scene.count, RECORDED)
     # writing takes about as long as reading; a job with a time limit measures the speed, too
     others = PROCESS + read + (measured if options.time else loaded)
     found = fitted(options.time, plan, seconds_of, others) if options.time else None
     plan = at_schedule(plan, found.schedule) if found else plan
-    order = expected_order(plan, scene, dataset, seen)
+    order = expected.order
     quality = forecast(scene, dataset, plan, order, kept)
     some = spaced(dataset.cameras, OVERDRAW_VIEWS)
     return {

@@ -22,6 +22,7 @@ import statistics
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from statistics import fmean
 
 import numpy as np
@@ -45,7 +46,7 @@ from ..render.metrics.evaluate import BLOCKS, evaluate, mean_quality
 from ..scene.gaussians import Scene
 from ..views.dataset import READER_THREADS, Dataset
 from ..views.rendered import RenderedDataset
-from .quality_forecast import spread
+from .quality_forecast import in_time, spread
 
 TRAINING_POWER, RANKING_POWER = 0.4, 0.65
 # power: measured with 1/SOME of the Gaussians, lowered by GROWN, within these limits
@@ -234,13 +235,8 @@ def gradual(share: float) -> list[tuple[float, float]]:
 def _read_some(dataset: Dataset, views: list[int]) -> tuple[list[int], float]:
     """Reads photographs of the first views, as many as time allows. Returns the views, and the seconds of
     one."""
-    seconds: list[float] = []
-    while len(seconds) < min(STEPS, len(views)) and (
-        sum(seconds) < STEP_SECONDS or len(seconds) < LEAST_STEPS
-    ):
-        started = time.perf_counter()
-        dataset.image(views[len(seconds)])
-        seconds.append(time.perf_counter() - started)
+    some = in_time(views[:STEPS], STEP_SECONDS, LEAST_STEPS)
+    seconds = [_seconds(partial(dataset.image, view), warm=True) for view in some]
     return views[: len(seconds)], statistics.median(seconds)
 
 
@@ -272,13 +268,9 @@ def _step(scene: Scene, dataset: Dataset, plan: Plan) -> float:
     same = {name: getattr(plan, name) for name in ("background", "exposure", "refine_poses")}
     steps = prune_plan(method, STEPS + 2, STEPS + 2, **same)
     run = Run(Model.of(scene), dataset, steps, NativeEngine())
-    seconds: list[float] = []
     try:
         run.advance()
-        while len(seconds) < STEPS and (sum(seconds) < STEP_SECONDS or len(seconds) < LEAST_STEPS):
-            started = time.perf_counter()
-            run.advance()
-            seconds.append(time.perf_counter() - started)
+        some = in_time(range(STEPS), STEP_SECONDS, LEAST_STEPS)
+        return statistics.median([_seconds(run.advance, warm=True) for _ in some])
     finally:
         run.close()
-    return statistics.median(seconds)

@@ -4,9 +4,9 @@ without a step of it."""
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cached_property
 from statistics import fmean
 from typing import NamedTuple
 
@@ -24,7 +24,7 @@ from ..scene.camera import Camera, spaced
 from ..scene.gaussians import Scene
 from ..views.dataset import Dataset
 from ..views.reduced_photos import reduced_view, reduction_to
-from .quality_forecast import spread
+from .quality_forecast import in_time, spread
 
 VIEW_SECONDS = 0.8  # time limit of rendering views, without reading files
 VIEWS = 8  # training views that are rendered
@@ -49,83 +49,81 @@ class Seen(NamedTuple):
     views: int
 
 
-def seen_by_some(scene: Scene, dataset: Dataset, plan: Plan) -> Seen:
-    """What some training views see, as many as time allows."""
-    viewed = ViewedScene.of(scene, [], dataset.background)
-    chosen = spread(_views(dataset))[: RANKING_VIEWS if plan.method.learns_masks else VIEWS]
-    sums, hits = np.zeros(scene.count), np.zeros(scene.count, np.int64)
-    peaks = np.zeros(scene.count, np.float32)
-    views, end = 0, time.monotonic() + VIEW_SECONDS
-    for index in chosen:
-        found = scores.contribution(replace(viewed, cameras=[_reduced(dataset.cameras[index])]))
-        sums, peaks, hits = sums + found[0], np.maximum(peaks, found[1]), hits + found[2]
-        views += 1
-        if time.monotonic() > end:
-            break
-    return Seen(sums, peaks, hits, views)
+class Expected:
+    """What is expected of a run: each is found out from a few views when it is first asked for."""
 
+    def __init__(self, plan: Plan, scene: Scene, dataset: Dataset):
+        self.plan, self.scene, self.dataset = plan, scene, dataset
+        self._views = dataset.train_indices or list(range(len(dataset.cameras)))
 
-def expected_count(plan: Plan, scene: Scene, dataset: Dataset, seen: Seen) -> int:
-    """Roughly how many Gaussians stay, at least 1. With an allowed drop an upper bound."""
-    if plan.max_loss:
-        return _fewest_within_drop(scene, dataset, expected_order(plan, scene, dataset, seen), plan)
-    if plan.target:
-        return min(plan.target, scene.count)
-    kept = seen.peaks >= plan.min_contribution
-    if plan.method.learns_masks and plan.prunes:
-        kept &= seen.sums > np.maximum(seen.hits, 1) * KNEE * ((plan.lambda_f or 1e-4) / 1e-4) ** SLOPE
-    elif isinstance(plan.method, Removal):
-        kept &= _from_some(saliency, scene, dataset) > plan.lambda_f
-    return max(1, int(kept.sum()))
+    @cached_property
+    def seen(self) -> Seen:
+        """What some training views see, as many as time allows."""
+        scene, viewed = self.scene, ViewedScene.of(self.scene, [], self.dataset.background)
+        chosen = spread(self._views)[: RANKING_VIEWS if self.plan.method.learns_masks else VIEWS]
+        sums, hits = np.zeros(scene.count), np.zeros(scene.count, np.int64)
+        peaks, views = np.zeros(scene.count, np.float32), 0
+        for index in in_time(chosen, VIEW_SECONDS):
+            found = scores.contribution(replace(viewed, cameras=[self._reduced(index)]))
+            sums, peaks, hits = sums + found[0], np.maximum(peaks, found[1]), hits + found[2]
+            views += 1
+        return Seen(sums, peaks, hits, views)
 
+    @cached_property
+    def kept(self) -> int:
+        """Roughly how many Gaussians stay, at least 1. With an allowed drop an upper bound."""
+        plan = self.plan
+        if plan.max_loss:
+            return self._fewest_within_loss()
+        if plan.target:
+            return min(plan.target, self.scene.count)
+        seen = self.seen
+        kept = seen.peaks >= plan.min_contribution
+        if plan.method.learns_masks and plan.prunes:
+            kept &= seen.sums > np.maximum(seen.hits, 1) * KNEE * ((plan.lambda_f or 1e-4) / 1e-4) ** SLOPE
+        elif isinstance(plan.method, Removal):
+            kept &= self._from_some(saliency) > plan.lambda_f
+        return max(1, int(kept.sum()))
 
-def expected_order(plan: Plan, scene: Scene, dataset: Dataset, seen: Seen) -> np.ndarray:
-    """The Gaussians that are expected to stay are highest in it, (N,): removal error for the methods that
-    rank by it, else the largest alpha T."""
-    return _from_some(plan.method.ranking, scene, dataset) if isinstance(plan.method, Removal) else seen.peaks
+    @cached_property
+    def order(self) -> np.ndarray:
+        """The Gaussians that are expected to stay are highest in it, (N,): removal error for the methods that
+        rank by it, else the largest alpha T."""
+        method = self.plan.method
+        return self._from_some(method.ranking) if isinstance(method, Removal) else self.seen.peaks
 
+    def _from_some(self, ranking: Callable[[ViewedScene], np.ndarray]) -> np.ndarray:
+        """Saliency or removal error (N,), from some of the views."""
+        views = list(map(self._reduced, spaced(self._views, RANKING_VIEWS)))
+        return ranking(ViewedScene.of(self.scene, views, self.dataset.background))
 
-def _from_some(ranking: Callable, scene: Scene, dataset: Dataset) -> np.ndarray:
-    """Saliency or removal error (N,), from some of the views."""
-    views = [_reduced(dataset.cameras[index]) for index in spaced(_views(dataset), RANKING_VIEWS)]
-    return ranking(ViewedScene.of(scene, views, dataset.background))
+    def _reduced(self, index: int) -> Camera:
+        camera = self.dataset.cameras[index]
+        return camera.reduced(reduction_to(SIDE, camera))
 
+    def _fewest_within_loss(self) -> int:
+        """The fewest Gaussians that are highest in the order and hold the allowed loss on some reduced views,
+        as many as DROP_SECONDS allow: without learning, or for `removal` and `saliency` by the law of
+        finetune/quality.py. A job keeps fewer."""
+        plan, scene, dataset, order = self.plan, self.scene, self.dataset, self.order
+        rasterizer, options = Rasterizer(), picture_options(scene, dataset.background)
+        views, found = list[tuple[Camera, np.ndarray]](), list[float]()
 
-def _views(dataset: Dataset) -> list[int]:
-    return dataset.train_indices or list(range(len(dataset.cameras)))
+        def quality(number: int, mask: np.ndarray | None) -> float:
+            camera, photo = views[number]
+            image = rounded_to_8_bits(rasterizer.forward(scene, camera, options, mask)["rgb"])
+            return quality_of_view(image, photo, camera, plan.measure, dataset.unexplained, number)
 
+        indices = spread(quality_views(dataset))
+        read = (reduced_view(dataset.cameras[index], dataset.image(index), SIDE) for index in indices)
+        for view in in_time(read, DROP_SECONDS, DROP_VIEWS):
+            views.append(view)
+            found.append(quality(len(found), None))
+        before = fmean(found)
+        floor = floor_of_drop(before, plan) if isinstance(plan.method, Removal) else before - plan.max_loss
 
-def _reduced(camera: Camera) -> Camera:
-    return camera.reduced(reduction_to(SIDE, camera))
+        def within(count: int) -> bool:
+            mask = scores.top(order, count).astype(np.uint8)
+            return fmean(quality(number, mask) for number in range(len(views))) >= floor
 
-
-def _fewest_within_drop(scene: Scene, dataset: Dataset, order: np.ndarray, plan: Plan) -> int:
-    """The fewest Gaussians that are highest in `order` (N,) and hold the allowed loss on some views: without
-    learning, or for `removal` and `saliency` by the law of finetune/quality.py. A job keeps fewer."""
-    before, quality_of = _quality_on_some(scene, dataset, plan.measure)
-    floor = floor_of_drop(before, plan) if isinstance(plan.method, Removal) else before - plan.max_loss
-    within = lambda count: quality_of(scores.top(order, count).astype(np.uint8)) >= floor
-    return fewest(math.ceil(MIN_SHARE * scene.count), scene.count, within)
-
-
-def _quality_on_some(
-    scene: Scene, dataset: Dataset, measure: str
-) -> tuple[float, Callable[[np.ndarray | None], float]]:
-    """The quality of the scene (quality_of_view()), and the function that measures it with a mask (N,) uint8:
-    on as many reduced views as DROP_SECONDS allow."""
-    rasterizer, options = Rasterizer(), picture_options(scene, dataset.background)
-
-    def quality(number: int, mask: np.ndarray | None) -> float:
-        camera, photo = views[number]
-        image = rounded_to_8_bits(rasterizer.forward(scene, camera, options, mask)["rgb"])
-        return quality_of_view(image, photo, camera, measure, dataset.unexplained, number)
-
-    views, found, seconds = [], [], 0.0
-    for index in spread(quality_views(dataset)):
-        views.append(reduced_view(dataset.cameras[index], dataset.image(index), SIDE))
-        started = time.monotonic()
-        found.append(quality(len(views) - 1, None))
-        seconds += time.monotonic() - started
-        if len(views) >= DROP_VIEWS and seconds > DROP_SECONDS:
-            break
-    return fmean(found), lambda mask: fmean(quality(number, mask) for number in range(len(views)))
+        return fewest(math.ceil(MIN_SHARE * scene.count), scene.count, within)

@@ -17,7 +17,7 @@ from ..scene.gaussians import Scene
 from ..views.dataset import Dataset
 from .context import JobContext
 from .duration import pace_of
-from .expected_count import expected_count, expected_order, seen_by_some
+from .expected_count import Expected
 from .quality_forecast import forecast, is_foreseen
 from .report.prune_report import REPORT_VIEWS
 from .seen import fewer_bands, seen_from
@@ -36,8 +36,8 @@ def pruning_within(
         return _with(found, plan, job, "the job goes on as it was planned")
     banded = fewer_bands(scene, plan.sh_degree, ())
     pace = pace_of(banded, dataset, plan, job.lpips)
-    kept = min(plan.target, scene.count)
-    kept = kept or expected_count(plan, scene, dataset, seen_by_some(scene, dataset, plan))
+    expected = Expected(plan, scene, dataset)
+    kept = expected.kept
     # writing a file with all values takes about as long as reading
     others = read + _rounding(banded, dataset, kept, job.out)
     others += 2 * REPORT_VIEWS * pace.measured if job.report else 0.0
@@ -45,8 +45,7 @@ def pruning_within(
     fit = lambda: fitted(seconds, plan, seconds_of, job.seconds() + others)
     found, quality = fit(), None
     if is_foreseen(some := at_schedule(plan, found.schedule)):
-        order = expected_order(plan, scene, dataset, seen_by_some(scene, dataset, plan))
-        quality = forecast(scene, dataset, some, order, kept)
+        quality = forecast(scene, dataset, some, expected.order, kept)
         found = fit()  # the forecast has taken some of the time
     psnr = f"PSNR about {quality.after:.1f} dB or more (now {quality.before:.1f} dB)" if quality else ""
     return _with(found, plan, job, f"about {kept:,} of {scene.count:,} Gaussians stay", psnr)

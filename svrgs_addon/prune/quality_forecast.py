@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Iterable, Iterator
 from statistics import fmean
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -29,6 +30,7 @@ SECONDS, MIN_FORECAST_VIEWS = 0.8, 2
 SIDE = 1024  # longer side of a view in pixels; a view of less than twice this size is not reduced
 LEAST_STEPS = 800  # steps of a run below which nothing was measured
 HIGHEST = 99.0  # PSNR of equal pictures, dB
+Item = TypeVar("Item")
 GOLDEN = (math.sqrt(5) - 1) / 2
 
 
@@ -65,17 +67,26 @@ def spread(views: list[int]) -> list[int]:
     return [views[place] for place in sorted(range(len(views)), key=lambda place: (place + 1) * GOLDEN % 1)]
 
 
+def in_time(items: Iterable[Item], seconds: float, least: int = 1) -> Iterator[Item]:
+    """The items, until what is done with them has taken so many seconds; `least` of them in any case."""
+    spent = 0.0
+    for number, item in enumerate(items):
+        if number >= least and spent > seconds:
+            return
+        started = time.monotonic()
+        yield item
+        spent += time.monotonic() - started
+
+
 def _mean_psnrs(scene: Scene, dataset: Dataset, kept: list[np.ndarray | None]) -> list[float]:
     """Mean PSNRs in dB of the scene with each of the masks (N,) uint8, over as many views as time allows."""
     rasterizer, options = Rasterizer(), picture_options(scene, dataset.background)
     rows: list[list[float]] = []
-    end = time.monotonic() + SECONDS
-    for index in spread(dataset.test_indices or dataset.train_indices):
+    views = spread(dataset.test_indices or dataset.train_indices)
+    for index in in_time(views, SECONDS, MIN_FORECAST_VIEWS):
         camera, photo = reduced_view(dataset.cameras[index], dataset.image(index), SIDE)
         images = (rasterizer.forward(scene, camera, options, masks)["rgb"] for masks in kept)
         rows.append(
             [min(HIGHEST, psnr(rounded_to_8_bits(image), photo, camera.valid_share)) for image in images]
         )
-        if len(rows) >= MIN_FORECAST_VIEWS and time.monotonic() > end:
-            break
     return [fmean(column) for column in zip(*rows, strict=True)]
