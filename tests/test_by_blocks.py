@@ -18,6 +18,7 @@ from svrgs_addon.finetune.viewed_scene import ViewedScene, reduced
 from svrgs_addon.native.rasterizer import Rasterizer
 from svrgs_addon.prune import by_blocks, job_views, pipeline, plans
 from svrgs_addon.prune.belonging import check_seen, seen_of
+from svrgs_addon.prune.blocks.request import Request
 from svrgs_addon.prune.blocks.sample import MAX_SAMPLED, finer, sample_of
 from svrgs_addon.prune.blocks.tuning import tune
 from svrgs_addon.prune.options import PruneOptions
@@ -353,10 +354,7 @@ def test_only_some_jobs_can_be_done_by_blocks(tmp_path):
     assert possible(**photographs, max_drop=0.5) and not possible(**photographs, target=0.5, time=60.0)
     assert possible(**photographs, target=0.5, schedule=0.1)
     assert (
-        by_blocks.request_of(PruneOptions(data=tmp_path, iterations=300, recovery=500, schedule=0.1))
-        .plan()
-        .total
-        == 80
+        Request.of(PruneOptions(data=tmp_path, iterations=300, recovery=500, schedule=0.1)).plan().total == 80
     )
     assert possible(**photographs, method="saliency", max_drop=0.5, visible_mask=True)
     assert not possible(**photographs, method="svr", max_drop=0.5, visible_mask=True), (

@@ -19,7 +19,6 @@ from plans import prune_settings
 from short_runs import to_the_end
 from svrgs_addon.files.registry import read_scene, write_scene
 from svrgs_addon.finetune.engine import NativeEngine
-from svrgs_addon.finetune.methods import METHODS
 from svrgs_addon.finetune.model import Model
 from svrgs_addon.finetune.plan import Plan
 from svrgs_addon.finetune.quality import hold_apart, quality_views
@@ -72,7 +71,8 @@ def test_one_block_is_decided_as_the_scene_in_memory(tiny, data, tmp_path, svrgs
     words = f"--data {tiny.folder} --method {method} --iterations 40 --recovery 0 --visible-mask"
     job = svrgs("prune", tiny.splat, words, "--lambda-f", 0.02, "--out", tmp_path / "o.ply")
     assert job.status == 0
-    plan = Request(str(tiny.folder), method, 40, 0, 0.02 * METHODS[method].first_cut, lambda_f=0.02).plan()
+    asked = PruneOptions(data=tiny.folder, method=method, iterations=40, recovery=0, lambda_f=0.02)
+    plan = Request.of(asked).plan()
     left, _ = learned(tiny, data, tmp_path / "blocks", COUNT, plan)
     whole, found = read_scene(tmp_path / "o.ply"), together(left)
     assert 20 < whole.count < COUNT - FAINT and left.count == whole.count
@@ -403,14 +403,15 @@ def test_steps_that_lack_something_say_what(tiny, data, tmp_path, svrgs):
 
 
 def test_a_request_comes_back_as_it_was_written(tmp_path):
-    request = Request("data", "svr", 30, 20, 0.02, lambda_f=0.5, background=(1.0, 0.5, 0.0), holdout=4)
+    asked = {"data": tmp_path / "data", "method": "svr", "lambda_f": 0.5, "background": (1.0, 0.5, 0.0)}
+    request = Request.of(PruneOptions(**asked, iterations=30, recovery=20, holdout=4))
     request.write(tmp_path)
     assert Request.read(tmp_path) == request and Request.read(tmp_path / "no") is None
     assert set(methods()) == {"removal", "saliency", "svr", "svr-a", "svr-b", "svr-even", "svr-self"}
     assert not request.plan().full
     assert json.loads((tmp_path / FILE).read_text())["method"] == "svr"
     with pytest.raises(SceneError, match="choose one of"):
-        replace(request, method="opacity").plan()
+        Request.of(replace(request.options, method="opacity"))
 
 
 def test_targets_of_blocks_are_the_number_together(tiny, tmp_path):

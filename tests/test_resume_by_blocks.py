@@ -221,7 +221,7 @@ def test_without_resume_a_job_starts_again(svrgs, tiny, tmp_path, steps, stopped
 
 
 def test_a_list_of_tasks_that_is_damaged_is_as_none(svrgs, tiny, tmp_path, steps, stopped):
-    (stopped / FILE).write_text('{"identity": 3, "total": 7, "done": []}')
+    (stopped / FILE).write_text('{"identity": 3, "total": 7, "done": {}}')
     steps.clear()
     assert svrgs(*words_for(tiny, tmp_path / "o.ply", "--target", 0.5, "--resume")).status == 0
     assert len(steps) == 2 * (40 + 20) and not stopped.exists()

@@ -11,8 +11,8 @@ import pytest
 from svrgs_addon.files.registry import write_scene
 from svrgs_addon.native.rasterizer import Rasterizer
 from svrgs_addon.prune.blocks import visible
-from svrgs_addon.prune.blocks.block_size import as_memory_allows
 from svrgs_addon.prune.blocks.divided import MAX_BLOCK_COUNT, divide
+from svrgs_addon.prune.recipes.by_blocks import as_memory_allows
 from svrgs_addon.render.metrics.evaluate import render_options
 from svrgs_addon.system import memory
 from svrgs_addon.system.errors import SceneError

@@ -22,7 +22,7 @@ from ..prune.blocks.request import Request
 from ..prune.blocks.sample import sample_of
 from ..prune.blocks.scoring import score
 from ..prune.blocks.tuning import EPOCHS, TUNED, cut, tune
-from ..prune.by_blocks import OF_METHODS, request_of
+from ..prune.by_blocks import OF_METHODS
 from ..prune.context import JobContext
 from ..prune.door import check_files, check_view_options, check_visible, given, outputs
 from ..prune.job_views import Views
@@ -42,7 +42,8 @@ def large(args: argparse.Namespace) -> dict[str, Any]:
         "prune": _prune, "divide": _divide, "score": _score, "reduce": _reduce, "merge": _merge,
         "decide": _decide, "cut": _cut, "tune": _tune, "finish": _finish,
     }  # fmt: skip
-    return steps[args.action](args)
+    result = steps[args.action](args)
+    return result if args.action in ("prune", "score", "finish") else {"work": str(args.work)} | result
 
 
 def as_text(args: argparse.Namespace, result: dict[str, Any]) -> str:
@@ -98,7 +99,7 @@ def _request(args: argparse.Namespace) -> Request | None:
     if args.method:
         if not args.data:
             raise SceneError("--method decides on photographs: add --data, or leave it out")
-        return request_of(options)
+        return Request.of(options)
     if others := [name for name in given(options) if name in OF_METHODS]:
         raise SceneError(
             f"{flag_of(PruneOptions, others[0])} is for methods that decide on photographs: add --method, or"
@@ -125,8 +126,7 @@ def _divide(args: argparse.Namespace) -> dict[str, Any]:
         except SceneError:
             remove(args.work)
             raise
-    facts = {"count": divided.count, "blocks": len(divided.blocks), "views": len(scored)}
-    return {"work": str(args.work)} | facts
+    return {"count": divided.count, "blocks": len(divided.blocks), "views": len(scored)}
 
 
 def _score(args: argparse.Namespace) -> dict[str, Any]:
@@ -137,7 +137,7 @@ def _score(args: argparse.Namespace) -> dict[str, Any]:
 def _reduce(args: argparse.Namespace) -> dict[str, Any]:
     divided = Divided.read(args.work)
     reduce(divided, scored_views(args.work))
-    return {"work": str(args.work), "blocks": len(divided.blocks)}
+    return {"blocks": len(divided.blocks)}
 
 
 def _merge(args: argparse.Namespace) -> dict[str, Any]:
@@ -146,7 +146,7 @@ def _merge(args: argparse.Namespace) -> dict[str, Any]:
     for place, number in enumerate(numbers):
         progress(f"block {number}", place / len(numbers))
         merge(divided, number)
-    return {"work": str(args.work), "blocks": len(numbers)}
+    return {"blocks": len(numbers)}
 
 
 def _decide(args: argparse.Namespace) -> dict[str, Any]:
@@ -158,19 +158,19 @@ def _decide(args: argparse.Namespace) -> dict[str, Any]:
     numbers = _numbers(args, divided)
     for number in numbers:
         decide(divided, number, dataset, plan, targets_of[number], _progress_of(args, "decide"))
-    return {"work": str(args.work), "blocks": len(numbers)}
+    return {"blocks": len(numbers)}
 
 
 def _cut(args: argparse.Namespace) -> dict[str, Any]:
     divided = Divided.read(args.work)
     if Request.read(args.work) is not None:
         prepare_around(divided, _progress_of(args, "cut"))
-        return {"work": str(args.work), "blocks": len(divided.blocks), "count": divided.count}
+        return {"blocks": len(divided.blocks), "count": divided.count}
     goal = _goal(args)
     if not (goal.count or goal.share):
         raise SceneError("how many Gaussians stay is not given: add --target or --target-count")
     left = cut(divided, scored_views(args.work), goal.number(divided.count), _progress_of(args, "cut"))
-    return {"work": str(args.work), "blocks": len(left.blocks), "count": left.count}
+    return {"blocks": len(left.blocks), "count": left.count}
 
 
 def _tune(args: argparse.Namespace) -> dict[str, Any]:
@@ -183,7 +183,7 @@ def _tune(args: argparse.Namespace) -> dict[str, Any]:
     numbers = _numbers(args, divided) if steps else range(0)
     for number in numbers:
         tune(divided, number, cameras, steps, _progress_of(args, "tune"))
-    return {"work": str(args.work), "blocks": len(numbers)}
+    return {"blocks": len(numbers)}
 
 
 def _recover(args: argparse.Namespace, divided: Divided, request: Request) -> dict[str, Any]:
@@ -192,11 +192,11 @@ def _recover(args: argparse.Namespace, divided: Divided, request: Request) -> di
             "--tuning-steps is for removals and merges: leave it out; --recovery of svrgs large divide gives"
             " the steps of a method"
         )
-    numbers = _numbers(args, divided) if request.recovery else range(0)
+    numbers = _numbers(args, divided) if request.options.recovery else range(0)
     plan, dataset = request.plan(), request.dataset()
     for number in numbers:
         recover(divided, number, dataset, plan, _progress_of(args, "recover"))
-    return {"work": str(args.work), "blocks": len(numbers)}
+    return {"blocks": len(numbers)}
 
 
 def _finish(args: argparse.Namespace) -> dict[str, Any]:

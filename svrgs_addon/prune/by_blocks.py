@@ -7,7 +7,7 @@ from collections.abc import Collection
 from dataclasses import replace
 from functools import partial
 
-from ..finetune.methods import DEFAULT, method_named
+from ..finetune.methods import DEFAULT
 from ..system import memory
 from ..system.errors import MemoryShort, TooMany
 from . import job_views
@@ -17,7 +17,6 @@ from .blocks.tasks import progress
 from .context import JobContext
 from .door import given
 from .options import PruneOptions
-from .plans import first_cut_of
 from .recipes.by_blocks import Goal, LearnedByBlocks, MergedByBlocks
 
 TAKES = (  # options; with others, the scene must be read as a whole
@@ -80,17 +79,6 @@ def with_advice(error: MemoryShort | TooMany, options: PruneOptions) -> MemorySh
     return type(error)(f"{sentence}; {NEEDS_VISIBLE if visible else memory.BY_BLOCKS}")
 
 
-def request_of(options: PruneOptions) -> Request:
-    """What is asked of a method on photographs. Raises SceneError for a method that cannot decide by
-    blocks."""
-    method = method_named(options.method or DEFAULT)
-    same = {name: getattr(options, name) for name in Request.__dataclass_fields__}
-    same |= {"data": str(options.data), "masks": str(options.masks or "")}
-    request = Request(**same | {"method": method.name, "min_contribution": first_cut_of(options, method)})
-    request.plan()
-    return request
-
-
 def recipe_of(options: PruneOptions, job: JobContext, reason: str) -> MergedByBlocks | LearnedByBlocks:
     """The recipe of `svrgs prune` by blocks. reason: why, in a sentence. Raises SplatError."""
     assert options.scene is not None
@@ -98,5 +86,5 @@ def recipe_of(options: PruneOptions, job: JobContext, reason: str) -> MergedByBl
     scene, reason = options.scene, memory.without_advice(reason)
     views_of = partial(job_views.by_blocks, options)
     if _learns(options):
-        return LearnedByBlocks(scene, job, goal, views_of, request=request_of(options), reason=reason)
+        return LearnedByBlocks(scene, job, goal, views_of, request=Request.of(options), reason=reason)
     return MergedByBlocks(scene, job, goal, views_of, reason=reason)

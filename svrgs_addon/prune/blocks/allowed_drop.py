@@ -9,16 +9,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from ...files.atomic import write_bytes
 from ...files.registry import format_to_write
 from ...finetune.methods.removal import floor_of_drop
 from ...finetune.plan import Plan
 from ...finetune.quality import MIN_SHARE, fewest, squared_error
 from ...render.metrics.allowed_loss import ASSUMED, refuse_loss
 from ...scene.camera import Camera
-from ...system.errors import FormatError
 from ..likeness import Likeness, assumed_psnr
-from .divided import NUMBER, Divided, ProgressOf, divide
+from .divided import Divided, ProgressOf, divide
 from .folder import HELD
 from .merging import most_needed
 from .pruning import write_joined
@@ -95,18 +93,3 @@ def _held(divided: Divided, out: Path, progress_of: ProgressOf) -> Iterator[Divi
         yield divide(folder / out.name, folder / "blocks")
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-
-
-def write_number(folder: Path, number: int):
-    """Keeps the number of Gaussians that was found, for a job that is continued. Raises SceneError."""
-    write_bytes(folder / NUMBER, str(number).encode())
-
-
-def read_number(folder: Path) -> int:
-    """The number of Gaussians that write_number() has kept. Raises FormatError."""
-    try:
-        return int((folder / NUMBER).read_text())
-    except (OSError, ValueError):
-        raise FormatError(
-            f"{folder / NUMBER}: is missing or damaged; delete {folder} to start again"
-        ) from None

@@ -38,9 +38,8 @@ GEOMETRY = {"means": 3, "log_scales": 3, "quats": 4, "opacity_logits": 1}
 WIDTH = sum(GEOMETRY.values())
 OPACITY = WIDTH - 1  # its column
 OWN_COLUMNS = "svrgs_"  # how columns begin that a job has added to its splat
-NUMBER = "number.json"  # of Gaussians that an allowed drop leaves
 OWN_FILES = (  # files of prune/blocks/
-    INDEX, NUMBER, "scores_*_of_*.npy", "reduced.json", "error.json", "[0-9]*.geometry", "[0-9]*.sh",
+    INDEX, "scores_*_of_*.npy", "reduced.json", "error.json", "[0-9]*.geometry", "[0-9]*.sh",
     "[0-9]*.rows", "[0-9]*.visibility", "[0-9]*.order.npz", "[0-9]*.picture.npy", "[0-9]*.blended.npy",
 )  # fmt: skip
 Progress = Callable[[str, float], None]  # what is done now, and the share of the work that is done

@@ -67,8 +67,8 @@ def finish_learned(
     result = finish(divided, likeness, out, progress_of)
     before = {**likeness.measured(divided), "ms_per_frame": None, **result["before"]}
     doubts = check_explained(divided, dataset, str(divided.source), True, BlockRasterizer())
-    notes = [*dataset.notes, *doubts, *result["notes"]]
-    return result | {"method": request.method, "seed": request.seed, "before": before, "notes": notes}
+    notes, options = [*dataset.notes, *doubts, *result["notes"]], request.options
+    return result | {"method": options.method, "seed": options.seed, "before": before, "notes": notes}
 
 
 def write_left(divided: Divided, likeness: Likeness, out: Path) -> dict[str, Any]:

@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+import json
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
-from ...files.atomic import write_json
+from ...files.atomic import write_bytes
 from ...files.reading import json_object
-from ...finetune.methods import METHODS, method_named
+from ...finetune.methods import DEFAULT, METHODS, method_named
 from ...finetune.methods.removal import Removal
-from ...finetune.plan import Plan, prune_plan
+from ...finetune.plan import Plan
 from ...finetune.quality import hold_apart
 from ...system.errors import FormatError, SceneError
-from ...views.dataset import Dataset, load_dataset
-from ...views.valid_pixels import MaskOptions
-from ..door import check_training
+from ...system.option_kinds import check_mapping
+from ...views.dataset import Dataset
+from ..door import check_training, given
+from ..options import PruneOptions
+from ..plans import dataset_of, first_cut_of, plan_of_pruning
 
 FILE = "request.json"
+TAKEN = (  # options
+    "data", "images", "holdout", "masks", "invert_masks", "outside", "image_memory", "background",
+    "iterations", "recovery", "schedule", "lambda_f", "seed",
+)  # fmt: skip
 
 
 def methods() -> list[str]:
@@ -33,63 +39,51 @@ def methods_of_drop() -> list[str]:
 
 @dataclass(frozen=True)
 class Request:
-    """A dataset, a method and its settings, as the options of `svrgs prune` with these names. F counts up to
-    where the colours of a ray stop, because a block does not know what is hidden behind others."""
+    """What is asked: the options of `svrgs prune` about the dataset, the method and its settings. F counts up
+    to where the colours of a ray stop, because a block does not know what is hidden behind others."""
 
-    data: str
-    method: str
-    iterations: int
-    recovery: int
-    min_contribution: float
-    images: str = ""
-    holdout: int = 8
-    lambda_f: float | None = None
-    seed: int = 0
-    schedule: float = 1.0
-    masks: str = ""
-    invert_masks: bool = False
-    outside: str = "auto"
-    image_memory: float = 4.0  # GB
-    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    options: PruneOptions
+
+    @classmethod
+    def of(cls, options: PruneOptions) -> Request:
+        """Raises SceneError as plan()."""
+        method = method_named(options.method or DEFAULT)
+        found = {name: getattr(options, name) for name in TAKEN} | {"method": method.name}
+        found |= {"min_contribution": first_cut_of(options, method), "visible_mask": True}
+        request = cls(PruneOptions(**found))
+        request.plan()
+        return request
 
     def plan(self) -> Plan:
         """Raises SceneError for a method that cannot decide block by block, and for no steps."""
-        if self.method not in methods():
+        if self.options.method not in methods():
             raise SceneError(
-                f"method '{self.method}' needs the scene in memory; by blocks, choose one of"
+                f"method '{self.options.method}' needs the scene in memory; by blocks, choose one of"
                 f" {', '.join(methods())}"
             )
-        if not self.iterations:
+        if not self.options.iterations:
             raise SceneError("by blocks, a method decides in steps: give --iterations a number above 0")
-        names = ("lambda_f", "seed", "background", "min_contribution", "schedule")
-        settings: dict[str, Any] = {name: getattr(self, name) for name in names}
-        return prune_plan(method_named(self.method), self.iterations, self.recovery, full=False, **settings)
+        return replace(plan_of_pruning(self.options), exposure="off", refine_poses="off")
 
     def refuse_drop(self):
         """Raises SceneError for a method that cannot hold an allowed drop."""
-        if self.method not in methods_of_drop():
+        if self.options.method not in methods_of_drop():
             raise SceneError(
-                f"--max-drop by blocks is for {' and '.join(methods_of_drop())}, not for '{self.method}':"
-                " choose one of these, or give --target"
+                f"--max-drop by blocks is for {' and '.join(methods_of_drop())}, not for"
+                f" '{self.options.method}': choose one of these, or give --target"
             )
 
     def dataset(self) -> Dataset:
         """Raises SceneError, FormatError."""
-        found = load_dataset(
-            self.data,
-            self.images or None,
-            holdout=self.holdout,
-            background=self.background,
-            memory_budget=int(self.image_memory * 1e9),
-            masks=MaskOptions(Path(self.masks) if self.masks else None, self.invert_masks, self.outside),
-        )
+        found, options = dataset_of(self.options), self.options
         if not found.photos:
-            raise SceneError(f"{self.data}: has no photographs, which the method '{self.method}' needs")
+            raise SceneError(f"{options.data}: has no photographs, which the method '{options.method}' needs")
         check_training(found.train_indices)
         return hold_apart(found)
 
     def write(self, folder: Path):
-        write_json(folder / FILE, asdict(self))
+        values = {name: getattr(self.options, name) for name in given(self.options)}
+        write_bytes(folder / FILE, json.dumps(values, default=str).encode())
 
     @classmethod
     def read(cls, folder: Path) -> Request | None:
@@ -98,7 +92,7 @@ class Request:
         if not path.exists():
             return None
         try:
-            found = json_object(path, 1 << 20) or {}
-            return cls(**found | {"background": tuple(found["background"])})
-        except (OSError, KeyError, TypeError):
+            found = check_mapping(PruneOptions, json_object(path, 1 << 20), in_job=False)
+            return cls(PruneOptions(**found | {"data": found["data"], "method": found["method"]}))
+        except (OSError, KeyError, SceneError):
             raise FormatError(f"{path}: is missing or damaged; divide the scene again") from None

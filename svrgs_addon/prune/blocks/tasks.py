@@ -1,6 +1,6 @@
 """Which tasks of a job by blocks are finished, and the share of the job that is done.
 
-tasks.json, beside the blocks, lists the finished tasks. A job that was stopped or killed does only the others
+tasks.json, beside the blocks, holds the finished tasks. A job that was stopped or killed does only the others
 when it is continued.
 """
 
@@ -39,13 +39,13 @@ EACH = {
 
 
 class Tasks:
-    """done: names of the tasks that are done; none of a job that begins. total: how many tasks the job has, 0
-    as long as that is not known."""
+    """done: the tasks that are done, and the number that each has found, if any; empty in a job that begins.
+    total: how many tasks the job has, 0 as long as that is not known."""
 
     def __init__(self, folder: Path, identity: str, resume: bool):
         """identity: of settings and inputs. Raises FormatError if the job in the folder is another one."""
         self._path, self._identity = folder / FILE, identity
-        self.total, self.done, self._most = 0, list[str](), 0.0
+        self.total, self.done = 0, dict[str, int | None]()
         found = _read(self._path) if resume else None
         if found is None:
             self._path.unlink(missing_ok=True)
@@ -56,47 +56,30 @@ class Tasks:
         else:
             self.done = found["done"]
 
-    def progress_of(self, step: str, progress: Progress) -> Progress:
-        """`progress` with the share of the whole job, 0 to 1, instead of that of one task. Measuring the
-        result counts as one more task. 0 while `total` is 0. The share never falls, because a task has
-        several steps."""
+    def span(self, step: str) -> tuple[float, float]:
+        """The shares of the job at which a step of the next task begins and ends. Measuring the result counts
+        as one more task. Zeros while `total` is 0."""
+        done, tasks = len(self.done), self.total + 1
         start, end = OF_TASK.get(step, (0.0, 1.0))
+        return ((done + start) / tasks, (done + end) / tasks) if self.total else (0.0, 0.0)
 
-        def of_job(text: str, share: float):
-            done = len(self.done) + start + (end - start) * share
-            self._most = max(self._most, done / (self.total + 1) if self.total else 0.0)
-            progress(text, self._most)
-
-        return of_job
-
-    def once(self, name: str, work: Callable[[], object]):
-        """Does a task, unless it is done."""
-        if name in self.done:
-            return
-        work()
-        self.done.append(name)
-        write_json(self._path, {"identity": self._identity, "total": self.total, "done": self.done})
+    def once(self, name: str, work: Callable[[], int | None]) -> int | None:
+        """Does a task, unless it is done. Returns what it finds, or has found."""
+        if name not in self.done:
+            self.done[name] = work()
+            write_json(self._path, {"identity": self._identity, "total": self.total, "done": self.done})
+        return self.done[name]
 
 
-class Overall:
-    """Reports the progress of a job that removes and merges: the share of the whole job instead of that of a
-    step. It never falls."""
+class Rounds:
+    """The steps of a job that removes and merges, which come in rounds."""
 
-    def __init__(self, progress_of: ProgressOf, rounds: int):
-        """progress_of: of the name of a step. rounds: how often a scene is cut, tuned and measured: for the
-        result and for each level of detail."""
-        self._progress_of, self._rounds, self._round, self._most = progress_of, rounds, -1, 0.0
+    def __init__(self, rounds: int):
+        """rounds: how often a scene is cut, tuned and measured: for the result and for each level of
+        detail."""
+        self._rounds, self._round = rounds, -1
 
-    def __call__(self, step: str) -> Progress:
-        progress, (start, end) = self._progress_of(step), self._span(step)
-
-        def of_job(text: str, share: float):
-            self._most = max(self._most, start + (end - start) * share)
-            progress(text, self._most)
-
-        return of_job
-
-    def _span(self, step: str) -> tuple[float, float]:
+    def span(self, step: str) -> tuple[float, float]:
         """The shares of the job at which a step begins and ends; zeros for one that comes at different
         times."""
         self._round += step == "cut"
@@ -107,6 +90,24 @@ class Overall:
             first + (1 - first) * (max(0, self._round) + share) / self._rounds for share in EACH[step]
         )
         return start, end
+
+
+class Overall:
+    """Reports the share of the whole job instead of that of a step. It never falls, because steps come
+    again."""
+
+    def __init__(self, progress_of: ProgressOf, span: Callable[[str], tuple[float, float]]):
+        """progress_of: of the name of a step. span: Tasks.span or Rounds.span."""
+        self._progress_of, self._span, self._most = progress_of, span, 0.0
+
+    def __call__(self, step: str) -> Progress:
+        progress, (start, end) = self._progress_of(step), self._span(step)
+
+        def of_job(text: str, share: float):
+            self._most = max(self._most, start + (end - start) * share)
+            progress(text, self._most)
+
+        return of_job
 
 
 def progress(folder: Path) -> tuple[int, int]:
@@ -122,6 +123,6 @@ def _read(path: Path) -> dict | None:
     except OSError:
         return None
     done = found.get("done")
-    named = isinstance(done, list) and all(isinstance(name, str) for name in done)
-    whole = named and isinstance(found.get("identity"), str) and isinstance(found.get("total"), int)
+    numbers = isinstance(done, dict) and all(isinstance(one, int | None) for one in done.values())
+    whole = numbers and isinstance(found.get("identity"), str) and isinstance(found.get("total"), int)
     return found if whole else None

@@ -15,10 +15,12 @@ from typing import Any
 from ...files.atomic import check_space
 from ...files.digests import scene_sha256
 from ...files.level_files import holds_levels
+from ...finetune.plan import Plan
 from ...finetune.quality import MIN_SHARE, NOT_APART
 from ...render.metrics.allowed_loss import missed_loss
 from ...scene.camera import Camera
 from ...scene.gaussians import Scene
+from ...system import memory
 from ...system.errors import Cancelled
 from ...views.dataset import Dataset
 from ..belonging import check_explained, check_seen, seen_of
@@ -27,20 +29,17 @@ from ..blocks.allowed_drop import (
     fewest_above,
     fewest_within,
     floor_on_photographs,
-    read_number,
-    write_number,
 )
 from ..blocks.block_rasterizer import BlockRasterizer, opened
-from ..blocks.block_size import as_memory_allows
-from ..blocks.divided import Divided, Progress, ProgressOf, divide
+from ..blocks.divided import MAX_BLOCK_COUNT, Divided, MaxBlockCount, Progress, ProgressOf, divide
 from ..blocks.folder import LEVEL, SCORED, blocks_of, prepare, refuse_foreign, remove, scored_views
 from ..blocks.learning import AROUND_SHARE, decide, prepare_around, recover, targets
-from ..blocks.merging import merge, reduce, with_seen
+from ..blocks.merging import CELL, merge, reduce, with_seen
 from ..blocks.pruning import finish, finish_learned, join_levels, original_likeness, result_notes, write_left
 from ..blocks.request import Request
 from ..blocks.sample import sample_of
 from ..blocks.scoring import score
-from ..blocks.tasks import Overall, Tasks
+from ..blocks.tasks import Overall, Rounds, Tasks
 from ..blocks.tuning import EPOCHS, cut, tune
 from ..context import JobContext
 from ..door import check_visible
@@ -51,6 +50,9 @@ from ..report.prune_report import write_report_of_files
 
 # bytes: no limit, because fine-tuning on pictures of the scene keeps all of them in memory
 PICTURES = 1 << 62
+# of the available memory, for fine-tuning a block; the rest is for scores, for reading, and for freed memory
+# that the system does not get back
+SHARE = 0.5
 # space that the steps need at least: for sums and orders, in sizes of all blocks; copies of what stays
 SUMS, COPIES = 1.2, 4
 FIGURES = ("psnr", "ssim", "lpips", "flip")  # that are measured
@@ -156,7 +158,7 @@ class MergedByBlocks(ByBlocks):
 
     def rank(self):
         goal, work, self.started = self.goal, self.work, True
-        self.overall = Overall(self.progress_of, 1 + len(goal.levels))
+        self.overall = Overall(self.progress_of, Rounds(1 + len(goal.levels)).span)
         prepare(work, self.scored, self.measured)
         self.scored = scored_views(work)
         block = self.block or as_memory_allows(self.scored, PICTURES)
@@ -237,19 +239,17 @@ class LearnedByBlocks(ByBlocks):
     def compared(self) -> Sequence[Camera]:
         return self.dataset.cameras
 
-    def progress_of(self, step: str) -> Progress:
-        return self.tasks.progress_of(step, super().progress_of(step))
-
     def rank(self):
         goal, dataset, plan, source = self.goal, self.dataset, self.request.plan(), self.source
         views = (self.scored, self.measured)
-        identity = _identity(source, views, goal, self.block, self.request, dataset)
+        identity = _identity(source, views, goal, self.block, plan, dataset)
         self.tasks, self.started = Tasks(self.work, identity, self.job.resume), True
+        self.overall = Overall(self.progress_of, self.tasks.span)
 
         def divide_anew():
             prepare(self.work, *views, self.request)
             block = self.block or as_memory_allows(dataset.cameras, dataset.memory_budget)
-            divide(source, self.work, block, self.progress_of("divide"))
+            divide(source, self.work, block, self.overall("divide"))
 
         self.tasks.once("divide", divide_anew)
         self.divided = divided = replace(Divided.read(self.work), source=source)
@@ -258,47 +258,41 @@ class LearnedByBlocks(ByBlocks):
             _check_room(self.work, divided, goal, AROUND_SHARE)
         blocks = len(divided.blocks)
         self.wanted = goal.number(divided.count) if goal.count or goal.share else 0
-        self.tasks.total = 3 + bool(goal.max_drop) + blocks * (2 if self.request.recovery else 1)
-        self.likeness, self.floor = PhotographLikeness(dataset, BlockRasterizer, self.progress_of), 0.0
+        self.tasks.total = 3 + bool(goal.max_drop) + blocks * (2 if self.request.options.recovery else 1)
+        self.likeness, self.floor = PhotographLikeness(dataset, BlockRasterizer, self.overall), 0.0
         if goal.max_drop and ALLOWED not in self.tasks.done:  # may refuse
             self.floor = floor_on_photographs(
-                divided, self.likeness.deciding, goal.max_drop, plan, self.job.out, self.progress_of
+                divided, self.likeness.deciding, goal.max_drop, plan, self.job.out, self.overall
             )
         ordered = self.wanted or goal.max_drop or blocks > 1
         self.tasks.once(
             ORDER,
-            lambda: _order(divided, scored_views(divided.folder), self.progress_of) if ordered else None,
+            lambda: _order(divided, scored_views(divided.folder), self.overall) if ordered else None,
         )
 
     def budget(self):
-        divided = self.divided
         if self.goal.max_drop:
-
-            def find():
-                number = fewest_above(divided, self.likeness.deciding, self.floor, self.progress_of)
-                write_number(divided.folder, number)
-
-            self.tasks.once(ALLOWED, find)
-            self.wanted = read_number(divided.folder)
+            find = partial(fewest_above, self.divided, self.likeness.deciding, self.floor, self.overall)
+            self.wanted = self.tasks.once(ALLOWED, find) or 0
 
     def select(self):
         divided, plan = self.divided, self.request.plan()
-        self.tasks.once("around", lambda: prepare_around(divided, self.progress_of("merge")))
+        self.tasks.once("around", lambda: prepare_around(divided, self.overall("merge")))
         for number, target in enumerate(targets(divided, self.wanted)):
-            progress = self.progress_of("decide")
+            progress = self.overall("decide")
             work = partial(decide, divided, number, self.dataset, plan, target, progress)
             self.tasks.once(f"decide {number}", work)
 
     def tune(self):
         plan = self.request.plan()
-        for number in range(len(self.divided.blocks) if self.request.recovery else 0):
-            work = partial(recover, self.divided, number, self.dataset, plan, self.progress_of("recover"))
+        for number in range(len(self.divided.blocks) if self.request.options.recovery else 0):
+            work = partial(recover, self.divided, number, self.dataset, plan, self.overall("recover"))
             self.tasks.once(f"recover {number}", work)
 
     def write(self):
         job = self.job
         self.result = finish_learned(
-            self.divided, self.request, self.dataset, job.out, self.progress_of, job.lpips
+            self.divided, self.request, self.dataset, job.out, self.overall, job.lpips
         )
         self.finished = True
 
@@ -318,6 +312,25 @@ class LearnedByBlocks(ByBlocks):
     def close(self):
         if self.started and (self.finished or ORDER not in self.tasks.done):
             remove(self.work)
+
+
+def as_memory_allows(cameras: Sequence[Camera], kept_photographs: int) -> MaxBlockCount:
+    """A function that gives the largest number of Gaussians of a block: MAX_BLOCK_COUNT; or less, but at
+    least CELL, where SHARE of the available memory is too little to fine-tune a block and the Gaussians
+    around it. cameras, kept_photographs (bytes): as for memory.tuning()."""
+
+    def fitting(count: int, coefficients: int) -> int:
+        most = min(MAX_BLOCK_COUNT, count)
+        while most >= 2 * CELL:
+            # of a level of detail of the others, at most as many as the block has
+            tuned = most + min(most, round(AROUND_SHARE * (count - most)))
+            needed = memory.tuning(tuned, coefficients, cameras, kept_photographs) / SHARE
+            if not memory.shortage("", int(needed)):
+                break
+            most = -(-most // 2)
+        return most
+
+    return fitting
 
 
 def _order(divided: Divided, scored: Sequence[Camera], progress_of: ProgressOf):
@@ -351,14 +364,14 @@ def _identity(
     views: tuple[Sequence[Camera], Sequence[Camera]],
     goal: Goal,
     block: int | None,
-    request: Request,
+    plan: Plan,
     dataset: Dataset,
 ) -> str:
     """Digest of all that must be the same in a job that is continued; where its files lie may differ. Raises
     SceneError."""
-    settings = replace(request, data="", images="", masks="", image_memory=0.0)
     cameras = [[camera.key for camera in some] for some in views]
-    digest = hashlib.sha256(repr((scene_sha256(source), goal, block, settings, cameras)).encode())
+    places = dataset.train_indices, dataset.deciding_indices
+    digest = hashlib.sha256(repr((scene_sha256(source), goal, block, plan, places, cameras)).encode())
     for part in dataset.inputs():
         digest.update(part)
     return digest.hexdigest()
