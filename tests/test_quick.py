@@ -17,9 +17,10 @@ from svrgs_addon.files.streamed_sog import read_level
 from svrgs_addon.finetune.decimate.order import order_of, visibility_sums
 from svrgs_addon.finetune.refit import interpolated
 from svrgs_addon.finetune.viewed_scene import ViewedScene
-from svrgs_addon.prune import pipeline, smallest_file
+from svrgs_addon.prune import pipeline
 from svrgs_addon.prune.context import JobContext
 from svrgs_addon.prune.options import PruneOptions
+from svrgs_addon.prune.recipes import quick
 from svrgs_addon.prune.recipes.quick import Quick
 from svrgs_addon.render.metrics.measures import psnr
 from svrgs_addon.scene.affine import scaled
@@ -213,7 +214,6 @@ def test_lost_columns_are_named(tmp_path):
 @pytest.mark.parametrize("target", [0.2, 0.9])
 def test_steps_that_do_harm_are_taken_back(splat, monkeypatch, target):
     """The steps of this test paint all Gaussians grey."""
-    from svrgs_addon.prune.recipes import quick
 
     before = []
     monkeypatch.setattr(
@@ -307,7 +307,7 @@ def test_the_smallest_file_within_a_drop_is_chosen_by_count_and_steps_together(s
     together = run(splat, out=out, target=None, max_drop=0.5)
     assert any("--quantise" in note for note in together["notes"]) and together["bytes"] == out.stat().st_size
     assert together["drop"] < 0.5
-    monkeypatch.setattr(smallest_file, "FACTORS", (1.0,))
+    monkeypatch.setattr(quick, "FACTORS", (1.0,))
     alone = run(splat, out=out, target=None, max_drop=0.5)
     assert together["bytes"] < alone["bytes"] and together["count"] >= alone["count"]
     assert not any("--quantise" in note for note in alone["notes"])

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,14 +18,21 @@ import numpy as np
 
 from ...files.level_files import write_with_levels
 from ...files.ply import NORMALS
-from ...files.registry import format_to_write, higher_bands, invisible, load_scene, size_on_disk
+from ...files.registry import (
+    format_to_write,
+    higher_bands,
+    invisible,
+    load_scene,
+    round_trip,
+    size_on_disk,
+)
 from ...finetune.decimate.order import MOST_HIDDEN, Order, hidden, lost_columns, order_of, visibility_sums
 from ...finetune.decimate.saved_order import write_order
-from ...finetune.quality import MIN_SHARE, best_share
+from ...finetune.quality import MIN_SHARE, best_share, fewest
 from ...finetune.refit import USUAL, TrainingView, interpolated, middle_scale, pace_at, refit
 from ...finetune.viewed_scene import ViewedScene
 from ...native.library import thresholds
-from ...render.metrics.allowed_loss import loss_notes, missed_loss
+from ...render.metrics.allowed_loss import ASSUMED, MEASURES, loss_notes, missed_loss, refuse_loss
 from ...render.metrics.evaluate import render_options
 from ...scene.affine import scaled
 from ...scene.camera import apart
@@ -37,13 +45,12 @@ from .. import job_views
 from ..belonging import Seen, check_seen
 from ..context import JobContext
 from ..disk_room import ROW
-from ..door import SIZES, allowed_loss, check_options, check_visible, degree_to_keep, excess_notes
+from ..door import SIZES, Allowed, allowed_loss, check_options, check_visible, degree_to_keep, excess_notes
 from ..file_size import asked_size
 from ..likeness import Likeness, assumed_drop, assumed_psnr
 from ..options import PruneOptions
 from ..recipe import Recipe
 from ..seen import cut_notes, fewer_bands, seen_from
-from ..smallest_file import refuse_bands, smallest_file
 
 DECIDING = 6  # views in which an allowed drop is held, apart from those in which the result is measured
 STEPS, MOST_STEPS = 60, 120  # of fine-tuning, with USUAL of the Gaussians and at most
@@ -54,6 +61,7 @@ TAKES = (  # options; others are refused
     "target_size", "target_format", "max_drop", "max_flip", "max_lpips", "sh_degree", "quiet", "quick",
     "force", "scene", "out", "levels",
 )  # fmt: skip
+FACTORS = (1.0, 2.0, 4.0)  # on the error in SH, for formats that take one
 SMALLEST = 0.01  # share of the Gaussians down to which an order is kept
 LIKELY = 0.25  # share of the Gaussians that an allowed drop leaves, to foresee the time
 NOT_FINISHED = "stopped; nothing was written, and a quick job has no checkpoint: start it again"
@@ -216,6 +224,57 @@ class Quick(Recipe):
         if not format_to_write(self.job.out).lossless and self.likeness.views:
             psnr = self.likeness.psnr
             yield from loss_notes(psnr(pruned), psnr(scaled(stored, self.factor)))
+
+
+def refuse_bands(order: Order, quality_of: Callable[[Scene], float], out: Path, allowed: Allowed):
+    """Raises SceneError if leaving out SH bands costs all of the allowed loss, before a Gaussian is removed.
+    quality_of: as of smallest_file()."""
+    measure, degree = MEASURES[allowed.measure], order.scene.sh_degree
+    loss = (ASSUMED if allowed.measure == "psnr" else 0.0) - quality_of(order.scene)
+    if degree == format_to_write(out).most_degree:
+        refuse_loss(out, loss, *allowed)
+    if loss >= allowed.loss:
+        raise SceneError(
+            f"{out}: SH of degree {degree} alone lose {loss:.3g} {measure.unit}, not less than"
+            f" {measure.option} allows: keep a higher degree"
+        )
+
+
+def smallest_file(
+    order: Order, least: int, quality_of: Callable[[Scene], float], out: Path, allowed: Allowed, unit: float
+) -> tuple[int, float]:
+    """(count, quantise) of the smallest file that holds the allowed loss before the steps of
+    fine-tuning, which win a part of it back. At least `least` Gaussians. A coarser factor is tried as long as
+    it makes a smaller file.
+
+    quality_of: of a scene (Likeness.quality()). unit: length of a unit of the order's scene in the file.
+    Raises SceneError if the format alone loses so much.
+    """
+    total, best_of_all = order.scene.count, ASSUMED if allowed.measure == "psnr" else 0.0
+    floor = best_of_all - allowed.loss
+    splat_format, best, smallest = format_to_write(out), (total, 1.0), math.inf
+    if splat_format.lossless:
+        return fewest(least, total, lambda count: quality_of(order.at(count)) >= floor), 1.0
+
+    def tried_with(count: int, factor: float) -> tuple[float, int]:
+        held, size = round_trip(scaled(order.at(count), unit), splat_format, factor)
+        return quality_of(scaled(held, 1 / unit)), size
+
+    def holds(factor: float, count: int) -> bool:
+        return tried_with(count, factor)[0] >= floor
+
+    for factor in FACTORS if splat_format.quantises and order.scene.sh_degree else FACTORS[:1]:
+        loss = best_of_all - tried_with(total, factor)[0]
+        if factor == FACTORS[0]:
+            refuse_loss(out, loss, *allowed)
+        elif loss >= allowed.loss:
+            break
+        count = fewest(least, total, partial(holds, factor))
+        size = tried_with(count, factor)[1]
+        if size >= smallest:
+            break
+        best, smallest = (count, factor), size
+    return best
 
 
 def like_quick(options: PruneOptions, scene: Scene) -> tuple[PruneOptions, RenderedDataset]:
