@@ -71,11 +71,19 @@ class Method:
             coarse_until=coarse_until,
             label="Training from the photographs",
         )
-        return [train, *_recovery(recovery, rates.at(iterations, 1.0)["means"])]
+        return [train, *self.recovering(recovery, rates.at(iterations, 1.0)["means"])]
 
     def prune_phases(self, iterations: int, recovery: int, prune_every: int) -> list[Phase]:
-        """The phases of `svrgs prune`. Here only recovery, for methods that decide before it."""
-        return _recovery(recovery)
+        """The phases of `svrgs prune`."""
+        return [*(self.deciding(iterations, prune_every) if iterations else []), *self.recovering(recovery)]
+
+    def deciding(self, iterations: int, prune_every: int) -> list[Phase]:
+        """The phase in which the method decides. Here none: it decides before the steps."""
+        return []
+
+    def recovering(self, steps: int, *rates: float) -> list[Phase]:
+        """The recovery, an empty list for 0 steps. rates: that of position at its start."""
+        return [recovery_phase(steps, *rates)] if steps else []
 
     def paced(self, phases: list[Phase]) -> list[Phase]:
         """The phases, with the learning rates that their numbers of steps call for. It depends on nothing
@@ -161,15 +169,11 @@ class Method:
         """Restores what state() returned."""
 
 
-def learning_phase(steps: int, rates: Rates, prune_every: int) -> list[Phase]:
-    """The pruning phase of `svrgs prune`, in which the method is active. An empty list for 0 steps."""
-    return [Phase("prune", steps, rates, active=True, prune_every=prune_every, label=DECIDE)] if steps else []
+def learning_phase(steps: int, rates: Rates, prune_every: int = 0, label: str = DECIDE) -> list[Phase]:
+    """The pruning phase of `svrgs prune`, in which the method is active."""
+    return [Phase("prune", steps, rates, active=True, prune_every=prune_every, label=label)]
 
 
 def sh_every(iterations: int) -> int:
     """Steps after which the SH degree rises: SH_EVERY, fewer if the training is too short for them."""
     return max(1, min(SH_EVERY, iterations // SH_PARTS))
-
-
-def _recovery(steps: int, *rates: float) -> list[Phase]:
-    return [recovery_phase(steps, *rates)] if steps else []

@@ -24,7 +24,7 @@ from ..run_view import Keep, RunView
 from ..saliency import saliency
 from ..scores import drawn, top
 from ..settings import Phase, Rates
-from .base import REMOVE, Method
+from .base import REMOVE, Method, learning_phase
 
 # published; EASE: steps with the first form of the penalty, and with OPACITY_RATE after the trim
 STEPS, PRESS_EVERY, EASE = 8_000, 50, 1_000
@@ -57,13 +57,10 @@ class GNS(Method):
         train, *recover = super().train_phases(iterations, recovery, densify, coarse_until)
         train = replace(train, steps=iterations - press, active=False)
         first, last = (train.rates.at(step, 1.0)["means"] for step in (train.steps, iterations))
-        return [train, *pressure_phase(press, first, last), *recover]
+        return [train, *(pressure_phase(press, first, last) if press else []), *recover]
 
-    def prune_phases(self, iterations: int, recovery: int, prune_every: int) -> list[Phase]:
-        return [
-            *pressure_phase(iterations, 5e-6, Rates().position_last),
-            *super().prune_phases(iterations, recovery, prune_every),
-        ]
+    def deciding(self, iterations: int, prune_every: int) -> list[Phase]:
+        return pressure_phase(iterations, 5e-6, Rates().position_last)
 
     def budget(self, run: RunView) -> int:
         """With an allowed drop: the number, of highest saliency, that holds it before any learning."""
@@ -122,9 +119,9 @@ class GNS(Method):
 
 
 def pressure_phase(steps: int, first: float, last: float) -> list[Phase]:
-    """The phase with pressure. The position rate falls from `first` to `last`. An empty list for 0 steps."""
+    """The phase with pressure. The position rate falls from `first` to `last`."""
     rates = Rates(position_first=first, position_last=last, position_steps=steps, opacity=OPACITY_RATE)
-    return [Phase("prune", steps, rates, active=True, prune_every=0, label=REMOVE)] if steps else []
+    return learning_phase(steps, rates, label=REMOVE)
 
 
 def opacity_at(logits: np.ndarray, rank: int) -> float:

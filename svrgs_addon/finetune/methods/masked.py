@@ -25,12 +25,9 @@ class Masked(Method):
     supports_max_loss: bool = True
     first_cut: bool = True
 
-    def prune_phases(self, iterations: int, recovery: int, prune_every: int) -> list[Phase]:
+    def deciding(self, iterations: int, prune_every: int) -> list[Phase]:
         rates = Rates(position_first=5e-6, position_steps=iterations)
-        return [
-            *learning_phase(iterations, rates, prune_every),
-            *super().prune_phases(iterations, recovery, prune_every),
-        ]
+        return learning_phase(iterations, rates, prune_every)
 
     def prepare(self, run: RunView, phase: Phase, number: int):
         if not run.model.learns_masks:

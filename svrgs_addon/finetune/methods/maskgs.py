@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from ..run_view import RunView
 from ..settings import Phase, Rates
-from .base import Method, learning_phase
+from .base import learning_phase
 from .masked import Masked
 
 # post-training: published as 0.1 inside the bracket that is multiplied by 0.2, the weight of SSIM
@@ -25,14 +25,11 @@ class MaskGS(Masked):
     lambda_m: float = 5e-4
     window: tuple[float, float] = (0.0, 1.0)
 
-    def prune_phases(self, iterations: int, recovery: int, prune_every: int) -> list[Phase]:
+    def deciding(self, iterations: int, prune_every: int) -> list[Phase]:
         """Post-training as published: no pruning events, one decision at the end, falling learning rates."""
         fade = max(1, round(FADE_EVERY * iterations / POST_STEPS))
         rates = Rates(position_first=POST_POSITION, position_steps=iterations, decay=0.95, decay_every=fade)
-        return [
-            *learning_phase(iterations, rates, 0),
-            *Method.prune_phases(self, iterations, recovery, prune_every),
-        ]
+        return learning_phase(iterations, rates)
 
     def weights(self, trained: bool) -> tuple[float, float]:
         return (0.0, POST_WEIGHT) if trained else super().weights(trained)

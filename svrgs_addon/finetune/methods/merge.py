@@ -31,14 +31,9 @@ class Merge(Method):
     middle: float = 0.0  # state: middle scale of the Gaussians after the cut
     kept: float = 1.0  # state: share of the Gaussians that the cut leaves
 
-    def prune_phases(self, iterations: int, recovery: int, prune_every: int) -> list[Phase]:
-        rates = Rates(decay=LAST ** (1 / RATE_FALLS), decay_every=max(1, recovery // RATE_FALLS))
-        phases = super().prune_phases(iterations, recovery, prune_every)
-        return [replace(phase, rates=rates) for phase in phases]
-
-    def train_phases(self, iterations, recovery, densify, coarse_until) -> list[Phase]:
-        train, *_ = super().train_phases(iterations, 0, densify, coarse_until)
-        return [train, *self.prune_phases(0, recovery, 0)]
+    def recovering(self, steps: int, *_: float) -> list[Phase]:
+        rates = Rates(decay=LAST ** (1 / RATE_FALLS), decay_every=max(1, steps // RATE_FALLS))
+        return [replace(phase, rates=rates) for phase in super().recovering(steps)]
 
     def rates(self, run: RunView, phase: Phase, number: int) -> dict[str, float]:
         """After the cut, positions change by fractions of the middle scale, whatever the extent."""

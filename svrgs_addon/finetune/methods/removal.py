@@ -38,7 +38,7 @@ from ..saliency import removal_errors, saliency, views_that_see
 from ..scores import top
 from ..settings import LARGEST, LARGEST_OF_POSITION, Phase, Rates, Settings, rates_for
 from ..viewed_scene import ViewedScene
-from .base import REMOVE, Method
+from .base import REMOVE, Method, learning_phase
 
 PASSES, FEWEST = 16, 4  # ranking passes in a long phase, and in a short one
 # a pass takes as long as 20 to 40 steps: more passes in a short phase would leave few steps in the same time
@@ -83,14 +83,11 @@ class Removal(Method):
             *self.prune_phases(removal, recovery, 0),
         ]
 
-    def prune_phases(self, iterations: int, recovery: int, prune_every: int) -> list[Phase]:
-        rates = Rates(opacity=OPACITY_RATE)
-        removal = Phase("prune", iterations, rates, active=True, prune_every=0, label=REMOVE)
-        recovery_phases = super().prune_phases(iterations, recovery, prune_every)
-        return [
-            *([removal] if iterations else []),
-            *(replace(phase, averaged=AVERAGED) for phase in recovery_phases),
-        ]
+    def deciding(self, iterations: int, prune_every: int) -> list[Phase]:
+        return learning_phase(iterations, Rates(opacity=OPACITY_RATE), label=REMOVE)
+
+    def recovering(self, steps: int, *rates: float) -> list[Phase]:
+        return [replace(phase, averaged=AVERAGED) for phase in super().recovering(steps, *rates)]
 
     def paced(self, phases: list[Phase]) -> list[Phase]:
         """Also of the phase and the recovery: they begin with the rates of a training with as many steps."""

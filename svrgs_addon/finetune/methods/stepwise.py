@@ -21,12 +21,8 @@ class Stepwise(Method):
     EVENTS: ClassVar[tuple[float, ...]]
     count: int = 0  # state: number of Gaussians before the first event
 
-    def prune_phases(self, iterations: int, recovery: int, prune_every: int) -> list[Phase]:
-        rates = Rates(position_first=5e-6, position_steps=iterations)
-        return [
-            *learning_phase(iterations, rates, 0),
-            *super().prune_phases(iterations, recovery, prune_every),
-        ]
+    def deciding(self, iterations: int, prune_every: int) -> list[Phase]:
+        return learning_phase(iterations, Rates(position_first=5e-6, position_steps=iterations))
 
     def ranking_passes(self, settings: Settings, steps: int, share: float) -> list[tuple[float, float]]:
         return [(event, share ** ((k + 1) / len(self.EVENTS))) for k, event in enumerate(self.EVENTS)]
