@@ -12,14 +12,12 @@ from typing import Any
 
 from ... import __version__
 from ...files.atomic import write_bytes, write_json
+from ...prune.likeness import assumed_drop
 from ...prune.report.point_chart import Axis, Point, chart, front
 from ...prune.report.style import CSS
-from ...render.metrics.allowed_loss import ASSUMED
-from ...render.metrics.measures import with_error
 from ...system.errors import FormatError, SceneError
 from ...system.foreign import own
 from ...system.memory import size_text
-from ...views.rendered import PHOTOGRAPHED
 from .farm_job import FarmJob, Task
 
 COLUMNS: dict[str, Callable[[dict[str, Any]], str]] = {  # title -> text of a row
@@ -79,7 +77,7 @@ def _loss(before: dict[str, Any], after: dict[str, Any]) -> float | None:
         return None
     if before.get("psnr") is not None:
         return before["psnr"] - after["psnr"]
-    return ASSUMED - with_error(after["psnr"], PHOTOGRAPHED)
+    return assumed_drop(after["psnr"])
 
 
 def _means(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:

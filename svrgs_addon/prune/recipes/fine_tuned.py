@@ -384,9 +384,8 @@ class FineTuned(Tuned):
         }
         if job.report:
             write_prune_report(
-                job.report, self.path.stem, self.pictures, scene, dataset, self.run, result,
-                job.lpips_missing, worst,
-            )  # fmt: skip
+                job.report, self.pictures, scene, dataset, self.run, result, job.lpips_missing, worst
+            )
         return self.timed(result)
 
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -35,14 +36,16 @@ from .page import Phase, Report, View, write_report
 from .swing import swing
 
 # fields of a report that a result has under the same name
-OF_RESULT = ("method", "lambda_f", "seconds", "iterations_per_second", "peak_memory_bytes", "seed")
+OF_RESULT = (
+    "before", "after", "notes", "method", "lambda_f", "seconds", "iterations_per_second", "peak_memory_bytes",
+    "seed",
+)  # fmt: skip
 REPORT_VIEWS = 3  # number of views with pictures
 Opens = Callable[[Path, str, Callable[[int], int]], AbstractContextManager[tuple[Renderable, Renderer]]]
 
 
 def write_prune_report(
     folder: Path,
-    name: str,
     before: list,
     after: Scene,
     dataset: Dataset,
@@ -65,21 +68,17 @@ def write_prune_report(
         where = f"{worst.view}, {width} × {height} pixels at {x}, {y}"
         title = f"{where}: where it differs most, FLIP {worst.square_flip:.3f}"
         views.append(View(title, worst.original, worst.picture))
-    page = Report(
-        scene=name,
-        before=figures[0],
-        after=figures[1],
-        lpips_missing=lpips_missing,
-        notes=[*result["notes"], *notes],
+    timed = result | {"before": figures[0], "after": figures[1], "notes": [*result["notes"], *notes]}
+    _write(
+        folder,
+        timed,
+        views,
+        lpips_missing,
         phases=_phases(run, result["seconds_by_phase"]),
-        versions=_versions(),
-        **{field: result[field] for field in OF_RESULT},
         curves=_series(run),
-        views=tuple(views),
         swing=swung,
         files=(str(result["scene"]), str(result["out"])),
     )
-    write_report(folder, page)
 
 
 def write_report_of_files(folder: Path, dataset: Dataset, result: dict, opened: Opens, lpips_missing: str):
@@ -93,18 +92,19 @@ def write_report_of_files(folder: Path, dataset: Dataset, result: dict, opened: 
         with opened(Path(path), "rendering", needed) as (scene, rasterizer):
             pictures.append(report_pictures(scene, dataset, rasterizer))
     before, after = pictures
+    views = report_views(before, after, dataset)
+    _write(folder, result | {"peak_memory_bytes": peak()}, views, lpips_missing)
+
+
+def _write(folder: Path, result: dict, views: Iterable[View], lpips_missing: str, **more: Any):
+    """more: further fields of the report."""
+    facts = {field: result[field] for field in OF_RESULT if field in result}
     page = Report(
         scene=Path(result["scene"]).stem,
-        before=result["before"],
-        after=result["after"],
-        method=result["method"],
         lpips_missing=lpips_missing,
-        notes=tuple(result["notes"]),
-        seconds=result["seconds"],
-        peak_memory_bytes=peak(),
-        seed=result["seed"],
         versions=_versions(),
-        views=tuple(report_views(before, after, dataset)),
+        views=tuple(views),
+        **facts | more,
     )
     write_report(folder, page)
 
