@@ -51,7 +51,7 @@ def write(path: str | os.PathLike, scene: Scene):
     check_space(path, file_size(scene))
     with atomic_write(path) as file:
         for start in range(0, scene.count, PART):
-            file.write(_rows(scene.select(np.arange(start, min(start + PART, scene.count)))).data)
+            file.write(_rows(scene.select(slice(start, start + PART))).data)
 
 
 def file_size(scene: Scene) -> int:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,6 @@ from . import spz
 from .atomic import atomic_write, check_space
 from .axes import AXES, placed, turned_around, turned_over
 from .glb_container import Glb, glb_of
-from .memory_mapped import rows
 from .quantised import colors_of_sh, logits_of_opacities, logs_of, opacities_of, to_uint8, unit_quats
 from .reading import MAX_COUNT, open_splat, refuse_whole
 from .splat_format import PART, SplatFormat
@@ -45,11 +45,10 @@ def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[
         found = list(_placed(glb))
         if not found:
             raise FormatError(f"holds no splat: no points with the extension {EXTENSION}")
-        views = {_view_of(primitive) for primitive, _ in found} - {None}
-        unpacked = _unpacked(glb, views, min(max_count, MAX_COUNT))
-        counts, degrees = zip(*(_count_and_degree(glb, one, unpacked) for one, _ in found), strict=True)
+        unpacked = _unpacked(glb, {splat.view for splat, _ in found} - {None}, min(max_count, MAX_COUNT))
+        counts, degrees = zip(*(_count_and_degree(glb, splat, unpacked) for splat, _ in found), strict=True)
         refuse_whole(sum(counts), SH_COEFFICIENTS[max(degrees)], max_count)
-        scene = placed(((_scene(glb, one, unpacked), matrix) for one, matrix in found), "node")
+        scene = placed(((_scene(glb, splat, unpacked), matrix) for splat, matrix in found), "node")
     yield scene
 
 
@@ -61,7 +60,7 @@ def write(path: str | os.PathLike, scene: Scene):
     with atomic_write(path) as file:
         file.write(head)
         for first in range(0, scene.count, PART):
-            arrays = _arrays(rows(scene, first, first + PART))
+            arrays = _arrays(scene.select(slice(first, first + PART)))
             for start, length, array in zip(starts, lengths, arrays.values(), strict=False):
                 file.seek(int(start) + length // scene.count * first)
                 file.write(np.ascontiguousarray(array).data)
@@ -75,7 +74,7 @@ def file_size(scene: Scene) -> int:
 
 def _head(scene: Scene) -> tuple[bytes, list[int]]:
     """What is before the arrays, and the length of each in bytes."""
-    arrays = _arrays(rows(scene, 0, 0))
+    arrays = _arrays(scene.select(slice(0)))
     lengths = [
         scene.count * array.dtype.itemsize * int(np.prod(array.shape[1:])) for array in arrays.values()
     ]
@@ -101,7 +100,7 @@ def contents(scene: Scene) -> dict[str, Any]:
     ends = [np.zeros(3), np.zeros(3)]
     if scene.count:
         ends = [scene.means.min(axis=0) * AXES, scene.means.max(axis=0) * AXES]
-    bounds, arrays = [np.minimum(*ends).tolist(), np.maximum(*ends).tolist()], _arrays(rows(scene, 0, 0))
+    bounds, arrays = [np.minimum(*ends).tolist(), np.maximum(*ends).tolist()], _arrays(scene.select(slice(0)))
     accessors: list[dict[str, Any]] = []
     for number, (name, array) in enumerate(arrays.items()):
         kind = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}[array.shape[1] if array.ndim > 1 else 1]
@@ -129,11 +128,27 @@ def _coefficients(degree: int) -> list[tuple[str, int]]:
     return [(f"SH_DEGREE_{d}_COEF_{n}", d * d + n) for d in range(degree + 1) for n in range(2 * d + 1)]
 
 
-def _placed(glb: Glb) -> Iterator[tuple[dict, np.ndarray]]:
-    """(primitive, matrix to the world) of each splat in the scene. Raises FormatError (without the name of
-    the file), as the functions below."""
-    nodes, meshes = glb.items("nodes"), glb.items("meshes")
-    scenes = glb.items("scenes")
+@dataclass(frozen=True)
+class _Splat:
+    """What a primitive says of its Gaussians."""
+
+    attributes: dict[str, Any]  # accessors by name
+    view: int | None  # the buffer view with an SPZ that has all values; None: the accessors have them
+    names_kernel: bool  # as all but the first drafts do
+
+    @property
+    def degree(self) -> int:
+        """The highest degree of SH of which all coefficients are there."""
+        complete = lambda degree: all(
+            f"{EXTENSION}:{name}" in self.attributes for name, _ in _coefficients(degree)
+        )
+        return max(filter(complete, range(4)), default=0)
+
+
+def _placed(glb: Glb) -> Iterator[tuple[_Splat, np.ndarray]]:
+    """(splat, matrix to the world) of each one in the scene. Raises FormatError (without the name of the
+    file), as the functions below."""
+    nodes, meshes, scenes = glb.items("nodes"), glb.items("meshes"), glb.items("scenes")
     roots = list(range(len(nodes)))
     if scenes:
         roots = _list_of(glb.of(scenes, glb.contents.get("scene", 0)), "nodes")
@@ -153,8 +168,8 @@ def _placed(glb: Glb) -> Iterator[tuple[dict, np.ndarray]]:
         matrix = above @ _matrix(node)
         left += [(child, matrix) for child in children]
         if "mesh" in node:
-            found = _list_of(glb.of(meshes, node["mesh"]), "primitives")
-            yield from ((one, matrix) for one in found if _is_splat(one))
+            found = map(_splat_of, _list_of(glb.of(meshes, node["mesh"]), "primitives"))
+            yield from ((splat, matrix) for splat in found if splat)
 
 
 def _list_of(found: dict, name: str) -> list:
@@ -163,21 +178,32 @@ def _list_of(found: dict, name: str) -> list:
     return values if isinstance(values, list) else []
 
 
-def _is_splat(primitive: Any) -> bool:
+def _splat_of(primitive: Any) -> _Splat | None:
+    """The splat of a primitive; None if it is none."""
     extensions = primitive.get("extensions") if isinstance(primitive, dict) else None
     splat = extensions.get(EXTENSION) if isinstance(extensions, dict) else None
     if not isinstance(splat, dict):
-        return False
-    inner = splat.get("extensions")
-    if isinstance(inner, dict) and inner and not set(PACKED) & set(inner):
-        names = ", ".join(sorted(re.sub(r"\W", "?", name)[:60] for name in inner))
-        raise FormatError(f"holds a splat that is packed by {names}, which is not read; export it without")
+        return None
+    inner, view = splat.get("extensions"), None
+    if isinstance(inner, dict) and inner:
+        packed = [inner[name] for name in PACKED if name in inner]
+        if not packed:
+            names = ", ".join(sorted(re.sub(r"\W", "?", name)[:60] for name in inner))
+            raise FormatError(
+                f"holds a splat that is packed by {names}, which is not read; export it without"
+            )
+        view = packed[0].get("bufferView") if isinstance(packed[0], dict) else None
+        if not isinstance(view, int):
+            raise FormatError("has a packed splat without its values; export it again")
     if splat.get("kernel", "ellipse") != "ellipse" or splat.get("colorSpace", COLORS) != COLORS:
         raise FormatError(
             f"holds a splat with another kernel than ellipse, or other colours than {COLORS}, which are not"
             " read"
         )
-    return True
+    attributes = primitive.get("attributes")
+    if view is None and not isinstance(attributes, dict):
+        raise FormatError("has a splat without attributes; export it again")
+    return _Splat(attributes, view, "kernel" in splat)
 
 
 def _matrix(node: dict) -> np.ndarray:
@@ -199,18 +225,6 @@ def _matrix(node: dict) -> np.ndarray:
         raise FormatError("has a node with a transform that is none; export it again") from None
 
 
-def _view_of(primitive: dict) -> int | None:
-    """The number of the buffer view that holds the values of a splat; None if its attributes do."""
-    inner = primitive["extensions"][EXTENSION].get("extensions")
-    packed = [inner[name] for name in PACKED if name in inner] if isinstance(inner, dict) else []
-    if not packed:
-        return None
-    number = packed[0].get("bufferView") if isinstance(packed[0], dict) else None
-    if not isinstance(number, int):
-        raise FormatError("has a packed splat without its values; export it again")
-    return number
-
-
 def _unpacked(glb: Glb, numbers: set, max_count: int) -> dict[int, Scene]:
     """The splats that these buffer views hold, in the axes of a Scene."""
     packed = {number: glb.view(number) for number in sorted(numbers)}
@@ -224,36 +238,20 @@ def _unpacked(glb: Glb, numbers: set, max_count: int) -> dict[int, Scene]:
     }
 
 
-def _count_and_degree(glb: Glb, primitive: dict, unpacked: dict[int, Scene]) -> tuple[int, int]:
+def _count_and_degree(glb: Glb, splat: _Splat, unpacked: dict[int, Scene]) -> tuple[int, int]:
     """How many Gaussians a splat has, and the degree of their SH."""
-    number = _view_of(primitive)
-    if number is not None:
-        return unpacked[number].count, unpacked[number].sh_degree
-    return glb.count(_attributes(primitive).get("POSITION")), _degree(primitive)
+    if splat.view is not None:
+        return unpacked[splat.view].count, unpacked[splat.view].sh_degree
+    return glb.count(splat.attributes.get("POSITION")), splat.degree
 
 
-def _attributes(primitive: dict) -> dict:
-    found = primitive.get("attributes")
-    if not isinstance(found, dict):
-        raise FormatError("has a splat without attributes; export it again")
-    return found
-
-
-def _degree(primitive: dict) -> int:
-    """The highest degree of SH of which all coefficients are there."""
-    names = _attributes(primitive)
-    complete = lambda degree: all(f"{EXTENSION}:{name}" in names for name, _ in _coefficients(degree))
-    return max(filter(complete, range(4)), default=0)
-
-
-def _scene(glb: Glb, primitive: dict, unpacked: dict[int, Scene]) -> Scene:
-    """The Gaussians of a primitive in its own coordinates."""
-    number = _view_of(primitive)
+def _scene(glb: Glb, splat: _Splat, unpacked: dict[int, Scene]) -> Scene:
+    """The Gaussians of a splat in its own coordinates."""
     # first drafts, with no kernel, took the axes of an SPZ as they were; later ones turn them
-    if number is not None:
-        stored = turned_over(unpacked[number])
-        return turned_around(stored) if "kernel" in primitive["extensions"][EXTENSION] else stored
-    degree, attributes = _degree(primitive), _attributes(primitive)
+    if splat.view is not None:
+        stored = turned_over(unpacked[splat.view])
+        return turned_around(stored) if splat.names_kernel else stored
+    degree, attributes = splat.degree, splat.attributes
     means = glb.values(attributes.get("POSITION"), 3)
     count = len(means)
     read: Callable[[str, int], np.ndarray] = lambda name, width: glb.values(

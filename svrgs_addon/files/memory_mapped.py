@@ -66,14 +66,7 @@ def array_for(shape: tuple[int, ...], dtype: Any, out: str | os.PathLike) -> np.
 def in_blocks(work: Callable[[Scene], np.ndarray], scene: Scene) -> np.ndarray:
     """work(part) of the whole scene, joined; the temporary arrays of `work` are those of one BLOCK."""
     starts = range(0, max(scene.count, 1), BLOCK)
-    return np.concatenate([work(rows(scene, start, start + BLOCK)) for start in starts])
-
-
-def rows(scene: Scene, start: int, end: int) -> Scene:
-    """Some Gaussians that follow each other, without copies and without further columns."""
-    return Scene(
-        **{name: getattr(scene, name)[start:end] for name in PARAMETERS}, antialiased=scene.antialiased
-    )
+    return np.concatenate([work(scene.select(slice(start, start + BLOCK))) for start in starts])
 
 
 def _columns(scene: Scene) -> dict[str, np.ndarray]:

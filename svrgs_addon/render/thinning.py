@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..files.memory_mapped import rows
 from ..native.rasterizer import Rasterizer
 from ..scene.concatenate import concatenated
 from ..scene.gaussians import Scene
@@ -21,7 +20,7 @@ def thinned(scene: Scene) -> Scene:
     """One Gaussian for each GROUP that follow each other, which are neighbours in Morton order: the one that
     covers most, as large as all of them together, in their mean colour. Further columns are left out."""
     starts = range(0, scene.count, GROUP * PART)
-    return concatenated([_thinned(rows(scene, start, start + GROUP * PART)) for start in starts])
+    return concatenated([_thinned(scene.select(slice(start, start + GROUP * PART))) for start in starts])
 
 
 def _thinned(scene: Scene) -> Scene:

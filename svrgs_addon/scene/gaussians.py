@@ -72,8 +72,8 @@ class Scene:
         return SH_COEFFICIENTS.index(self.sh.shape[1])
 
     def select(self, index: np.ndarray | slice) -> Scene:
-        """Returns the scene with the Gaussians that a boolean mask (N,) marks, or that an integer array
-        lists, in this order, or those of a slice; its first ones are not copied."""
+        """The scene with the Gaussians that a boolean mask (N,) marks, or that an integer array lists, in
+        this order; or those of a slice, which are not copied if they follow each other."""
         arrays: dict[str, Any] = {
             name: np.ascontiguousarray(getattr(self, name)[index]) for name in PARAMETERS
         }
