@@ -20,7 +20,7 @@ from ..system import memory
 from ..system.errors import FormatError, SceneError
 from . import compressed_ply
 from .atomic import atomic_write, check_space, start_writeback
-from .ply_body import MAX_ASCII_BYTES, Body, blocks, empty_arrays, named_columns
+from .ply_body import BLOCK_ROWS, MAX_ASCII_BYTES, Body, blocks, empty_arrays, named_columns
 from .ply_header import (
     MAX_HEADER_BYTES,
     TYPE_NAMES,
@@ -48,11 +48,7 @@ def read_ply(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Scene:
     after the vertices are ignored, with a warning in the log. max_count: largest number of Gaussians. Raises
     FormatError, which names the file.
     """
-    with open_splat(path) as file:
-        body = _checked_body(file, path, max_count)
-        scene = body.whole()
-        _tell_of_steps(path, body, scene)
-        return scene
+    return next(_parts(path, max_count, max_count))
 
 
 def read_ply_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[Scene]:
@@ -62,9 +58,14 @@ def read_ply_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Itera
     Each part overwrites the arrays of the previous one. There is at least one part; it is empty if the file
     has no Gaussian.
     """
+    return _parts(path, max_count, BLOCK_ROWS)
+
+
+def _parts(path: str | os.PathLike, max_count: int, most: int) -> Iterator[Scene]:
+    """As read_ply_parts, in parts of at most so many Gaussians."""
     with open_splat(path) as file:
         body = _checked_body(file, path, max_count)
-        for number, part in enumerate(body.parts()):
+        for number, part in enumerate(body.parts(most)):
             if not number:
                 _tell_of_steps(path, body, part)
             yield part
@@ -93,7 +94,7 @@ def write_ply(path: str | os.PathLike, scene: Scene) -> None:
     check_space(path, len(header) + scene.count * dtype.itemsize)
     with atomic_write(path) as file:
         file.write(header)
-        for rows, part in blocks(scene.count, dtype):
+        for rows, part in blocks(scene.count, np.empty(BLOCK_ROWS, dtype)):
             for name, column in columns.items():
                 rows[name] = column[part]
             file.write(rows.view(np.uint8).data)

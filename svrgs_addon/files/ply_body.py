@@ -37,9 +37,9 @@ def named_columns(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     return columns | {f"rot_{i}": arrays["quats"][:, i] for i in range(4)}
 
 
-def blocks(count: int, dtype: np.dtype) -> Iterator[tuple[np.ndarray, slice]]:
-    """Yields (buffer, slice) for each block of rows: a buffer that is reused, its part of the columns."""
-    buffer = np.empty(min(count, BLOCK_ROWS), dtype)
+def blocks(count: int, buffer: np.ndarray) -> Iterator[tuple[np.ndarray, slice]]:
+    """Yields (rows, slice) for each block of at most BLOCK_ROWS: of the buffer, which is reused, and its part
+    of the columns."""
     for start in range(0, count, BLOCK_ROWS):
         part = slice(start, min(start + BLOCK_ROWS, count))
         yield buffer[: part.stop - part.start], part
@@ -64,30 +64,21 @@ class Body:
         """Whether x, y or z has 64 bits in the file."""
         return any(np.dtype(self._types[name]).itemsize > 4 for name in "xyz")
 
-    def whole(self) -> Scene:
-        """Reads all Gaussians. Raises FormatError (without the name of the file)."""
-        scene = self._empty_scene(self.count)
-        # doubles beyond the range of float32 become infinite
-        with np.errstate(over="ignore", invalid="ignore"):
-            if self.header.encoding == "ascii":
-                self._convert_text(scene)
-                return scene
-            for rows, part in self._blocks():
-                self._convert(rows, scene, part)
-        return scene
-
-    def parts(self) -> Iterator[Scene]:
-        """Yields all Gaussians in parts of BLOCK_ROWS (ASCII: in one part), at least one. Each overwrites the
-        arrays of the previous one. Raises FormatError (without the name of the file)."""
-        if self.header.encoding == "ascii" or not self.count:
-            yield self.whole()
-            return
-        scene = self._empty_scene(min(self.count, BLOCK_ROWS))
-        for rows, _ in self._blocks():
-            if len(rows) < scene.count:
-                scene = self._empty_scene(len(rows))
+    def parts(self, most: int) -> Iterator[Scene]:
+        """Yields all Gaussians in parts of at most so many (ASCII: in one part), at least one part. Each
+        overwrites the arrays of the previous one. Raises FormatError (without the name of the file)."""
+        text = self.header.encoding == "ascii"
+        size = max(1, self.count if text else most)
+        scene = self._empty_scene(min(size, self.count))
+        for start in range(0, max(1, self.count), size):
+            if self.count - start < scene.count:
+                scene = self._empty_scene(self.count - start)
+            # doubles beyond the range of float32 become infinite
             with np.errstate(over="ignore", invalid="ignore"):
-                self._convert(rows, scene, slice(None))
+                if text:
+                    self._convert_text(scene)
+                else:
+                    self._convert(scene)
             yield scene
 
     def _empty_scene(self, count: int) -> Scene:
@@ -127,27 +118,28 @@ class Body:
             column[0] = self._column_index[name]
         return {name: array.ravel().astype(np.intp) for name, array in places.items()}
 
-    def _blocks(self) -> Iterator[tuple[np.ndarray, slice]]:
-        """Yields (rows, slice) of a binary file; rows: (n, properties) float32, else structured."""
+    @cached_property
+    def _buffer(self) -> np.ndarray:
+        """Of rows of a binary file: (n, properties) float32, else structured."""
         floats = np.dtype((np.float32, len(self._types)))
-        dtype = floats if self._all_float32 else np.dtype(list(self._types.items()))
+        return np.empty(BLOCK_ROWS, floats if self._all_float32 else list(self._types.items()))
+
+    def _convert(self, scene: Scene):
+        """Reads the next rows of a binary file into the scene. Raises FormatError."""
         file: Any = self.file  # typing.BinaryIO lacks readinto
-        for rows, part in blocks(self.count, dtype):
+        for rows, part in blocks(scene.count, self._buffer):
             if file.readinto(rows.view(np.uint8)) != rows.nbytes:
                 raise FormatError(SHORTER)
-            yield rows, part
-
-    def _convert(self, rows: np.ndarray, scene: Scene, part: slice):
-        """Copies rows of the file to the slice `part` of the scene."""
-        if not self._all_float32:
-            for name, column in _columns(scene).items():
-                column[part] = rows[name]
-            return
-        # one gather per array: twice as fast as one copy per column
-        for name, places in self._row_positions.items():
-            np.take(rows, places, axis=1, out=getattr(scene, name)[part].reshape(len(rows), -1), mode="clip")
-        for name, column in scene.attributes.items():
-            column[part] = rows[:, self._column_index[name]]
+            if not self._all_float32:
+                for name, column in _columns(scene).items():
+                    column[part] = rows[name]
+                continue
+            # one gather per array: twice as fast as one copy per column
+            for name, places in self._row_positions.items():
+                out = getattr(scene, name)[part].reshape(len(rows), -1)
+                np.take(rows, places, axis=1, out=out, mode="clip")
+            for name, column in scene.attributes.items():
+                column[part] = rows[:, self._column_index[name]]
 
     def _convert_text(self, scene: Scene):
         """Reads the numbers of an ASCII file into the scene. Raises FormatError."""
