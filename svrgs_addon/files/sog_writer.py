@@ -13,6 +13,7 @@ import tempfile
 import zipfile
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -44,7 +45,24 @@ PART = 1 << 14  # Gaussians that are corrected together
 FIRST_DATE = (1980, 1, 1, 0, 0, 0)  # of the files in a bundle: the same scene gives the same bytes
 
 Factors = Callable[[slice | np.ndarray], np.ndarray]  # of some rows: see palette.refined
-Higher = tuple[dict[str, Any], np.ndarray, np.ndarray]  # as _higher_bands() returns it
+
+
+@dataclass(frozen=True)
+class _Higher:
+    """The palette of SH of degree 1 to 3."""
+
+    levels: list[float]  # its table
+    entries: np.ndarray  # (E, K-1, 3) uint8: rows of the table
+    labels: np.ndarray  # (N,) int64: the entry of each Gaussian
+
+    @property
+    def image(self) -> np.ndarray:
+        """The texture, (H, W, 3) uint8."""
+        count, coefficients, _ = self.entries.shape
+        heights = -(-max(count, 1) // layout.PALETTE_ROW)
+        image = np.zeros((heights * layout.PALETTE_ROW, coefficients, 3), np.uint8)
+        image[:count] = self.entries
+        return image.reshape(heights, -1, 3)
 
 
 def write(path: str | os.PathLike, scene: Scene, quantise: float = 1.0, seen: SeenFrom | None = None):
@@ -120,7 +138,14 @@ def encoded(
     }
     textures = {}
     if higher:
-        meta["shN"], textures["shN_centroids"], pixels["shN_labels"] = higher
+        meta["shN"] = {
+            "count": len(higher.entries),
+            "bands": scene.sh_degree,
+            "codebook": higher.levels,
+            "files": ["shN_centroids.webp", "shN_labels.webp"],
+        }
+        textures["shN_centroids"] = higher.image
+        pixels["shN_labels"] = np.column_stack([higher.labels & 255, higher.labels >> 8, 0 * higher.labels])
     textures.update({name: _texture(rows.astype(np.uint8)) for name, rows in pixels.items()})
     return meta, textures
 
@@ -149,8 +174,7 @@ def _by_table(values: np.ndarray, weights: np.ndarray) -> tuple[list[float], np.
     return levels.tolist(), nearest(values, levels)
 
 
-def _higher_bands(scene: Scene, weights: np.ndarray, quantise: float, seen: SeenFrom | None) -> Higher:
-    """shN of meta.json, the texture of the palette, and the label of each Gaussian, (N, 3)."""
+def _higher_bands(scene: Scene, weights: np.ndarray, quantise: float, seen: SeenFrom | None) -> _Higher:
     coefficients = scene.sh.shape[1] - 1
     rows = np.nan_to_num(scene.sh[:, 1:].reshape(scene.count, -1), posinf=1, neginf=-1)
     factors = partial(_factors, scene, weights, seen) if seen else None
@@ -159,33 +183,19 @@ def _higher_bands(scene: Scene, weights: np.ndarray, quantise: float, seen: Seen
     if factors and not np.array_equal(entries[labels], rows):  # it came out of a palette
         shape = (-1, coefficients, 3)
         entries, labels = refined(rows.reshape(shape), entries.reshape(shape), labels, factors)
-    heights = -(-max(len(entries), 1) // layout.PALETTE_ROW)
     used = np.bincount(labels, weights, len(entries)).astype(np.float32)
     levels, stored = _by_table(entries.reshape(-1, 3), np.repeat(used, coefficients))
-    image = np.zeros((heights * layout.PALETTE_ROW * coefficients, 3), np.uint8)
-    image[: len(stored)] = stored
-    meta = {
-        "count": len(entries),
-        "bands": scene.sh_degree,
-        "codebook": levels,
-        "files": ["shN_centroids.webp", "shN_labels.webp"],
-    }
-    pixels = np.column_stack([labels & 255, labels >> 8, np.zeros_like(labels)])
-    return meta, image.reshape(heights, -1, 3), pixels
+    return _Higher(levels, stored.reshape(len(entries), coefficients, 3), labels)
 
 
-def _corrected(scene: Scene, higher: Higher, seen: SeenFrom) -> np.ndarray:
+def _corrected(scene: Scene, higher: _Higher, seen: SeenFrom) -> np.ndarray:
     """SH of degree 0 (N, 3) that take up what the palette changes in the directions from which Gaussians are
     seen."""
-    meta, image, pixels = higher
-    coefficients, levels = scene.sh.shape[1] - 1, np.array(meta["codebook"], np.float32)
-    stored = levels[image.reshape(-1, 3)[: meta["count"] * coefficients]]
-    entries = stored.reshape(meta["count"], coefficients, 3)
-    labels, base = pixels[:, 0] + 256 * pixels[:, 1], np.empty_like(scene.sh[:, 0])
+    entries, base = np.array(higher.levels, np.float32)[higher.entries], np.empty_like(scene.sh[:, 0])
     for start in range(0, scene.count, PART):
         part = slice(start, start + PART)
-        held = entries[labels[part]]
-        moments = seen.select(part).moments(scene.means[part], coefficients + 1)
+        held = entries[higher.labels[part]]
+        moments = seen.select(part).moments(scene.means[part], scene.sh.shape[1])
         base[part] = rounded(scene.sh[part], moments, partial(_fixed, held))[:, 0]
     return base
 
