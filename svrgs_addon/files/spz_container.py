@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import struct
 import zlib
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -22,7 +23,8 @@ from .reading import refuse_unpacking
 
 MAGIC, GZIP = b"NGSP", b"\x1f\x8b"
 NEWEST, SMALLEST_THREE = 4, 3  # versions: the newest one; the first one whose rotations have 32 bits
-HEADER, GZIP_HEADER = struct.Struct("<4sIIBBBBI12x"), struct.Struct("<4sIIBBBx")
+# of any version; what follows it: a byte, or, in version 4, the streams and where their table begins
+HEAD, TABLE = struct.Struct("<4sIIBBB"), struct.Struct("<BI12x")
 ENTRY = struct.Struct("<QQ")
 ANTIALIASED, EXTENSIONS = 1, 2  # flags
 ADOBE_AXES = 0xADBE0003  # type of an extension after which axes may be others
@@ -66,25 +68,20 @@ class Header:
 def streams(data: bytes, max_count: int) -> tuple[Header, dict[str, np.ndarray]]:
     """The header and the streams, (N, bytes) uint8 each, of the bytes of a file. Raises FormatError (without
     the name of the file), SceneError."""
-    size = len(data)
     if data[:2] == GZIP:
         return _gunzipped(data, max_count)
-    if data[:4] != MAGIC or len(data) < HEADER.size:
-        raise FormatError(f"is no SPZ, or incomplete{BROKEN}")
-    _, version, count, degree, bits, flags, number, table = HEADER.unpack_from(data)
-    if version != NEWEST:
-        raise FormatError(f"is an SPZ of version {version}; versions 1 to {NEWEST} are read")
-    header = Header(version, count, degree, bits, bool(flags & ANTIALIASED))
-    _check(header, size * ZSTANDARD, max_count)
+    start = HEAD.size + TABLE.size
+    header, flags = _header(data[:start], start, (NEWEST,), len(data) * ZSTANDARD, max_count)
+    number, table = TABLE.unpack_from(data, HEAD.size)
     if flags & EXTENSIONS:
-        _refuse_other_axes(data[HEADER.size : table])
-    widths = {name: width for name, width in header.widths().items() if width * count}
-    if number != len(widths) or table < HEADER.size or table + ENTRY.size * number > size:
+        _refuse_other_axes(data[start:table])
+    widths = {name: width for name, width in header.widths().items() if width * header.count}
+    if number != len(widths) or table < start or table + ENTRY.size * number > len(data):
         raise FormatError(
             f"has {number} streams, or a table at byte {table}, that do not fit its header{BROKEN}"
         )
-    rows = _unpacked(data, table, widths, count)
-    empty = {name: np.empty((count, width), np.uint8) for name, width in header.widths().items()}
+    rows = _unpacked(data, table, widths, header.count)
+    empty = {name: np.empty((header.count, width), np.uint8) for name, width in header.widths().items()}
     return header, empty | rows  # a file leaves out streams without bytes
 
 
@@ -92,35 +89,38 @@ def packed(header: Header, rows: dict[str, np.ndarray], path: str | os.PathLike)
     """The bytes of a file with these streams, (N, bytes) uint8 each. Raises SceneError, naming the file."""
     names = [name for name, width in header.widths().items() if width * header.count]
     contents = [np.ascontiguousarray(rows[name]).data.cast("B") for name in names]
-    flags = ANTIALIASED * header.antialiased
+    facts = header.version, header.count, header.degree, header.fraction_bits
+    head = HEAD.pack(MAGIC, *facts, ANTIALIASED * header.antialiased)
     if header.version < NEWEST:
-        head = GZIP_HEADER.pack(
-            MAGIC, header.version, header.count, header.degree, header.fraction_bits, flags
-        )
         packer = zlib.compressobj(GZIP_LEVEL, wbits=16 + zlib.MAX_WBITS)
-        return b"".join([packer.compress(head), *map(packer.compress, contents), packer.flush()])
+        return b"".join([packer.compress(head + b"\0"), *map(packer.compress, contents), packer.flush()])
     if not zstd.available():
         raise SceneError(f"{path}: cannot be written, {zstd.MISSING}")
     compress = lambda name, content: zstd.compress(content, LEVEL, **(FOR_SH if name == "sh" else {}))
     with ThreadPoolExecutor(os.cpu_count()) as threads:
         frames = list(threads.map(compress, names, contents))
-    head = HEADER.pack(
-        MAGIC, NEWEST, header.count, header.degree, header.fraction_bits, flags, len(frames), HEADER.size
-    )
+    head += TABLE.pack(len(frames), HEAD.size + TABLE.size)
     table = [ENTRY.pack(len(frame), len(content)) for frame, content in zip(frames, contents, strict=True)]
     return b"".join([head, *table, *frames])
 
 
-def _check(header: Header, held: int, max_count: int):
-    """Raises FormatError for values that no writer sets, and for more Gaussians than can be in the file."""
-    if header.degree > MAX_DEGREE or header.fraction_bits > 30:
+def _header(head: bytes, size: int, versions: Sequence[int], held: int, max_count: int) -> tuple[Header, int]:
+    """The header in the first `size` bytes, and the flags. held: the most bytes that the streams can have.
+    Raises FormatError, also for values that no writer sets, and more Gaussians than can be in the file."""
+    if len(head) < size or head[:4] != MAGIC:
+        raise FormatError(f"is no SPZ, or incomplete{BROKEN}")
+    _, version, count, degree, bits, flags = HEAD.unpack_from(head)
+    if version not in versions:
+        raise FormatError(f"is an SPZ of version {version}; versions 1 to {NEWEST} are read")
+    header = Header(version, count, degree, bits, bool(flags & ANTIALIASED))
+    if degree > MAX_DEGREE or bits > 30:
         raise FormatError(
-            f"has SH of degree {header.degree} or {header.fraction_bits} bits of fraction, which no program"
-            f" writes{BROKEN}"
+            f"has SH of degree {degree} or {bits} bits of fraction, which no program writes{BROKEN}"
         )
-    if header.count * sum(header.widths().values()) > held:
-        raise FormatError(f"is too small for the {header.count:,} Gaussians that its header names{BROKEN}")
-    refuse_unpacking(header.count, header.coefficients, max_count)
+    if count * sum(header.widths().values()) > held:
+        raise FormatError(f"is too small for the {count:,} Gaussians that its header names{BROKEN}")
+    refuse_unpacking(count, header.coefficients, max_count)
+    return header, flags
 
 
 def _refuse_other_axes(records: bytes):
@@ -160,15 +160,10 @@ def _gunzipped(data: bytes, max_count: int) -> tuple[Header, dict[str, np.ndarra
     """Header and streams of versions 1 to 3. Raises FormatError."""
     unpacker = zlib.decompressobj(16 + zlib.MAX_WBITS)
     try:
-        head = unpacker.decompress(data, GZIP_HEADER.size)
-        if len(head) < GZIP_HEADER.size or head[:4] != MAGIC:
-            raise FormatError(f"is no SPZ, or incomplete{BROKEN}")
-        _, version, count, degree, bits, flags = GZIP_HEADER.unpack(head)
-        if not 1 <= version < NEWEST:
-            raise FormatError(f"is an SPZ of version {version}; versions 1 to {NEWEST} are read")
-        header = Header(version, count, degree, bits, bool(flags & ANTIALIASED))
-        _check(header, len(data) * DEFLATED, max_count)
-        needed = count * sum(header.widths().values())
+        size = HEAD.size + 1
+        head = unpacker.decompress(data, size)
+        header, _ = _header(head, size, range(1, NEWEST), len(data) * DEFLATED, max_count)
+        needed = header.count * sum(header.widths().values())
         content = unpacker.decompress(unpacker.unconsumed_tail, needed) if needed else b""
     except zlib.error as error:
         raise FormatError(f"is damaged ({error}){BROKEN}") from None
@@ -176,6 +171,7 @@ def _gunzipped(data: bytes, max_count: int) -> tuple[Header, dict[str, np.ndarra
         raise FormatError(f"is incomplete: {len(content):,} of {needed:,} bytes are in it{BROKEN}")
     rows, at = {}, 0
     for name, width in header.widths().items():
-        rows[name] = np.frombuffer(content, np.uint8, width * count, at).reshape(count, width)
-        at += width * count
+        length = width * header.count
+        rows[name] = np.frombuffer(content, np.uint8, length, at).reshape(header.count, width)
+        at += length
     return header, rows
