@@ -21,7 +21,21 @@ from .quantised import logits_of, logs_of, sh_of_colors
 from .reading import MAX_COUNT, open_splat, refuse_many, refuse_unpacking, rows_at, size_of
 from .splat_format import PART, SplatFormat
 
-HEADER, SECTION_HEADER = 4096, 1024  # bytes
+
+def _fields(size: int, **of: tuple[str, int]) -> np.dtype:
+    """Bytes of a header of this size: of each field the type, and where it begins."""
+    formats, offsets = zip(*of.values(), strict=True)
+    return np.dtype({"names": list(of), "formats": formats, "offsets": offsets, "itemsize": size})
+
+
+HEADER = _fields(
+    4096, major=("u1", 0), minor=("u1", 1), sections=("<u4", 4), count=("<u4", 16), level=("<u2", 20),
+    low=("<f4", 36), high=("<f4", 40),
+)  # fmt: skip
+SECTION = _fields(
+    1024, count=("<u4", 0), room=("<u4", 4), bucket_size=("<u4", 8), buckets=("<u4", 12), width=("<f4", 16),
+    storage=("<u2", 20), steps=("<u4", 24), full=("<u4", 32), partial=("<u4", 36), degree=("<u2", 40),
+)  # fmt: skip
 MAX_SECTIONS = 1024
 RANGE_OF_SH = 1.5  # of SH in 8 bits, to both sides, if the header has none
 BROKEN = "; export it again"
@@ -38,17 +52,13 @@ class _Header:
 
 @dataclass(frozen=True)
 class _Section:
-    """Where the parts of a section are, in bytes."""
-
     count: int  # Gaussians
     coefficients: int  # K
-    full: int  # buckets
-    lengths: np.ndarray  # of the other buckets
-    bucket_size: int  # Gaussians in a full bucket
-    centres: np.ndarray  # (buckets, 3)
+    at: int  # byte where they begin
+    centres: np.ndarray  # (buckets, 3); none without compression
+    ends: np.ndarray  # (buckets,) the first Gaussian after each
     step: float  # length of a step of 16 bits, and how many there are to each side
     steps: int
-    at: int
 
 
 def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[Scene]:
@@ -67,38 +77,34 @@ def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[
                 yield _scene(file, header, section, start, min(PART, section.count - start), coefficients)
 
 
-_EMPTY = _Section(0, 1, 0, np.empty(0, np.int64), 1, np.empty((0, 3), np.float32), 0.0, 1, HEADER)
+_EMPTY = _Section(0, 1, HEADER.itemsize, np.empty((0, 3), np.float32), np.empty(0, np.int64), 0.0, 1)
 
 
 def _header(file: BinaryIO, max_count: int) -> _Header:
     """The header, checked. Raises FormatError (without the name of the file), as the functions below."""
-    if size_of(file) < HEADER:
+    if size_of(file) < HEADER.itemsize:
         raise FormatError(
             f"is no .ksplat, or incomplete: {size_of(file):,} bytes are less than its header has; copy or"
             " export it again"
         )
-    head = rows_at(file, 0, np.dtype("u1"), HEADER)
-    words, floats = head.view("<u4"), head.view("<f4")
-    if head[0] != 0 or head[1] < 1 or head.view("<u2")[10] > 2:
+    major, minor, sections, count, level, low, high = rows_at(file, 0, HEADER, 1)[0].item()
+    if major != 0 or minor < 1 or level > 2:
         raise FormatError("is no .ksplat, or one of another version than 0.1")
-    if words[1] > MAX_SECTIONS:
-        raise FormatError(f"has {words[1]} sections, more than the limit of {MAX_SECTIONS}")
-    low, high = float(floats[9]) or -RANGE_OF_SH, float(floats[10]) or RANGE_OF_SH
+    if sections > MAX_SECTIONS:
+        raise FormatError(f"has {sections} sections, more than the limit of {MAX_SECTIONS}")
+    low, high = low or -RANGE_OF_SH, high or RANGE_OF_SH
     if not (np.isfinite([low, high]).all() and low < high):
         raise FormatError(f"has a range of SH coefficients from {low:g} to {high:g}{BROKEN}")
-    refuse_many(int(words[4]), max_count)
-    return _Header(int(head.view("<u2")[10]), int(words[1]), int(words[4]), low, high)
+    refuse_many(count, max_count)
+    return _Header(level, sections, count, low, high)
 
 
 def _sections(file: BinaryIO, header: _Header) -> Iterator[_Section]:
     """The sections that hold Gaussians."""
-    at, size = HEADER + SECTION_HEADER * header.sections, size_of(file)
+    at, size = HEADER.itemsize + SECTION.itemsize * header.sections, size_of(file)
     for number in range(header.sections):
-        head = _within(file, HEADER + SECTION_HEADER * number, np.dtype("u1"), SECTION_HEADER, size)
-        words = [int(word) for word in head.view("<u4")[:11]]
-        count, room, bucket_size, buckets = words[:4]
-        storage, steps, full, partial = int(head.view("<u2")[10]), words[6] or 32767, words[8], words[9]
-        degree = int(head.view("<u2")[20])
+        head = _within(file, HEADER.itemsize + SECTION.itemsize * number, SECTION, 1, size)[0].item()
+        count, room, bucket_size, buckets, width, storage, steps, full, partial, degree = head
         if degree >= len(SH_COEFFICIENTS) or count > room:
             raise FormatError(f"has a section of SH degree {degree} with {count} of {room} Gaussians{BROKEN}")
         data_at = at + 4 * partial + storage * buckets
@@ -106,43 +112,18 @@ def _sections(file: BinaryIO, header: _Header) -> Iterator[_Section]:
         if end > size:
             raise FormatError(f"is incomplete: {size:,} of at least {end:,} bytes; copy or export it again")
         if count:
-            lengths, centres = _EMPTY.lengths, _EMPTY.centres
+            centres, ends = _EMPTY.centres, _EMPTY.ends
             if header.level:
-                lengths, centres = _buckets(file, at, (partial, storage, buckets), size)
-            section = _Section(
-                count,
-                SH_COEFFICIENTS[degree],
-                full,
-                lengths,
-                bucket_size,
-                centres,
-                float(head.view("<f4")[4]) / 2 / steps,
-                steps,
-                data_at,
-            )
-            _refuse_buckets(section, header.level)
-            yield section
+                if buckets and storage != 12:
+                    raise FormatError(f"has buckets of {storage} bytes instead of 12{BROKEN}")
+                lengths = _within(file, at, np.dtype("<u4"), partial, size).astype(np.int64)
+                centres = _within(file, at + 4 * partial, np.dtype(("<f4", 3)), buckets, size)
+                if full + partial > buckets or count > full * bucket_size + int(lengths.sum()):
+                    raise FormatError(f"has Gaussians without a bucket{BROKEN}")
+                ends = np.cumsum(np.concatenate([np.full(full, bucket_size), lengths]))  # full ones first
+            steps = steps or 32767
+            yield _Section(count, SH_COEFFICIENTS[degree], data_at, centres, ends, width / 2 / steps, steps)
         at = end
-
-
-def _buckets(
-    file: BinaryIO, at: int, sizes: tuple[int, int, int], size: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Lengths of the buckets that are not full, and the centres of all."""
-    partial, storage, buckets = sizes
-    if buckets and storage != 12:
-        raise FormatError(f"has buckets of {storage} bytes instead of 12{BROKEN}")
-    lengths = _within(file, at, np.dtype("<u4"), partial, size).astype(np.int64)
-    return lengths, _within(file, at + 4 * partial, np.dtype(("<f4", 3)), buckets, size)
-
-
-def _refuse_buckets(section: _Section, level: int):
-    """Raises FormatError if a Gaussian has no bucket."""
-    if not level:
-        return
-    held = section.full * section.bucket_size + int(section.lengths.sum())
-    if section.count > held or section.full + len(section.lengths) > len(section.centres):
-        raise FormatError(f"has Gaussians without a bucket{BROKEN}")
 
 
 def _within(file: BinaryIO, at: int, dtype: np.dtype, count: int, size: int) -> np.ndarray:
@@ -157,17 +138,9 @@ def _within(file: BinaryIO, at: int, dtype: np.dtype, count: int, size: int) -> 
 
 def _row(level: int, coefficients: int) -> np.dtype:
     """The layout of a Gaussian."""
-    mean, value = ("<f4", "<f4") if level == 0 else ("<u2", "<f2")
-    rest = ("<f4", "<f2", "u1")[level]
-    return np.dtype(
-        [
-            ("means", mean, 3),
-            ("scales", value, 3),
-            ("quats", value, 4),
-            ("rgba", "u1", 4),
-            ("rest", rest, 3 * (coefficients - 1)),
-        ]
-    )
+    mean, value, rest = (("<f4", "<f4", "<f4"), ("<u2", "<f2", "<f2"), ("<u2", "<f2", "u1"))[level]
+    fields = ("means", mean, 3), ("scales", value, 3), ("quats", value, 4), ("rgba", "u1", 4)
+    return np.dtype([*fields, ("rest", rest, 3 * (coefficients - 1))])
 
 
 def _scene(
@@ -179,7 +152,7 @@ def _scene(
     means = rows["means"].astype(np.float32)
     with np.errstate(over="ignore", invalid="ignore"):  # of a damaged file
         if header.level:
-            buckets = _bucket_of(section, np.arange(start, start + count))
+            buckets = np.searchsorted(section.ends, np.arange(start, start + count), side="right")
             means = (means - section.steps) * np.float32(section.step) + section.centres[buckets]
     sh = np.zeros((count, coefficients, 3), np.float32)
     sh[:, 0] = sh_of_colors(rows["rgba"][:, :3].astype(np.float32) / 255)
@@ -193,13 +166,6 @@ def _scene(
         sh[:, first:last] = band.transpose(0, 2, 1)
     logs, logits = logs_of(rows["scales"].astype(np.float32)), logits_of(rows["rgba"][:, 3])
     return Scene.of(means, logs, rows["quats"], logits, sh)
-
-
-def _bucket_of(section: _Section, rows: np.ndarray) -> np.ndarray:
-    """The bucket of each Gaussian of the section: full ones come first."""
-    full = np.arange(1, section.full + 1) * section.bucket_size
-    ends = np.concatenate([full, section.full * section.bucket_size + np.cumsum(section.lengths)])
-    return np.searchsorted(ends, rows, side="right")
 
 
 FORMAT = SplatFormat(

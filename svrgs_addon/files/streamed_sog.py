@@ -66,12 +66,6 @@ def read_level(path: Path, level: int, max_count: int = MAX_COUNT) -> Iterator[S
         raise FormatError(f"{path} has no file of level {level}{BROKEN}")
 
 
-def levels(path: Path) -> int:
-    """The number of levels of detail. Raises FormatError, which names the file."""
-    with open_splat(path):
-        return _checked(path)["lodLevels"]
-
-
 def parts(path: Path) -> list[Path]:
     """The files of all levels that are there; lod-meta.json alone, if it is damaged."""
     try:
