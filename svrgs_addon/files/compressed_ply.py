@@ -54,6 +54,11 @@ MOST_SH = 4.0  # of coefficients of degree 1 to 3
 MAX_COARSE = 0.05  # share of the Gaussians smaller than a step of their positions, at most
 HALF_SQRT2 = np.float32(0.5**0.5)
 BROKEN = "; export the file again"
+OTHER = {  # in an element of the header
+    "chunk": "other ranges in its chunks, or another number of them,",
+    "vertex": "other packed values",
+    "sh": "other SH coefficients",
+}
 
 
 @dataclass(frozen=True)
@@ -140,14 +145,19 @@ def file_size(scene: Scene) -> int:
 
 def _head(scene: Scene) -> tuple[bytes, _Layout]:
     """The header that write() would write, and the layout of its file."""
-    elements = [
-        ("chunk", -(-scene.count // CHUNK), [(name, "f4") for name in RANGES]),
-        ("vertex", scene.count, [(name, "u4") for name in PACKED]),
-    ]
-    rest = 3 * (scene.sh.shape[1] - 1)
-    elements += [("sh", scene.count, [(f"f_rest_{k}", "u1") for k in range(rest)])] if rest else []
+    elements = _elements(scene.count, len(RANGES), 3 * (scene.sh.shape[1] - 1))
     head = format_header(written_comments(scene), *elements)
     return head, _Layout(scene.count, len(RANGES), scene.sh.shape[1], len(head))
+
+
+def _elements(count: int, ranges: int, rest: int) -> list[tuple[str, int, list[tuple[str, str]]]]:
+    """Those of the header, as format_header() takes them. ranges, rest: properties of chunk and of sh."""
+    elements = [
+        ("chunk", -(-count // CHUNK), [(name, "f4") for name in RANGES[:ranges]]),
+        ("vertex", count, [(name, "u4") for name in PACKED]),
+        ("sh", count, [(f"f_rest_{k}", "u1") for k in range(rest)]),
+    ]
+    return elements if rest else elements[:2]
 
 
 def _checked(file: BinaryIO, max_count: int) -> _Layout:
@@ -172,27 +182,14 @@ def _checked_elements(header: Header) -> tuple[int, int, int]:
             f"has the elements {', '.join(names)}; a compressed PLY has chunk, vertex and perhaps sh{BROKEN}"
         )
     chunk, vertex, *sh = header.elements
-    ranges = [(name, "f4") for name in RANGES]
-    if chunk.properties not in (ranges, ranges[:WITHOUT_COLOR]) or chunk.list_property:
-        raise FormatError(f"has other ranges in its chunks than a compressed PLY{BROKEN}")
-    if (
-        vertex.properties != [(name, "u4") for name in PACKED]
-        or vertex.list_property
-        or chunk.count != -(-vertex.count // CHUNK)
-    ):
-        raise FormatError(
-            f"has other packed values, or another number of chunks, than a compressed PLY{BROKEN}"
-        )
+    ranges = WITHOUT_COLOR if len(chunk.properties) == WITHOUT_COLOR else len(RANGES)
     rest = len(sh[0].properties) if sh else 0
-    if sh and (
-        sh[0].count != vertex.count
-        or sh[0].list_property
-        or sh[0].properties != [(f"f_rest_{k}", "u1") for k in range(rest)]
-    ):
-        raise FormatError(f"has other SH coefficients than a compressed PLY{BROKEN}")
+    for found, expected in zip(header.elements, _elements(vertex.count, ranges, rest), strict=False):
+        if (found.name, found.count, found.properties) != expected or found.list_property:
+            raise FormatError(f"has {OTHER[found.name]} than a compressed PLY{BROKEN}")
     if rest % 3 or 1 + rest // 3 not in SH_COEFFICIENTS:
         raise FormatError(f"has {rest} f_rest properties; SH degrees 0 to 3 have 0, 9, 24 or 45")
-    return vertex.count, len(chunk.properties), 1 + rest // 3
+    return vertex.count, ranges, 1 + rest // 3
 
 
 def _part(file: BinaryIO, layout: _Layout, start: int, count: int) -> Scene:
