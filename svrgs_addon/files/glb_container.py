@@ -10,14 +10,13 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from ..system.errors import FormatError, SceneError
-from .reading import size_of
+from .reading import INCOMPLETE, is_whole, size_of
 
 HEAD, CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
 MAX_JSON = 16_000_000  # bytes
 KINDS = {"5120": "<i1", "5121": "<u1", "5122": "<i2", "5123": "<u2", "5126": "<f4"}  # types of components
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 ARRAY_BUFFER = 34962
-BROKEN = "; copy or export it again"
 
 
 @dataclass(frozen=True)
@@ -32,17 +31,19 @@ class Glb:
         size = size_of(file)
         head = file.read(HEAD.size + CHUNK.size)
         if len(head) < HEAD.size + CHUNK.size or head[:4] != b"glTF":
-            raise FormatError(f"is no .glb, or incomplete{BROKEN}")
+            raise FormatError(f"is no .glb, or incomplete{INCOMPLETE}")
         _, version, length = HEAD.unpack_from(head)
         json_length, kind = CHUNK.unpack_from(head, HEAD.size)
         if version != 2 or kind != b"JSON" or json_length > MAX_JSON or length > size:
-            raise FormatError(f"is no glTF of version 2, or incomplete: {size:,} of {length:,} bytes{BROKEN}")
+            raise FormatError(
+                f"is no glTF of version 2, or incomplete: {size:,} of {length:,} bytes{INCOMPLETE}"
+            )
         try:
             contents = json.loads(file.read(json_length))
         except (ValueError, RecursionError):
             contents = None
         if not isinstance(contents, dict):
-            raise FormatError(f"has no JSON that can be read{BROKEN}")
+            raise FormatError(f"has no JSON that can be read{INCOMPLETE}")
         chunk = file.read(CHUNK.size)
         if len(chunk) < CHUNK.size or CHUNK.unpack(chunk)[1] != b"BIN\0":
             raise FormatError("keeps its values in another file, which is not read; export it as one .glb")
@@ -52,35 +53,30 @@ class Glb:
         """A list of the JSON, empty if it is not there."""
         found = self.contents.get(name, [])
         if not isinstance(found, list):
-            raise FormatError(f"has {name} that are no list{BROKEN}")
+            raise FormatError(f"has {name} that are no list{INCOMPLETE}")
         return found
 
     @staticmethod
     def of(found: list, number: Any) -> dict:
         """The object of a list with this number."""
-        if (
-            not isinstance(number, int)
-            or isinstance(number, bool)
-            or not 0 <= number < len(found)
-            or not isinstance(found[number], dict)
-        ):
-            raise FormatError(f"names an object that it does not have{BROKEN}")
+        if not is_whole(number, len(found) - 1) or not isinstance(found[number], dict):
+            raise FormatError(f"names an object that it does not have{INCOMPLETE}")
         return found[number]
 
     def view(self, number: Any) -> bytes:
         """The bytes of a buffer view."""
         view = self.of(self.items("bufferViews"), number)
         start, length = view.get("byteOffset", 0), view.get("byteLength")
-        whole = all(isinstance(one, int) and 0 <= one <= len(self.data) for one in (start, length))
+        whole = is_whole(start, len(self.data)) and is_whole(length, len(self.data))
         if not whole or start + length > len(self.data) or view.get("buffer", 0) != 0:
-            raise FormatError(f"is incomplete: a packed splat lies beyond its end{BROKEN}")
+            raise FormatError(f"is incomplete: a packed splat lies beyond its end{INCOMPLETE}")
         return self.data[start : start + length]
 
     def count(self, number: Any) -> int:
         """Number of elements of an accessor."""
         count = self.of(self.items("accessors"), number).get("count")
-        if not isinstance(count, int) or isinstance(count, bool) or not 0 <= count <= len(self.data):
-            raise FormatError(f"names more elements than it holds{BROKEN}")
+        if not is_whole(count, len(self.data)):
+            raise FormatError(f"names more elements than it holds{INCOMPLETE}")
         return count
 
     def values(self, number: Any, width: int, count: int | None = None) -> np.ndarray:
@@ -93,19 +89,19 @@ class Glb:
             or (count is not None and found != count)
             or "sparse" in accessor
         ):
-            raise FormatError(f"has an attribute of another kind or length than its splat needs{BROKEN}")
+            raise FormatError(f"has an attribute of another kind or length than its splat needs{INCOMPLETE}")
         view = self.of(self.items("bufferViews"), accessor.get("bufferView"))
         element = width * np.dtype(kind).itemsize
         stride = view.get("byteStride", element)
         start = [one.get("byteOffset", 0) for one in (view, accessor)]
-        whole = all(isinstance(one, int) and 0 <= one <= len(self.data) for one in (*start, stride))
+        whole = all(is_whole(one, len(self.data)) for one in (*start, stride))
         if (
             not whole
             or stride < element
             or sum(start) + stride * max(found - 1, 0) + element * bool(found) > len(self.data)
             or view.get("buffer", 0) != 0
         ):
-            raise FormatError(f"is incomplete: an attribute lies beyond its end{BROKEN}")
+            raise FormatError(f"is incomplete: an attribute lies beyond its end{INCOMPLETE}")
         rows: np.ndarray = np.ndarray(
             (found, width), kind, self.data, sum(start), (stride, np.dtype(kind).itemsize)
         )

@@ -18,7 +18,7 @@ import numpy as np
 from ..scene.gaussians import SH_COEFFICIENTS, Scene
 from ..system.errors import FormatError
 from .quantised import logits_of, logs_of, sh_of_colors
-from .reading import MAX_COUNT, open_splat, refuse_many, refuse_unpacking, rows_at, size_of
+from .reading import BROKEN, MAX_COUNT, open_splat, refuse_many, refuse_unpacking, rows_at, size_of
 from .splat_format import PART, SplatFormat
 
 
@@ -38,7 +38,6 @@ SECTION = _fields(
 )  # fmt: skip
 MAX_SECTIONS = 1024
 RANGE_OF_SH = 1.5  # of SH in 8 bits, to both sides, if the header has none
-BROKEN = "; export it again"
 
 
 @dataclass(frozen=True)

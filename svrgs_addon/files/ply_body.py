@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -14,7 +13,7 @@ import numpy as np
 from ..scene.gaussians import Scene, parameter_shapes
 from ..system.errors import FormatError
 from .ply_header import ENCODINGS, Header
-from .reading import SHORTER
+from .reading import SHORTER, size_of
 
 MAX_ASCII_BYTES = 64 * 2**20
 BLOCK_ROWS = 4096  # rows per block, about 1 MB; it stays in the cache
@@ -144,7 +143,7 @@ class Body:
     def _convert_text(self, scene: Scene):
         """Reads the numbers of an ASCII file into the scene. Raises FormatError."""
         columns, wanted = _columns(scene), self.count * len(self._types)
-        left = os.fstat(self.file.fileno()).st_size - self.file.tell()
+        left = size_of(self.file) - self.file.tell()
         # read(n) allocates n bytes even if the file is shorter
         values = parse_numbers(self.file.read(min(left, MAX_ASCII_BYTES)))[:wanted]
         if len(values) != wanted:

@@ -10,7 +10,7 @@ import numpy as np
 from ..system.errors import FormatError
 from .ply_body import MAX_ASCII_BYTES, parse_numbers
 from .ply_header import ENCODINGS, MAX_HEADER_BYTES, parse_header
-from .reading import readable
+from .reading import open_splat, size_of
 
 MAX_POINTS = 20_000_000
 PLACE, COLOUR = ("x", "y", "z"), ("red", "green", "blue")
@@ -21,13 +21,9 @@ def read_points(path: str | os.PathLike) -> tuple[np.ndarray, np.ndarray]:
     """Positions (P, 3) float32 and colours (P, 3) uint8 RGB of a PLY point cloud, binary or ASCII up to 64
     MiB; in the file colours are whole numbers 0..255 or floats 0..1. Raises FormatError, which names the
     file."""
-    with readable(path):
-        try:
-            with open(path, "rb") as file:
-                columns = _columns(file)
-            return _positions(columns), _colours(columns)
-        except FormatError as error:
-            raise FormatError(f"{path} {error}") from None
+    with open_splat(path) as file:
+        columns = _columns(file)
+        return _positions(columns), _colours(columns)
 
 
 def _columns(file: BinaryIO) -> dict[str, np.ndarray]:
@@ -43,7 +39,7 @@ def _columns(file: BinaryIO) -> dict[str, np.ndarray]:
         raise FormatError(f"announces {vertices.count:,} points; the limit is {MAX_POINTS:,}")
     names = [name for name, _ in vertices.properties]
     row = np.dtype([(name, ENCODINGS[header.encoding] + code) for name, code in vertices.properties])
-    left = os.fstat(file.fileno()).st_size - file.seek(header.size)
+    left = size_of(file) - file.seek(header.size)
     if header.encoding == "ascii":
         values = parse_numbers(file.read(min(left, MAX_ASCII_BYTES)))[: vertices.count * len(names)]
         if len(values) == vertices.count * len(names):

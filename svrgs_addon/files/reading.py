@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, TypeGuard
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from ..system.errors import FormatError, TooMany, system_errors
 from ..system.foreign import open_regular
 
 MAX_COUNT, MAX_IN_PARTS = 20_000_000, 2**32 - 1  # Gaussians of a file that is read as a whole, in parts
+BROKEN, INCOMPLETE = "; export it again", "; copy or export it again"  # ends of sentences
 SHORTER = "became shorter while it was read; try again when no program writes it"
 
 
@@ -69,6 +71,11 @@ def json_object(path: Path, most: int) -> dict[str, Any] | None:
     except (ValueError, RecursionError):
         return None
     return found if isinstance(found, dict) else None
+
+
+def is_whole(value: Any, most: float = math.inf) -> TypeGuard[int]:
+    """Whether a value out of a JSON is a whole number of 0 to `most`."""
+    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= most
 
 
 def size_of(file: BinaryIO) -> int:

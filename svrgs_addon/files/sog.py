@@ -22,7 +22,7 @@ from . import images
 from . import sog_layout as layout
 from .images import read_texture
 from .quantised import logits_of, quats_of_three
-from .reading import MAX_COUNT, json_object, open_splat, refuse_unpacking
+from .reading import BROKEN, MAX_COUNT, is_whole, json_object, open_splat, refuse_unpacking
 from .sog_layout import META, SUFFIX, VERSION
 from .sog_writer import limits, write
 from .splat_format import SplatFormat, by_parts
@@ -31,7 +31,6 @@ from .splat_format import SplatFormat, by_parts
 ALWAYS, OF_GAUSSIAN = 1 << 24, 8
 MANY = 1 << 16  # pixels that any texture may have
 FLOAT_MAX = float(np.finfo(np.float32).max)
-BROKEN = "; export it again"
 # what zipfile raises, also for a password
 DAMAGED = (
     *(zipfile.BadZipFile, zlib.error, lzma.LZMAError),
@@ -113,7 +112,7 @@ def _read(folder: Path, max_count: int) -> _Sog:
             f"is a SOG of version {version if isinstance(version, int) else 'unknown'}; version {VERSION} is"
             " read"
         )
-    if not isinstance(count, int) or isinstance(count, bool) or count < 0:
+    if not is_whole(count):
         raise FormatError(f"names no number of Gaussians{BROKEN}")
     degree = _degree(meta)
     refuse_unpacking(count, SH_COEFFICIENTS[degree], max_count)

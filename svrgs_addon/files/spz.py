@@ -203,13 +203,14 @@ def _rows(header: Header, scene: Scene, steps: np.ndarray) -> dict[str, np.ndarr
     """The rows of the streams, (N, bytes) uint8. scene: in the axes of the file."""
     positions = np.rint(scene.means.astype(np.float64) * 2.0**header.fraction_bits)
     whole = np.clip(positions, -LARGEST_POSITION, LARGEST_POSITION).astype("<i4")
+    rest = 128 + _in_steps(scene.sh[:, 1:], steps[:, None, None])
     return {
         "positions": whole.view(np.uint8).reshape(-1, 3, 4)[:, :, :3].reshape(-1, 9),
         "alphas": alphas_of(scene.opacity_logits)[:, None],
         "colors": _colors(scene.sh[:, 0]),
         "scales": to_uint8((scene.log_scales - SMALLEST_SCALE) * SCALE_STEPS),
         "rotations": _rotations(header, scene.quats),
-        "sh": _sh(scene.sh, steps),
+        "sh": rest.astype(np.uint8).reshape(scene.count, -1),
     }
 
 
@@ -234,11 +235,6 @@ def sh_steps(weights: np.ndarray, quantise: float = 1.0) -> np.ndarray:
     with np.errstate(divide="ignore"):
         steps = np.exp2(np.rint(np.log2(quantise * SH_STEP / weights**0.25)))
     return np.clip(steps, FINEST_SH, COARSEST_SH).astype(np.float32)
-
-
-def _sh(sh: np.ndarray, steps: np.ndarray) -> np.ndarray:
-    """(N, 3 (K - 1)) uint8: multiples of the steps (N,) around 128, which is 0."""
-    return (128 + _in_steps(sh[:, 1:], steps[:, None, None])).astype(np.uint8).reshape(len(sh), -1)
 
 
 def _in_steps(sh: np.ndarray, steps: np.ndarray) -> np.ndarray:

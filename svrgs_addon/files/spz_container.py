@@ -19,7 +19,7 @@ import numpy as np
 from ..scene.gaussians import SH_COEFFICIENTS
 from ..system.errors import FormatError, SceneError
 from . import zstd
-from .reading import refuse_unpacking
+from .reading import INCOMPLETE, refuse_unpacking
 
 MAGIC, GZIP = b"NGSP", b"\x1f\x8b"
 NEWEST, SMALLEST_THREE = 4, 3  # versions: the newest one; the first one whose rotations have 32 bits
@@ -34,7 +34,6 @@ DEFLATED, ZSTANDARD = 1_032, 1 << 15
 LEVEL, GZIP_LEVEL = 9, 6  # of compression
 # of Zstandard: short matches in SH cost time, and bytes too
 FOR_SH = {"strategy": 4, "search_log": 4, "min_match": 6}
-BROKEN = "; copy or export it again"
 
 
 @dataclass(frozen=True)
@@ -78,7 +77,7 @@ def streams(data: bytes, max_count: int) -> tuple[Header, dict[str, np.ndarray]]
     widths = {name: width for name, width in header.widths().items() if width * header.count}
     if number != len(widths) or table < start or table + ENTRY.size * number > len(data):
         raise FormatError(
-            f"has {number} streams, or a table at byte {table}, that do not fit its header{BROKEN}"
+            f"has {number} streams, or a table at byte {table}, that do not fit its header{INCOMPLETE}"
         )
     rows = _unpacked(data, table, widths, header.count)
     empty = {name: np.empty((header.count, width), np.uint8) for name, width in header.widths().items()}
@@ -108,17 +107,17 @@ def _header(head: bytes, size: int, versions: Sequence[int], held: int, max_coun
     """The header in the first `size` bytes, and the flags. held: the most bytes that the streams can have.
     Raises FormatError, also for values that no writer sets, and more Gaussians than can be in the file."""
     if len(head) < size or head[:4] != MAGIC:
-        raise FormatError(f"is no SPZ, or incomplete{BROKEN}")
+        raise FormatError(f"is no SPZ, or incomplete{INCOMPLETE}")
     _, version, count, degree, bits, flags = HEAD.unpack_from(head)
     if version not in versions:
         raise FormatError(f"is an SPZ of version {version}; versions 1 to {NEWEST} are read")
     header = Header(version, count, degree, bits, bool(flags & ANTIALIASED))
     if degree > MAX_DEGREE or bits > 30:
         raise FormatError(
-            f"has SH of degree {degree} or {bits} bits of fraction, which no program writes{BROKEN}"
+            f"has SH of degree {degree} or {bits} bits of fraction, which no program writes{INCOMPLETE}"
         )
     if count * sum(header.widths().values()) > held:
-        raise FormatError(f"is too small for the {count:,} Gaussians that its header names{BROKEN}")
+        raise FormatError(f"is too small for the {count:,} Gaussians that its header names{INCOMPLETE}")
     refuse_unpacking(count, header.coefficients, max_count)
     return header, flags
 
@@ -143,11 +142,11 @@ def _unpacked(data: bytes, table: int, widths: dict[str, int], count: int) -> di
     for number, (name, width) in enumerate(widths.items()):
         length, size = ENTRY.unpack_from(data, table + ENTRY.size * number)
         if size != width * count or length > len(data) - at:
-            raise FormatError(f"has a stream of {name} of another size than its header says{BROKEN}")
+            raise FormatError(f"has a stream of {name} of another size than its header says{INCOMPLETE}")
         frames[name] = (data[at : at + length], size)
         at += length
     if at != len(data):
-        raise FormatError(f"has {len(data) - at} bytes more than its streams{BROKEN}")
+        raise FormatError(f"has {len(data) - at} bytes more than its streams{INCOMPLETE}")
     with ThreadPoolExecutor() as threads:
         contents = list(threads.map(lambda frame: zstd.decompress(*frame), frames.values()))
     return {
@@ -166,9 +165,9 @@ def _gunzipped(data: bytes, max_count: int) -> tuple[Header, dict[str, np.ndarra
         needed = header.count * sum(header.widths().values())
         content = unpacker.decompress(unpacker.unconsumed_tail, needed) if needed else b""
     except zlib.error as error:
-        raise FormatError(f"is damaged ({error}){BROKEN}") from None
+        raise FormatError(f"is damaged ({error}){INCOMPLETE}") from None
     if len(content) < needed:
-        raise FormatError(f"is incomplete: {len(content):,} of {needed:,} bytes are in it{BROKEN}")
+        raise FormatError(f"is incomplete: {len(content):,} of {needed:,} bytes are in it{INCOMPLETE}")
     rows, at = {}, 0
     for name, width in header.widths().items():
         length = width * header.count

@@ -29,13 +29,13 @@ from ..system.errors import FormatError
 from ..system.foreign import inside, own
 from . import images, sog
 from .atomic import check_space, write_json
-from .reading import MAX_COUNT, MAX_IN_PARTS, json_object, open_splat, refuse_many
+from .reading import BROKEN, MAX_COUNT, MAX_IN_PARTS, is_whole, json_object, open_splat, refuse_many
 from .sh_rounding import SeenFrom
 from .sog_layout import META, files_of
 from .sog_writer import BYTES, limits, write_in_order
 from .splat_format import SplatFormat
 
-INDEX, VERSION = "lod-meta.json", 1
+INDEX, VERSION, MAX_LEVELS = "lod-meta.json", 1, 1000
 MAX_INDEX = 50_000_000  # bytes of lod-meta.json
 CHUNK = 512 * 1024  # Gaussians of a leaf, of all levels together, and of a file, about
 # a leaf is not larger, in units of the scene, unless it has no more Gaussians than this
@@ -43,7 +43,6 @@ MAX_EXTENT, FEW_GAUSSIANS = 16.0, 8192
 UNIT = re.compile(r"[\w-][\w.-]*/meta\.json")
 OWN_UNIT = re.compile(r"[0-9]+_[0-9]+(\.[0-9a-f]{8})?/meta\.json")  # names as _Cut gives them
 DIGITS = 7  # of the numbers of a box
-BROKEN = "; export it again"
 
 
 def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[Scene]:
@@ -208,7 +207,7 @@ def _checked(path: Path) -> dict[str, Any]:
             f"has no JSON of version {VERSION} and at most {MAX_INDEX:,} bytes that can be read{BROKEN}"
         )
     names, number = meta.get("filenames"), meta.get("lodLevels")
-    if not isinstance(number, int) or isinstance(number, bool) or not 0 < number <= 1000:
+    if not number or not is_whole(number, MAX_LEVELS):
         raise FormatError(f"has no valid lodLevels{BROKEN}")
     if not isinstance(names, list) or not all(
         isinstance(name, str) and UNIT.fullmatch(name) and ".." not in name for name in _names(meta)
@@ -235,9 +234,7 @@ def _units_of(meta: dict[str, Any], level: int, most: int) -> list[str]:
             continue
         part = lods[str(level)]
         number, count = (part.get(name) if isinstance(part, dict) else None for name in ("file", "count"))
-        if not (
-            isinstance(number, int) and 0 <= number < len(names) and isinstance(count, int) and count >= 0
-        ):
+        if not (is_whole(number, len(names) - 1) and is_whole(count)):
             raise FormatError(f"has a leaf that names no file{BROKEN}")
         found.add(number)
         counted += count

@@ -30,7 +30,7 @@ from . import usd_arrays
 from .atomic import atomic_path, check_space
 from .axes import placed, turned_over
 from .quantised import logits_of_opacities, logs_of, opacities_of, unit_quats
-from .reading import MAX_COUNT, open_splat, refuse_whole, size_of
+from .reading import BROKEN, MAX_COUNT, open_splat, refuse_whole, size_of
 from .splat_format import SplatFormat
 from .usd_arrays import DEGREE, SH, TYPE
 
@@ -42,7 +42,6 @@ SECONDS, LONGER = 5, 4  # of the processor that reading a small file may take; f
 MEGABYTES, TIMES_FILE = 4096, 8
 FREE_SPACE = 3  # bytes of free space for each byte of the values
 POINTS = ("Points", "Mesh")  # prims in which Blender exports the data of a splat
-BROKEN = "; export it again"
 
 
 def read_parts(path: str | os.PathLike, max_count: int = MAX_COUNT) -> Iterator[Scene]:
