@@ -8,8 +8,8 @@ edge of a mesh is the mean of two pictures: with the mesh, and without it.
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -160,26 +160,16 @@ def composite_while(
     The calling thread calls wanted() every POLL_SECONDS. Errors of draw() are raised again. draw must raise
     Cancelled when rasterizer.cancel[0] is set, as composite() does.
     """
-    result: list = []
-
-    def work():
-        try:
-            result.append(draw(rasterizer, *arguments))
-        except BaseException as error:  # noqa: BLE001 - raised again in the waiting thread
-            result.append(error)
-
     rasterizer.cancel[0] = 0
-    thread = threading.Thread(target=work, name="svrgs-draw")
-    thread.start()
-    while thread.is_alive():
-        thread.join(POLL_SECONDS)
-        if not wanted():
-            rasterizer.cancel[0] = 1
-    if isinstance(result[0], Cancelled):
+    with ThreadPoolExecutor(1, "svrgs-draw") as pool:
+        drawn = pool.submit(draw, rasterizer, *arguments)
+        while not wait([drawn], POLL_SECONDS).done:
+            if not wanted():
+                rasterizer.cancel[0] = 1
+    try:
+        return drawn.result()
+    except Cancelled:
         return None
-    if isinstance(result[0], BaseException):
-        raise result[0]
-    return result[0]
 
 
 def _composite(sums: dict) -> Composite:
