@@ -16,7 +16,7 @@ import whole_jobs
 from plans import prune_settings
 from short_runs import to_the_end
 from svrgs_addon.files import compressed_ply
-from svrgs_addon.files.registry import as_stored, load_scene
+from svrgs_addon.files.registry import load_scene, round_trip
 from svrgs_addon.finetune import checkpoint, quality, recovery_pruning
 from svrgs_addon.finetune.engine import NativeEngine
 from svrgs_addon.finetune.methods import method_named
@@ -247,7 +247,7 @@ def test_a_drop_counts_what_the_format_of_the_output_loses(tiny, data, tmp_path)
     recipe.views()
     held, seen = (
         recipe.measured(scene, tiny.splat)["psnr"]
-        for scene in (source, as_stored(source, compressed_ply.FORMAT))
+        for scene in (source, round_trip(source, compressed_ply.FORMAT)[0])
     )
     assert 2.0 - left == pytest.approx(max(0.0, held - seen), abs=1e-3) and left < 2.0
     assert fine_tuned.without_format_loss(source, data, settings, tmp_path / "o.ply").max_loss == 2.0

@@ -10,7 +10,7 @@ import bpy
 from bpy.app.translations import pgettext_iface as tr
 
 from ...svrgs_addon.files.images import to_bytes
-from ...svrgs_addon.files.registry import file_size
+from ...svrgs_addon.files.ply import file_size
 from ...svrgs_addon.jobs.lpips_child import lpips_in_child
 from ...svrgs_addon.native.rasterizer import Rasterizer
 from ...svrgs_addon.prune.report.pictures import contact_sheet, difference_image, wipe

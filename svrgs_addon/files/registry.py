@@ -1,7 +1,9 @@
 """The registry of splat formats, and reading and writing of splat files in any of them.
 
 Menus, drag and drop, batches and `svrgs info` use this registry. A new format is one module with a
-SplatFormat, and its place in FORMATS.
+SplatFormat, and its place in FORMATS. The module reads and writes it, and knows its limits (sog_writer.py for
+SOG). What holds its values is beside it: *_header.py, *_body.py, *_container.py, *_layout.py. What several
+formats share: quantised.py (values in few bits), sh_rounding.py and palette.py (SH), axes.py (y up).
 """
 
 from __future__ import annotations
@@ -253,11 +255,6 @@ def read_back(path: str | Path, scene: Scene) -> Scene:
     return scene if format_to_write(path).lossless else read_scene(path)
 
 
-def as_stored(scene: Scene, splat_format: SplatFormat, seen: SeenFrom | None = None) -> Scene:
-    """The scene as the format would hold it. seen: as of write_scene(). Raises SceneError, FormatError."""
-    return scene if splat_format.lossless else round_trip(scene, splat_format, seen=seen)[0]
-
-
 def round_trip(
     scene: Scene,
     splat_format: SplatFormat,
@@ -300,13 +297,6 @@ def higher_bands(scene: Scene, splat_format: SplatFormat) -> list[str]:
         f"the format {splat_format.label} holds spherical harmonics up to degree {splat_format.most_degree},"
         " so higher ones are left out"
     ]
-
-
-def file_size(scene: Scene) -> int:
-    """Size in bytes of the scene in the first format of FORMATS."""
-    size = FORMATS[0].size
-    assert size is not None
-    return size(scene)
 
 
 def foreseen_size(one: Scene, count: int, splat_format: SplatFormat = FORMATS[0]) -> int | None:

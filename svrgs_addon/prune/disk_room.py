@@ -11,7 +11,7 @@ from pathlib import Path
 
 from ..files.atomic import FREE_SPACE_MARGIN
 from ..files.disk_space import HeldSpace, existing_parent, refuse_shortage
-from ..files.registry import file_size
+from ..files.ply import file_size
 from ..scene.gaussians import Scene
 from ..system import memory
 from ..system.errors import SceneError

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from ...files.registry import as_stored, format_to_write
+from ...files.registry import format_to_write, round_trip
 from ...files.sh_rounding import SeenFrom
 from ...scene.gaussians import Scene
 from ...system.errors import SceneError
@@ -48,11 +48,12 @@ def format_loss(
     seen: SeenFrom | None = None,
 ) -> float:
     """What the scene loses in the format of the output; 0 if it is lossless. quality_of: of a scene. seen: as
-    of as_stored(). Raises SceneError if that alone is not less than what is allowed."""
+    of write_scene(). Raises SceneError if that alone is not less than what is allowed."""
     splat_format = format_to_write(out)
     if splat_format.lossless:
         return 0.0
-    loss = max(0.0, quality_of(scene) - quality_of(as_stored(scene, splat_format, seen)))
+    stored, _ = round_trip(scene, splat_format, seen=seen)
+    loss = max(0.0, quality_of(scene) - quality_of(stored))
     refuse_loss(out, loss, allowed, measure)
     return loss
 
