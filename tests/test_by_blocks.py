@@ -321,7 +321,7 @@ def test_pictures_are_as_fine_as_all_gaussians_need(monkeypatch, source):
     whole = load_scene(source)
     small = replace(whole, log_scales=whole.log_scales - 3.5)
     monkeypatch.setattr(viewpoints, "LARGEST", 1024)
-    sides = [place_rig(small, views=1, enlarged=factor).width for factor in (1.0, 1.2, 100.0)]
+    sides = [place_rig(small, views=1, enlarged=factor).cameras[0].width for factor in (1.0, 1.2, 100.0)]
     assert sides[0] < sides[1] < sides[2] == 1024
 
 

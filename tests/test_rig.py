@@ -170,7 +170,7 @@ def test_scenes_of_every_place_and_size(scene):
     rig = quick_rig(scene)
     assert rig.cameras
     assert all(np.isfinite(camera.viewmat).all() and np.isfinite(camera.K).all() for camera in rig.cameras)
-    assert 512 <= rig.width == rig.height <= 1024
+    assert 512 <= rig.cameras[0].width == rig.cameras[0].height <= 1024
 
 
 @pytest.mark.filterwarnings("error")

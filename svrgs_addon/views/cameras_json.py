@@ -28,9 +28,12 @@ def load_cameras_json(path: str | os.PathLike) -> list[Camera]:
     world). Extensions of this project: cx, cy (pixels) name another principal point; with "orthographic":
     true, fx and fy are pixels per unit of length. Raises FormatError.
     """
+    entries = read_json(Path(path), MAX_BYTES, "a cameras.json of 3DGS")
+    if not isinstance(entries, list) or not entries:
+        raise FormatError(f"{path}: holds no list of cameras; give a cameras.json of 3DGS")
     return [
         usable(Path(path), f"camera {number}", partial(_camera, facts))
-        for number, facts in enumerate(_read_entries(path))
+        for number, facts in enumerate(entries)
     ]
 
 
@@ -55,14 +58,6 @@ def write_cameras_json(path: str | os.PathLike, cameras: Sequence[Camera]):
             entry |= centre
         entries.append(entry)
     write_bytes(path, json.dumps(entries, indent=1).encode())
-
-
-def _read_entries(path: str | os.PathLike) -> list:
-    """The entries of the file, unchecked. Raises FormatError unless it is a JSON list with entries."""
-    entries = read_json(Path(path), MAX_BYTES, "a cameras.json of 3DGS")
-    if not isinstance(entries, list) or not entries:
-        raise FormatError(f"{path}: holds no list of cameras; give a cameras.json of 3DGS")
-    return entries
 
 
 def _camera(entry: dict) -> Camera:

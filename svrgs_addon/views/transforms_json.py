@@ -115,19 +115,13 @@ def _relative(frame: dict, key: str) -> str:
 
 def _view(name: str, facts: Mapping, folder: Path) -> View:
     """The view of a frame. facts: its keys and those of the file."""
-    to_world = _pose(facts["transform_matrix"])
+    to_world = _matrix(facts["transform_matrix"]) @ FLIP
+    if not is_rotation(to_world[:3, :3]):
+        raise FormatError("its transform_matrix does not hold a rotation")
     viewmat = np.eye(4)
     viewmat[:3, :3] = to_world[:3, :3].T
     viewmat[:3, 3] = -to_world[:3, :3].T @ to_world[:3, 3]
     return View(name, viewmat, _camera(facts, *_size(facts, folder, name)))
-
-
-def _pose(rows: object) -> np.ndarray:
-    """(4, 4) camera to world, in the camera frame of COLMAP, of a transform_matrix."""
-    matrix = _matrix(rows)
-    if not is_rotation(matrix[:3, :3]):
-        raise FormatError("its transform_matrix does not hold a rotation")
-    return matrix @ FLIP
 
 
 def _matrix(rows: object) -> np.ndarray:

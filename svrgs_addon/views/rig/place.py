@@ -37,16 +37,6 @@ class Rig:
     # share of what can be seen that 3 cameras or more see, weighted by the largest alpha T; None: unknown
     seen: float | None
 
-    @property
-    def width(self) -> int:
-        """Of each picture, in pixels."""
-        return self.cameras[0].width
-
-    @property
-    def height(self) -> int:
-        """Of each picture, in pixels."""
-        return self.cameras[0].height
-
     def facts(self) -> dict:
         """What a JSON result says about the rig."""
         return {
@@ -54,8 +44,8 @@ class Rig:
             "held_out": len(self.held_out),
             "inside_out": self.inside_out,
             "seen": self.seen,
-            "width": self.width,
-            "height": self.height,
+            "width": self.cameras[0].width,
+            "height": self.cameras[0].height,
         }
 
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...files.registry import invisible
 from ...native.library import thresholds
 from ...scene.bounds import weighted_quantiles
 from ...scene.gaussians import Scene
@@ -65,9 +66,7 @@ def usable_rows(scene: Scene) -> np.ndarray:
         raise SceneError(
             "the splat has no Gaussian with finite values, so there is nothing that cameras could look at"
         )
-    cut = thresholds().alpha_cut
-    with np.errstate(invalid="ignore"):
-        good &= scene.opacity_logits >= np.float32(np.log(cut / (1 - cut)))
+    good &= ~invisible(scene)
     if not good.any():
         raise SceneError(
             "all Gaussians of the splat are transparent, so there is nothing that cameras could look at"
