@@ -19,6 +19,7 @@ from svrgs_addon.files.registry import (
     describe,
     format_to_read,
     format_to_write,
+    left_out,
     read_scene,
     write_scene,
 )
@@ -256,6 +257,11 @@ def test_the_size_is_foreseen_to_the_byte(tmp_path, found):
     scene, path = like_trained(2, 1_000), tmp_path / f"a{found.suffixes[0]}"
     write_scene(path, scene)
     assert found.size(scene) == path.stat().st_size
+
+
+@pytest.mark.parametrize("found", FORMATS, ids=lambda one: one.name)
+def test_an_empty_scene_is_beyond_no_limit(found):
+    assert left_out(random_scene(0, sh_degree=0), found) == []
 
 
 @pytest.mark.parametrize("suffix", WRITTEN)

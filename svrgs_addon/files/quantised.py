@@ -143,7 +143,7 @@ def clipped(scene: Scene, label: str, most: float, most_dc: float = np.inf) -> l
     beyond ±most_dc, which the format of this name stores as these."""
 
     def beyond(part: Scene) -> np.ndarray:
-        flat = np.abs(part.sh).reshape(part.count, -1)
+        flat = np.abs(part.sh).reshape(part.count, 3 * part.sh.shape[1])
         return (flat[:, :3] > most_dc).any(axis=1) | (flat[:, 3:] > most).any(axis=1)
 
     count = int(in_blocks(beyond, scene).sum())
