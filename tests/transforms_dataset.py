@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from svrgs_addon.views.colmap import Model
+from svrgs_addon.views.sparse_model import Model
 
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 KEYS = {

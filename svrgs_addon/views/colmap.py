@@ -13,7 +13,6 @@ import signal
 import sys
 import tempfile
 import threading
-from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING
@@ -27,6 +26,7 @@ from ..system import packages
 from ..system.errors import FormatError, SceneError
 from ..system.foreign import check_name
 from .colmap_files import copy_checked, has_files
+from .sparse_model import Intrinsics, Model, View
 
 if TYPE_CHECKING:
     import pycolmap
@@ -37,41 +37,6 @@ UNUSABLE = (
     "its camera has a focal length or pose that is not usable; remove the view from the model, or run COLMAP"
     " again"
 )
-
-
-@dataclass(frozen=True)
-class Intrinsics:
-    """A camera of any COLMAP model. width, height: of the photograph, pixels; params: in COLMAP's order."""
-
-    model: str  # PINHOLE, OPENCV, ...
-    width: int
-    height: int
-    params: tuple[float, ...]
-
-    def pinhole(self) -> np.ndarray | None:
-        """K (3, 3) in pixels; None if the model has distortion or is no pinhole."""
-        if self.model not in ("PINHOLE", "SIMPLE_PINHOLE"):
-            return None
-        fx, fy, cx, cy = self.params if self.model == "PINHOLE" else (self.params[0], *self.params)
-        return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64)
-
-
-@dataclass(frozen=True)
-class View:
-    """One registered photograph."""
-
-    name: str  # image name, with '/' between folders
-    viewmat: np.ndarray  # (4, 4) float64, world to camera
-    camera: Intrinsics
-
-
-@dataclass(frozen=True)
-class Model:
-    """A sparse model. views: by name. points: (P, 3) float32, world. point_colors: (P, 3) uint8, RGB."""
-
-    views: list[View]
-    points: np.ndarray
-    point_colors: np.ndarray
 
 
 def find_model(folder: Path) -> Path:

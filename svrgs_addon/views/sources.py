@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, field
+from dataclasses import replace
 from pathlib import Path
 
 from ..system.errors import SceneError
-from .colmap import Model, find_model, read_model
+from .colmap import find_model, read_model
+from .sparse_model import Source
 from .transforms_json import NAME, read_transforms
 
 HEAD_BYTES = 64 * 1024  # read of a file that may be of another program
@@ -20,17 +21,6 @@ EXPORTS = {
 }
 
 
-@dataclass(frozen=True)
-class Source:
-    """Cameras and points, where they were read, and the folder of their photographs."""
-
-    model: Model
-    location: Path
-    image_folder: Path | None  # None: the photographs were not asked for
-    notes: tuple[str, ...]  # sentences that the user must see
-    masks: dict[str, Path] = field(default_factory=dict)  # those that the dataset names, by photograph
-
-
 def read_source(folder: Path, images: str | None, with_images: bool = True) -> Source:
     """Reads the COLMAP model in `folder` or below it; where there is none, its transforms.json, which can
     also be named itself.
@@ -40,12 +30,10 @@ def read_source(folder: Path, images: str | None, with_images: bool = True) -> S
     """
     location, is_model = find_cameras(folder)
     if not is_model:
-        found = read_transforms(location)
-        notes = (f"the cameras are those of {location}", *found.notes)
-        image_folder = found.image_folder if with_images else None
+        source = read_transforms(location)
         if with_images and images:
-            image_folder = _image_folder(location.parent, None, images)
-        return Source(found.model, location, image_folder, notes, found.masks)
+            return replace(source, image_folder=_image_folder(location.parent, None, images))
+        return source if with_images else replace(source, image_folder=None)
     other = folder / NAME
     notes = (f"the cameras are those of {location}, not those of {other}",) if other.is_file() else ()
     model = read_model(location)

@@ -16,7 +16,6 @@ import math
 import os
 from collections import ChainMap
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path, PurePosixPath
 
@@ -28,8 +27,8 @@ from ..files.reading import read_json, usable
 from ..scene.rotations import is_rotation
 from ..system.errors import FormatError
 from ..system.foreign import check_name
-from .colmap import Intrinsics, Model, View
 from .photo_files import photograph
+from .sparse_model import Intrinsics, Model, Source, View
 
 NAME, PARSER_NAME = "transforms.json", "dataparser_transforms.json"
 MAX_BYTES = 64 * 2**20
@@ -40,17 +39,7 @@ FISHEYE = "OPENCV_FISHEYE"
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])  # camera axes of OpenGL <-> of COLMAP
 
 
-@dataclass(frozen=True)
-class Transforms:
-    """What a transforms.json holds. image_folder: to which the names of the views are relative."""
-
-    model: Model
-    image_folder: Path
-    notes: tuple[str, ...]  # sentences on what is not used
-    masks: dict[str, Path]  # the files of mask_path, by the names of the views
-
-
-def read_transforms(path: Path) -> Transforms:
+def read_transforms(path: Path) -> Source:
     """Reads a transforms.json and the sparse points that it names. Raises FormatError."""
     facts = _read_json(path)
     frames = facts.get("frames")
@@ -86,7 +75,7 @@ def read_transforms(path: Path) -> Transforms:
     if missing:
         some = ", ".join(missing[:3]) + (", ..." if len(missing) > 3 else "")
         notes = (*notes, f"left out, because nothing says the size of a photograph: {some}")
-    return Transforms(model, folder, (*moved, *notes), masks)
+    return Source(model, path, folder, (f"the cameras are those of {path}", *moved, *notes), masks)
 
 
 def _read_json(path: Path) -> dict:
