@@ -1,7 +1,7 @@
 """Registers what a module has for Blender: its classes SVRGS_…; PROPERTIES, {(type, name): property};
-HANDLERS, {event: function}; MENUS, {menu: function that draws in it}; TIMERS, which end with the extension;
-forget(), which is called when another file is opened, and at the end; for all else register() and
-unregister() of its own."""
+HANDLERS, {event: function}; MENUS, {menu: function that draws in it}; DRAWS, {"POST_VIEW" or "POST_PIXEL":
+function that draws in 3D viewports}; TIMERS, which end with the extension; forget(), which is called when
+another file is opened, and at the end; for all else register() and unregister() of its own."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from types import ModuleType
 
 import bpy
 from bpy.app.handlers import persistent
+
+_draws: list = []  # what Blender has returned for functions of DRAWS
 
 
 def register(modules: Iterable[ModuleType]):
@@ -22,12 +24,16 @@ def register(modules: Iterable[ModuleType]):
             getattr(bpy.app.handlers, event).append(persistent(handler))
         for menu, draw in getattr(module, "MENUS", {}).items():
             getattr(bpy.types, menu).append(draw)
+        for stage, draw in getattr(module, "DRAWS", {}).items() if not bpy.app.background else ():
+            _draws.append(bpy.types.SpaceView3D.draw_handler_add(draw, (), "WINDOW", stage))
         if hasattr(module, "register"):
             module.register()
 
 
 def unregister(modules: Iterable[ModuleType]):
     """In the opposite order."""
+    while _draws:
+        bpy.types.SpaceView3D.draw_handler_remove(_draws.pop(), "WINDOW")
     for module in reversed(tuple(modules)):
         for timer in filter(bpy.app.timers.is_registered, getattr(module, "TIMERS", ())):
             bpy.app.timers.unregister(timer)

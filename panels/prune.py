@@ -27,8 +27,8 @@ def has_something(context) -> bool:
 
 
 def draw(layout, context):
-    stage, subject = prune_state.stage(context), prune_state.subject(context)
-    found = job_watch.current(context)
+    stage, found = prune_state.stage(context), job_watch.current(context)
+    _, pruned = job_result.pair_of(context.object)
     if train.is_shown(context):
         layout.label(text="Train the splat first", icon="INFO")
         return
@@ -37,10 +37,10 @@ def draw(layout, context):
         return
     if stage == "READY":
         draw_settings(layout, context)
-    elif stage == "RESULT" and subject is not None:
-        layout.label(text=subject.name, icon="OUTLINER_OB_POINTCLOUD", translate=False)
-        if job_result.has_slider(subject):
-            layout.prop(subject, "svrgs_share", slider=True)
+    elif stage == "RESULT" and pruned is not None:
+        layout.label(text=pruned.name, icon="OUTLINER_OB_POINTCLOUD", translate=False)
+        if job_result.has_slider(pruned):
+            layout.prop(pruned, "svrgs_share", slider=True)
     icon = ICONS.get(stage, "NONE")
     for sentence in prune_state.sentences(context):
         wrapped_label(layout, sentence, icon)

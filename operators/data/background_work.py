@@ -23,12 +23,14 @@ _threads: list[threading.Thread] = []  # for which the end of the extension wait
 _stale = threading.Event()
 
 
-def run(work: Callable[[], Any], done: Callable[[Future], None], detached: bool = False) -> Future:
-    """Calls work() in a thread, where it must not use bpy. Then calls done() in the main thread with a
-    Future, whose result() is what work() returned, or raises what it raised. Without a window, both are done
-    before this returns.
+def run(
+    work: Callable[[], Any], done: Callable[[Any, str], object] | None = None, detached: bool = False
+) -> Future:
+    """Calls work() in a thread, where it must not use bpy. Then calls done() in the main thread with its
+    outcome(). Without a window, both are done before this returns.
 
-    detached: the thread ends with Blender, which does not wait for it.
+    detached: the thread ends with Blender, which does not wait for it. Returns a Future, whose result() is
+    what work() returned, or raises what it raised.
     """
     answer: Future = Future()
 
@@ -41,7 +43,8 @@ def run(work: Callable[[], Any], done: Callable[[Future], None], detached: bool 
     def poll() -> bool:
         if not answer.done():
             return True
-        done(answer)
+        if done is not None:
+            done(*outcome(answer))
         redraw_panels()
         return False
 
@@ -57,7 +60,7 @@ def run(work: Callable[[], Any], done: Callable[[Future], None], detached: bool 
 
 
 def outcome(answer: Future) -> tuple[Any, str]:
-    """What the work of run() returned, and ''; or None, and why it failed, in a sentence."""
+    """What the work returned, and ''; or None, and why it failed, in a sentence."""
     error = answer.exception()
     if error is None:
         return answer.result(), ""

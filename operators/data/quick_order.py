@@ -51,7 +51,7 @@ def read_ahead(folder: JobFolder):
     if bpy.app.background or not os.path.isfile(folder / ORDER) or folder.request()["count"] > MOST_AHEAD:
         return
     forget()
-    _ahead[str(folder.path)] = background_work.run(partial(_files, folder), lambda _: None)
+    _ahead[str(folder.path)] = background_work.run(partial(_files, folder))
 
 
 def available(pruned: bpy.types.Object) -> bool:

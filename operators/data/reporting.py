@@ -54,6 +54,11 @@ class ReportingOperator(bpy.types.Operator):
         return {"FINISHED"}
 
 
+def menu(operator: type[ReportingOperator], **shown) -> Callable:
+    """A function that draws the operator in one of Blender's menus."""
+    return lambda menu, _: menu.layout.operator(operator.bl_idname, **shown)
+
+
 class FolderOperator(ReportingOperator):
     """An operator that asks for a folder, unless a script gives its `directory`."""
 
@@ -87,7 +92,7 @@ class BackgroundOperator(ReportingOperator):
 
     def begin(self, context) -> str:
         self._steps = self.steps(context)
-        self._answer = background_work.run(next(self._steps), lambda _: None)
+        self._answer = background_work.run(next(self._steps))
         manager, self._workspace = context.window_manager, context.workspace.name
         self._timer = manager.event_timer_add(background_work.INTERVAL, window=context.window)
         manager.modal_handler_add(self)

@@ -3,7 +3,6 @@ farm do (`svrgs farm`)."""
 
 from __future__ import annotations
 
-from concurrent.futures import Future
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -21,13 +20,12 @@ from ...svrgs_addon.system.memory import size_text
 from ...svrgs_addon.views.cameras_json import write_cameras_json
 from ..data import background_work, splat_object
 from ..data.native_check import native_problem
-from ..data.reporting import FolderOperator
+from ..data.reporting import FolderOperator, menu
 from ..jobs import efforts, goals
 from ..jobs.job import given_views, options_of
 from ..scene.splat_transforms import selected_splats
 
 _lines: list[str] = []  # what the panel says on the last export
-_failed: list[str] = []  # its error, if it has failed already, as in background mode
 
 
 def lines() -> list[str]:
@@ -60,13 +58,13 @@ class SVRGS_OT_export_farm_job(FolderOperator):
         farm_job.refuse_same_names([bpy.path.clean_name(obj.name) for obj in splats])
         tasks = [_task(context, obj, folder / farm_job.CAPTURES) for obj in splats]
         _job(folder, tasks).write()
-        _failed.clear()
         _lines[:] = [tr("Exporting a farm job to {folder} …").format(folder=folder)]
         # a child process reads the datasets, to know what a task needs
         words = ["farm", "files", str(folder), "--json"]
-        background_work.run(partial(subprocess_python.ask, words), partial(_finished, folder))
+        problems: list[str] = []  # at once in background mode
+        background_work.run(partial(subprocess_python.ask, words), partial(_finished, folder, problems))
         background_work.redraw_panels()
-        if _failed:
+        if problems:
             raise SceneError("; ".join(_lines))
         return "; ".join(_lines)
 
@@ -102,10 +100,9 @@ def _job(folder: Path, tasks: list[farm_job.Task]) -> farm_job.FarmJob:
     return farm_job.FarmJob(folder, root, placed)
 
 
-def _finished(folder: Path, answer: Future):
-    result, error = background_work.outcome(answer)
+def _finished(folder: Path, problems: list[str], result: dict, error: str):
     if error:
-        _lines[:] = _failed[:] = [error]
+        _lines[:] = problems[:] = [error]
         return
     text = tr("Tasks: {count:,}. Memory of each: up to {memory}. Folder: {folder}")
     _lines[:] = [text.format(count=result["tasks"], memory=size_text(result["memory"]), folder=folder)]
@@ -116,8 +113,4 @@ def forget(*_):
     _lines.clear()
 
 
-def menu(self, context):
-    self.layout.operator(SVRGS_OT_export_farm_job.bl_idname, text="Splat Farm Job (folder)")
-
-
-MENUS = {"TOPBAR_MT_file_export": menu}
+MENUS = {"TOPBAR_MT_file_export": menu(SVRGS_OT_export_farm_job, text="Splat Farm Job (folder)")}

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import tempfile
 import threading
-from concurrent.futures import Future
 from functools import partial
 from pathlib import Path
 
@@ -23,14 +22,13 @@ from ..data import background_work
 from ..data.file_kinds import KINDS, WHAT_FOR, format_of
 from ..data.native_check import native_problem
 from ..data.preferences import threads
-from ..data.reporting import FolderOperator
+from ..data.reporting import FolderOperator, menu
 from ..scene.splat_transforms import selected_splats
 from .export_space import ExportSpace
 
 STREAMED = next(one for one in FORMATS if one.index == "lod-meta.json")
 _running: list[str] = []  # names of the splats whose levels are being made
 _lines: list[str] = []  # what the panel says on the last export; its splats may be gone
-_failed: list[str] = []  # names of those that have failed already, as in background mode
 _one_at_a_time = threading.Lock()  # several splats at once would take the memory of all
 
 
@@ -84,14 +82,14 @@ class SVRGS_OT_export_levels(FolderOperator, ExportSpace):
             text = tr("{file} exists already: choose another folder, or Overwrite")
             raise SceneError(text.format(file=there[0]))
         _lines.clear()
-        _failed.clear()
+        problems: list[str] = []  # at once in background mode
         for obj, out in outs.items():
             scene, _ = self.chosen(context, obj)
             work = partial(_export, scene, out, shares, threads(context), bpy.app.tempdir)
             _running.append(obj.name)
-            background_work.run(work, partial(_finished, obj.name))
+            background_work.run(work, partial(_finished, obj.name, problems))
         background_work.redraw_panels()
-        if _failed:
+        if problems:
             raise SceneError("; ".join(lines()))
         return "; ".join(lines())
 
@@ -126,12 +124,11 @@ def _export(scene: Scene, out: Path, shares: list[float], threads: int, folder: 
         return subprocess_python.ask([*words, "--threads", str(threads), "--json", "--quiet"])
 
 
-def _finished(name: str, answer: Future):
+def _finished(name: str, problems: list[str], result: dict, error: str):
     _running.remove(name)
-    result, error = background_work.outcome(answer)
     if error:
         _lines.append(f"{name}: {error}")
-        _failed.append(name)
+        problems.append(error)
         return
     if "psnr" not in result:
         _lines.append(f"{name}: {size_text(result['bytes'])}")
@@ -149,11 +146,7 @@ def forget(*_):
     _lines.clear()
 
 
-def menu(self, context):
-    self.layout.operator(SVRGS_OT_export_levels.bl_idname, text="Splat Levels of Detail (folder)")
-
-
-MENUS = {"TOPBAR_MT_file_export": menu}
+MENUS = {"TOPBAR_MT_file_export": menu(SVRGS_OT_export_levels, text="Splat Levels of Detail (folder)")}
 
 
 def unregister():

@@ -16,7 +16,7 @@ from ...svrgs_addon.viewer.web_page import export, program_bytes
 from ..data import pairs, splat_object
 from ..data.camera_object import camera_from_object
 from ..data.native_check import native_problem
-from ..data.reporting import BackgroundOperator, FolderOperator, Steps
+from ..data.reporting import BackgroundOperator, FolderOperator, Steps, menu
 from ..data.world_matrix import world_matrix
 from ..jobs import job_result
 from .export_space import ExportSpace
@@ -84,8 +84,4 @@ def cameras(scene: bpy.types.Scene) -> list[Camera]:
     return [camera_from_object(scene.camera, scene).moved(splat_object.AXES)]
 
 
-def menu(self, context):
-    self.layout.operator(SVRGS_OT_export_page.bl_idname, text="Splat Web Page (folder)")
-
-
-MENUS = {"TOPBAR_MT_file_export": menu}
+MENUS = {"TOPBAR_MT_file_export": menu(SVRGS_OT_export_page, text="Splat Web Page (folder)")}

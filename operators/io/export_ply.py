@@ -26,7 +26,7 @@ from ..data.file_kinds import KINDS, default_kind, format_of
 from ..data.native_check import native_problem
 from ..data.option_properties import sh_degree_property
 from ..data.preferences import use_threads
-from ..data.reporting import BackgroundOperator, Steps
+from ..data.reporting import BackgroundOperator, Steps, menu
 from ..data.splat_size import size_in
 from ..jobs import job_result
 from .export_space import ExportSpace, camera_objects, imported_cameras, shows_original
@@ -132,7 +132,7 @@ class SVRGS_OT_export_ply(BackgroundOperator, ExportHelper, ExportSpace):
         if quick_order.is_shown(obj):
             return quick_order.count(obj)
         if shows_original(obj):
-            return job_result.seen_count(obj)
+            return job_result.Shown(obj).seen
         return splat_object.count(obj) - visible_splats.marked_count(obj)
 
     def steps(self, context) -> Steps:
@@ -202,8 +202,4 @@ def default_path(obj: bpy.types.Object) -> Path:
     return folder / (bpy.path.clean_name(obj.name) + format_of(default_kind(obj)).suffixes[0])
 
 
-def menu(self, context):
-    self.layout.operator(SVRGS_OT_export_ply.bl_idname, text=registry.menu_label(written=True))
-
-
-MENUS = {"TOPBAR_MT_file_export": menu}
+MENUS = {"TOPBAR_MT_file_export": menu(SVRGS_OT_export_ply, text=registry.menu_label(written=True))}

@@ -114,7 +114,7 @@ class ExportSpace:
 def shows_original(obj: bpy.types.Object) -> bool:
     """Whether the slider Keep of a result shows more Gaussians than its job has kept: its original shows
     them."""
-    return job_result.undecided(obj) and job_result.ranked(obj) and job_result.brings_back(obj)
+    return job_result.undecided(obj) and job_result.ranked(obj) and job_result.Shown(obj).brings_back
 
 
 def camera_objects(context, obj: bpy.types.Object) -> list[bpy.types.Object]:
@@ -140,7 +140,7 @@ def gaussians(context, obj: bpy.types.Object, seen: bool) -> list:
     if obj.mode == "EDIT" and (visible_splats.has_marks(obj) or job_result.undecided(obj)):
         raise SceneError(tr("Leave Edit Mode first"))
     if shows_original(obj):
-        return [(grading.applied(job_result.seen_gaussians(obj), obj), world_matrix(obj))]
+        return [(grading.applied(job_result.Shown(obj).seen_gaussians, obj), world_matrix(obj))]
     if problem := grading.problem(obj):
         raise SceneError(problem)
     parts = visible_splats.shown_by(context.evaluated_depsgraph_get(), obj) if obj.mode != "EDIT" else []

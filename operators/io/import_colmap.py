@@ -20,7 +20,7 @@ from ...svrgs_addon.system.errors import SceneError
 from ...svrgs_addon.views.posed_photos import PosedPhotos, read_in_child
 from ..data import camera_object, edit_guard, splat_object, views_of_file
 from ..data.framing import level
-from ..data.reporting import FolderOperator
+from ..data.reporting import FolderOperator, menu
 from ..data.select import open_collection, select
 from ..data.world_matrix import world_matrix
 from ..scene import dataset_paths
@@ -199,10 +199,8 @@ def root_for(
     return root
 
 
-def menu(self, context):
-    self.layout.operator(
-        SVRGS_OT_import_colmap.bl_idname, text="Cameras and Photographs (COLMAP, transforms.json)"
+MENUS = {
+    "TOPBAR_MT_file_import": menu(
+        SVRGS_OT_import_colmap, text="Cameras and Photographs (COLMAP, transforms.json)"
     )
-
-
-MENUS = {"TOPBAR_MT_file_import": menu}
+}

@@ -14,7 +14,7 @@ from ...svrgs_addon.files import registry
 from ...svrgs_addon.files.repair import bake_filter, drop_nonfinite
 from ...svrgs_addon.system.errors import SplatError
 from ..data import splat_object
-from ..data.reporting import ReportingOperator
+from ..data.reporting import ReportingOperator, menu
 from ..data.select import open_collection, select
 from ..scene.frame import frame
 from ..translation import OWN
@@ -120,8 +120,4 @@ class SVRGS_FH_ply(bpy.types.FileHandler):
         return context.area is not None and context.area.type in {"VIEW_3D", "OUTLINER"}
 
 
-def menu(self, context):
-    self.layout.operator(SVRGS_OT_import_ply.bl_idname, text=registry.menu_label())
-
-
-MENUS = {"TOPBAR_MT_file_import": menu}
+MENUS = {"TOPBAR_MT_file_import": menu(SVRGS_OT_import_ply, text=registry.menu_label())}

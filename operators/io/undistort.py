@@ -6,14 +6,13 @@ status() says what the last import of cameras lacks, and how far undistorting is
 
 from __future__ import annotations
 
-from concurrent.futures import Future
 from functools import partial
 from pathlib import Path
 
 import bpy
 from bpy.app.translations import pgettext_iface as tr
 
-from ...svrgs_addon.views.posed_photos import read_in_child
+from ...svrgs_addon.views.posed_photos import PosedPhotos, read_in_child
 from ..data import background_work, camera_object, known
 from ..scene import dataset_paths
 
@@ -46,9 +45,9 @@ def start(
         progress[:] = now
         background_work.redraw_soon()
 
-    def done(answer: Future):
+    def done(photos: PosedPhotos, error: str):
         _running[:] = [one for one in _running if one is not progress]
-        _show_all(uids, known.of_uid(root_uid).import_problems, answer)
+        _show_all(uids, known.of_uid(root_uid).import_problems, photos, error)
 
     background_work.run(partial(read_in_child, folder, images, target, tell), done, detached=True)
 
@@ -84,10 +83,9 @@ def show(obj: bpy.types.Object, file: Path | None):
     data.show_background_images = True
 
 
-def _show_all(uids: dict[str, int], said: list[str], answer: Future):
+def _show_all(uids: dict[str, int], said: list[str], photos: PosedPhotos, error: str):
     """Shows the photographs. Cameras that were deleted since, or belong to a closed file, are skipped. uids:
     session_uid of the camera by the name of its image. said: gets what went wrong."""
-    photos, error = background_work.outcome(answer)
     if error:
         text = tr("{error}; the photographs of lenses with distortion are not shown")
         said.append(text.format(error=error))

@@ -217,46 +217,22 @@ def show(pruned: bpy.types.Object, count: int):
 
 def shown_count(pruned: bpy.types.Object) -> int:
     """Number of Gaussians that Apply would keep."""
-    return _Shown(pruned).count if ranked(pruned) else quick_order.count(pruned)
+    return Shown(pruned).count if ranked(pruned) else quick_order.count(pruned)
 
 
-def brings_back(pruned: bpy.types.Object) -> bool:
-    """Whether Gaussians of the original that the job had removed are shown with a ranked result."""
-    shown = _Shown(pruned)
-    return shown.original is not None and bool(shown.back.any())
-
-
-def seen_count(pruned: bpy.types.Object) -> int:
-    """As shown_count() of a ranked result, without those that the user has hidden."""
-    return _Shown(pruned).seen
-
-
-def shown_gaussians(pruned: bpy.types.Object) -> Scene:
-    """The Gaussians that are not marked, in the original's order: recovered, or as in the original if the job
-    had removed them."""
-    if not ranked(pruned):
-        return quick_order.shown(pruned) or splat_object.scene_from_object(pruned)
-    return _Shown(pruned).gaussians
-
-
-def seen_gaussians(pruned: bpy.types.Object) -> Scene:
-    """As shown_gaussians() of a ranked result, without those that the user has hidden."""
-    shown = _Shown(pruned)
-    scene = shown.gaussians
-    return scene if shown.seen == shown.count else scene.select(~shown.hidden)
-
-
-class _Shown:
-    """What is shown of a ranked result: of the splat itself, and of what its job had removed from the
-    original. Points of either may have been deleted in Edit Mode."""
+class Shown:
+    """What is shown of a ranked result: Gaussians of the splat itself, and those of the original that its job
+    had removed, as they were. Points of either may have been deleted in Edit Mode."""
 
     def __init__(self, pruned: bpy.types.Object):
         stored = splat_object.stored_values
         self.pruned, self.original = pruned, original_of(pruned)
         self.left = ~stored(pruned, REMOVED)
+        self.back = self.left[:0]  # of the original
         if self.original is not None:
-            removed_by_job = stored(self.original, SCORE) <= BOUNDARY
-            self.back = removed_by_job & ~stored(self.original, REMOVED)
+            self.back = (stored(self.original, SCORE) <= BOUNDARY) & ~stored(self.original, REMOVED)
+        self.brings_back = bool(self.back.any())
+        self.count = int(self.left.sum()) + int(self.back.sum())
 
     @cached_property
     def rows(self):
@@ -274,34 +250,30 @@ class _Shown:
         of both."""
         own = selection.hidden(self.pruned)
         if self.original is None:
-            return own, own
+            return own, own[:0]
         before = selection.hidden(self.original)
         return (own | among(self.rows, self.rows_before[before]) if before.any() else own), before
-
-    @property
-    def count(self) -> int:
-        return int(self.left.sum()) + (0 if self.original is None else int(self.back.sum()))
 
     @property
     def seen(self) -> int:
         """How many of them the user has not hidden."""
         own, before = self.marked
-        back = 0 if self.original is None else int((before & self.back).sum())
-        return self.count - int((own & self.left).sum()) - back
+        return self.count - int((own & self.left).sum()) - int((before & self.back).sum())
 
     @property
     def hidden(self):
         """(count,) bool: those that the user has hidden."""
         own, before = self.marked
-        if self.original is None or not self.back.any():
+        if not self.brings_back:
             return own[self.left]
         return in_order(self.rows[self.left], own[self.left], self.rows_before[self.back], before[self.back])
 
     @property
     def gaussians(self) -> Scene:
+        """In the original's order."""
         scene = splat_object.scene_from_object(self.pruned)
         left = scene.select(self.left)
-        if self.original is None or not self.back.any():
+        if not self.brings_back:
             return left
         before = splat_object.scene_from_object(self.original)
         moved = splat_object.relative(world_matrix(self.pruned), world_matrix(self.original))
@@ -309,17 +281,25 @@ class _Shown:
         returned = transformed(before.select(self.back), place)
         return merged(left, self.rows[self.left], returned, self.rows_before[self.back])
 
+    @property
+    def seen_gaussians(self) -> Scene:
+        """Those that the user has not hidden."""
+        return self.gaussians if self.seen == self.count else self.gaussians.select(~self.hidden)
+
 
 def apply(pruned: bpy.types.Object) -> Scene:
     """Gives the splat the Gaussians that are shown; those that the user has hidden stay hidden. Raises
     SplatError."""
-    scene = shown_gaussians(pruned)
+    if ranked(pruned):
+        shown = Shown(pruned)
+        scene, hidden = shown.gaussians, [shown.hidden]
+    else:
+        scene, hidden = quick_order.shown(pruned) or splat_object.scene_from_object(pruned), []
     if not scene.count:
         raise SceneError(tr("no Gaussian would be left: keep more"))
-    hidden = _Shown(pruned).hidden if ranked(pruned) else None
     splat_object.replace_gaussians(pruned, scene)
-    if hidden is not None:
-        selection.carry_hidden(pruned, [hidden])
+    if hidden:
+        selection.carry_hidden(pruned, hidden)
     return scene
 
 

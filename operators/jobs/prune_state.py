@@ -39,13 +39,6 @@ def stage(context) -> str:
     return "READY" if splat_object.is_splat(context.object) else "NOTHING"
 
 
-def subject(context) -> bpy.types.Object | None:
-    """The splat, or the root of cameras, that the panel is about."""
-    found = current(context)
-    _, pruned = job_result.pair_of(context.object)
-    return found[0] if found is not None else pruned if job_result.undecided(pruned) else context.object
-
-
 def sentences(context) -> list[str]:
     """What the panel says at this stage."""
     original, pruned = job_result.pair_of(context.object)
@@ -162,7 +155,7 @@ def _of_result(original: bpy.types.Object | None, pruned: bpy.types.Object) -> l
         texts += [tr("This number is not fine-tuned yet: press Fine-Tune for that. Apply keeps what you see")]
     elif problem := quick_order.problem(pruned):
         texts.append(problem)
-    elif job_result.ranked(pruned) and job_result.brings_back(pruned):
+    elif job_result.ranked(pruned) and job_result.Shown(pruned).brings_back:
         text = tr("{count:,} more than were recovered: shown as in the original")
         texts.append(text.format(count=count - kept))
     return texts

@@ -7,7 +7,6 @@ splat with photographs.
 from __future__ import annotations
 
 import os
-from concurrent.futures import Future
 from functools import partial
 
 import bpy
@@ -60,8 +59,8 @@ def _start_check() -> bool:
         known.of(obj).cameras_checked = key, ""
         scene, uid = splat_object.scene_from_object(obj), obj.session_uid
 
-        def done(answer: Future):
-            known.of_uid(uid).cameras_checked = key, answer.result()
+        def done(problem: str | None, _):
+            known.of_uid(uid).cameras_checked = key, problem or ""
 
         background_work.run(partial(_mismatch, scene, *key[2:]), done, detached=True)
     return False

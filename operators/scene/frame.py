@@ -15,7 +15,7 @@ from mathutils import Matrix, Vector
 from ...svrgs_addon.scene.bounds import clipping, viewing_distance
 from ..data import camera_object, splat_object
 from ..data.framing import SENSOR, photographed_view, sphere_of
-from ..data.reporting import ReportingOperator
+from ..data.reporting import ReportingOperator, menu
 
 
 class SVRGS_OT_frame(ReportingOperator):
@@ -98,8 +98,4 @@ def _views(context) -> Iterator[tuple[bpy.types.SpaceView3D, bpy.types.RegionVie
             yield space, space.region_3d, region
 
 
-def menu(self, context):
-    self.layout.operator(SVRGS_OT_frame.bl_idname)
-
-
-MENUS = {"VIEW3D_MT_view": menu}
+MENUS = {"VIEW3D_MT_view": menu(SVRGS_OT_frame)}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from concurrent.futures import Future
 from functools import partial
 from pathlib import Path
 
@@ -72,12 +71,12 @@ def show_mask(settings, context):
         return
     uid, uid_of_root = camera.session_uid, root.session_uid
 
-    def done(answer: Future):
+    def done(valid, problem: str):
         """Meanwhile another photograph may be looked at, or another file be open."""
         views = {scene.camera.session_uid: scene for scene in bpy.data.scenes if scene.camera is not None}
         if uid not in views or not views[uid].svrgs_view.show_masks:
             return
-        valid, known.of_uid(uid_of_root).mask_problem = background_work.outcome(answer)
+        known.of_uid(uid_of_root).mask_problem = problem
         lay_over(views[uid].camera, valid)
 
     background_work.run(mask_reader(context, camera), done, detached=True)

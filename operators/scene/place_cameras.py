@@ -7,7 +7,7 @@ They are children of the splat. A child process finds the places (`svrgs rig`); 
 from __future__ import annotations
 
 import tempfile
-from concurrent.futures import Future
+from functools import partial
 from pathlib import Path
 
 import bpy
@@ -59,7 +59,7 @@ class SVRGS_OT_place_cameras(ReportingOperator):
                 return load_cameras(out)
 
         known.of(obj).placing, known.of(obj).placing_problem = True, ""
-        background_work.run(work, lambda answer: _finished(uid, answer))
+        background_work.run(work, partial(_finished, uid))
         if not bpy.app.background:
             return tr("Placing cameras …")
         if known.of(obj).placing_problem:
@@ -67,13 +67,11 @@ class SVRGS_OT_place_cameras(ReportingOperator):
         return tr("Placed {count:,} cameras").format(count=len(views_of_file.placed(obj)))
 
 
-def _finished(uid: int, answer: Future):
+def _finished(uid: int, cameras: list[Camera], problem: str):
     """Adds the cameras to the file, in a collection of their own, unless their splat is gone."""
-    splat = known.of_uid(uid)
-    splat.placing = False
+    known.of_uid(uid).placing, known.of_uid(uid).placing_problem = False, problem
     obj = next((obj for obj in bpy.data.objects if obj.session_uid == uid and obj.users_collection), None)
-    cameras, splat.placing_problem = background_work.outcome(answer)
-    if splat.placing_problem or obj is None:
+    if problem or obj is None:
         return
     name = tr("{name} Cameras").format(name=obj.name)
     collection = bpy.data.collections.get(name) or bpy.data.collections.new(name)

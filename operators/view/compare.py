@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from concurrent.futures import Future
 from functools import partial
 
 import bpy
@@ -93,7 +92,7 @@ def shown_scene(pruned: bpy.types.Object) -> Scene:
     """Of a ranked result: what Apply would keep, without what the user has hidden. Of any other splat: what
     is visible of it."""
     if job_result.undecided(pruned) and job_result.ranked(pruned):
-        return grading.applied(job_result.seen_gaussians(pruned), pruned)
+        return grading.applied(job_result.Shown(pruned).seen_gaussians, pruned)
     return visible_splats.visible_scene(pruned)
 
 
@@ -243,11 +242,10 @@ def perceived(pictures: tuple, photo, valid, figures: dict):
     figures of the comparison unless there is another one by then."""
     share = 1 - figures.get("hidden", 0.0)
 
-    def done(answer: Future):
+    def done(values, error: str):
         image = bpy.data.images.get(WIPE)
         if image is None or image_pixels.figures_of(WIPE) != figures:
             return
-        values, error = background_work.outcome(answer)
         if error:
             figures["lpips_missing"] = error
         else:

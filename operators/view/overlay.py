@@ -95,7 +95,7 @@ class View:
 
 
 class Overlay:
-    """The draw handler and its state. There is one; in background mode there is none."""
+    """What viewports show, and how it is drawn. There is one."""
 
     def __init__(self):
         self._shader: gpu.types.GPUShader | None = None
@@ -103,12 +103,11 @@ class Overlay:
         self.clouds: dict[str, Cloud] = {}  # by side
         # number of changes in the scene: an exact picture depends on the meshes that hide splats
         self.changes = 0
-        self.handle = bpy.types.SpaceView3D.draw_handler_add(self.draw, (), "WINDOW", "POST_VIEW")
 
     def close(self):
-        bpy.types.SpaceView3D.draw_handler_remove(self.handle, "WINDOW")
-        for view in self.views.values():
-            view.live.close()
+        while self.views:
+            self.views.popitem()[1].live.close()
+        self.clouds = {}
 
     def draw(self):
         context, settings, region = bpy.context, bpy.context.scene.svrgs_view, bpy.context.region
@@ -192,7 +191,7 @@ class Overlay:
         gpu_drawing.draw_over_viewport(self.shader, gpu_drawing.picture_texture(moving), columns)
 
 
-_overlay: list[Overlay] = []
+_overlay = Overlay()
 
 
 def switch(settings, context):
@@ -221,8 +220,7 @@ def _redraw_once():
 def _after_update(scene, *_):
     """Sets the display type of new splats. The exact pictures are drawn again, because the meshes that hide
     splats may have changed."""
-    for overlay in _overlay:
-        overlay.changes += 1
+    _overlay.changes += 1
     if not bpy.app.background and scene.svrgs_view.overlay:
         for obj in scene.objects:
             if obj.display_type == "TEXTURED" and splat_object.is_splat(obj):
@@ -231,13 +229,5 @@ def _after_update(scene, *_):
 
 HANDLERS = {"depsgraph_update_post": _after_update}
 TIMERS = (_redraw_once,)
-
-
-def register():
-    if not bpy.app.background:
-        _overlay.append(Overlay())
-
-
-def unregister():
-    while _overlay:
-        _overlay.pop().close()
+DRAWS = {"POST_VIEW": _overlay.draw}
+unregister = _overlay.close

@@ -206,7 +206,7 @@ class LassoTool(Tool):
 
 
 TOOLS = (BoxTool, BrushTool, LassoTool)
-_handles: list = []
+DRAWS = {"POST_PIXEL": _draw}
 
 
 def register():
@@ -214,11 +214,8 @@ def register():
     bpy.utils.register_tool(first, after={"builtin.select_lasso"}, separator=True, group=True)
     for tool in others:
         bpy.utils.register_tool(tool, after={first.bl_idname})
-    _handles.append(bpy.types.SpaceView3D.draw_handler_add(_draw, (), "WINDOW", "POST_PIXEL"))
 
 
 def unregister():
-    while _handles:
-        bpy.types.SpaceView3D.draw_handler_remove(_handles.pop(), "WINDOW")
     for tool in reversed(TOOLS):
         bpy.utils.unregister_tool(tool)

@@ -202,14 +202,4 @@ def _after_overlays():
 
 
 TIMERS = (_refresh,)
-_handles: list = []
-
-
-def register():
-    if not bpy.app.background:
-        _handles.append(bpy.types.SpaceView3D.draw_handler_add(_after_overlays, (), "WINDOW", "POST_VIEW"))
-
-
-def unregister():
-    while _handles:
-        bpy.types.SpaceView3D.draw_handler_remove(_handles.pop(), "WINDOW")
+DRAWS = {"POST_VIEW": _after_overlays}

@@ -28,7 +28,7 @@ def test_a_splat_is_trained_and_placed_with_its_cameras(root, watch, bridge):
     (job,) = watch.jobs.values()
     assert job.folder.kind == "train" and not part("operators.jobs.train").about(bpy.context)
     assert part("operators.jobs.prune_state").stage(bpy.context) == "BUSY"
-    assert part("operators.jobs.prune_state").subject(bpy.context).name == root.name
+    assert part("operators.jobs.job_watch").current(bpy.context)[0] == root
     opened = part("operators.jobs.steps").opened
     assert opened(bpy.context) == "train"
     assert "job_stop" in drawn("train") and "iterations" not in drawn("train")

@@ -55,7 +55,7 @@ def rest(views, seconds: float = 60):
 
 
 def overlay_views() -> list:
-    return [view.live for view in part("operators.view.overlay")._overlay[0].views.values()]
+    return [view.live for view in part("operators.view.overlay")._overlay.views.values()]
 
 
 def load() -> bpy.types.SpaceView3D:
