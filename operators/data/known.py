@@ -20,9 +20,8 @@ class KnownObject:
 
     job: str = ""  # the folder of its job
     result_of: str = ""  # the folder of the finished job whose result it is; see jobs/applied_jobs.py
-    # the last estimate, {"busy": True} until it is there; and what it depends on
-    estimate: dict[str, Any] = field(default_factory=dict)
-    estimated: dict[str, Any] = field(default_factory=dict)
+    # what the last estimate depends on, and the estimate, {"busy": True} until it is there
+    estimate: tuple[dict[str, Any], dict[str, Any]] = ({}, {})
     import_problems: list[str] = field(default_factory=list)  # what the last import of cameras below it lacks
     # what the check of its photographs depends on, and what is wrong; '' until that is known
     cameras_checked: tuple[Any, str] = ((), "")

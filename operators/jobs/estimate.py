@@ -8,7 +8,7 @@ seconds after the last change.
 from __future__ import annotations
 
 import tempfile
-from concurrent.futures import Future
+import time
 from pathlib import Path
 
 import bpy
@@ -27,7 +27,7 @@ MODULE = "svrgs_addon.jobs.estimate"
 WAIT = 0.8  # seconds without a change of the settings
 MOST = 500_000  # Gaussians of a splat whose estimate is made unasked
 
-_wanted: dict = {}  # the inputs of the estimate that begins soon
+_wanted: list = []  # the inputs of the estimate that begins soon, and time.monotonic() of their last change
 
 
 def of(obj: bpy.types.Object | None) -> dict:
@@ -38,7 +38,7 @@ def of(obj: bpy.types.Object | None) -> dict:
     """
     if not splat_object.is_splat(obj):
         return {}
-    found, made_of = known.of(obj).estimate, known.of(obj).estimated
+    made_of, found = known.of(obj).estimate
     return found if "busy" in found or (found and made_of == _inputs_now(obj)) else {}
 
 
@@ -60,12 +60,12 @@ def line(obj: bpy.types.Object) -> str:
     if "error" in found:
         return tr("No estimate")
     count, after, seconds = found["kept"], found["psnr_after"], found["seconds"]
-    time = tr("{minutes:.0f} min").format(minutes=seconds / 60) if seconds >= 120 else f"{seconds:.0f} s"
+    lasts = tr("{minutes:.0f} min").format(minutes=seconds / 60) if seconds >= 120 else f"{seconds:.0f} s"
     size = f"{file_size_text(found['bytes_after'])} {found['format']}"
     quality = [f"≥ {after:.1f} dB"] if after is not None else []
     for_device = bpy.context.scene.svrgs_prune.goal == "DEVICE"
     overdraw = [tr("{overdraw_after:.0f} a pixel").format(**found)] if for_device else []
-    return " · ".join((f"≈ {count:,}", *overdraw, size, *quality, time))
+    return " · ".join((f"≈ {count:,}", *overdraw, size, *quality, lasts))
 
 
 def sentences(obj: bpy.types.Object) -> list[str]:
@@ -85,9 +85,9 @@ def sentences(obj: bpy.types.Object) -> list[str]:
             "{invisible:,} Gaussians are invisible; {unseen:,} are in none of the {views} views looked at;"
             " {faint:,} are too faint and go first"
         )
-    time = tr("About {seconds:.0f} s for {steps:,} steps")
+    lasts = tr("About {seconds:.0f} s for {steps:,} steps")
     if found["seconds"] >= 120:
-        time = tr("About {minutes:.0f} min for {steps:,} steps")
+        lasts = tr("About {minutes:.0f} min for {steps:,} steps")
     before, after = file_size_text(found["bytes_before"]), file_size_text(found["bytes_after"])
     return [
         stay.format(kept=kept, count=count, share=kept / count),
@@ -95,7 +95,7 @@ def sentences(obj: bpy.types.Object) -> list[str]:
         quality(found),
         tr("A pixel blends {overdraw_before:.0f} Gaussians, then about {overdraw_after:.0f}").format(**found),
         seen.format(**found),
-        time.format(minutes=found["seconds"] / 60, **found),
+        lasts.format(minutes=found["seconds"] / 60, **found),
         *found["notes"],
     ]
 
@@ -165,11 +165,11 @@ def begin(context, obj: bpy.types.Object):
             request = {"scene": str(path), "options": options, "suffix": suffix}
             return subprocess_python.ask([], MODULE, request)
 
-    def done(answer: Future):
-        found, error = background_work.outcome(answer)
-        known.of_uid(uid).estimate = {"error": error} if error else found
+    def done(found: dict, error: str):
+        known.of_uid(uid).estimate = inputs, {"error": error} if error else found
 
-    known.of(obj).estimate, known.of(obj).estimated = {"busy": True}, _inputs_now(obj)
+    inputs = _inputs_now(obj)
+    known.of(obj).estimate = inputs, {"busy": True}
     background_work.run(work, done)
 
 
@@ -181,31 +181,25 @@ def is_live(obj: bpy.types.Object) -> bool:
 def keep_up(context):
     """Lets an estimate begin soon if that of the active splat is missing. May be called while a panel is
     drawn."""
-    obj = context.object
-    if (
-        is_live(obj)
-        and not of(obj)
-        and not bpy.app.background
-        and not bpy.app.timers.is_registered(_begin_soon)
-    ):
-        _wanted.clear()
-        bpy.app.timers.register(_begin_soon, first_interval=WAIT / 2)
+    if is_live(context.object) and not of(context.object):
+        background_work.watch(_begin_soon)
 
 
-def _begin_soon() -> float | None:
-    """Begins the estimate once the settings have not changed for a while."""
+def _begin_soon() -> bool:
+    """Begins the estimate once the settings have not changed for a while. Returns whether that is waited
+    for."""
     context, obj = bpy.context, bpy.context.object
     if not splat_object.is_splat(obj) or of(obj) or start_problem(context):
-        return None
-    if _wanted != (inputs := _inputs_now(obj)):
         _wanted.clear()
-        _wanted.update(inputs)
-        return WAIT
+        return False
+    inputs = _inputs_now(obj)
+    if not _wanted or _wanted[0] != inputs:
+        _wanted[:] = inputs, time.monotonic()
+    if time.monotonic() < _wanted[1] + WAIT:
+        return True
+    _wanted.clear()
     try:
         begin(context, obj)
     except SplatError as error:  # an attribute was deleted
-        known.of(obj).estimate, known.of(obj).estimated = {"error": str(error)}, inputs
-    return None
-
-
-TIMERS = (_begin_soon,)
+        known.of(obj).estimate = inputs, {"error": str(error)}
+    return False

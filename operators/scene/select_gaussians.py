@@ -6,6 +6,8 @@ The selection is an attribute of the splat (selection.py), so undo, copies and s
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from typing import NamedTuple
 
 import bpy
 from bpy.app.translations import pgettext_iface as tr
@@ -21,33 +23,42 @@ from ..translation import OWN
 from .contribution import cameras_property, chosen_cameras, views
 
 MOST_VIEWS = 64  # views that are rendered, evenly spaced in the list
-CRITERIA = [
-    (
-        "BOX",
-        "Box",
+
+
+class Criterion(NamedTuple):
+    """What can decide which Gaussians are selected."""
+
+    name: str
+    description: str
+    shown: tuple[str, ...]  # the properties of the operator that it uses
+    wanted: Callable[[SVRGS_OT_select_gaussians], dict]  # Criteria; of Edit Mode none
+
+
+CRITERIA = {
+    "BOX": Criterion("Box",
         "Centres inside the bounding box of an object, turned with it; an empty counts as a cube of its size",
-    ),
-    (
-        "SPHERE",
-        "Sphere",
-        (
-            "Centres inside the sphere or ellipsoid that fills the bounding box of an object; an empty counts"
-            " as a sphere of its size"
-        ),
-    ),
-    ("OPACITY", "Opacity", "Opacity in a range"),
-    ("SIZE", "Size", "Largest standard deviation in a range"),
-    ("COLOR", "Color", "Base colour, without what depends on the view, near a colour"),
-    ("CONTRIBUTION", "Contribution", "Those that add least to the images of the cameras"),
-    ("REMOVAL_ERROR", "Removal Error", "Those whose removal would change the images of the cameras least"),
-    ("SEEN", "Seen by Camera", "Those that a camera shows, in front of or through others"),
-    (
-        "FLOATERS",
-        "Floaters",
+        ("volume",), lambda _: {"box": selection.UNIT_BOX}),
+    "SPHERE": Criterion("Sphere",
+        "Centres inside the sphere or ellipsoid that fills the bounding box of an object; an empty counts as"
+        " a sphere of its size", ("volume",), lambda _: {"sphere": selection.UNIT_SPHERE}),
+    "OPACITY": Criterion("Opacity", "Opacity in a range", ("opacity_low", "opacity_high"),
+        lambda chosen: {"opacity": (chosen.opacity_low, chosen.opacity_high)}),
+    "SIZE": Criterion("Size", "Largest standard deviation in a range", ("size_low", "size_high"),
+        lambda chosen: {"size": (chosen.size_low, chosen.size_high or math.inf)}),
+    "COLOR": Criterion("Color", "Base colour, without what depends on the view, near a colour",
+        ("color", "tolerance"), lambda chosen: {"color": (*chosen.color, chosen.tolerance)}),
+    "CONTRIBUTION": Criterion("Contribution", "Those that add least to the images of the cameras",
+        ("cameras", "share"), lambda chosen: {"lowest_contribution": chosen.share / 100}),
+    "REMOVAL_ERROR": Criterion("Removal Error",
+        "Those whose removal would change the images of the cameras least",
+        ("cameras", "share"), lambda chosen: {"lowest_removal_error": chosen.share / 100}),
+    "SEEN": Criterion("Seen by Camera", "Those that a camera shows, in front of or through others",
+        ("cameras",), lambda _: {"seen_by": "all"}),
+    "FLOATERS": Criterion("Floaters",
         "Small groups apart from all others and, with at least 8 cameras, haze in front of the cameras",
-    ),
-    ("EDIT_MODE", "Edit Mode", "The points that are selected in Edit Mode"),
-]
+        ("cameras",), lambda _: {"floaters": True}),
+    "EDIT_MODE": Criterion("Edit Mode", "The points that are selected in Edit Mode", (), lambda _: {}),
+}  # fmt: skip
 MODES = [
     ("SET", "Set", "Select these only", "SELECT_SET", 0),
     ("EXTEND", "Extend", "Add these to the selection", "SELECT_EXTEND", 1),
@@ -59,13 +70,6 @@ CHANGES = [
     ("GROW", "Grow", "Select also the nearest Gaussians around those that are selected"),
     ("SHRINK", "Shrink", "Keep those whose nearest Gaussians are all selected"),
 ]
-SHOWN = {  # properties that a criterion uses
-    "BOX": ("volume",), "SPHERE": ("volume",), "OPACITY": ("opacity_low", "opacity_high"),
-    "SIZE": ("size_low", "size_high"),
-    "COLOR": ("color", "tolerance"),
-    "CONTRIBUTION": ("cameras", "share"), "REMOVAL_ERROR": ("cameras", "share"), "SEEN": ("cameras",),
-    "FLOATERS": ("cameras",), "EDIT_MODE": (),
-}  # fmt: skip
 RANKED = ("CONTRIBUTION", "REMOVAL_ERROR")  # criteria that also rank the Gaussians that no camera sees
 
 
@@ -101,7 +105,7 @@ class SVRGS_OT_select_gaussians(SplatOperator):
 
     criterion: EnumProperty(
         name="Criterion",
-        items=CRITERIA,
+        items=[(key, one.name, one.description) for key, one in CRITERIA.items()],
         default="FLOATERS",
         description="What decides which Gaussians are selected",
     )
@@ -146,7 +150,7 @@ class SVRGS_OT_select_gaussians(SplatOperator):
         layout = self.layout
         layout.use_property_split = True
         layout.prop(self, "criterion")
-        for name in SHOWN[self.criterion]:
+        for name in CRITERIA[self.criterion].shown:
             if name == "volume":
                 layout.prop_search(self, name, context.scene, "objects")
             else:
@@ -161,9 +165,10 @@ class SVRGS_OT_select_gaussians(SplatOperator):
         if self.criterion == "EDIT_MODE":
             mask = selection.found_in_edit_mode(obj)
         else:
-            volume = self.volume_object(context) if self.criterion in ("BOX", "SPHERE") else None
+            wanted = Criteria(**CRITERIA[self.criterion].wanted(self))
+            volume = self.volume_object(context) if wanted.box or wanted.sphere else None
             views = lambda placed, named: self.views(context, placed, named, seen)
-            mask = selection.find(obj, self.criteria(), views, volume)
+            mask = selection.find(obj, wanted, views, volume)
         text = changed(context, obj, mask, self.mode, self.invert)
         if not seen:
             return text
@@ -171,20 +176,6 @@ class SVRGS_OT_select_gaussians(SplatOperator):
             "{selected}; {views} views see only {share} of the Gaussians, and those they do not see come"
             " first"
         ).format(selected=text, views=seen[0].views, share=percent(seen[0].share))
-
-    def criteria(self) -> Criteria:
-        """The criterion with its numbers."""
-        numbers = {
-            "BOX": ("box", selection.UNIT_BOX), "SPHERE": ("sphere", selection.UNIT_SPHERE),
-            "OPACITY": ("opacity", (self.opacity_low, self.opacity_high)), "SIZE": ("size", (self.size_low,
-            self.size_high or math.inf)),
-            "COLOR": ("color", (*self.color, self.tolerance)),
-            "CONTRIBUTION": ("lowest_contribution", self.share / 100),
-            "REMOVAL_ERROR": ("lowest_removal_error", self.share / 100),
-            "SEEN": ("seen_by", "all"), "FLOATERS": ("floaters", True),
-        }  # fmt: skip
-        name, value = numbers[self.criterion]
-        return Criteria(**{name: value})
 
     def volume_object(self, context) -> bpy.types.Object:
         """The object that bounds the box or sphere. Raises SceneError if none is chosen."""
