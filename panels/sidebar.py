@@ -5,7 +5,7 @@ import unicodedata
 
 import bpy
 
-from ..operators.data.native_check import native_problem
+from ..operators.data.extension import native_problem
 from ..operators.data.splat_object import is_splat
 
 CHARACTER_WIDTH = 6.8  # pixels, on average

@@ -3,7 +3,7 @@
 import bpy
 from bpy.app.translations import pgettext_iface as tr
 
-from ..operators.data.native_check import native_problem
+from ..operators.data.extension import native_problem
 from ..operators.view import spatial_mask
 from .sidebar import SidebarPanel, native_library_works, sidebar_units, split_column, wrapped_label
 

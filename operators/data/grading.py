@@ -13,9 +13,9 @@ from bpy.props import FloatProperty, PointerProperty
 from ...svrgs_addon.scene.gaussians import Scene
 from ...svrgs_addon.scene.grade import Grade, graded, inside
 from ...svrgs_addon.system.errors import SceneError
-from . import background_work, volumes
+from . import background_work
 from .edit_guard import animation_curves
-from .world_matrix import is_evaluated, world_matrix
+from .world_matrix import is_evaluated, volume_matrix, world_matrix
 
 OVERRIDABLE = {"LIBRARY_OVERRIDABLE"}
 NAMES = ("exposure", "warmth", "tint", "saturation", "contrast", "opacity")
@@ -109,7 +109,7 @@ def of(obj: bpy.types.Object) -> Grade:
     box = _crop_box(obj)
     if box is None or problem(obj):
         return grade
-    to_box = np.linalg.solve(volumes.matrix_of(box), np.array(world_matrix(obj), np.float64))
+    to_box = np.linalg.solve(volume_matrix(box), np.array(world_matrix(obj), np.float64))
     return replace(grade, crop=tuple(map(tuple, to_box.tolist())), softness=settings.softness)
 
 
@@ -124,7 +124,7 @@ def problem(obj: bpy.types.Object) -> str:
     """What is wrong with the crop box of a splat, in a sentence; '' if nothing is."""
     try:
         if (box := _crop_box(obj)) is not None:
-            volumes.matrix_of(box)
+            volume_matrix(box)
     except SceneError as error:
         return str(error)
     return ""

@@ -17,7 +17,7 @@ from bpy.app.translations import pgettext_iface as tr
 
 from ...svrgs_addon.system.errors import SplatError
 from . import known
-from .preferences import PACKAGE
+from .extension import PACKAGE
 
 FOLDER = "svrgs_job"  # property of a splat
 JOBS_FOLDER = "//svrgs_jobs"  # folder of jobs next to the .blend file

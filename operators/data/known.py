@@ -19,7 +19,7 @@ class KnownObject:
     """Of a splat, or of the root of cameras."""
 
     job: str = ""  # the folder of its job
-    result_of: str = ""  # the folder of the finished job whose result it is; see jobs/applied_jobs.py
+    result_of: str = ""  # the folder of the finished job whose result it is; see jobs/apply.py
     # what the last estimate depends on, and the estimate, {"busy": True} until it is there
     estimate: tuple[dict[str, Any], dict[str, Any]] = ({}, {})
     import_problems: list[str] = field(default_factory=list)  # what the last import of cameras below it lacks
@@ -99,8 +99,8 @@ def forget_points():
     _data.clear()
 
 
-def _after_update(scene, depsgraph=None):
-    for update in depsgraph.updates if depsgraph is not None and _data else ():
+def _after_update(scene, depsgraph):
+    for update in depsgraph.updates if _data else ():
         changed = update.id.original
         if isinstance(changed, bpy.types.Object):
             changed = changed.data if update.is_updated_geometry else None

@@ -18,7 +18,8 @@ from ...svrgs_addon.prune.selection.select import selected
 from ...svrgs_addon.scene.camera import Camera
 from ...svrgs_addon.scene.neighbours import nearest_rows
 from ...svrgs_addon.system.errors import SceneError
-from . import grading, known, splat_object, visible_splats, volumes
+from . import grading, known, splat_object, visible_splats
+from .world_matrix import volume_matrix
 
 SELECTED = "svrgs:selected"  # attribute: marks the selected Gaussians
 OWN = "svrgs:"  # how the names of attributes of this extension begin
@@ -49,7 +50,7 @@ def find(
     placed = visible_splats.placed([(seen, obj.matrix_world.copy())])
     matrix = None
     if volume is not None:
-        matrix = np.linalg.solve(volumes.matrix_of(volume), np.array(placed.matrix, np.float64))
+        matrix = np.linalg.solve(volume_matrix(volume), np.array(placed.matrix, np.float64))
     if wanted.size is not None:
         wanted = Criteria(size=(wanted.size[0] / placed.unit, wanted.size[1] / placed.unit))
     found = selected(placed.scene, wanted, lambda named: views(placed, named), matrix)

@@ -19,7 +19,7 @@ from ...svrgs_addon.system.errors import SceneError
 from ...svrgs_addon.system.memory import size_text
 from ...svrgs_addon.views.cameras_json import write_cameras_json
 from ..data import background_work, splat_object
-from ..data.native_check import native_problem
+from ..data.extension import native_problem
 from ..data.reporting import FolderOperator, menu
 from ..jobs import efforts, goals
 from ..jobs.job import given_views, options_of

@@ -19,9 +19,8 @@ from ...svrgs_addon.system import subprocess_python
 from ...svrgs_addon.system.errors import SceneError
 from ...svrgs_addon.system.memory import size_text
 from ..data import background_work
+from ..data.extension import native_problem, threads
 from ..data.file_kinds import KINDS, WHAT_FOR, format_of
-from ..data.native_check import native_problem
-from ..data.preferences import threads
 from ..data.reporting import FolderOperator, menu
 from ..scene.splat_transforms import selected_splats
 from .export_space import ExportSpace

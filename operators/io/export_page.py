@@ -15,7 +15,7 @@ from ...svrgs_addon.viewer.source import Source
 from ...svrgs_addon.viewer.web_page import export, program_bytes
 from ..data import pairs, splat_object
 from ..data.camera_object import camera_from_object
-from ..data.native_check import native_problem
+from ..data.extension import native_problem
 from ..data.reporting import BackgroundOperator, FolderOperator, Steps, menu
 from ..data.world_matrix import world_matrix
 from ..jobs import job_result

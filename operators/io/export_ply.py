@@ -22,10 +22,9 @@ from ...svrgs_addon.scene.camera import Camera
 from ...svrgs_addon.scene.gaussians import Scene
 from ...svrgs_addon.system.errors import SceneError
 from ..data import quick_order, splat_object, visible_splats
+from ..data.extension import native_problem, use_threads
 from ..data.file_kinds import KINDS, default_kind, format_of
-from ..data.native_check import native_problem
 from ..data.option_properties import sh_degree_property
-from ..data.preferences import use_threads
 from ..data.reporting import BackgroundOperator, Steps, menu
 from ..data.splat_size import size_in
 from ..jobs import job_result

@@ -1,21 +1,29 @@
 """Apply and Discard: the two ways to end the comparison of an original with its pruned splat.
 
 Apply keeps the Gaussians that are shown, including those of the original that the slider Keep brought back.
-The original stays, hidden, until it is discarded. Both are ordinary splats from then on. The job's files go
-when the file is saved (applied_jobs.py).
+The original stays, hidden, until it is discarded. Both are ordinary splats from then on.
+
+The files of a job are deleted when the .blend file is saved and its result, applied or trained, is in it.
+Until then they stay, so that a crash loses nothing. An undo of Apply needs no files: marks and ranks are in
+the scene. After it, the job belongs to its original again. If the file is never saved, the job list shows the
+job as finished.
 """
 
 from __future__ import annotations
+
+import os
 
 import bpy
 from bpy.app.translations import pgettext_iface as tr
 
 from ...svrgs_addon.system.errors import SplatError
-from ..data import edit_guard, splat_object
+from ..data import edit_guard, known, splat_object
+from ..data.job_paths import owners, unlink
 from ..data.reporting import ReportingOperator
 from ..data.select import select
 from ..data.splat_size import size_text
-from . import applied_jobs, job_result, job_state
+from . import job_result, job_state
+from .job_queue import jobs
 from .job_watch import delete_job, job_of
 
 
@@ -38,7 +46,10 @@ class SVRGS_OT_apply(ReportingOperator):
         assert pruned is not None  # see problem()
         scene = job_result.apply(pruned)
         job_result.settle(original, pruned)
-        applied_jobs.note(original, pruned)
+        job = job_of(original)
+        if original is not None and job is not None and job.state == "done":
+            known.of(pruned).result_of = str(job.folder.path)
+            unlink(original)
         select(context, [pruned])
         size = size_text(pruned, scene.count)
         if original is None:
@@ -95,3 +106,43 @@ class SVRGS_OT_discard(ReportingOperator):
         except OSError as error:
             self.report({"WARNING"}, str(error))
         job_result.discard_result(original)
+
+
+# --- the files of jobs whose result is in the file
+
+
+def is_applied(folder: str) -> bool:
+    """Whether the result of the job in this folder is in the file, and its files are deleted when that is
+    saved."""
+    return any(known.of(obj).result_of == folder for obj in _applied())
+
+
+def _applied() -> list[bpy.types.Object]:
+    """The applied and the trained splats in the file that still have a job."""
+    results = (obj for obj in bpy.data.objects if known.of(obj).result_of and obj.users_collection)
+    return [obj for obj in results if not job_result.undecided(obj)]
+
+
+def _after_undo(*_):
+    """After a redo, what had the job does not have it again."""
+    known_owners = owners()
+    for obj in _applied():
+        if (owner := known_owners.get(known.of(obj).result_of)) is not None:
+            unlink(owner)
+
+
+def _after_save(path: str = "", *_):
+    """Deletes the files, unless only a copy was saved."""
+    if not bpy.data.filepath or (path and os.path.abspath(path) != os.path.abspath(bpy.data.filepath)):
+        return
+    for obj in _applied():
+        job = jobs.get(known.of(obj).result_of)
+        known.of(obj).result_of = ""
+        if job is not None and job.state == "done":
+            try:
+                delete_job(job)
+            except OSError as error:  # the job list shows the job
+                print(f"SVR-GS: {error}", flush=True)
+
+
+HANDLERS = {"save_post": _after_save, "undo_post": _after_undo, "redo_post": _after_undo}

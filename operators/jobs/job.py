@@ -10,9 +10,8 @@ from ...svrgs_addon.finetune.methods import METHODS
 from ...svrgs_addon.jobs.job_folder import JobFolder
 from ...svrgs_addon.scene.camera import Camera
 from ..data import edit_guard, quick_order, splat_object, views_of_file
+from ..data.extension import native_problem, threads
 from ..data.job_paths import new_folder
-from ..data.native_check import native_problem
-from ..data.preferences import threads
 from ..data.reporting import ReportingOperator
 from ..data.select import select
 from ..scene import dataset_paths
@@ -86,9 +85,7 @@ class SVRGS_OT_job_start(ReportingOperator):
     # after undo back to it, the splat still knows its job
     bl_options = {"REGISTER", "UNDO"}
 
-    @classmethod
-    def problem(cls, context) -> str:
-        return start_problem(context)
+    problem = staticmethod(start_problem)
 
     def work(self, context) -> str:
         obj = context.object

@@ -23,7 +23,8 @@ from ...svrgs_addon.jobs.job_process import Job
 from ...svrgs_addon.system.memory import size_text
 from ..data import quick_order
 from ..data.job_paths import job_folders, owners
-from . import applied_jobs, job_queue, job_result, job_state
+from . import job_queue, job_result, job_state
+from .apply import is_applied
 
 SCAN_EVERY = 3.0  # seconds between two readings of the folders
 
@@ -81,7 +82,7 @@ def rows(context) -> list[Row]:
 
 def _row(job: Job, owner: bpy.types.Object | None) -> Row:
     folder, state = str(job.folder.path), job_state.of(job)
-    applied, loaded = applied_jobs.is_applied(folder), _is_loaded(owner)
+    applied, loaded = is_applied(folder), _is_loaded(owner)
     said, reason = job_state.text(job), job.facts.get("text")
     if job.state == "failed" and reason:
         said = ": ".join((said, tr(reason)))
@@ -122,7 +123,7 @@ def finished_jobs(context) -> tuple[list[Job], int]:
     def is_over(job: Job) -> bool:
         """Not of a result that shows another number than its own: the files of the job give it."""
         folder = str(job.folder.path)
-        if job.state != "done" or applied_jobs.is_applied(folder):
+        if job.state != "done" or is_applied(folder):
             return False
         owner = known.get(folder)
         return owner is None or (_is_loaded(owner) and not quick_order.is_shown(job_result.pruned_of(owner)))

@@ -120,9 +120,4 @@ def _load_if_possible(job: Job):
         traceback.print_exc()
 
 
-def register():
-    edit_guard.reasons.append(keeps)
-
-
-def unregister():
-    edit_guard.reasons.remove(keeps)
+edit_guard.reasons.append(keeps)

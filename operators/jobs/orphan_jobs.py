@@ -17,7 +17,8 @@ from ..data import known, splat_object
 from ..data.background_work import watch
 from ..data.job_paths import link, owners
 from ..data.reporting import ReportingOperator
-from . import applied_jobs, job_state
+from . import job_state
+from .apply import is_applied
 from .job_list import all_jobs
 from .job_watch import job_of, tick
 
@@ -29,7 +30,7 @@ def orphan_of(context, obj: bpy.types.Object | None) -> Job | None:
     owned, count = owners(), splat_object.count(obj)
     for job in all_jobs(context):
         folder = str(job.folder.path)
-        if folder not in owned and not applied_jobs.is_applied(folder):
+        if folder not in owned and not is_applied(folder):
             request = job.request
             if request.get("count") == count and request.get("digest") == _digest(obj):
                 return job

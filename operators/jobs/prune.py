@@ -20,9 +20,9 @@ from ...svrgs_addon.files.registry import format_to_write, read_scene, write_sce
 from ...svrgs_addon.system import subprocess_python
 from ...svrgs_addon.system.errors import SplatError
 from ..data import edit_guard, pairs, selection, splat_object
+from ..data.extension import threads
 from ..data.job_paths import absolute
 from ..data.option_properties import RELATIVE, option_property
-from ..data.preferences import threads
 from ..data.reporting import ReportingOperator
 from ..data.select import open_collection, select
 from . import job_result

@@ -14,8 +14,8 @@ from ...svrgs_addon.jobs.job_process import Job
 from ...svrgs_addon.prune.disk_room import bytes_of_job
 from ...svrgs_addon.system.errors import SplatError
 from ..data import edit_guard, option_properties, quick_order, splat_object
+from ..data.extension import native_problem
 from ..data.job_paths import job_folders
-from ..data.native_check import native_problem
 from ..data.option_properties import CHOICES
 from ..data.splat_size import file_size_text, size_of, size_text
 from ..scene import camera_match, dataset_paths, place_cameras

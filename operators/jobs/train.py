@@ -14,10 +14,9 @@ from ...svrgs_addon.jobs.job_folder import TRAIN, JobFolder
 from ...svrgs_addon.jobs.job_process import Job
 from ...svrgs_addon.prune.options import ITERATIONS
 from ..data import camera_object, splat_object
+from ..data.extension import native_problem, threads
 from ..data.job_paths import new_folder
-from ..data.native_check import native_problem
 from ..data.option_properties import limited_time_property, time_property
-from ..data.preferences import threads
 from ..data.reporting import ReportingOperator
 from ..scene import dataset_paths
 from . import job_queue, job_state
@@ -76,9 +75,7 @@ class SVRGS_OT_train(ReportingOperator):
         " It is placed with the cameras"
     )
 
-    @classmethod
-    def problem(cls, context) -> str:
-        return problem(context)
+    problem = staticmethod(problem)
 
     def work(self, context) -> str:
         root, settings, common = root_to_train(context), context.scene.svrgs_train, context.scene.svrgs_prune

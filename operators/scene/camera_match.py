@@ -30,17 +30,8 @@ def sentence(context) -> str:
     checked_for, problem = known.of(context.object).cameras_checked
     if checked_for == key:
         return problem
-    background_work.watch(_start_check)  # a panel that is drawn must not wait for a splat to be read
+    background_work.watch(check)  # a panel that is drawn must not wait for a splat to be read
     return ""
-
-
-def check(context) -> str:
-    """As sentence(), at once."""
-    if (key := _key(context)) is None:
-        return ""
-    problem = _mismatch(splat_object.scene_from_object(context.object), *key[2:])
-    known.of(context.object).cameras_checked = key, problem
-    return problem
 
 
 def _key(context) -> tuple | None:
@@ -52,7 +43,7 @@ def _key(context) -> tuple | None:
     return None
 
 
-def _start_check() -> bool:
+def check() -> bool:
     """Starts the check of the active splat, unless that was made. Returns False: it is called once."""
     obj, key = bpy.context.object, _key(bpy.context)
     if key is not None and known.of(obj).cameras_checked[0] != key:

@@ -14,7 +14,7 @@ from ...svrgs_addon.scene.camera import Camera
 from ...svrgs_addon.scene.gaussians import Scene
 from ...svrgs_addon.system.errors import SceneError
 from ..data import camera_object, edit_guard, splat_object, visible_splats
-from ..data.preferences import use_threads
+from ..data.extension import use_threads
 from ..data.reporting import ReportingOperator
 
 ATTRIBUTE = "contribution"

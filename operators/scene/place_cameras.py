@@ -19,8 +19,7 @@ from ...svrgs_addon.system import subprocess_python
 from ...svrgs_addon.system.errors import SplatError
 from ...svrgs_addon.views.camera_files import load_cameras
 from ..data import background_work, edit_guard, known, splat_object, views_of_file, visible_splats
-from ..data.native_check import native_problem
-from ..data.preferences import threads
+from ..data.extension import native_problem, threads
 from ..data.reporting import ReportingOperator
 
 

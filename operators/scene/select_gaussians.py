@@ -17,7 +17,7 @@ from ...svrgs_addon.prune.belonging import MIN_SEEN, Seen, percent, seen_of
 from ...svrgs_addon.prune.selection.options import Criteria
 from ...svrgs_addon.system.errors import SceneError
 from ..data import edit_guard, quick_order, selection, splat_object
-from ..data.preferences import use_threads
+from ..data.extension import use_threads
 from ..data.reporting import ReportingOperator
 from ..translation import OWN
 from .contribution import cameras_property, chosen_cameras, views

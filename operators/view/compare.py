@@ -21,8 +21,8 @@ from ...svrgs_addon.scene.gaussians import Scene
 from ...svrgs_addon.system.errors import SceneError
 from ...svrgs_addon.views.valid_pixels import BACKGROUND
 from ..data import background_work, camera_object, grading, image_pixels, splat_object, visible_splats
+from ..data.extension import use_threads
 from ..data.pairs import in_file
-from ..data.preferences import use_threads
 from ..data.reporting import ReportingOperator
 from ..data.world_matrix import world_matrix
 from ..jobs import job_result

@@ -28,7 +28,7 @@ from ...svrgs_addon.scene.gaussians import Scene
 from ...svrgs_addon.system.errors import NativeError, SplatError
 from ...svrgs_addon.views.lens import depth_of_projection
 from ..data import background_work, gpu_drawing, splat_object, visible_splats
-from ..data.preferences import use_threads
+from ..data.extension import use_threads
 from ..data.selection import SELECTED
 from . import viewport_wipe
 from .viewport import redraw

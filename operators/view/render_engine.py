@@ -21,9 +21,9 @@ from ...svrgs_addon.render.composite import composite, composite_while, split
 from ...svrgs_addon.render.panorama import composite_view
 from ...svrgs_addon.render.passes import BEHIND, PASSES, blank, passes
 from ...svrgs_addon.system.errors import NativeError, SceneError, SplatError
-from ..data import camera_object, grading, image_pixels, known, mesh_triangles, panorama, visible_splats
+from ..data import camera_object, grading, image_pixels, known, mesh_triangles, visible_splats
+from ..data.extension import use_threads
 from ..data.image_pixels import working_space
-from ..data.preferences import use_threads
 from .viewport import Viewport
 
 
@@ -89,7 +89,7 @@ class SVRGS_engine(bpy.types.RenderEngine):
             found = {grading.still(obj, depsgraph) for obj, _ in visible_splats.placed_splats(depsgraph)}
             for text in found - {""}:
                 self.report({"WARNING"}, text)
-        view = panorama.view_of(visible_splats.camera(depsgraph, self.camera_override), scene)
+        view = camera_object.view_of(visible_splats.camera(depsgraph, self.camera_override), scene)
         self.show_progress(tr("Reading meshes"), 0.1)
         triangles = mesh_triangles.triangles(depsgraph, cut=meshes == "CUT")
         # elsewhere they show and hide nothing

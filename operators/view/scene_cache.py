@@ -114,9 +114,8 @@ def forget_updated(depsgraph: bpy.types.Depsgraph):
             del _entries[key]
 
 
-def _after_update(scene, depsgraph=None):
-    if depsgraph is not None:
-        forget_updated(depsgraph)
+def _after_update(scene, depsgraph):
+    forget_updated(depsgraph)
 
 
 def forget(*_):

@@ -17,7 +17,7 @@ from gpu_extras.batch import batch_for_shader
 
 from ...svrgs_addon.system.errors import SceneError, SplatError
 from ..data import select_in_view, splat_object, visible_splats
-from ..data.preferences import use_threads
+from ..data.extension import use_threads
 from ..scene.select_gaussians import SplatOperator, changed, mode_property
 from . import scene_cache
 

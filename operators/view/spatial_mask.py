@@ -14,7 +14,7 @@ from ...svrgs_addon.prune.report.pictures import with_color_bar
 from ...svrgs_addon.render import color_maps
 from ...svrgs_addon.system.errors import NativeError, SceneError, SplatError
 from ..data import background_work, camera_object, image_pixels, known, visible_splats
-from ..data.preferences import use_threads
+from ..data.extension import use_threads
 from ..data.reporting import ReportingOperator
 from . import scene_cache
 
@@ -127,8 +127,8 @@ def show_in_editors(image: bpy.types.Image):
             area.tag_redraw()
 
 
-def _after_change(scene, depsgraph=None):
-    if scene.svrgs_view.mask_follow and depsgraph is not None:
+def _after_change(scene, depsgraph):
+    if scene.svrgs_view.mask_follow:
         known.of_scene(scene).changed_layer = depsgraph.view_layer.name
         if bpy.app.timers.is_registered(_follow):
             bpy.app.timers.unregister(_follow)
@@ -137,24 +137,19 @@ def _after_change(scene, depsgraph=None):
 
 
 def _follow():
+    """Draws the masks that are out of date. After an error the old mask stays, without a message: the user
+    did not press a button."""
     for scene in bpy.data.scenes:
         layer = scene.view_layers.get(known.of_scene(scene).changed_layer)
         known.of_scene(scene).changed_layer = ""
         if layer is not None:
-            with bpy.context.temp_override(scene=scene, view_layer=layer):
-                _follow_in(bpy.context)
-
-
-def _follow_in(context):
-    """Draws the mask if it is out of date. After an error the old mask stays, without a message: the user did
-    not press a button."""
-    try:
-        if not is_stale(context):  # writing the image is a change of the scene, too
-            return
-        refresh(context)
-    except (SplatError, NativeError):
-        return
-    background_work.redraw_panels()
+            with (
+                bpy.context.temp_override(scene=scene, view_layer=layer),
+                contextlib.suppress(SplatError, NativeError),
+            ):
+                if is_stale(bpy.context):  # writing the image is a change of the scene, too
+                    refresh(bpy.context)
+                    background_work.redraw_panels()
 
 
 HANDLERS = {"depsgraph_update_post": _after_change, "frame_change_post": _after_change}

@@ -22,8 +22,8 @@ from ...svrgs_addon.scene.camera import Camera
 from ...svrgs_addon.system.errors import NativeError, SplatError
 from ...svrgs_addon.views.lens import step_back
 from ..data import background_work, gpu_drawing, mesh_triangles, visible_splats
+from ..data.extension import use_threads
 from ..data.image_pixels import working_space
-from ..data.preferences import use_threads
 from . import scene_cache, viewport_wipe
 
 REFRESH = 0.05  # seconds between two redraws while a better picture is on its way

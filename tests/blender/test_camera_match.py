@@ -34,13 +34,18 @@ def root() -> bpy.types.Object:
     return next(obj for obj in bpy.data.objects if obj.type == "EMPTY")
 
 
+def checked(match) -> str:
+    match.check()
+    return match.sentence(bpy.context)
+
+
 def test_the_panel_says_that_cameras_are_of_another_capture(splat, match, make_scene, bridge):
     bpy.context.scene.svrgs_prune.data = ""
     bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
-    assert match.check(bpy.context) == "" and "another capture" not in drawn("prune")
+    assert checked(match) == "" and "another capture" not in drawn("prune")
     other = other_splat(make_scene, bridge)
     bpy.ops.svrgs.use_cameras(root=root().name)
-    assert bridge.root_of(other) == root() and "another capture" in match.check(bpy.context)
+    assert bridge.root_of(other) == root() and "another capture" in checked(match)
     assert "another capture" in drawn("prune")
     activate(splat)
     assert "another capture" not in drawn("prune")

@@ -231,7 +231,7 @@ def test_a_crop_box_is_the_box_that_is_seen(splat, kind):
     else:
         obj.data.extrude, wanted = 0.4, None
     bpy.context.view_layer.update()
-    matrix_of = part("operators.data.volumes").matrix_of
+    matrix_of = part("operators.data.world_matrix").volume_matrix
     found = matrix_of(obj)
     np.testing.assert_array_equal(found, matrix_of(evaluated(obj)))
     assert wanted is None or tuple(np.diag(found)[:3]) == wanted

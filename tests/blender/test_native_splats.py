@@ -124,7 +124,9 @@ def test_a_splat_of_blenders_own_reader_is_joined_to_its_cameras(suffix, scene, 
     bpy.context.view_layer.objects.active = obj
     before = placed_means(bridge, obj)
     bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"), level=False)
-    assert part("operators.scene.camera_match").check(bpy.context) == ""
+    match = part("operators.scene.camera_match")
+    match.check()
+    assert match.sentence(bpy.context) == ""
     np.testing.assert_allclose(placed_means(bridge, obj), before, atol=1e-5)
     found = bridge.scene_from_object(obj).means
     np.testing.assert_allclose(np.sort(found, axis=0), np.sort(scene.means, axis=0), atol=1e-3)

@@ -255,7 +255,7 @@ def test_the_command_line_of_blender_is_the_products(capfd):
 def test_threads_are_taken_from_the_preferences(capfd):
     bpy.context.preferences.addons[PACKAGE].preferences.threads = 1
     try:
-        assert part("operators.data.preferences").threads(bpy.context) == 1
+        assert part("operators.data.extension").threads(bpy.context) == 1
     finally:
         bpy.context.preferences.addons[PACKAGE].preferences.threads = 0
 
