@@ -31,49 +31,19 @@ def _changed(self, context):
     background_work.redraw_panels()
 
 
+def _number(name: str, description: str, **limits):
+    return FloatProperty(name=name, description=description, update=_changed, override=OVERRIDABLE, **limits)
+
+
+SHARE = {"min": 0, "max": 1, "subtype": "FACTOR"}
+
+
 class SVRGS_PG_grade(bpy.types.PropertyGroup):
-    exposure: FloatProperty(
-        name="Exposure",
-        soft_min=-5,
-        soft_max=5,
-        update=_changed,
-        override=OVERRIDABLE,
-        description="Stops of light, about",
-    )
-    warmth: FloatProperty(
-        name="Warmth",
-        soft_min=-2,
-        soft_max=2,
-        update=_changed,
-        override=OVERRIDABLE,
-        description="Stops of red over blue: above 0 for warmer colours",
-    )
-    tint: FloatProperty(
-        name="Tint",
-        soft_min=-2,
-        soft_max=2,
-        update=_changed,
-        override=OVERRIDABLE,
-        description="Stops of magenta over green",
-    )
-    saturation: FloatProperty(
-        name="Saturation",
-        min=0,
-        default=1,
-        soft_max=2,
-        update=_changed,
-        override=OVERRIDABLE,
-        description="0: grey. 1: as it is",
-    )
-    contrast: FloatProperty(
-        name="Contrast",
-        min=0,
-        default=1,
-        soft_max=2,
-        update=_changed,
-        override=OVERRIDABLE,
-        description="Around middle grey. 1: as it is",
-    )
+    exposure: _number("Exposure", "Stops of light, about", soft_min=-5, soft_max=5)
+    warmth: _number("Warmth", "Stops of red over blue: above 0 for warmer colours", soft_min=-2, soft_max=2)
+    tint: _number("Tint", "Stops of magenta over green", soft_min=-2, soft_max=2)
+    saturation: _number("Saturation", "0: grey. 1: as it is", min=0, default=1, soft_max=2)
+    contrast: _number("Contrast", "Around middle grey. 1: as it is", min=0, default=1, soft_max=2)
     crop: PointerProperty(
         name="Crop Box",
         type=bpy.types.Object,
@@ -81,25 +51,12 @@ class SVRGS_PG_grade(bpy.types.PropertyGroup):
         override=OVERRIDABLE,
         description="Only what is inside the bounding box of this object stays; an empty is a cube",
     )
-    softness: FloatProperty(
-        name="Softness",
-        min=0,
-        max=1,
-        subtype="FACTOR",
-        update=_changed,
-        override=OVERRIDABLE,
-        description="Over what share of the way from the faces of the box to its middle opacity grows",
+    softness: _number(
+        "Softness",
+        "Over what share of the way from the faces of the box to its middle opacity grows",
+        **SHARE,
     )
-    opacity: FloatProperty(
-        name="Opacity",
-        min=0,
-        max=1,
-        default=1,
-        subtype="FACTOR",
-        update=_changed,
-        override=OVERRIDABLE,
-        description="Factor on the opacity of every Gaussian",
-    )
+    opacity: _number("Opacity", "Factor on the opacity of every Gaussian", default=1, **SHARE)
 
 
 def of(obj: bpy.types.Object) -> Grade:
