@@ -56,7 +56,7 @@ class ReportingOperator(bpy.types.Operator):
 
 def menu(operator: type[ReportingOperator], **shown) -> Callable:
     """A function that draws the operator in one of Blender's menus."""
-    return lambda menu, _: menu.layout.operator(operator.bl_idname, **shown)
+    return lambda self, _: self.layout.operator(operator.bl_idname, **shown)
 
 
 class FolderOperator(ReportingOperator):

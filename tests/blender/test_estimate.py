@@ -68,6 +68,23 @@ def test_a_limit_of_time_chooses_the_steps():
 MISSING = "1 of 12 photographs are missing: 05.png; the other 11 are used"
 
 
+def test_it_begins_by_itself_once_the_settings_have_rested(splat, monkeypatch):
+    """As with a window: a timer looks at them."""
+    work, estimate = part("operators.data.background_work"), part("operators.jobs.estimate")
+    settings, begun = bpy.context.scene.svrgs_prune, []
+    monkeypatch.setattr(work, "waits", False)
+    monkeypatch.setattr(estimate, "WAIT", 3600)
+    monkeypatch.setattr(estimate, "begin", lambda context, obj: begun.append(settings.share))
+    settings.goal = "SHARE"
+    for share in (20, 30):
+        settings.share = share
+        assert "job_start" in drawn("prune") and work.tick() and not begun
+    monkeypatch.setattr(estimate, "WAIT", 0)
+    while work.tick() is not None:  # the check of the cameras, too
+        pass
+    assert begun == [30]
+
+
 def test_any_error_ends_it(splat, monkeypatch, capfd):
     module = part("operators.jobs.estimate")
 
