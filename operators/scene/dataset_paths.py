@@ -24,6 +24,7 @@ from ..data.job_paths import FOLDER, folder_of
 from ..data.option_properties import RELATIVE
 from ..data.reporting import FolderOperator
 
+APPENDED = ("MAKE_LOCAL", "COPY_LOCAL")  # what Blender does with data that it appends
 UNDISTORTED = "images_undistorted"  # folder of undistorted copies in a dataset
 
 # (writes the path, the absolute path, from it and a folder to what is stored)
@@ -161,6 +162,25 @@ def _after_save(*_):
     _saved.clear()
 
 
+# --- when objects are appended from another file
+
+
+def _after_import(context, *_):
+    """Makes absolute what was relative to the other file; the next save makes it relative to the open one."""
+    for item in context.import_items:
+        block, library = item.id, item.source_library
+        if block is None or block.library or library is None or item.append_action not in APPENDED:
+            continue
+        if isinstance(block, bpy.types.Object):
+            for key in (splat_object.DATASET, splat_object.MASKS, FOLDER):
+                if _text(block.get(key)).startswith("//"):
+                    block[key] = absolute(block[key], library)
+        elif isinstance(block, bpy.types.Scene):
+            for key in ("data", "masks", "folder"):
+                if getattr(block.svrgs_prune, key).startswith("//"):
+                    setattr(block.svrgs_prune, key, absolute(getattr(block.svrgs_prune, key), library))
+
+
 # --- a dataset that was moved
 
 
@@ -262,6 +282,8 @@ def _moved(masks: str, before: str, folder: str) -> str:
 
 
 HANDLERS = {"save_pre": _before_save, "save_post": _after_save, "save_post_fail": _after_save}
+if hasattr(bpy.app.handlers, "blend_import_post"):  # from 5.0 on
+    HANDLERS["blend_import_post"] = _after_import
 
 
 def unregister():

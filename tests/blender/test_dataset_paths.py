@@ -103,6 +103,18 @@ def test_saving_in_another_folder_keeps_the_dataset(project, tmp_path, copy):
     assert dataset() == project / "data"
 
 
+@pytest.mark.skipif(bpy.app.version < (5, 0), reason="Blender does not say what is appended")
+def test_what_is_appended_keeps_its_dataset(project, tmp_path):
+    save(project / "work.blend")
+    bpy.ops.wm.read_homefile(use_empty=True)
+    save(tmp_path / "elsewhere/other.blend")
+    bpy.ops.wm.append(directory=f"{project}/work.blend/Object/", filename="scene")
+    select_splat()
+    assert dataset() == project / "data"
+    save(tmp_path / "elsewhere/other.blend")
+    assert dataset() == project / "data" and root()["svrgs_dataset"] == "//../project/data"
+
+
 def test_a_relative_folder_of_a_file_without_a_name_is_relative_to_its_first_name(project):
     bpy.context.scene.svrgs_prune.folder = "//jobs"
     save(project / "work.blend")
