@@ -16,7 +16,7 @@ import pytest
 from svrgs_addon.cli.main import main
 from svrgs_addon.files.images import write_image
 from svrgs_addon.files.registry import describe, read_scene, write_scene
-from svrgs_addon.jobs.farm import engines, run_tasks
+from svrgs_addon.jobs.farm import engines, run_tasks, summary
 from svrgs_addon.jobs.farm.farm_job import FarmJob
 from svrgs_addon.jobs.farm.run_tasks import dataset_sha256
 
@@ -447,3 +447,15 @@ def test_every_option_survives_the_way_through_the_file(captures, tmp_path):
         True,
     )
     assert options.scene == captures / "one/scene.ply"
+
+
+def test_losses_that_are_assumed_are_not_mixed_with_measured_ones():
+    row = {"method": "removal", "target": 0.5, "kept": 0.5, "seconds": 1}
+    rows = [
+        row | {"scene": "one", "against": "photographs", "loss": 1.0},
+        row | {"scene": "two", "against": "photographs", "loss": 2.0},
+        row | {"scene": "three", "against": "its own pictures", "loss": 9.0},
+    ]
+    found = {mean["against"]: (mean["scenes"], mean["loss"]) for mean in summary._means(rows)}
+    assert found == {"photographs": (2, 1.5), "its own pictures": (1, 9.0)}
+    assert all(f"removal, {against}" in summary._chart(rows, summary._means(rows)) for against in found)

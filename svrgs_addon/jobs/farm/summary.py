@@ -81,17 +81,20 @@ def _loss(before: dict[str, Any], after: dict[str, Any]) -> float | None:
 
 
 def _means(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Means over the scenes of each method and target that all scenes have."""
+    """Means over the scenes of each method and target that all scenes have; over those that were measured
+    against photographs apart from the others, whose loss is one that is assumed."""
     ways: dict[tuple, list[dict[str, Any]]] = defaultdict(list)
     for row in _measured(rows):
-        ways[row["method"], row["target"]].append(row)
-    scenes = len({row["scene"] for row in rows})
+        ways[row["method"], row["target"], row["against"]].append(row)
+    scenes = {
+        row["against"]: {one["scene"] for one in rows if one["against"] == row["against"]} for row in rows
+    }
     names = ("kept", "loss", "seconds")
     return [
-        {"method": method, "target": target, "scenes": len(some)}
+        {"method": method, "target": target, "against": against, "scenes": len(some)}
         | {name: fmean(row[name] for row in some) for name in names}
-        for (method, target), some in ways.items()
-        if len({row["scene"] for row in some}) == scenes
+        for (method, target, against), some in ways.items()
+        if {row["scene"] for row in some} == scenes[against]
     ]
 
 
@@ -101,7 +104,9 @@ def _measured(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 def _chart(rows: list[dict[str, Any]], means: list[dict[str, Any]]) -> str:
     """Loss over the share that is kept: means over the scenes, and single tasks as rings."""
-    named = [Point(100 * row["kept"], row["loss"], row["method"]) for row in means]
+    both = len({row["against"] for row in means}) > 1
+    label = lambda row: f"{row['method']}, {row['against']}" if both else row["method"]
+    named = [Point(100 * row["kept"], row["loss"], label(row)) for row in means]
     single = [Point(100 * row["kept"], row["loss"], "") for row in _measured(rows)]
     x, y = Axis("Gaussians kept, %", from_zero=True), Axis("loss of PSNR, dB")
     title = "Loss over what is kept: means over all scenes; rings: single tasks"
