@@ -114,3 +114,17 @@ def test_shapes_and_colours_follow_as_if_the_scene_had_been_transformed(matrix):
     )
     np.testing.assert_allclose(same_turn, 1, atol=1e-6)
     assert found.means is stale.means
+
+
+@pytest.mark.parametrize("count", [20, 300])
+def test_each_of_hundreds_of_instances_has_a_motion(count):
+    """As geometry nodes realise them: each less than the smallest share of a group that is searched for."""
+    matrices = [(affine if number % 3 else similarity)(number) for number in range(400)]
+    one = cloud(count)
+    before, after = np.tile(one, (400, 1)), np.concatenate([moved(one, matrix) for matrix in matrices])
+    found = list(moved_parts(before, after))
+    assert sum(len(rows) for rows, _ in found) > 0.999 * len(before)
+    for rows, matrix in found:
+        expected = matrices[rows[0] // count]
+        assert (rows // count == rows[0] // count).mean() > 0.99
+        np.testing.assert_allclose(matrix[:3, :3], expected[:3, :3], atol=1e-4)

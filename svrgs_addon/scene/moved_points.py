@@ -76,13 +76,45 @@ def _groups(before: np.ndarray, after: np.ndarray) -> Iterator[tuple[np.ndarray,
         some = rows[np.sort(rng.choice(len(rows), min(SAMPLE, len(rows)), replace=False))]
         x, y = before[some].astype(np.float64), after[some].astype(np.float64)
         matrix = _most_common(x, y, rng)
-        if matrix is None:
-            return
-        belongs = _all_moved_by(matrix, before, after, rows)
-        if belongs.sum() < least:
-            return
+        belongs = _all_moved_by(matrix, before, after, rows) if matrix is not None else np.zeros(1, bool)
+        if matrix is None or belongs.sum() < least:
+            break
         yield rows[belongs], matrix
         rows = rows[~belongs]
+    yield from _runs(before, after, rows)
+
+
+def _runs(before: np.ndarray, after: np.ndarray, rows: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Groups of rows that follow each other, however many: such as instances that were realised."""
+    first, start, failed, size = 0, 0, 0, MIN_POINTS["affine"]
+    while start + size <= len(rows) and failed < TRIES:
+        end = _end_of_run(before, after, rows, start, start + size)
+        some = rows[np.unique(np.linspace(start, end - 1, min(SAMPLE, end - start)).astype(int))]
+        x, y = before[some].astype(np.float64), after[some].astype(np.float64)
+        matrix, count = _refined(x, y, np.ones(len(some), bool))
+        if matrix is None or count < max(size, 0.9 * len(some)):
+            failed, start = failed + 1, start + size
+            continue
+        belongs = _all_moved_by(matrix, before, after, rows[first:end])
+        yield rows[first:end][belongs], matrix
+        first, start, failed = end, end, 0
+
+
+def _end_of_run(before: np.ndarray, after: np.ndarray, rows: np.ndarray, start: int, end: int) -> int:
+    """The end of the run that begins with rows[start:end]: it is made longer as long as one map moves all."""
+    while True:
+        further = start + 4 * (end - start)
+        some = rows[start:further]
+        x, y = before[some].astype(np.float64), after[some].astype(np.float64)
+        known, longest = slice(min(end - start, SAMPLE)), 0
+        for fit in (_similarity, _affine):
+            matrix = fit(x[known], y[known]) if longest < end - start else None
+            if matrix is not None:
+                moved = _moves(matrix, x, y, 10 * TOLERANCE)
+                longest = max(longest, len(moved) if moved.all() else int(moved.argmin()))
+        if start + longest < further:
+            return max(end, start + longest)
+        end = further
 
 
 def _all_moved_by(matrix: np.ndarray, before: np.ndarray, after: np.ndarray, rows: np.ndarray) -> np.ndarray:
