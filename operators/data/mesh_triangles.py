@@ -1,7 +1,7 @@
 """Blender's meshes -> triangles with normals, base colours and textures.
 
-What an object is in a picture, by its own settings: invisible to the camera (Ray Visibility), a holdout (by
-itself or by its collection), a shadow catcher, or opaque.
+What an object is in a picture, by its own settings and those of its collection in the view layer: invisible
+to the camera (Ray Visibility, or indirect only), a holdout, a shadow catcher, or opaque.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import numpy as np
 
 from ...svrgs_addon.render.meshes import Triangles
 from ...svrgs_addon.render.textures import Texture
-from . import splat_object
+from . import splat_object, view_layers
 from .materials import BaseColor, base_color
 
 SURFACES = {"MESH", "CURVE", "SURFACE", "FONT", "META"}
@@ -69,29 +69,17 @@ def triangles(depsgraph: bpy.types.Depsgraph, cut: bool = False, catchers: bool 
             or obj.original in boxes
             or not obj.visible_camera
             or obj.is_shadow_catcher != catchers
+            or view_layers.marks(instance, depsgraph, "indirect_only_get")
         ):
             continue
         if (arrays := read.triangles(obj)) is not None:
-            holdout = cut or _is_holdout(instance, depsgraph)
+            holdout = cut or obj.is_holdout or view_layers.marks(instance, depsgraph, "holdout_get")
             parts.append(_placed(arrays, np.array(instance.matrix_world), holdout))
     joined = {
         name: np.concatenate([none, *(part[name] for part in parts)], dtype=none.dtype)
         for name, none in NO_TRIANGLES.items()
     }
     return Triangles(**joined, textures=tuple(picture for _, picture in read.textures.values()))
-
-
-def _is_holdout(instance: bpy.types.DepsgraphObjectInstance, depsgraph: bpy.types.Depsgraph) -> bool:
-    """Whether the object or its collection is a holdout, in the view layer or in that of the background
-    set."""
-    if instance.object.is_holdout:
-        return True
-    base = (instance.parent if instance.is_instance else instance.object).original
-    scene = depsgraph.scene.original
-    layers = [scene.view_layers[depsgraph.view_layer.name]]
-    while (scene := scene.background_set and scene.background_set.original) is not None:
-        layers.append(scene.view_layers[0])
-    return any(base.holdout_get(view_layer=layer) for layer in layers)
 
 
 def _triangles(obj: bpy.types.Object, read: _Read) -> Arrays | None:

@@ -20,11 +20,11 @@ from ...svrgs_addon.render.thinning import Thinning
 from ...svrgs_addon.scene.affine import UNIFORM, stretch, transformed
 from ...svrgs_addon.scene.camera import Camera
 from ...svrgs_addon.scene.concatenate import concatenated
-from ...svrgs_addon.scene.gaussians import Scene
+from ...svrgs_addon.scene.gaussians import Scene, parameter_shapes
 from ...svrgs_addon.scene.grade import inside
 from ...svrgs_addon.system.errors import SceneError
 from ...svrgs_addon.views.lens import camera_of_projection
-from . import camera_object, grading, quick_order, splat_object
+from . import camera_object, grading, quick_order, splat_object, view_layers
 
 REMOVED = "removed"  # attribute: marks Gaussians that pruning would remove; they are not drawn
 HIDDEN = "svrgs:hidden"  # attribute: marks Gaussians that the user has hidden; they are not drawn
@@ -128,10 +128,19 @@ def splats(depsgraph: bpy.types.Depsgraph, read: Read = visible_scene) -> Placed
 
 
 def placed_splats(depsgraph: bpy.types.Depsgraph) -> Iterator[tuple[bpy.types.Object, Matrix]]:
-    """Every evaluated splat that the graph shows, with its matrix. Blender frees these objects soon: use them
-    at once."""
-    found = (i for i in _instances(depsgraph) if splat_object.is_splat(i.object))
+    """Every evaluated splat that the graph shows, with its matrix; in renders, without those that the view
+    layer shows indirectly alone. Blender frees these objects soon: use them at once."""
+    indirect = lambda i: depsgraph.mode == "RENDER" and view_layers.marks(i, depsgraph, "indirect_only_get")
+    found = (i for i in _instances(depsgraph) if splat_object.is_splat(i.object) and not indirect(i))
     return ((i.object, i.matrix_world.copy()) for i in found)
+
+
+def holdouts(depsgraph: bpy.types.Depsgraph) -> set[str]:
+    """The names of the splats that are set as holdouts, by themselves or by the view layer."""
+    found = (i for i in _instances(depsgraph) if splat_object.is_splat(i.object))
+    return {
+        i.object.name for i in found if i.object.is_holdout or view_layers.marks(i, depsgraph, "holdout_get")
+    }
 
 
 def shown_by(depsgraph: bpy.types.Depsgraph, obj: bpy.types.Object) -> list[tuple[Scene, Matrix]]:
@@ -183,6 +192,12 @@ def _may_instance(obj: bpy.types.Object) -> bool:
     ):
         return True
     return any(modifier.type == "NODES" and modifier.name != HIDE_MODIFIER for modifier in obj.modifiers)
+
+
+def nothing() -> PlacedScene:
+    """No Gaussian at all."""
+    arrays = (np.empty(shape) for shape in parameter_shapes(0, 1).values())
+    return PlacedScene(Scene.of(*arrays), Matrix())
 
 
 def placed(scenes: list[tuple[Scene, Matrix]]) -> PlacedScene:

@@ -76,6 +76,9 @@ class SVRGS_OT_export_levels(FolderOperator, ExportSpace):
         shares, folder = self.parsed(), Path(bpy.path.abspath(self.directory))
         outs = {obj: self.path_of(folder, obj) for obj in selected_splats(context)}
         files = [file for out in outs.values() for file in (out, *level_files(out, shares).values())]
+        lower = [str(file).lower() for file in files]  # some systems do not tell upper and lower case apart
+        if same := next((file for file in files if lower.count(str(file).lower()) > 1), None):
+            raise SceneError(tr("{file}: two splats would be written into it: rename one").format(file=same))
         there = [file for file in files if file.exists()]
         if there and not self.overwrite:
             text = tr("{file} exists already: choose another folder, or Overwrite")
@@ -113,6 +116,7 @@ class SVRGS_OT_export_levels(FolderOperator, ExportSpace):
 def _export(scene: Scene, out: Path, shares: list[float], threads: int, folder: str) -> dict:
     """Writes a splat and its levels; what `svrgs prune --json` says of them. folder: for temporary files. In
     a thread, which must not use bpy."""
+    Path(folder).mkdir(parents=True, exist_ok=True)  # systems may delete old temporary files
     with _one_at_a_time, tempfile.TemporaryDirectory(dir=folder) as temporary:
         if not shares:
             write_scene(out, scene)

@@ -74,6 +74,8 @@ class SVRGS_engine(bpy.types.RenderEngine):
         scene, meshes = depsgraph.scene, depsgraph.scene.svrgs_view.meshes
         self.show_progress(tr("Reading splats"), 0.0)
         placed = visible_splats.splats(depsgraph)
+        if placed is None and sum(layer.use for layer in scene.view_layers) > 1:
+            placed = visible_splats.nothing()  # the splats may be in another view layer
         if placed is None:
             text = tr(
                 "there is no splat to render: import one, and check that its camera icon in the Outliner is"
@@ -84,6 +86,9 @@ class SVRGS_engine(bpy.types.RenderEngine):
             text = tr(
                 "some of these splats were trained with antialiasing and some were not: none is drawn with it"
             )
+            self.report({"WARNING"}, text)
+        for name in visible_splats.holdouts(depsgraph):
+            text = tr("'{name}' is set as a holdout, which no splat is: it is drawn").format(name=name)
             self.report({"WARNING"}, text)
         if self.is_animation:
             found = {grading.still(obj, depsgraph) for obj, _ in visible_splats.placed_splats(depsgraph)}

@@ -3,6 +3,8 @@ SOG, without losing a file."""
 
 from __future__ import annotations
 
+import shutil
+
 import bpy
 import pytest
 from extension import part
@@ -97,3 +99,20 @@ def test_what_the_dialog_foresees_is_nearly_what_is_written(splat, bridge, tmp_p
         size = (tmp_path / f"a{suffix}").stat().st_size / 1e6
         said = size_in(splat, bridge.count(splat), kind)
         assert float(said.split("about ")[1].split(" MB")[0]) == pytest.approx(size, abs=0.06), kind
+
+
+def test_two_splats_whose_files_would_have_one_name_are_refused(splat, tmp_path):
+    other = splat.copy()
+    bpy.context.scene.collection.objects.link(other)
+    splat.name, other.name = "a/b", "a:b"
+    for obj in (splat, other):
+        obj.select_set(True)
+    with pytest.raises(RuntimeError, match="a_b.spz: two splats would be written into it"):
+        bpy.ops.svrgs.export_levels(directory=str(tmp_path), shares="")
+    assert not list(tmp_path.glob("*.spz"))
+
+
+def test_levels_are_exported_after_the_temporary_folder_was_deleted(splat, tmp_path):
+    shutil.rmtree(bpy.app.tempdir)
+    bpy.ops.svrgs.export_levels(directory=str(tmp_path), shares="")
+    assert list(tmp_path.glob("*.spz"))

@@ -285,3 +285,26 @@ def test_a_file_that_is_saved_during_a_render_holds_the_dither_of_its_scene(stag
         wanted.scenes = [stage.name]
     assert wanted.scenes[0].render.dither_intensity == stage.render.dither_intensity == 1
     bpy.data.scenes.remove(wanted.scenes[0])
+
+
+def test_a_view_layer_leaves_out_what_is_indirect_only_and_says_what_no_splat_can_be(
+    tmp_path, stage, room, camera, capfd
+):
+    collection = bpy.data.collections.new("splats")
+    stage.collection.children.link(collection)
+    stage.collection.objects.unlink(room)
+    collection.objects.link(room)
+    own = stage.view_layers[0].layer_collection.children["splats"]
+    own.holdout = True
+    assert (
+        f12(tmp_path / "holdout.png")[..., :3].any()
+        and "'room' is set as a holdout" in capfd.readouterr().out
+    )
+    own.holdout, own.indirect_only = False, True
+    with pytest.raises(RuntimeError, match="there is no splat to render"):
+        f12(tmp_path / "never.png")
+    other = stage.view_layers.new("other")
+    try:
+        assert not f12(tmp_path / "first.png")[..., :3].any(), "the splats are in the other layer"
+    finally:
+        stage.view_layers.remove(other)
