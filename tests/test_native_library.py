@@ -91,5 +91,6 @@ def test_outputs_are_in_the_order_of_the_interface():
 
 def test_outputs_name_each_pass_once():
     passes = [output.render_pass[0] for output in OUTPUTS.values() if output.render_pass]
-    assert len(set(passes)) == len(passes) and {"Alpha", "Count", "Depth", "SpatialMask"} <= set(passes)
+    assert len(set(passes)) == len(passes) and {"SplatAlpha", "Count", "Depth", "SpatialMask"} == set(passes)
+    assert "Alpha" not in passes, "Blender's compositor has an output of that name: the alpha of the picture"
     assert {output.shown for output in OUTPUTS.values()} <= {"", "plain", "mask_map", "farthest"}

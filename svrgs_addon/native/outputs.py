@@ -29,7 +29,7 @@ OUTPUTS: dict[str, Output] = {
     for output in (
         Output("rgb", channels=3, differentiable=True, shown="plain"),
         Output("depth", differentiable=True, render_pass=("Depth", "Z", "VALUE"), shown="farthest"),
-        Output("alpha", differentiable=True, render_pass=("Alpha", "A", "VALUE"), shown="plain"),
+        Output("alpha", differentiable=True, render_pass=("SplatAlpha", "A", "VALUE"), shown="plain"),
         Output("mask", differentiable=True, render_pass=("SpatialMask", "X", "VALUE"), shown="mask_map"),
         Output("hits", integer=True, render_pass=("Count", "X", "VALUE")),
         Output("kept", integer=True),

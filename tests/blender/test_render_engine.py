@@ -128,7 +128,7 @@ def test_passes_hold_what_the_rasterizer_counted(tmp_path, stage, bridge, gaussi
     expected = drawn(few, camera, bridge.AXES, ("depth", "alpha", "mask", "hits"), mask_kind="svr")
     np.testing.assert_allclose(seen["SpatialMask"], expected["mask"], rtol=1e-5, atol=1e-5)
     np.testing.assert_array_equal(seen["Count"], expected["hits"])
-    np.testing.assert_allclose(seen["Alpha"], expected["alpha"], atol=1e-5)
+    np.testing.assert_allclose(seen["SplatAlpha"], expected["alpha"], atol=1e-5)
     some = expected["alpha"] > 0.01
     np.testing.assert_allclose(
         seen["Depth"][some], (expected["depth"] / np.maximum(expected["alpha"], 1e-9))[some], rtol=1e-5
