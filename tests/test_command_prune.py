@@ -179,6 +179,8 @@ def test_every_method_is_listed_with_its_source_and_its_weights(svrgs):
         )
     said = svrgs("methods").out
     assert all(f"\n{name} ({method.label})\n" in said for name, method in METHODS.items())
+    assert "Ranks the Gaussians and cuts." in said
+    assert "λ_m (--lambda-m): 0.02, in svrgs train 0.0005." in said, "MaskGaussian prunes with another weight"
 
 
 def test_the_page_names_the_papers_that_the_program_names():

@@ -16,7 +16,8 @@ NOTE = (
 
 def method_list() -> list[dict]:
     """All methods in the order of the registry, as values that JSON can hold. lambda_f, lambda_m: defaults,
-    and keeps: the share that stays without a target; null where the method has none."""
+    lambda_m_prune: that of `svrgs prune`, and keeps: the share that stays without a target; null where the
+    method has none."""
     return [
         {
             "name": method.name,
@@ -30,6 +31,7 @@ def method_list() -> list[dict]:
             "lambda_f": method.lambda_f or None,
             "lambda_f_meaning": method.lambda_f_help,
             "lambda_m": method.lambda_m or None,
+            "lambda_m_prune": method.weights(trained=True)[1] or None,
             "keeps": method.share or None,
         }
         for method in METHODS.values()
@@ -50,7 +52,8 @@ def as_text(entries: list[dict]) -> str:
     lines = [*wrapped(NOTE, "")]
     for entry in entries:
         lines += ["", f"{entry['name']} ({entry['label']})", *wrapped(entry["help"], "    ")]
-        lines += wrapped(f"Source: {entry['source']}. {entry['decides'].capitalize()}.", "    ")
+        decides = entry["decides"][0].upper() + entry["decides"][1:]
+        lines += wrapped(f"Source: {entry['source']}. {decides}.", "    ")
         lines += wrapped(_weights(entry), "    ")
     return "\n".join(lines)
 
@@ -62,8 +65,10 @@ def _weights(entry: dict) -> str:
         parts.append(f"λ_F (--lambda-f, {entry['lambda_f']:g}): {meaning}.")
     else:
         parts.append("No λ_F.")
-    if entry["lambda_m"]:
-        parts.append(f"λ_m (--lambda-m): {entry['lambda_m']:g}.")
+    if trained := entry["lambda_m"]:
+        pruned = entry["lambda_m_prune"]
+        own = f"{pruned:g}" if pruned == trained else f"{pruned:g}, in svrgs train {trained:g}"
+        parts.append(f"λ_m (--lambda-m): {own}.")
     if entry["keeps"]:
         parts.append(f"Keeps {entry['keeps']:.0%} without a target.")
     elif entry["ranks"]:

@@ -125,7 +125,7 @@ def weights(
     if lambda_m is not None and not own["lambda_m"]:
         raise SceneError(
             f"method '{method.name}' has no term with the weight lambda-m: leave it out, or use maskgs,"
-            " compact3dgs or gns"
+            " compact3dgs, rdo, reduced3dgs or gns"
         )
     given = {"lambda_f": lambda_f, "lambda_m": lambda_m}
     return own | {name: value for name, value in given.items() if value is not None}

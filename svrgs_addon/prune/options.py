@@ -116,8 +116,8 @@ class TuningOptions(DatasetOptions):
     )
     lambda_m: float | None = option(
         WEIGHT, None,
-        "with maskgs and compact3dgs, weight of their term over all masks; with gns, weight of the "
-        "opacity pressure at the start",
+        "with maskgs, compact3dgs and rdo, weight of their term over all masks; with gns, weight of the "
+        "opacity pressure at the start; with reduced3dgs, weight of the mean opacity",
         metavar="L", default_help="that of the method",
     )
     paper: bool = option(

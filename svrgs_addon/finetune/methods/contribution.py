@@ -18,7 +18,7 @@ METHODS = (
         "removes, in one cut, the Gaussians that never add much to any pixel (largest αT)",
         16,
         "RadSplat",
-        source="RadSplat",
+        source="RadSplat, arXiv 2403.13806",
         ranking=lambda viewed: contribution(viewed)[1],
     ),
 )

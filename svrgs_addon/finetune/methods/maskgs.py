@@ -10,7 +10,7 @@ from .base import learning_phase
 from .masked import Masked
 
 # post-training: published as 0.1 inside the bracket that is multiplied by 0.2, the weight of SSIM
-POST_WEIGHT = 0.2 * 0.1
+POST_WEIGHT = 0.02
 # published number of steps of post-training; steps between two reductions of its rates
 POST_STEPS, FADE_EVERY = 5_000, 400
 # first position rate: that of the published schedule over 35 000 steps at step 30 000
