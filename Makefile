@@ -8,7 +8,7 @@
 # make package the extension for all platforms and Blenders, wheels for pip, a static extension repository, in dist/
 # make test-blender   the extension's tests in other Blenders too, BLENDERS="4.2.23 ..."
 # make sanitize       native tests under sanitizers;  make fuzz  libFuzzer on the C interface (clang++)
-PYTHON ?= $(shell tools/find_python.sh 3.11 3.12 3.13)
+PYTHON ?= $(shell tools/find_python.sh 3.11 3.13 3.12)
 VENV := .venv
 PY := $(VENV)/bin/python
 DEMO := build/demo

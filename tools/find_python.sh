@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Prints the first Python of the versions given that runs, looking on PATH and then under pyenv: tools/find_python.sh 3.11 3.12 3.13
+# Prints the first Python of the versions given that runs, looking on PATH and then under pyenv: tools/find_python.sh 3.11 3.13 3.12
 # Prints nothing where there is none.
 set -euo pipefail
 
