@@ -124,8 +124,8 @@ class SVRGS_PG_prune(JobOptions, bpy.types.PropertyGroup):
     min_contribution: option_property(
         "min_contribution", name="Drop Below", default=MIN_CONTRIBUTION, precision=3,
         description=(
-            "Methods that learn masks first drop the Gaussians that cover less than this share of"
-            " every pixel in every photograph"
+            "SVR-GS methods first drop the Gaussians that cover less than this share of every pixel in"
+            " every photograph"
         ),
     )  # fmt: skip
     visible_mask: option_property("visible_mask", name="Visible Part Only")

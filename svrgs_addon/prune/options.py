@@ -237,7 +237,7 @@ class PruneOptions(TuningOptions):
     min_contribution: float | None = option(
         SMALL_SHARE, None,
         "first remove the Gaussians that cover less than this share of every pixel in every training view",
-        metavar="A", default_help=f"{MIN_CONTRIBUTION} for methods that learn masks, else 0", in_job=True,
+        metavar="A", default_help=f"{MIN_CONTRIBUTION} for svr methods, else 0", in_job=True,
     )
     target_size: float | None = option(
         MEGABYTES, None,

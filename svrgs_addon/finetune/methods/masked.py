@@ -23,7 +23,6 @@ class Masked(Method):
 
     learns_masks: bool = True
     supports_max_loss: bool = True
-    first_cut: bool = True
 
     def deciding(self, iterations: int, prune_every: int) -> list[Phase]:
         rates = Rates(position_first=5e-6, position_steps=iterations)

@@ -19,6 +19,7 @@ class SVR(Masked):
 
     mask_kind: str = "svr"
     largest_strength: float = 10.0  # with more, the image loss no longer says which masks stay
+    first_cut: bool = True  # no part of the paper; with a target it helps much (docs/methods.md)
     lambda_f: float = 1e-4
     lambda_f_help: str = field(default=WEIGHT, repr=False)
 
