@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections import defaultdict
+from collections.abc import Collection
 from pathlib import Path
 from statistics import fmean
 
@@ -22,6 +23,19 @@ def by_run(**case) -> dict[str, dict]:
     found = rows_of(**case)
     assert len(found) == len({row["run"] for row in found})
     return {row["run"]: row for row in found}
+
+
+def by_seed(**case) -> dict[tuple[str, str], dict[int, dict]]:
+    """The rows by scene and run, and by seed."""
+    found: dict[tuple[str, str], dict[int, dict]] = defaultdict(dict)
+    for row in rows_of(**case):
+        found[row["scene"], row["run"]][row["seed"]] = row
+    return found
+
+
+def ends(values: Collection[float], digits: int = 1) -> list[float]:
+    """The least and the largest, rounded."""
+    return [round(end, digits) for end in (min(values), max(values))]
 
 
 def said(page: str, sentence: str) -> list[float]:

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from command_checks import refused
 from svrgs_addon.cli.main import main
 from svrgs_addon.files.images import write_image
 from svrgs_addon.files.registry import describe, read_scene, write_scene
@@ -35,11 +36,10 @@ def captures(tiny, tmp_path):
 
 
 @pytest.fixture
-def job(captures, tmp_path, capsys):
+def job(captures, tmp_path, svrgs):
     """A farm job of four tasks."""
-    words = ["--out", str(tmp_path / "job"), "--methods", "removal,opacity", "--targets", "0.5", *STEPS]
-    assert main(["farm", "export", str(captures), *words]) == 0
-    capsys.readouterr()
+    words = "--methods removal,opacity --targets 0.5", *STEPS
+    assert svrgs("farm export", captures, "--out", tmp_path / "job", *words).status == 0
     return tmp_path / "job"
 
 
@@ -73,41 +73,31 @@ def test_tasks_in_any_order_and_elsewhere_give_the_same_bytes(job, alone, captur
     assert digests(job) == alone
 
 
-def test_what_is_done_stays_and_what_was_changed_is_done_again(job, captures, tmp_path, capsys):
-    assert main(["farm", "run", str(job), "--tasks", "0", "--json"]) == 0
-    first = json.loads(capsys.readouterr().out)["tasks"][0]
-    assert main(["farm", "run", str(job), "--tasks", "0", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["tasks"][0] == first | {"done_before": True}
-    assert not first["done_before"]
+def test_what_is_done_stays_and_what_was_changed_is_done_again(job, captures, tmp_path, svrgs):
+    done = lambda: svrgs("farm run", job, "--tasks 0 --json").json["tasks"][0]
+    first = done()
+    assert done() == first | {"done_before": True} and not first["done_before"]
     scene, _ = captures / "one/scene.ply", shutil.copy(captures / "one/scene.ply", tmp_path / "kept.ply")
     write_scene(scene, read_scene(scene).select(np.arange(200)))
-    assert main(["farm", "run", str(job), "--tasks", "0", "--json"]) == 0
-    other = json.loads(capsys.readouterr().out)["tasks"][0]
-    assert not other["done_before"] and describe(first["out"])["count"] == 100, (
-        "another scene under the same name"
-    )
+    # another scene under the same name
+    assert not done()["done_before"] and describe(first["out"])["count"] == 100
     shutil.copy(tmp_path / "kept.ply", scene)
     photograph = next(one for one in sorted((captures / "one").rglob("*")) if one.suffix in (".png", ".jpg"))
     shutil.copy(photograph, tmp_path / "kept.png")
     write_image(photograph, np.zeros((48, 64, 3), np.uint8))
     assert dataset_sha256(captures / "one", "") not in ("", dataset_sha256(captures / "two", ""))
-    assert main(["farm", "run", str(job), "--tasks", "0", "--json"]) == 0
-    assert not json.loads(capsys.readouterr().out)["tasks"][0]["done_before"], (
-        "another photograph under the same name"
-    )
+    assert not done()["done_before"], "another photograph under the same name"
     shutil.copy(tmp_path / "kept.png", photograph)
-    assert main(["farm", "run", str(job), "--tasks", "0", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["tasks"][0] == first
+    assert done() == first
     Path(first["out"]).write_bytes(b"half a file")
-    assert main(["farm", "run", str(job), "--tasks", "0", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["tasks"][0] == first
+    assert done() == first
 
 
-def test_names_that_a_shell_would_read_become_plain(captures, tmp_path, capsys):
+def test_names_that_a_shell_would_read_become_plain(captures, tmp_path):
     for name in ("Scan (1)", "a$b&c;d"):
         shutil.copytree(captures / "one", captures / name)
     words = ["--out", str(tmp_path / "job"), "--method", "removal", "--target", "0.5", *STEPS]
-    assert main(["farm", "export", str(captures), *words]) == 0, capsys.readouterr().err
+    assert main(["farm", "export", str(captures), *words]) == 0
     names = {task.name.removesuffix("-removal-50") for task in FarmJob.read(tmp_path / "job").tasks}
     assert names == {"Scan _1_", "a_b_c_d", "one", "two"}
 
@@ -120,7 +110,7 @@ def test_a_photograph_of_the_same_size_with_other_pixels_is_another_dataset(capt
     assert dataset_sha256(captures / "one", "") != before
 
 
-def test_the_folder_that_was_given_is_that_of_the_captures_even_of_one(captures, tmp_path, capsys):
+def test_the_folder_that_was_given_is_that_of_the_captures_even_of_one(captures, tmp_path):
     shutil.rmtree(captures / "two")
     words = ["--out", str(tmp_path / "job"), "--targets", "0.5", *STEPS]
     assert main(["farm", "export", str(captures), *words]) == 0
@@ -129,7 +119,7 @@ def test_the_folder_that_was_given_is_that_of_the_captures_even_of_one(captures,
 
 
 @pytest.mark.parametrize("link", ["results", "results/one-removal-50.spz", "report", "report/table.md"])
-def test_nothing_is_written_through_links_of_a_job_folder(job, tmp_path, capsys, link):
+def test_nothing_is_written_through_links_of_a_job_folder(job, tmp_path, svrgs, link):
     victim = tmp_path / "victim"
     if link in ("results", "report"):
         victim.mkdir()
@@ -137,25 +127,23 @@ def test_nothing_is_written_through_links_of_a_job_folder(job, tmp_path, capsys,
     else:
         victim.write_text("mine")
     if link.startswith("report"):
-        assert main(["farm", "run", str(job), "--tasks", "0"]) == 0
+        assert svrgs("farm run", job, "--tasks 0").status == 0
     (job / link).parent.mkdir(exist_ok=True)
     (job / link).symlink_to(victim)
     action = "report" if link.startswith("report") else "run"
-    assert main(["farm", action, str(job)]) == 2 and "is a link" in capsys.readouterr().err
+    done = svrgs("farm", action, job)
+    assert done.status == 2 and "is a link" in done.err
     assert [file.read_text() for file in ([victim] if victim.is_file() else victim.iterdir())] == ["mine"]
 
 
-def test_the_report_has_all_tasks_and_means_over_the_scenes(job, capsys):
-    assert main(["farm", "report", str(job)]) == 2
-    assert "none of its 4 tasks is done" in capsys.readouterr().err
-    assert main(["farm", "run", str(job), "--tasks", "0-2"]) == 0
-    capsys.readouterr()
-    assert main(["farm", "report", str(job), "--json"]) == 0
-    facts = json.loads(capsys.readouterr().out)
+def test_the_report_has_all_tasks_and_means_over_the_scenes(job, svrgs):
+    early = svrgs("farm report", job)
+    assert early.status == 2 and "none of its 4 tasks is done" in early.err
+    assert svrgs("farm run", job, "--tasks 0-2").status == 0
+    facts = svrgs("farm report", job, "--json").json
     assert facts["missing"] == ["two-opacity-50"] and len(facts["tasks"]) == 3
-    assert [row["method"] for row in facts["over_all_scenes"]] == ["removal"], (
-        "opacity was not done on all scenes"
-    )
+    # opacity was not done on all scenes
+    assert [row["method"] for row in facts["over_all_scenes"]] == ["removal"]
     page = (job / "report/index.html").read_text()
     assert "two-opacity-50" in page and "<svg" in page and page.count("<tr>") == 4
     rows = {row["name"]: row for row in facts["tasks"]}
@@ -306,10 +294,10 @@ def test_the_template_asks_for_the_memory_of_the_largest_task():
     assert amounts == {"amount.worker.vcpu": 2, "amount.worker.memory": 3072}
 
 
-def test_a_failed_task_is_told_to_the_engine(job, captures, capsys):
+def test_a_failed_task_is_told_to_the_engine(job, captures, svrgs):
     (captures / "two/scene.ply").write_bytes(b"ply\n")
-    assert main(["farm", "run", str(job), "--tasks", "2", "--messages", "openjd"]) == 2
-    told = capsys.readouterr()
+    told = svrgs("farm run", job, "--tasks 2 --messages openjd")
+    assert told.status == 2
     assert "openjd_fail: task two-removal-50: " in told.out and "two/scene.ply" in told.err
     assert not list((job / "results").glob("*.spz"))
 
@@ -387,44 +375,35 @@ def test_what_flamenco_asks_for_is_what_a_submission_has(job, flamenco):
         ({"tasks": [{"name": "a", "scene": "a", "options": {"background": [0, 1]}}]}, "'background' is not"),
     ],
 )
-def test_a_job_that_is_none_is_one_sentence(job, change, said, capsys):
+def test_a_job_that_is_none_is_one_sentence(job, change, said, svrgs):
     contents = json.loads((job / "job.json").read_text())
     (job / "job.json").write_text(json.dumps(contents | change))
-    assert main(["farm", "run", str(job)]) == 2
-    assert said in (told := capsys.readouterr().err) and str(job / "job.json") in told
-    assert told.count("\n") == 1
+    refused(svrgs("farm run", job), said, str(job / "job.json"))
 
 
 @pytest.mark.parametrize("numbers", ("4", "3-1", "a", "-1", "0,,1"))
-def test_numbers_of_tasks_that_there_are_not(job, numbers, capsys):
-    assert main(["farm", "run", str(job), f"--tasks={numbers}"]) == 2 and "0 to 3" in capsys.readouterr().err
+def test_numbers_of_tasks_that_there_are_not(job, numbers, svrgs):
+    refused(svrgs("farm run", job, f"--tasks={numbers}"), "0 to 3")
 
 
-def test_a_folder_with_other_things_is_no_place_for_a_job(captures, tmp_path, capsys):
-    assert main(["farm", "export", str(captures), "--out", str(captures / "one")]) == 2
-    assert "no farm job" in capsys.readouterr().err
-    assert (
-        main(["farm", "export", str(captures), "--out", str(tmp_path / "a"), "--methods", "removal,none"])
-        == 2
-    )
-    assert "'none'" in capsys.readouterr().err and not (tmp_path / "a").exists()
-    words = ["--out", str(tmp_path / "a"), "--targets", "0.5", "--target-count", "9"]
-    assert main(["farm", "export", str(captures), *words]) == 2
-    assert "leave one out" in capsys.readouterr().err
+def test_a_folder_with_other_things_is_no_place_for_a_job(captures, svrgs):
+    refused(svrgs("farm export", captures, "--out", captures / "one"), "no farm job")
 
 
 @pytest.mark.parametrize(
     "words, said",
     [
-        (["--quick"], "--quick needs --target"),
-        (["--quick", "--target", "0.5", "--nested", "0.5"], "--quick takes no --nested"),
-        (["--target", "0.5", "--target-format", ".sog"], "--target-format is about --target-size"),
-        (["--target-size", "1", "--target-format", ".foo"], "scenes are written as"),
+        ("--methods removal,none", "'none'"),
+        ("--targets 0.5 --target-count 9", "leave one out"),
+        ("--quick", "--quick needs --target"),
+        ("--quick --target 0.5 --nested 0.5", "--quick takes no --nested"),
+        ("--target 0.5 --target-format .sog", "--target-format is about --target-size"),
+        ("--target-size 1 --target-format .foo", "scenes are written as"),
     ],
 )
-def test_options_that_every_task_would_refuse_are_refused(captures, tmp_path, capsys, words, said):
-    assert main(["farm", "export", str(captures), "--out", str(tmp_path / "a"), *words]) == 2
-    assert said in capsys.readouterr().err and not (tmp_path / "a").exists()
+def test_options_that_every_task_would_refuse_are_refused(captures, tmp_path, svrgs, words, said):
+    refused(svrgs("farm export", captures, "--out", tmp_path / "a", words), said)
+    assert not (tmp_path / "a").exists()
 
 
 def test_every_option_survives_the_way_through_the_file(captures, tmp_path):
@@ -434,19 +413,15 @@ def test_every_option_survives_the_way_through_the_file(captures, tmp_path):
     assert main(["farm", "export", str(captures / "one"), "--out", str(tmp_path / "job"), *words]) == 0
     job = FarmJob.read(tmp_path / "job")
     options = job.options(job.tasks[0])
-    assert (options.background, options.lambda_f, options.visible_mask, options.seed) == (
-        (0.5, 0.25, 1.0),
-        1e-3,
-        True,
-        7,
-    )
-    assert (options.max_drop, options.nested, options.data, options.resume) == (
-        0.5,
-        0.2,
-        captures / "one",
-        True,
-    )
-    assert options.scene == captures / "one/scene.ply"
+    given = {
+        "background": (0.5, 0.25, 1.0),
+        "lambda_f": 1e-3,
+        "visible_mask": True,
+        "seed": 7,
+        "max_drop": 0.5,
+    }
+    given |= {"nested": 0.2, "data": captures / "one", "resume": True, "scene": captures / "one/scene.ply"}
+    assert {name: getattr(options, name) for name in given} == given
 
 
 def test_losses_that_are_assumed_are_not_mixed_with_measured_ones():

@@ -1,7 +1,6 @@
 """The sentences of docs/results.md and other pages say what the rows of docs/results/rows.jsonl hold
 (benchmarks/methods.py)."""
 
-import json
 import re
 from collections import defaultdict
 from statistics import fmean
@@ -9,7 +8,7 @@ from statistics import fmean
 import numpy as np
 import pytest
 
-from published_rows import DOCS, ROWS, by_run, gains_by_seed, rows_of, said
+from published_rows import DOCS, by_run, by_seed, ends, gains_by_seed, rows_of, said
 
 
 def test_every_row_has_lpips_and_pixels():
@@ -23,8 +22,8 @@ def test_every_row_has_lpips_and_pixels():
 def means(schedule: float, *studies: str) -> dict[tuple[str, int, str, str], tuple[float, float]]:
     """Mean count and PSNR by (scene, size of the photographs, study, run)."""
     found: dict[tuple, list] = defaultdict(list)
-    for row in map(json.loads, ROWS.read_text().splitlines()):
-        if row["study"] in studies and row["schedule"] == schedule and "error" not in row:
+    for row in rows_of(schedule=schedule):
+        if row["study"] in studies and "error" not in row:
             found[row["scene"], row["shrink"], row["study"], row["run"]].append((row["count"], row["psnr"]))
     return {key: tuple(map(fmean, zip(*those, strict=True))) for key, those in found.items()}
 
@@ -121,22 +120,18 @@ def test_sentences_on_the_parts_of_the_recipe_are_those_of_the_rows():
         for share in ("0.17", "0.05")
     ]
     lowered = {scene: gain(scene, "opacities not lowered", "psnr") for scene in found}
-    ends = [-round(value, 2) for value in sorted(lowered["snowmiku"], reverse=True)]
-    assert said("results.md", "on snowmiku it costs # to # dB and #") == [*ends, 0.003]
+    costs = ends([-value for value in lowered["snowmiku"]], 2)
+    assert said("results.md", "on snowmiku it costs # to # dB and #") == [*costs, 0.003]
     assert all(round(value, 1) == 0.3 for value in lowered["south_building"])
     rate = [-g for scene in found for g in gain(scene, "opacity rate the same in the whole phase", "lpips")]
-    assert said("results.md", "gives # to # LPIPS on both") == [round(min(rate), 3), round(max(rate), 3)]
+    assert said("results.md", "gives # to # LPIPS on both") == ends(rate, 3)
     averaged = [g for scene in found for g in gain(scene, "values not averaged", "psnr")]
-    assert said("results.md", "Averaging gives # to # dB") == [
-        round(min(averaged), 1),
-        round(max(averaged), 1),
-    ]
+    assert said("results.md", "Averaging gives # to # dB") == ends(averaged)
 
 
 def test_sentences_on_table_one_are_those_of_the_rows():
-    rows = map(json.loads, ROWS.read_text().splitlines())
-    case = {"scene": "snowmiku", "study": "table", "schedule": 1.0, "shrink": 2}
-    found = {row["run"]: row for row in rows if case.items() <= row.items() and row["lpips"]}
+    case = {"study": "table", "schedule": 1.0, "shrink": 2}
+    found = {row["run"]: row for row in rows_of(**case, scene="snowmiku") if row["lpips"]}
     ours, base, rival = (found[run] for run in ("SVR-GS", "3DGS", "MaskGS alpha"))
     fewer = [round(other["count"] / ours["count"], 1) for other in (base, rival)]
     assert said("results.md", "SVR-GS keeps # times fewer Gaussians than 3DGS and # times fewer") == fewer
@@ -145,20 +140,17 @@ def test_sentences_on_table_one_are_those_of_the_rows():
     lpips = [round(row["lpips"], 3) for row in (base, ours)]
     assert said("results.md", "LPIPS rises from # to #: that is visible") == lpips
     kept = [found[run] for run in ("MaskGS alpha", "LightGaussian", "Compact3DGS")]
-    ends = [round(end(row["lpips"] for row in kept), 3) for end in (min, max)] + [
-        round(end(base["count"] / row["count"] for row in kept), 1) for end in (min, max)
-    ]
-    assert said("results.md", "keep # to # with # to # times fewer.") == ends
-    rows = list(map(json.loads, ROWS.read_text().splitlines()))
-    case["scene"] = "south_building"
-    found = {row["run"]: row for row in rows if case.items() <= row.items()}
+    times = [base["count"] / row["count"] for row in kept]
+    lpips = ends([row["lpips"] for row in kept], 3)
+    assert said("results.md", "keep # to # with # to # times fewer.") == lpips + ends(times)
+    found = {row["run"]: row for row in rows_of(**case, scene="south_building")}
     ours, base, rival = (found[run] for run in ("SVR-GS", "3DGS", "MaskGS alpha"))
     fewer = [round(other["count"] / ours["count"], 1) for other in (base, rival)]
     assert said("results.md", "it keeps # times fewer than 3DGS and # times fewer than MaskGS") == fewer
     lpips = [round(row["lpips"], 3) for row in (base, rival, ours)]
     assert said("results.md", "LPIPS rises from # and # to #. MaskGS") == lpips
     assert all(found[run]["lpips"] < base["lpips"] for run in ("MaskGS alpha", "Compact3DGS"))
-    tenth = [row for row in rows if (case | {"schedule": 0.1, "run": "3DGS"}).items() <= row.items()]
+    tenth = rows_of(**case | {"schedule": 0.1, "run": "3DGS"}, scene="south_building")
     assert base["psnr"] < min(row["psnr"] for row in tenth)
     assert said("results.md", "3DGS has # dB after these steps") == [round(base["psnr"], 2)]
     before = fmean(row["lpips"] for row in tenth if row["lpips"])
@@ -167,22 +159,17 @@ def test_sentences_on_table_one_are_those_of_the_rows():
 
 def test_smaller_photographs_at_first_stay_an_option():
     """Means of three seeds."""
-    rows, change = list(map(json.loads, ROWS.read_text().splitlines())), {}
+    rows, change = by_seed(study="skips", schedule=0.1), {}
     for scene in ("demo", "row", "portrait", "snowmiku", "lund", "brighton"):
-        case = {"study": "skips", "scene": scene, "schedule": 0.1}
-        found = {
-            run: [row["psnr"] for row in rows if (case | {"run": run}).items() <= row.items()]
-            for run in ("plain", "coarse")
-        }
-        assert list(map(len, found.values())) == [3, 3]
-        change[scene] = fmean(found["coarse"]) - fmean(found["plain"])
+        coarse, plain = ([row["psnr"] for row in rows[scene, run].values()] for run in ("coarse", "plain"))
+        assert len(coarse) == len(plain) == 3
+        change[scene] = fmean(coarse) - fmean(plain)
     generated, captures = list(change.values())[:3], list(change.values())[3:]
-    assert said("results.md", "PSNR is # to # dB higher on the generated scenes") == [
-        round(abs(end(generated)), 1) for end in (min, max)
-    ]
-    ends = [round(-end(captures), 1) for end in (max, min)]
-    assert said("results.md", "and # to # dB lower on the three captures") == ends
-    assert said("performance.md", "on three captures it loses # to # dB") == ends
+    sentence = "PSNR is # to # dB higher on the generated scenes"
+    assert said("results.md", sentence) == [abs(end) for end in ends(generated)]
+    lower = ends([-value for value in captures])
+    assert said("results.md", "and # to # dB lower on the three captures") == lower
+    assert said("performance.md", "on three captures it loses # to # dB") == lower
 
 
 @pytest.mark.parametrize("page", ["results.md", "results/page.md"])
@@ -202,10 +189,9 @@ def test_sentences_on_the_sweep_are_those_of_the_rows(page):
 
 def test_sentences_on_coarser_looks_hold_with_every_seed():
     found: dict[tuple[str, str], dict] = defaultdict(dict)
-    for row in map(json.loads, ROWS.read_text().splitlines()):
-        if row["study"] == "looks":
-            look, share = row["run"].rsplit(" ", 1)
-            found[share, look][row["seed"]] = row["lpips"], row["psnr"]
+    for row in rows_of(study="looks"):
+        look, share = row["run"].rsplit(" ", 1)
+        found[share, look][row["seed"]] = row["lpips"], row["psnr"]
     lpips, psnr, exact = said(
         "results.md",
         "With every seed LPIPS is at most # above that of the default, and PSNR at most # dB below. The exact"
@@ -231,9 +217,8 @@ def test_sentences_on_the_printed_loss_are_those_of_the_rows():
         for study in ("table", "printed")
     )
     ratios = [printed[scene]["SVR-GS"]["count"] / usual[scene]["SVR-GS"]["count"] for scene in scenes]
-    ends = [round(min(ratios), 1), round(max(ratios), 1)]
-    assert ends == said("results.md", "At the same λ_F # to # times as many Gaussians stay")
-    assert ends == said("methods.md", "the same λ_F leaves # to # times as many Gaussians")
+    assert ends(ratios) == said("results.md", "At the same λ_F # to # times as many Gaussians stay")
+    assert ends(ratios) == said("methods.md", "the same λ_F leaves # to # times as many Gaussians")
     more = lambda scene, name: printed[scene]["SVR-GS"][name] - printed[scene]["MaskGS alpha"][name]
     figures = [round(sign * more(scene, "psnr"), 1) for scene, sign in zip(scenes, (1, -1), strict=True)]
     figures += [round(more(scene, "lpips"), 3) for scene in scenes]
@@ -244,8 +229,8 @@ def test_sentences_on_the_printed_loss_are_those_of_the_rows():
     ]
     times = [one["count"] / other["count"] for one, other in others]
     less = [other["lpips"] - one["lpips"] for one, other in others]
-    figures = [round(min(times), 1), round(max(times), 1), round(min(less), 3), round(max(less), 3)]
-    assert said("results.md", "keep # to # times as many, and have # to # LPIPS less") == figures
+    sentence = "keep # to # times as many, and have # to # LPIPS less"
+    assert said("results.md", sentence) == ends(times) + ends(less, 3)
 
 
 def test_runs_on_another_machine_gain_what_the_sentence_says():
@@ -270,11 +255,8 @@ def test_the_table_of_the_readme_is_that_of_the_figures():
 
 @pytest.fixture(scope="module")
 def equal() -> dict[tuple[str, str], dict[int, dict]]:
-    """The rows of the study `equal` with 800 steps, by scene and run, and by seed."""
-    found: dict[tuple[str, str], dict[int, dict]] = defaultdict(dict)
-    for row in rows_of(study="equal", schedule=0.1):
-        found[row["scene"], row["run"]][row["seed"]] = row
-    return found
+    """The rows of the study `equal` with 800 steps."""
+    return by_seed(study="equal", schedule=0.1)
 
 
 def ahead(equal, scene: str, run: str, other: str, measure: str = "psnr") -> list[float]:
@@ -302,7 +284,7 @@ def test_a_tenth_costs_what_is_said(equal):
     assert round(fmean(ahead(equal, "snowmiku", "removal 0.1", "removal 1")), 1) == -0.5
     assert round(fmean(ahead(equal, "snowmiku", "removal 0.1", "steps of 3dgs 1")), 1) == -0.3
     changes = ahead(equal, "south_building", "removal 0.1", "removal 1")
-    assert (round(min(changes), 1), round(max(changes), 1)) == (-0.3, 0.6)
+    assert ends(changes) == [-0.3, 0.6]
     for scene, before, after in (("snowmiku", 0.15, 0.19), ("south_building", 0.35, 0.44)):
         found = [
             fmean(row["lpips"] for row in equal[scene, f"removal {share}"].values()) for share in (1, 0.1)
@@ -334,11 +316,8 @@ def test_with_a_quarter_and_a_fortieth_rankings_are_as_near_as_is_said(equal):
 
 @pytest.fixture(scope="module")
 def left_out() -> dict[tuple[str, str], dict[int, dict]]:
-    """The rows of the study `pareto` on south_building, by scene and run, and by seed."""
-    found: dict[tuple[str, str], dict[int, dict]] = defaultdict(dict)
-    for row in rows_of(study="pareto", scene="south_building", shrink=2, trained=0.1):
-        found["south_building", row["run"]][row["seed"]] = row
-    return found
+    """The rows of the study `pareto` on south_building."""
+    return by_seed(study="pareto", scene="south_building", shrink=2, trained=0.1)
 
 
 OTHERS = ("gaussianpop", "gns", "lightgaussian", "maskgs", "speedy")
@@ -357,10 +336,7 @@ def test_default_is_ahead_in_lpips_on_the_capture_that_was_left_out_with_every_s
 
 
 def test_sentences_on_photographs_in_full_size_are_those_of_the_rows():
-    found: dict[tuple[str, str], dict[int, dict]] = defaultdict(dict)
-    for row in map(json.loads, ROWS.read_text().splitlines()):
-        if row["study"] == "pareto" and row["shrink"] == 1 and row["scene"] in ("snowmiku", "south_building"):
-            found[row["scene"], row["run"]][row["seed"]] = row
+    found = by_seed(study="pareto", shrink=1)
     rivals, seeds = ("maskgs", "gaussianpop"), (0, 1, 2)
 
     def ahead(scene: str, share: str, key: str, digits: int) -> float:
@@ -421,7 +397,7 @@ def test_the_recipe_adds_what_is_said_to_its_passes(left_out):
     for share, most in (("0.5", 0.3), ("0.25", 0.35), ("0.1", 0.3), ("0.05", 0.3)):
         assert 0.05 < fmean(gains(left_out, share, OWN_RATES, "psnr")) < most
     lpips = [-fmean(gains(left_out, share, OWN_RATES, "lpips")) for share in ("0.5", "0.25", "0.1", "0.05")]
-    assert [round(value, 3) for value in (lpips[0], min(lpips[1:]), max(lpips[1:]))] == [-0.005, 0.003, 0.012]
+    assert [round(lpips[0], 3), *ends(lpips[1:], 3)] == [-0.005, 0.003, 0.012]
 
 
 def test_sentences_on_fewer_bands_are_those_of_the_rows():
