@@ -32,36 +32,18 @@ def stages(folder: Path, options: argparse.Namespace) -> dict[str, Callable[[], 
     threads, data = ("--threads", options.threads), ("--data", folder)
 
     def pruned(method: str, *words, **expected):
-        return command(
-            "prune",
-            scene,
-            *data,
-            *threads,
-            "--quiet",
-            "--method",
-            method,
-            *words,
-            "--out",
-            folder / f"{method}.ply",
-            **expected,
-        )
+        words = "--quiet", "--method", method, *words, "--out", folder / f"{method}.ply"
+        return command("prune", scene, *data, *threads, *words, **expected)
 
+    few, steps = ("--target-count", kept, "--recovery", 0), ("--iterations", half, "--recovery", half)
     return {
         "generate": lambda: generate(folder, options),
         "info": command("info", scene, *threads, count=options.count),
         "render": command("render", scene, *data, *threads, "--views", 0, "--out", folder / "pictures"),
-        "opacity": pruned("opacity", "--target-count", kept, "--recovery", 0, count=kept),
-        "max-contribution": pruned("max-contribution", "--target-count", kept, "--recovery", 0, count=kept),
+        "opacity": pruned("opacity", *few, count=kept),
+        "max-contribution": pruned("max-contribution", *few, count=kept),
         f"{2 * half} steps": pruned(
-            "svr",
-            "--min-contribution",
-            0,
-            "--iterations",
-            half,
-            "--recovery",
-            half,
-            iterations=2 * half,
-            nonfinite_gradients=0,
+            "svr", "--min-contribution", 0, *steps, iterations=2 * half, nonfinite_gradients=0
         ),
     }
 
@@ -113,18 +95,10 @@ def measured(work: Callable[[], object]) -> tuple[int, str]:
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.load")
     parser.add_argument("--count", type=int, default=5_000_000)
-    parser.add_argument(
-        "--size",
-        type=int,
-        nargs=2,
-        default=(640, 480),
-        metavar="PIXELS",
-        help="of a photograph (default: 640 480)",
-    )
+    size = {"nargs": 2, "default": (640, 480), "metavar": "PIXELS"}
+    parser.add_argument("--size", type=int, **size, help="of a photograph (default: 640 480)")
     parser.add_argument("--steps", type=int, default=50, help="of fine-tuning (default: 50)")
-    parser.add_argument(
-        "--gigabytes", type=float, default=16, help="of memory a process may take (default: 16)"
-    )
+    parser.add_argument("--gigabytes", type=float, default=16, help="of memory for a process (default: 16)")
     parser.add_argument("--threads", type=int, default=0)
     options = parser.parse_args()
     resource.setrlimit(resource.RLIMIT_AS, (int(options.gigabytes * 1e9),) * 2)

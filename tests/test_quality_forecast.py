@@ -20,8 +20,6 @@ from svrgs_addon.prune.pipeline import prune_scene
 from svrgs_addon.prune.quality_forecast import LEAST_STEPS, forecast, spread
 from svrgs_addon.render.metrics.evaluate import mean_quality, render_options
 
-HALVED = {name: method.halved for name, method in METHODS.items() if method.halved}
-
 SHARES = (1.0, 0.7, 0.5, 0.3, 0.2, 0.1, 0.05)
 PLAN = prune_settings("removal", 900, 1500)
 
@@ -111,9 +109,8 @@ def test_no_more_gaussians_are_foreseen_than_there_are(tiny, tmp_path, quick):
     assert (found["psnr_before"] is None) == quick, "a quick job has no photographs"
 
 
-def test_every_fitted_number_belongs_to_a_method():
-    for method in HALVED:
-        assert prune_settings(method, 900, 1500).prunes
+def test_every_fitted_number_belongs_to_a_method_that_prunes():
+    assert all(method.prunes for method in METHODS.values() if method.halved)
 
 
 def test_the_first_views_are_spread_over_all():
@@ -139,19 +136,15 @@ def test_a_busy_machine_renders_at_least_two_views(scene, data, monkeypatch):
     )
 
 
+def foreseen_and_reached(trained, tiny, folder, **goal) -> tuple[dict, dict]:
+    steps = {"method": "removal", "iterations": 300, "recovery": 500}
+    options = PruneOptions(scene=trained, data=tiny.folder, out=folder / "o.ply", quiet=True, **steps, **goal)
+    return estimate(options), prune_scene(options)
+
+
 def test_it_is_near_what_a_short_run_reaches(trained, tiny, tmp_path):
     """Seen: 40.9 dB now, 40.9 dB foreseen, 44.2 dB reached: it is never foreseen to become better."""
-    options = PruneOptions(
-        scene=trained,
-        data=tiny.folder,
-        method="removal",
-        target=0.5,
-        iterations=300,
-        recovery=500,
-        quiet=True,
-        out=tmp_path / "half.ply",
-    )
-    found, reached = estimate(options), prune_scene(options)
+    found, reached = foreseen_and_reached(trained, tiny, tmp_path, target=0.5)
     assert found["kept"] == reached["count"]
     assert found["psnr_before"] == pytest.approx(reached["before"]["psnr"], abs=1e-6)
     assert found["psnr_removed"] < found["psnr_before"] - 2
@@ -163,17 +156,7 @@ def test_it_is_near_what_a_short_run_reaches(trained, tiny, tmp_path):
 def test_an_allowed_drop_keeps_no_more_than_foreseen(trained, tiny, tmp_path):
     kept = []
     for drop in (0.3, 3.0):
-        options = PruneOptions(
-            scene=trained,
-            data=tiny.folder,
-            method="removal",
-            max_drop=drop,
-            iterations=300,
-            recovery=500,
-            quiet=True,
-            out=tmp_path / "o.ply",
-        )
-        found, reached = estimate(options), prune_scene(options)
+        found, reached = foreseen_and_reached(trained, tiny, tmp_path, max_drop=drop)
         assert found["at_most"] and reached["count"] <= found["kept"] < found["count"]
         kept.append(found["kept"])
     assert kept[1] < kept[0] / 1.5
