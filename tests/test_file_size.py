@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from scenes import random_scene
+from svrgs_addon.files import registry
+from svrgs_addon.files.registry import file_size as file_size_of
 from svrgs_addon.files.registry import format_to_write, read_scene, round_trip, write_scene
 from svrgs_addon.files.sh_rounding import without_bands
 from svrgs_addon.jobs.estimate import estimate
@@ -34,6 +36,21 @@ def test_so_many_are_foreseen_that_the_file_is_filled(suffix, degree):
     some = without_bands(scene, degree).select(np.arange(size.count_of(scene, CAMERAS)))
     written = round_trip(some, kind, seen=seen_from(some, CAMERAS, kind))[1]
     assert 0.85 * size.bytes < written <= size.bytes
+
+
+def test_nothing_stays_free_where_sizes_are_known_and_more_where_the_file_comes_later():
+    scene, spz = random_scene(3_000), format_to_write("x.spz")
+    count = FileSize(40_000, format_to_write("x.ply"), 3).count_of(scene, ())
+    assert 39_600 < file_size_of(scene.select(np.arange(count))) <= 40_000
+    assert FileSize(40_000, spz, 3, later=True).count_of(scene, ()) < FileSize(40_000, spz, 3).count_of(
+        scene, ()
+    )
+
+
+def test_the_size_of_a_large_file_is_foreseen_from_a_part_of_it(monkeypatch):
+    scene, kind = random_scene(3_000), format_to_write("x.spz")
+    monkeypatch.setattr(registry, "SAMPLE", 500)
+    assert registry.sampled_size(scene, kind) == pytest.approx(round_trip(scene, kind)[1], rel=0.2)
 
 
 def test_all_are_kept_where_all_fit_and_a_size_is_refused_into_which_none_does():
@@ -85,8 +102,9 @@ def test_sh_are_stored_more_coarsely_only_where_more_bytes_are_needed_than_fores
         FACTORS[3],
         FACTORS[-1],
     ]
+    for other in map(format_to_write, ("x.ply", "x.sog")):
+        assert FileSize(10, kind, 3).quantise_of(scene, None, other) == 1.0
     other = format_to_write("x.ply")
-    assert FileSize(10, kind, 3).quantise_of(scene, None, other) == 1.0
     assert FileSize(10, other, 3).quantise_of(scene, None, other) == 1.0
 
 

@@ -25,7 +25,7 @@ from svrgs_addon.files.registry import (
 )
 from svrgs_addon.scene.gaussians import Scene
 from svrgs_addon.scene.morton_order import morton_order
-from svrgs_addon.system.errors import SceneError
+from svrgs_addon.system.errors import FormatError, SceneError
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 WRITTEN = (".compressed.ply", ".spz", ".splat", ".glb", ".spz.glb", ".sog", ".usdc", ".usda")
@@ -191,6 +191,33 @@ def test_a_ksplat_of_two_sections_is_read_as_its_own_program_reads_it(tmp_path, 
         means=3e-4, logs=2e-3, turn=3e-3, alphas=0.0022, color=0.0021, rest=(1e-6, 1e-3, 0.013)[level]
     )
     assert all(found[name] <= step for name, step in close.items()), found
+
+
+@pytest.mark.parametrize(
+    ("at", "value", "said"),
+    [
+        (4096 + 4, 1, "a section of SH degree 2 with 40 of 1 Gaussians"),
+        (4096 + 40, 5, "a section of SH degree 5"),
+        (16, 41, "holds 41 Gaussians, but its sections hold others"),
+        (4096 + 8, 2, "Gaussians without a bucket"),
+    ],
+)
+def test_a_ksplat_whose_numbers_contradict_each_other_is_refused(tmp_path, at, value, said):
+    data = bytearray(ksplat_of([like_trained(2, 40)], 1))
+    data[at : at + 4] = value.to_bytes(4, "little")
+    (tmp_path / "a.ksplat").write_bytes(data)
+    with pytest.raises(FormatError, match=said):
+        read_scene(tmp_path / "a.ksplat")
+
+
+def test_a_position_that_is_not_finite_spoils_no_other_of_an_spz(tmp_path):
+    scene = like_trained(0)
+    scene.means[:] *= 1_500
+    scene.means[0] = np.inf
+    spz.write(tmp_path / "a.spz", scene)
+    found, expected = read_scene(tmp_path / "a.spz"), scene.select(morton_order(scene.means))
+    close = np.abs(found.means - expected.means).max(axis=1) < 0.01
+    assert close.sum() == scene.count - 1
 
 
 @pytest.mark.parametrize("name", ["biker_splat/biker.compressed.ply", "biker_splat/biker.v3.spz"])

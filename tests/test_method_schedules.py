@@ -128,3 +128,13 @@ def test_gns_finds_the_opacity_that_the_budget_reaches():
     logits = np.log(np.arange(1, 100) / np.arange(99, 0, -1)).astype(np.float32)  # opacities 0.01 ... 0.99
     assert gns.opacity_at(np.random.default_rng(0).permutation(logits), 10) == pytest.approx(0.90, rel=1e-5)
     assert gns.opacity_at(logits, 1_000) == pytest.approx(0.01, rel=1e-5)
+
+
+def test_gns_removes_what_has_faded_but_never_more_than_down_to_its_budget():
+    scene = scenes.random_scene(400, 1, 0)
+    run = Run(Model.of(scene), photographed(scene), replace(prune_settings("gns", 320, 0), target=100), None)
+    phase, faded = run.plan.phases[0], np.arange(400) % 2 == 0
+    run.model.opacity_logits[faded] = -20
+    assert (run.method.after_step(run, phase, 80) == ~faded).all()
+    run.model.opacity_logits[:] = -20
+    assert run.method.after_step(run, phase, 80).sum() == 100

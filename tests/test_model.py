@@ -97,9 +97,8 @@ def test_a_model_that_became_a_scene_holds_no_arrays():
 
 
 def test_a_model_becomes_a_scene_with_the_columns_that_still_fit():
-    source = replace(
-        scenes.random_scene(9), attributes={"label": np.arange(9, dtype=np.float32)}, antialiased=True
-    )
+    more = {"attributes": {"label": np.arange(9, dtype=np.float32)}, "property_order": ("label", "x")}
+    source = replace(scenes.random_scene(9), **more, antialiased=True)
     model = Model.of(source)
     model.keep(np.isin(np.arange(9), [2, 5, 8]))
     scene = scene_now(model)
@@ -107,7 +106,7 @@ def test_a_model_becomes_a_scene_with_the_columns_that_still_fit():
     assert all((getattr(scene, name) == getattr(source, name)[[2, 5, 8]]).all() for name in PARAMETERS)
     model.append({name: value[:1] for name, value in model.values.items()})
     scene = model.into_scene()
-    assert scene.attributes == {} and scene.count == 4
+    assert scene.attributes == {} and scene.property_order == () and scene.count == 4
 
 
 def test_masks_come_and_go_without_touching_the_rest():

@@ -11,9 +11,11 @@ import numpy as np
 import pytest
 
 from svrgs_addon.cli.main import main
+from svrgs_addon.files.atomic import atomic_write, checked
 from svrgs_addon.files.images import image_size
 from svrgs_addon.files.registry import read_scene, write_scene
 from svrgs_addon.files.repair import FILTER
+from svrgs_addon.system.errors import SceneError
 from svrgs_addon.views.posed_photos import read
 from test_mip_splatting import filtered_scene
 
@@ -106,3 +108,16 @@ def test_undistorted_copies_follow_the_lens(tiny_copy, tmp_path):
         os.utime(photos.files[0], (2e9 + 5, 2e9 + 5))
         found.append((photos.cameras[0].width, image_size(photos.files[0])[0]))
     assert found[0][0] != found[1][0] and all(camera == file for camera, file in found)
+
+
+def test_a_check_of_one_output_is_none_of_another(tmp_path):
+    def refuse(written):
+        raise SceneError(f"{written}: refused")
+
+    with checked(tmp_path / "a.ply", refuse):
+        with atomic_write(tmp_path / "b.ply") as file:
+            file.write(b"b")
+        with pytest.raises(SceneError, match="refused; the new file is kept as 'a \\(new\\).ply'"):
+            with atomic_write(tmp_path / "a.ply") as file:
+                file.write(b"a")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a (new).ply", "b.ply"]

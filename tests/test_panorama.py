@@ -15,6 +15,7 @@ from svrgs_addon.native.rasterizer import Rasterizer, RenderOptions
 from svrgs_addon.render.composite import FAR, Composite, composite, split
 from svrgs_addon.render.meshes import surface
 from svrgs_addon.render.panorama import (
+    CELL,
     Panorama,
     Patch,
     composite_panorama,
@@ -81,6 +82,13 @@ def test_the_shares_of_all_views_have_the_sum_1(panorama):
     np.testing.assert_allclose(sum(map(share, patches(panorama))), 1, atol=1e-12)
 
 
+def test_views_of_a_band_are_at_most_a_cell_apart():
+    pixel = 2 * np.pi / FULL.width
+    for patch in (patch for patch in patches(FULL) if not patch.column_weights.all()):
+        level = np.cos(FULL.latitudes[patch.row_weights >= 0.5]).max()
+        assert (patch.column_weights > 0).sum() * pixel * level <= 2 * CELL + pixel
+
+
 @PANORAMAS
 def test_a_view_sees_all_of_its_pixels_near_its_middle(panorama):
     """With room around them for cubic interpolation."""
@@ -105,6 +113,7 @@ def test_a_picture_of_all_directions_is_found_again(panorama):
     ):
         np.testing.assert_allclose(found, known, atol=2e-3)
     np.testing.assert_allclose(picture.behind[..., :3], expected[..., ::-1], atol=2e-3)
+    assert all((image >= 0).all() for image in picture.images.values())
     x = (all_directions(turned) @ TURN)[..., 0]
     for low, high, coverage in ((0.1, 2, 1), (-0.4, -0.1, 0.5), (-2, -0.6, 0)):
         inside = (x > low) & (x < high)

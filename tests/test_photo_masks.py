@@ -283,7 +283,8 @@ def test_statistics_count_only_pixels_that_count(level):
 def test_errors_are_means_over_the_pixels_that_count():
     rng, valid = np.random.default_rng(2), pattern(HEIGHT, WIDTH).astype(bool)
     image, photo = (rng.random((HEIGHT, WIDTH, 3)).astype(np.float32) * valid[..., None] for _ in range(2))
-    found = mean_figures([(image, photo, valid.astype(np.uint8))])
+    found = mean_figures([(image, photo, valid.astype(np.uint8))], lambda *_: 0.25)
+    assert found["lpips"] == pytest.approx(0.25 / valid.mean())
     error = ((image - photo)[valid] ** 2).mean()
     assert found["psnr"] == pytest.approx(-10 * np.log10(error), abs=1e-4)
     whole = mean_figures([(image, photo, None)])

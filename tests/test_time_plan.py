@@ -354,3 +354,9 @@ def test_the_result_of_a_late_job_has_the_note(tiny, svrgs, slow, tmp_path, monk
     words = ["prune", tiny.splat, "--data", tiny.folder, "--target", 0.4, "--json", "--time", 20]
     result = svrgs(*words, "--out", tmp_path / "a.ply").json
     assert any("took 2 s, more than the 20 s that were allowed" in note for note in result["notes"])
+
+
+def test_growth_up_to_a_cap_makes_steps_no_slower_than_the_cap_does():
+    phase = train_settings("3dgs", 30_000, 0, densify=MCMC.capped(500, 30_000)).phases[0]
+    assert duration.growth(phase, 250)[1] == pytest.approx(2**duration.GROWTH_POWER)
+    assert duration.growth(phase, 500) == (1, 1)
