@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from svrgs_addon.finetune.quality import hold_apart
 from svrgs_addon.prune.door import Allowed, allowed_loss
 from svrgs_addon.prune.options import PruneOptions
 from svrgs_addon.render.metrics import flip, lpips, psnr
+from svrgs_addon.render.metrics.allowed_loss import refuse_loss
 from svrgs_addon.render.metrics.evaluate import BLOCK, block, quality_of_view
 from svrgs_addon.system.errors import SceneError
 from svrgs_bench.scenes import orbit_camera
@@ -144,3 +146,9 @@ def test_lpips_is_held_by_the_fetched_weights(tiny, svrgs, monkeypatch, tmp_path
     )
     assert loose["count"] < strict["count"]
     assert strict["drop"] == pytest.approx(strict["lpips"] - strict["before"]["lpips"], abs=1e-6)
+
+
+def test_a_format_that_loses_all_that_is_allowed_is_refused():
+    refuse_loss(Path("a.spz"), 0.49, 0.5)
+    with pytest.raises(SceneError, match="a.spz: the format alone loses 0.5 dB, not less than --max-drop"):
+        refuse_loss(Path("a.spz"), 0.5, 0.5)

@@ -28,7 +28,8 @@ from svrgs_addon.system.errors import SceneError
 from svrgs_addon.views.cameras_json import write_cameras_json
 from svrgs_addon.views.rig import place_rig, viewpoints
 from svrgs_addon.views.rig.around import cameras_around
-from svrgs_bench.scenes import room
+from svrgs_addon.views.rig.place import Rig
+from svrgs_bench.scenes import orbit_camera, room
 
 COUNT = 3_000
 
@@ -367,3 +368,11 @@ def test_hidden_gaussians_are_counted(source):
     camera = cameras_around(scene, 1, 512)[0]
     sums, _ = visibility_sums(ViewedScene.of(scene, [camera]), pictures=False)
     assert 0.1 * COUNT < hidden(sums) < COUNT, "a ball hides its other side"
+
+
+def test_a_quick_job_by_blocks_places_a_known_number_of_views(monkeypatch):
+    asked, rig = [], Rig([orbit_camera(64, 48)], [], False, None)
+    monkeypatch.setattr(job_views, "place_rig", lambda *_, views, **__: asked.append(views) or rig)
+    for quick in (True, False):
+        job_views.by_blocks(PruneOptions(quick=quick), room(9), 1.0)
+    assert asked == [job_views.PLACED_FOR_QUICK, None]

@@ -210,6 +210,24 @@ def test_a_ksplat_whose_numbers_contradict_each_other_is_refused(tmp_path, at, v
         read_scene(tmp_path / "a.ksplat")
 
 
+def test_an_spz_holds_the_nearest_to_coefficients_beyond_its_ends(tmp_path):
+    scene = like_trained(1)
+    scene.sh[:, 1:] = np.where(scene.sh[:, 1:] > 0, 5, -5)
+    spz.write(tmp_path / "a.spz", scene)
+    found, expected = (
+        read_scene(tmp_path / "a.spz").sh[:, 1:],
+        scene.select(morton_order(scene.means)).sh[:, 1:],
+    )
+    assert (found * expected > 0).all() and np.unique(np.abs(found)).tolist() == [127 / 128, 1]
+
+
+def test_gaussians_far_along_one_axis_alone_make_a_compressed_ply_coarse():
+    scene = like_trained(0, 1_000)
+    assert not compressed_ply.limits(scene)
+    scene.means[::100, 0] = 1e5
+    assert "stored in steps larger than these are" in compressed_ply.limits(scene)[0]
+
+
 def test_a_position_that_is_not_finite_spoils_no_other_of_an_spz(tmp_path):
     scene = like_trained(0)
     scene.means[:] *= 1_500

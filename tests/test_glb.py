@@ -277,3 +277,10 @@ def test_values_are_kept(tmp_path):
     scene = dataclasses.replace(like_trained(3), sh=like_trained(3).sh * 5)
     write_scene(tmp_path / "b.glb", scene)
     assert max(differences(read_scene(tmp_path / "b.glb"), scene).values()) < 2e-6
+
+
+def test_colours_are_told_as_shares_and_bounds_as_the_smaller_and_the_larger_end(path):
+    meta = Glb.read(open(path, "rb")).contents
+    position, colour = meta["accessors"][:2]
+    assert (colour["componentType"], colour["normalized"]) == (5121, True)
+    assert (np.array(position["min"]) < position["max"]).all()

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from svrgs_addon.files.images import (
+    MAX_SIDE,
     image_size,
     library_path,
     linear_to_srgb,
@@ -293,3 +294,10 @@ def test_what_is_no_file_is_not_opened(tmp_path):
     os.mkfifo(tmp_path / "a.png")
     with pytest.raises(FormatError, match="a.png: is not a file"):
         image_size(tmp_path / "a.png")
+
+
+@pytest.mark.parametrize("shape", [(1, MAX_SIDE + 1, 3), (MAX_SIDE + 1, 1, 3)])
+def test_a_picture_with_a_side_that_is_too_long_is_refused(tmp_path, shape):
+    write_image(tmp_path / "a.png", np.zeros(shape, np.uint8))
+    with pytest.raises(FormatError, match="the limit is 16384 per side"):
+        read_pixels(tmp_path / "a.png")

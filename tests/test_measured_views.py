@@ -16,6 +16,7 @@ pytest.importorskip("OpenImageIO")
 import scenes
 from svrgs_addon.finetune import run
 from svrgs_addon.finetune.quality import NOT_APART
+from svrgs_addon.native.rasterizer import Rasterizer
 from svrgs_addon.prune.belonging import percent, seen_of
 from svrgs_addon.prune.likeness import Likeness, PhotographLikeness
 from svrgs_addon.prune.recipes import by_blocks, fine_tuned
@@ -192,3 +193,10 @@ def test_shares_are_never_rounded_to_all_or_nothing():
 def test_views_that_decide_and_views_that_measure_are_apart(count, decide):
     deciding, measuring = apart(range(count), 6)
     assert len(deciding) == decide and sorted([*deciding, *measuring]) == list(range(count))
+
+
+def test_views_that_show_almost_nothing_compare_nothing():
+    view = scenes.camera(64, 48)
+    turned = replace(view, viewmat=np.diag([-1.0, 1, -1, 1]) @ view.viewmat)
+    (kept,) = Likeness(scenes.random_scene(300), [turned, view], Rasterizer).views
+    assert kept is view

@@ -6,6 +6,7 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,13 +17,14 @@ pytest.importorskip("OpenImageIO")
 import scenes
 import tiny_dataset
 import whole_jobs
-from plans import plan_of
+from plans import plan_of, prune_settings
 from svrgs_addon.cli import commands
 from svrgs_addon.files import ply
 from svrgs_addon.files.ply import write_ply
 from svrgs_addon.files.registry import load_parts, load_scene, write_scene
 from svrgs_addon.finetune.settings import Densify, Phase, Rates
 from svrgs_addon.prune.context import JobContext
+from svrgs_addon.prune.recipes.fine_tuned import refuse_excess
 from svrgs_addon.system import memory, packages
 from svrgs_addon.system import memory_limits as readings
 from svrgs_addon.system.errors import Cancelled, NativeError, SceneError, TooMany
@@ -415,3 +417,16 @@ def test_estimates_are_what_is_taken(tmp_path):
 def test_small_scenes_are_never_refused(little):
     little(64 * 2**20)
     memory.refuse_excess("a small scene", memory.tuning(1000, 16, [scenes.camera(64, 48)], 10**9))
+
+
+def test_a_method_that_merges_needs_the_memory_of_its_order(little, tiny, data):
+    little(1 << 50)
+    needed = lambda method: refuse_excess("", 100_000_000, 1, data, prune_settings(method, 10, 10, target=9))
+    assert needed("merge") == memory.ordering(100_000_000, 1, data.cameras) > needed("opacity")
+
+
+def test_masks_of_distractors_take_a_bit_a_pixel(little, data):
+    little(1 << 50)
+    plan = prune_settings("removal", 10, 10, target=9)
+    needed = [refuse_excess("", 100, 1, data, replace(plan, mask_distractors=on)) for on in (False, True)]
+    assert needed[1] - needed[0] == sum(camera.height * camera.width // 8 for camera in data.cameras)

@@ -138,3 +138,30 @@ def test_gns_removes_what_has_faded_but_never_more_than_down_to_its_budget():
     assert (run.method.after_step(run, phase, 80) == ~faded).all()
     run.model.opacity_logits[:] = -20
     assert run.method.after_step(run, phase, 80).sum() == 100
+
+
+def test_gns_adapts_its_pressure_beyond_a_tolerance_at_every_other_press():
+    """Of 320 steps, every eighth presses, and the goal falls to 0 at step 280."""
+    scene = scenes.random_scene(400)
+    run = Run(Model.of(scene), photographed(scene), replace(prune_settings("gns", 320, 0), target=100), None)
+    run.method.first_goal = 0.5
+    for number, share, factor in (
+        (9, 0.1, 1),
+        (17, 0.92, 1),
+        (17, 1.08, 1),
+        (17, 0.88, 0.8),
+        (17, 1.12, 1.2),
+    ):
+        opacity = share * 0.5 * (1 - (number - 1) / 280)
+        run.model.opacity_logits[:], run.method.factor = np.log(opacity / (1 - opacity)), 1.0
+        run.method.prepare(run, run.plan.phases[0], number)
+        assert run.method.factor == factor
+
+
+def test_gns_trims_to_its_budget_from_nearby_and_then_takes_small_steps():
+    scene = scenes.random_scene(104)
+    run = Run(Model.of(scene), photographed(scene), replace(prune_settings("gns", 320, 0), target=100), None)
+    phase = run.plan.phases[0]
+    assert run.method.after_step(run, phase, 83).sum() == 100 and run.method.trimmed == 83
+    assert run.method.terms(run, phase, 83 + 40) == {}
+    assert run.method.terms(run, phase, 83 + 41)["rates"]["opacity_logits"] == 0.025

@@ -28,6 +28,7 @@ from svrgs_addon.finetune.saliency import removal_errors
 from svrgs_addon.jobs.job_process import Job
 from svrgs_addon.native.rasterizer import Rasterizer
 from svrgs_addon.prune.context import JobContext
+from svrgs_addon.prune.recipes.fine_tuned import refuse_lost_order
 from svrgs_addon.scene.gaussians import PARAMETERS
 from svrgs_addon.system.errors import Cancelled, SceneError
 
@@ -248,3 +249,10 @@ def psnr_of(scene, tiny) -> float:
         for c in tiny.cameras
     )
     return float(-10 * np.log10(np.mean([np.mean((a - b) ** 2) for a, b in renders])))
+
+
+def test_levels_are_files_of_their_own_where_a_format_keeps_no_order(tmp_path):
+    plan, job = prune_settings("removal", 16, 60, nested=0.5), JobContext(tmp_path / "a.spz")
+    with pytest.raises(SceneError, match="an order of its own"):
+        refuse_lost_order(plan, job)
+    refuse_lost_order(plan, replace(job, levels=(0.5,)))

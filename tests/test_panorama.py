@@ -114,6 +114,7 @@ def test_a_picture_of_all_directions_is_found_again(panorama):
         np.testing.assert_allclose(found, known, atol=2e-3)
     np.testing.assert_allclose(picture.behind[..., :3], expected[..., ::-1], atol=2e-3)
     assert all((image >= 0).all() for image in picture.images.values())
+    assert all(0 <= image.min() <= image.max() <= 1 for image in (picture.coverage, picture.holes))
     x = (all_directions(turned) @ TURN)[..., 0]
     for low, high, coverage in ((0.1, 2, 1), (-0.4, -0.1, 0.5), (-2, -0.6, 0)):
         inside = (x > low) & (x < high)

@@ -351,3 +351,10 @@ def test_a_format_that_loses_more_than_pruning_is_told(tmp_path, suffix, told):
     write_ply(tmp_path / "noise.ply", scene)
     notes = run(tmp_path / "noise.ply", target=0.9, out=tmp_path / f"o{suffix}")["notes"]
     assert any("the format of the output loses more than pruning" in note for note in notes) == told
+
+
+def test_a_whole_scene_with_fewer_bands_is_tuned(splat):
+    """What the bands showed is taken up by the others."""
+    result, whole = run(splat, target=1.0, sh_degree=0), read_ply(splat)
+    small = read_ply(result["out"] if "out" in result else splat.with_name("small.ply"))
+    assert small.count == whole.count and small.sh_degree == 0 and (small.means != whole.means).any()

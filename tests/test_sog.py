@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from svrgs_addon.cli.batch_list import expand
+from svrgs_addon.files import sog_layout
 from svrgs_addon.files.registry import read_scene, write_scene
 from svrgs_addon.system.errors import FormatError
 from test_formats import by_gaussforge, like_trained
@@ -94,6 +95,15 @@ def test_a_bundle_that_unpacks_to_much_is_refused(folder, tmp_path):
             bundle.write(file, file.name)
         bundle.writestr("sh0.webp", bytes(50_000_000))
     with pytest.raises(FormatError, match="sh0.webp that is larger than it can be"):
+        read_scene(tmp_path / "b.sog")
+
+
+def test_a_meta_json_that_is_too_large_is_not_unpacked(folder, tmp_path, monkeypatch):
+    with zipfile.ZipFile(tmp_path / "b.sog", "w") as bundle:
+        bundle.write(folder / "meta.json", "meta.json")
+    monkeypatch.setattr(sog_layout, "MAX_META", 10)
+    monkeypatch.setattr(zipfile.ZipFile, "extract", lambda *_: pytest.fail("it was unpacked"))
+    with pytest.raises(FormatError, match="has no meta.json"):
         read_scene(tmp_path / "b.sog")
 
 
