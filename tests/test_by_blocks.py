@@ -347,9 +347,8 @@ def test_only_some_jobs_can_be_done_by_blocks(tmp_path):
     photographs = {"data": tmp_path, "iterations": 10}
     assert possible(**photographs, target=0.5) and possible(**photographs, visible_mask=True)
     assert possible(**photographs, method="svr", visible_mask=True)
-    assert not possible(**photographs) and not possible(**photographs, method="svr", target=0.5), (
-        "F counts what is hidden, too"
-    )
+    # F counts what is hidden, too
+    assert not possible(**photographs) and not possible(**photographs, method="svr", target=0.5)
     assert not possible(**photographs, target=0.5, method="maskgs")
     assert not possible(**photographs, target=0.5, views_by_loss=True)
     assert possible(**photographs, max_drop=0.5) and not possible(**photographs, target=0.5, time=60.0)
@@ -358,9 +357,8 @@ def test_only_some_jobs_can_be_done_by_blocks(tmp_path):
         Request.of(PruneOptions(data=tmp_path, iterations=300, recovery=500, schedule=0.1)).plan().total == 80
     )
     assert possible(**photographs, method="saliency", max_drop=0.5, visible_mask=True)
-    assert not possible(**photographs, method="svr", max_drop=0.5, visible_mask=True), (
-        "what its steps win back is not foreseen"
-    )
+    # what its steps win back is not foreseen
+    assert not possible(**photographs, method="svr", max_drop=0.5, visible_mask=True)
 
 
 def test_hidden_gaussians_are_counted(source):

@@ -74,9 +74,8 @@ def test_the_score_orders_the_source_as_the_job_did(done, tiny):
     assert not kept[faint].any(), "what no view can show goes first"
     assert score[faint].max() < score[~faint & ~kept].max()
     pruned, source = read_ply(job.folder / "pruned.ply"), read_ply(tiny.splat)
-    assert np.abs(pruned.means - source.means[kept]).max() < 0.2, (
-        "recovered Gaussians stay in the source's order, near where they were"
-    )
+    # recovered Gaussians stay in the source's order, near where they were
+    assert np.abs(pruned.means - source.means[kept]).max() < 0.2
 
 
 def test_stop_saves_a_checkpoint_and_resume_goes_on_there(tiny, tmp_path, jobs):
@@ -239,9 +238,8 @@ def test_a_job_whose_parent_dies_saves_a_checkpoint_and_ends(tiny, tmp_path):
     end = time.monotonic() + 10
     while folder.state()["state"] != "interrupted" and time.monotonic() < end:
         time.sleep(0.05)
-    assert json.loads((folder / "state.json").read_bytes())["state"] == "interrupted", (
-        "written by the job itself, not inferred"
-    )
+    # written by the job itself, not inferred
+    assert json.loads((folder / "state.json").read_bytes())["state"] == "interrupted"
     assert list((folder / "recovered.ply.job").glob("*/manifest.json"))
     while Path(f"/proc/{child}/stat").exists() and time.monotonic() < end:
         time.sleep(0.05)

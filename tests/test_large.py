@@ -173,9 +173,8 @@ def test_the_same_gaussians_are_merged_whatever_the_number_of_blocks(source, cam
         assert sum(map(len, cells)) == 16 and len(divided.blocks) == COUNT // most
         write_joined(cut(divided, cameras, COUNT // 4), tmp_path / f"{most}.ply")
         files.append((tmp_path / f"{most}.ply").read_bytes())
-    assert len(set(files)) == 1 and np.ptp(sum(cells, [])) > 100, (
-        "what is seen more keeps more, cell by cell too"
-    )
+    # what is seen more keeps more, cell by cell too
+    assert len(set(files)) == 1 and np.ptp(sum(cells, [])) > 100
 
 
 def test_orders_of_other_cells_are_refused(source, cameras, tmp_path, monkeypatch):
@@ -260,9 +259,8 @@ def test_tuned_blocks_are_as_good_as_the_tuned_whole_in_any_order(ordered, camer
     assert after > before + 5
     first = (tuned.folder / "0.geometry").read_bytes()
     tune(ordered, 0, cameras, 60)
-    assert (tuned.folder / "0.geometry").read_bytes() == first, (
-        "neither order nor what was tuned before counts"
-    )
+    # neither order nor what was tuned before counts
+    assert (tuned.folder / "0.geometry").read_bytes() == first
     GAINS.append(after)
     assert max(GAINS) - min(GAINS) < 1, "of a scene of a few Gaussians; docs/farm.md has those of large ones"
 
@@ -432,9 +430,8 @@ def test_steps_that_are_killed_and_done_again_give_the_same_bytes(source, camera
     assert (tmp_path / "many.ply").read_bytes() == (tmp_path / "one.ply").read_bytes()
     assert svrgs("large", "tune", work, "--steps", "0").status == 0
     untuned = svrgs("large", "finish", work, "--out", tmp_path / "many.ply", "--json").json
-    assert untuned["tuned_share"] == 0 and untuned["psnr_merged"] is None, (
-        "what was tuned before does not count"
-    )
+    # what was tuned before does not count
+    assert untuned["tuned_share"] == 0 and untuned["psnr_merged"] is None
 
 
 @pytest.mark.slow

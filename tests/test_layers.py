@@ -77,13 +77,11 @@ def check_imports(file: Path):
             f"{module} must be imported relatively: the extension's package has another name"
         )
         assert top not in LAYERS[layer + 1 :], f"{module} is above"
-        assert top != "ctypes" or file.parent.name in ("native", "system"), (
-            "only svrgs_addon/native/ calls the native library"
-        )
+        # only svrgs_addon/native/ calls the native library
+        assert top != "ctypes" or file.parent.name in ("native", "system")
         assert layer < 2 or top != "svrgs_addon", "panels ask operators/, which asks svrgs_addon/"
-        assert layer == 0 or top != "numpy" or file.parent == ROOT / "operators/data", (
-            "only operators/data/ turns Blender's data into arrays"
-        )
+        # only operators/data/ turns Blender's data into arrays
+        assert layer == 0 or top != "numpy" or file.parent == ROOT / "operators/data"
     if layer == 0 and file.name != "torch_engine.py":
         heavy = {module.split(".")[0] for module, _ in imports(at_top(tree), file)} & HEAVY
         assert not heavy, f"{heavy} must be imported inside functions"
@@ -193,9 +191,8 @@ def test_files_and_functions_are_short():
         for node in ast.walk(ast.parse(text)) if file.suffix == ".py" else ():
             if isinstance(node, ast.FunctionDef):
                 long[f"{label(file)}: {node.name}"] = node.end_lineno - node.lineno + 1 - MAX_FUNCTION
-    assert not {name: lines for name, lines in long.items() if lines > 0 and name not in TABLES}, (
-        "lines above the limit"
-    )
+    # lines above the limit
+    assert not {name: lines for name, lines in long.items() if lines > 0 and name not in TABLES}
 
 
 # --- what is loaded

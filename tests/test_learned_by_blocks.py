@@ -211,9 +211,8 @@ def test_steps_on_any_number_of_machines_give_the_bytes_of_one(tiny, tmp_path, s
             ["finish", work, "--out", tmp_path / "few.ply"],
         )
     ]
-    assert all(step.status == 0 for step in fewer) and read_scene(tmp_path / "few.ply").count == 50, (
-        "nothing of the first decision is left"
-    )
+    # nothing of the first decision is left
+    assert all(step.status == 0 for step in fewer) and read_scene(tmp_path / "few.ply").count == 50
 
 
 @pytest.mark.slow
@@ -233,9 +232,8 @@ def test_an_allowed_drop_on_photographs_decides_how_many_stay(inside, tmp_path, 
     for result in (little, much):
         assert result["drop"] == pytest.approx(result["before"]["psnr"] - result["psnr"])
         assert result["blocks"] == 4
-        assert f"more than the {result['allowed']} dB that were allowed" in result["notes"][0], (
-            "what measures shows parts of the room that what decides does not show"
-        )
+        # what measures shows parts of the room that what decides does not show
+        assert f"more than the {result['allowed']} dB that were allowed" in result["notes"][0]
     decide = quality_views(hold_apart(photographs))
     before, after = (
         evaluate(read_scene(path), photographs, decide, Rasterizer())["psnr"]

@@ -270,9 +270,8 @@ def test_minisplatting_draws_in_proportion_to_importance():
 def test_minisplatting_draws_a_target_at_once():
     assert counts_of(run_of("minisplatting", 30, target=50)) == [50] * 35
     without = counts_of(run_of("minisplatting", 30))
-    assert without[0] < 150 and without[8] == without[0] > without[9] == without[-1], (
-        "at step 1 and after a third"
-    )
+    # at step 1 and after a third
+    assert without[0] < 150 and without[8] == without[0] > without[9] == without[-1]
 
 
 # --- efficientgs
@@ -342,12 +341,10 @@ def test_the_faint_half_of_the_redundant_goes_and_the_faintest_go():
     opacity = np.r_[np.linspace(0.01, 0.5, 90), np.linspace(0.2, 0.9, 10)]
     stays = reduced3dgs.stays(redundancies, opacity)
     lowest = np.flatnonzero(opacity < np.quantile(opacity, 0.03))
-    assert sorted(np.flatnonzero(~stays)) == sorted({*lowest, *range(90, 94)}), (
-        "below the lower median of ten: four"
-    )
-    assert reduced3dgs.stays(np.full(100, 3), np.full(100, 0.9)).all(), (
-        "a redundancy of 3 is none, and an opacity of 0.05 is enough"
-    )
+    # below the lower median of ten: four
+    assert sorted(np.flatnonzero(~stays)) == sorted({*lowest, *range(90, 94)})
+    # a redundancy of 3 is none, and an opacity of 0.05 is enough
+    assert reduced3dgs.stays(np.full(100, 3), np.full(100, 0.9)).all()
 
 
 @pytest.mark.parametrize("target", [0, 40])

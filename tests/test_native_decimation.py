@@ -100,9 +100,8 @@ def test_an_order_leaves_each_row_in_one_place():
     gone = np.concatenate([order.a, order.b[merges]]).astype(np.int64)
     assert len(np.unique(gone)) == len(gone), "a row is used twice"
     born = COUNT + np.cumsum(merges) - 1  # the result of the operation, where it is a merge
-    assert (order.a < born + ~merges).all() and (order.b[merges] < born[merges]).all(), (
-        "a row is used before it is there"
-    )
+    # a row is used before it is there
+    assert (order.a < born + ~merges).all() and (order.b[merges] < born[merges]).all()
     assert len(order.results["means"]) == merges.sum()
     for name, array in order.results.items():
         assert np.isfinite(array).all(), name

@@ -15,9 +15,8 @@ def test_colour_maps_become_lighter_from_low_to_high(name):
     rgb = color_maps.colored(np.linspace(-1, 3, 200), 2.0, name)
     luminance = rgb @ (0.2126, 0.7152, 0.0722)
     assert (np.diff(luminance) >= -1e-3).all() and luminance[-1] > 0.7
-    assert (rgb[:50] == rgb[0]).all() and (rgb[-50:] == rgb[-1]).all(), (
-        "what is outside 0 to top has the colours at the ends"
-    )
+    # what is outside 0 to top has the colours at the ends
+    assert (rgb[:50] == rgb[0]).all() and (rgb[-50:] == rgb[-1]).all()
 
 
 def test_pixels_are_linear_colours_or_the_numbers_themselves():

@@ -100,9 +100,8 @@ def test_the_target_is_approached_quickly_at_first_and_met(method, monkeypatch):
     np.testing.assert_allclose(
         counts[:32:2], [COUNT * (15 / COUNT) ** math.sqrt(k / PASSES) for k in range(1, PASSES + 1)], atol=1
     )
-    assert counts[0] == counts[1] and counts[30] == counts[-1] == 15, (
-        "a pass after the first step of each part"
-    )
+    # a pass after the first step of each part
+    assert counts[0] == counts[1] and counts[30] == counts[-1] == 15
 
 
 def test_a_short_run_takes_larger_steps_and_a_long_one_those_of_3dgs():

@@ -59,9 +59,8 @@ def test_resume_after_stops(tiny, data, whole, tmp_path, iterations):
         stop = StopAt(iteration)
         with pytest.raises(Cancelled):
             whole_jobs.prune(tiny.splat, data, SETTINGS, stop.options(out, resume=True))
-        assert stop.seen == list(range(before + 1, iteration + 1)), (
-            "resuming must go on where the last run stopped"
-        )
+        # resuming must go on where the last run stopped
+        assert stop.seen == list(range(before + 1, iteration + 1))
         assert checkpoints(out)[-1] == f"{iteration:07d}" and not out.exists()
         before = iteration
     assert prune(tiny, data, out, resume=True) == whole

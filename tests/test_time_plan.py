@@ -232,9 +232,8 @@ def test_a_resumed_job_goes_on_with_its_plan_on_a_faster_machine(tiny, slow, tmp
     resumed = job(tiny, tmp_path / "a.ply")
     assert resumed["time"]["schedule"] == planned["schedule"] and resumed["time"]["asked"] == 20
     assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "whole.ply").read_bytes()
-    assert job(tiny, tmp_path / "b.ply")["time"]["schedule"] > planned["schedule"], (
-        "a new job is planned for this machine"
-    )
+    # a new job is planned for this machine
+    assert job(tiny, tmp_path / "b.ply")["time"]["schedule"] > planned["schedule"]
 
 
 def test_a_checkpoint_for_another_time_is_not_continued(tiny, slow, tmp_path):

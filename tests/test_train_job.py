@@ -44,9 +44,8 @@ def test_a_job_trains_and_leaves_its_splat(done, tiny, svrgs, tmp_path):
     assert result["out"] == str(job.folder / "trained.ply") == str(job.folder.output)
     words = ("--iterations", SHORT, "--quiet", "--out", tmp_path / "shell.ply")
     assert svrgs("train", "--data", tiny.folder, *words).status == 0
-    assert (tmp_path / "shell.ply").read_bytes() == job.folder.output.read_bytes(), (
-        "what the command line does"
-    )
+    # what the command line does
+    assert (tmp_path / "shell.ply").read_bytes() == job.folder.output.read_bytes()
     assert not (job.folder / "recovered.ply").exists() and not (job.folder / "recovered.ply.job").exists()
 
 

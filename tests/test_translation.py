@@ -84,12 +84,10 @@ def test_no_text_is_hard_wired(file):
         pytest.skip("its texts still have to be translated")
     tree = ast.parse(file.read_text("utf-8"))
     known = set.intersection(*map(set, CATALOGUES.values())) | NO_TEXT
-    assert not [text for text in glued(tree) if text not in NO_TEXT], (
-        "a whole sentence with named fields: tr('{count:,} Gaussians').format(count=…)"
-    )
-    assert label(file) in CODE or not [text for text in sentences(tree) if text not in known], (
-        "tr(), and an entry in each catalogue"
-    )
+    # a whole sentence with named fields: tr('{count:,} Gaussians').format(count=…)
+    assert not [text for text in glued(tree) if text not in NO_TEXT]
+    # tr(), and an entry in each catalogue
+    assert label(file) in CODE or not [text for text in sentences(tree) if text not in known]
 
 
 def test_every_file_that_still_has_to_be_translated_exists():
@@ -115,13 +113,11 @@ def test_catalogues_are_whole(locale):
     texts = CATALOGUES[locale]
     assert sorted(messages_of(ROOT) - texts.keys()) == [], "texts without a translation"
     assert not [text for text, said in texts.items() if not said.strip()]
-    assert not {text: said for text, said in texts.items() if fields(text) != fields(said)}, (
-        "other fields than the English text"
-    )
+    # other fields than the English text
+    assert not {text: said for text, said in texts.items() if fields(text) != fields(said)}
     written = (ROOT / f"operators/catalogues/{locale}.json").read_text("utf-8")
-    assert written == json.dumps(texts, ensure_ascii=False, indent=0, sort_keys=True) + "\n", (
-        "sorted, one text a line, UTF-8"
-    )
+    # sorted, one text a line, UTF-8
+    assert written == json.dumps(texts, ensure_ascii=False, indent=0, sort_keys=True) + "\n"
 
 
 def test_there_are_catalogues_with_the_names_that_blender_uses():

@@ -52,9 +52,8 @@ def test_no_up_without_a_consensus():
     anyhow = np.linalg.qr(rng.normal(size=(60, 3, 3)))[0]
     anyhow *= np.linalg.det(anyhow)[:, None, None]
     assert up_direction(anyhow) is None
-    assert up_direction(np.array([look(10 * i, 20, 180 * (i % 2)) for i in range(36)])) is None, (
-        "half of them upside down"
-    )
+    # half of them upside down
+    assert up_direction(np.array([look(10 * i, 20, 180 * (i % 2)) for i in range(36)])) is None
     assert up_direction(np.array([look(0, 0), look(90, 0)])) is None, "two photographs are too few"
 
 

@@ -65,9 +65,8 @@ def test_imported_cameras_see_what_the_photographs_saw(dataset):
     scene, worst = bpy.context.scene, 0.0
     for view, obj in enumerate(cameras()):
         activate(obj)
-        assert (scene.render.resolution_x, scene.render.resolution_y) == tuple(views.sizes[view]), (
-            "the picture's size comes with its camera"
-        )
+        # the picture's size comes with its camera
+        assert (scene.render.resolution_x, scene.render.resolution_y) == tuple(views.sizes[view])
         expected, world = views.pixels(view), in_world(root, views.points)
         found = seen_by_blender(obj, scene, world)
         both = np.isfinite(expected).all(1) & (np.abs(expected) < 4 * views.sizes[view].max()).all(1)

@@ -138,9 +138,8 @@ def test_a_dataset_is_seen_from_its_first_camera_with_the_horizon_level(views):
     bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
     for _, view in views:
         camera = bpy.context.scene.camera.matrix_world.translation
-        assert (eye(view) - camera.lerp(view.view_location, 0.2)).length < 1e-4, (
-            "a little nearer, so that the camera is not in the picture"
-        )
+        # a little nearer, so that the camera is not in the picture
+        assert (eye(view) - camera.lerp(view.view_location, 0.2)).length < 1e-4
         assert view.view_location.length < 1, "the middle of the ring of cameras, which are 3 away"
         assert abs((view.view_rotation @ Vector((1, 0, 0))).z) < 1e-6
 
@@ -170,9 +169,8 @@ def test_a_view_through_a_camera_is_left_alone(views):
     bpy.ops.svrgs.import_colmap(directory=str(DATA / "tiny"))
     assert all(view.view_perspective == "CAMERA" and view.view_distance == 123 for _, view in views)
     bpy.ops.svrgs.frame()
-    assert all(view.view_perspective == "PERSP" and view.view_distance < 30 for _, view in views), (
-        "asked for by the user"
-    )
+    # asked for by the user
+    assert all(view.view_perspective == "PERSP" and view.view_distance < 30 for _, view in views)
 
 
 def test_frame_says_what_it_needs():

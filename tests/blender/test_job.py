@@ -380,9 +380,8 @@ def test_the_panel_draws_in_any_state(tmp_path, watch, monkeypatch):
     follow(watch, lambda: str(job.folder.path) in pictures._shown)  # there are no icons without a window
     assert tuple(pictures._pictures[0][pictures._shown[str(job.folder.path)]].image_size) == (64, 48)
     picture = pictures._pictures[0][str(job.folder.path)]
-    assert len({tuple(pixel) for pixel in np.reshape(picture.image_pixels_float, (-1, 4)).round(2)}) == 4, (
-        "ground, grid and two lines"
-    )
+    # ground, grid and two lines
+    assert len({tuple(pixel) for pixel in np.reshape(picture.image_pixels_float, (-1, 4)).round(2)}) == 4
     job._process.kill()
     follow(watch, lambda: not job.running)
     assert "Interrupted at" in drawn("prune") and "svrgs.job_discard" in drawn("prune")

@@ -48,9 +48,8 @@ def test_enabled_and_disabled_50_times_leaves_nothing_behind(installed):
         assert traces() == disabled
     bpy.ops.preferences.addon_enable(module=PACKAGE)
     assert traces() == enabled
-    assert {path for path in installed.rglob("*") if "__pycache__" not in path.parts} == files, (
-        "nothing is written into the add-on"
-    )
+    # nothing is written into the add-on
+    assert {path for path in installed.rglob("*") if "__pycache__" not in path.parts} == files
 
 
 def test_enabling_loads_nothing_heavy():

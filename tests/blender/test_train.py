@@ -40,9 +40,8 @@ def test_a_splat_is_trained_and_placed_with_its_cameras(root, watch, bridge):
     bpy.context.view_layer.update()
     np.testing.assert_array_equal(splat.matrix_world, root.matrix_world)
     assert bridge.count(splat) == job.folder.result()["count"] and bridge.sh_degree(splat) == 3
-    assert watch.job_of(root) is None and part("operators.jobs.prune_state").stage(bpy.context) == "READY", (
-        "the splat can be pruned"
-    )
+    # the splat can be pruned
+    assert watch.job_of(root) is None and part("operators.jobs.prune_state").stage(bpy.context) == "READY"
     assert bpy.ops.svrgs.job_start.poll()
 
 
@@ -191,9 +190,8 @@ def test_it_is_offered_only_where_it_makes_sense(root, bridge):
     bpy.context.view_layer.objects.active = next(obj for obj in root.children if obj.type == "CAMERA")
     assert part("operators.jobs.train").about(bpy.context) and bpy.ops.svrgs.train.poll()
     bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
-    assert not part("operators.jobs.train").about(bpy.context) and not bpy.ops.svrgs.train.poll(), (
-        "a splat is active"
-    )
+    # a splat is active
+    assert not part("operators.jobs.train").about(bpy.context) and not bpy.ops.svrgs.train.poll()
     bpy.context.view_layer.objects.active = root
     root[bridge.POINTS] = 0
     assert "has no sparse points to start from" in drawn("train") and not bpy.ops.svrgs.train.poll()
