@@ -6,7 +6,7 @@ from __future__ import annotations
 import ast
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
 
@@ -34,10 +34,15 @@ MAX_FILE, MAX_FUNCTION = 500, 60  # lines
 TABLES = {"benchmarks/svrgs_bench/stress_rows.py: rows"}  # functions that are one long table
 
 
-def imports(tree: ast.AST, file: Path) -> Iterator[tuple[str, bool]]:
-    """(module, relative) of every import below `tree`; a relative one as it is called from the repository's
-    root."""
-    for node in ast.walk(tree):
+@cache
+def tree_of(file: Path) -> ast.Module:
+    return ast.parse(file.read_text())
+
+
+def imports(nodes: Iterable[ast.AST], file: Path) -> Iterator[tuple[str, bool]]:
+    """(module, relative) of every import among the nodes; a relative one as it is called from the
+    repository's root."""
+    for node in nodes:
         if isinstance(node, ast.Import):
             yield from ((alias.name, False) for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and not node.level:
@@ -48,19 +53,13 @@ def imports(tree: ast.AST, file: Path) -> Iterator[tuple[str, bool]]:
             yield from ((".".join((*folder, name)), True) for name in names)
 
 
-def at_top(tree: ast.Module) -> ast.Module:
-    """Only the statements that run on import: no bodies of functions, nothing for type checkers alone."""
-
-    class Strip(ast.NodeTransformer):
-        def visit_FunctionDef(self, node):
-            return None
-
-        visit_AsyncFunctionDef = visit_Lambda = visit_FunctionDef
-
-        def visit_If(self, node):
-            return None if ast.unparse(node.test) == "TYPE_CHECKING" else self.generic_visit(node)
-
-    return Strip().visit(tree)
+def at_top(node: ast.AST) -> Iterator[ast.AST]:
+    """The nodes that run on import: no bodies of functions, nothing for type checkers alone."""
+    for_checkers = isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+    if not for_checkers and not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda):
+        yield node
+        for below in ast.iter_child_nodes(node):
+            yield from at_top(below)
 
 
 def label(path: Path) -> str:
@@ -69,8 +68,8 @@ def label(path: Path) -> str:
 
 def check_imports(file: Path):
     layer = LAYERS.index(file.relative_to(ROOT).parts[0])
-    tree = ast.parse(file.read_text())
-    for module, relative in imports(tree, file):
+    tree = tree_of(file)
+    for module, relative in imports(ast.walk(tree), file):
         top = module.split(".")[0]
         assert layer > 0 or top not in BLENDER, f"only operators and panels may import {top}"
         assert relative or top not in LAYERS, (
@@ -104,7 +103,7 @@ def test_the_import_reader_sees_every_form():
     )
     tree, file = ast.parse(code), ROOT / "svrgs_addon" / "module.py"
     found = [("bpy.types", False), ("torch", False), ("panels", True), ("operators", True), ("scipy", False)]
-    assert list(imports(tree, file)) == found
+    assert list(imports(ast.walk(tree), file)) == found
     assert list(imports(at_top(tree), file)) == found[:-1]
 
 
@@ -122,7 +121,7 @@ def import_graph() -> dict[str, set[str]]:
     modules, graph = {module_of(file): file for file in FILES}, {}
     for name, file in modules.items():
         found = set()
-        for node in ast.walk(ast.parse(file.read_text())):
+        for node in ast.walk(tree_of(file)):
             if isinstance(node, ast.ImportFrom) and node.level:
                 package = ".".join(
                     (*file.relative_to(ROOT).parts[: -node.level], *filter(None, (node.module,)))
@@ -186,9 +185,8 @@ def test_files_and_functions_are_short():
     """A function is as long as its one thought. These limits are far above that."""
     long = {}
     for file in [*ALL_FILES, *NATIVE_FILES]:
-        text = file.read_text()
-        long[label(file)] = text.count("\n") - MAX_FILE
-        for node in ast.walk(ast.parse(text)) if file.suffix == ".py" else ():
+        long[label(file)] = file.read_text().count("\n") - MAX_FILE
+        for node in ast.walk(tree_of(file)) if file.suffix == ".py" else ():
             if isinstance(node, ast.FunctionDef):
                 long[f"{label(file)}: {node.name}"] = node.end_lineno - node.lineno + 1 - MAX_FUNCTION
     # lines above the limit
@@ -213,16 +211,8 @@ def test_importing_the_package_loads_nothing_heavy():
 
 
 def test_info_loads_nothing_heavy(tiny):
-    loaded = loaded_after(
-        "import sys\nfrom svrgs_addon.cli.main import main\nassert main(sys.argv[1:]) == 0",
-        "info",
-        str(tiny.splat),
-    )
+    code = "import sys\nfrom svrgs_addon.cli.main import main\nassert main(sys.argv[1:]) == 0"
+    loaded = loaded_after(code, "info", str(tiny.splat))
     assert "numpy" in loaded and not loaded & HEAVY
-    assert (
-        not {
-            f"svrgs_addon.{name}"
-            for name in ("native.rasterizer", "finetune", "views", "render", "prune.pipeline")
-        }
-        & loaded
-    )
+    rooms = ("native.rasterizer", "finetune", "views", "render", "prune.pipeline")
+    assert not {f"svrgs_addon.{name}" for name in rooms} & loaded
