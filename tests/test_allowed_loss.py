@@ -13,7 +13,7 @@ from svrgs_addon.finetune.quality import hold_apart
 from svrgs_addon.prune.door import Allowed, allowed_loss
 from svrgs_addon.prune.options import PruneOptions
 from svrgs_addon.render.metrics import flip, lpips, psnr
-from svrgs_addon.render.metrics.allowed_loss import refuse_loss
+from svrgs_addon.render.metrics.allowed_loss import loss_notes, refuse_loss
 from svrgs_addon.render.metrics.evaluate import BLOCK, block, quality_of_view
 from svrgs_addon.system.errors import SceneError
 from svrgs_bench.scenes import orbit_camera
@@ -152,3 +152,9 @@ def test_a_format_that_loses_all_that_is_allowed_is_refused():
     refuse_loss(Path("a.spz"), 0.49, 0.5)
     with pytest.raises(SceneError, match="a.spz: the format alone loses 0.5 dB, not less than --max-drop"):
         refuse_loss(Path("a.spz"), 0.5, 0.5)
+
+
+def test_a_format_is_blamed_from_half_of_the_error_on():
+    assert loss_notes(30.0, 27.0) == []
+    assert "30.0 dB before it was written, 26.9 dB after" in loss_notes(30.0, 26.9)[0]
+    assert "all that is lost, the format of the output loses" in loss_notes(100.0, 40.0)[0]

@@ -20,6 +20,7 @@ from svrgs_addon.files.ply import read_ply, write_ply
 from svrgs_addon.files.registry import read_scene, write_scene
 from svrgs_addon.files.splat_format import SplatFormat
 from svrgs_addon.prune import pipeline
+from svrgs_addon.prune.door import excess_notes
 from svrgs_addon.system.errors import MemoryShort, SceneError
 from svrgs_addon.views.cameras_json import write_cameras_json
 from system_checks import with_pipes
@@ -269,3 +270,9 @@ def test_convert_and_select_do_not_write_where_a_job_will(svrgs, inputs, tiny):
             assert done.status == 2 and "another job is writing this file" in done.err, words
     write_scene(inputs.out, read_ply(inputs.scene))
     assert svrgs("convert", inputs.scene, inputs.out).status == 0
+
+
+def test_only_more_than_there_are_is_an_excess():
+    assert excess_notes(5, 5) == [] and excess_notes(6, 5) == [
+        "6 Gaussians are asked for, and the scene has 5"
+    ]

@@ -56,6 +56,7 @@ def test_8_bit_pixels_come_out_as_stored(tmp_path, suffix):
         (["ViewLayer.AO", "ViewLayer.Combined"], 1),
         (["Image", "Depth.V"], 0),
         (["Depth.V", "Image"], 1),
+        (["Depth.V", "left"], 1),
         (["left", "right"], None),
     ],
 )

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import tiny_dataset
 from native_helpers import LEVELS, rasterizer
 from svrgs_addon.files.images import read_pixels, write_image
 from svrgs_addon.jobs import photo_mask
@@ -319,6 +320,10 @@ def test_what_a_mask_hides_changes_no_bit_of_a_pruned_splat(tiny, masked, tmp_pa
             "prune", tiny.splat, "--data", data, "--method", method, *steps, "--out", out, "--json"
         )
         assert any("photographs have a mask" in note for note in result.json["notes"])
+        hidden = [one["hidden"] for one in result.json["photographs"].values()]
+        assert hidden == pytest.approx(
+            [1 - pattern(tiny_dataset.HEIGHT, tiny_dataset.WIDTH).mean()] * len(hidden)
+        )
         results.append((out.read_bytes(), result.json["psnr"], result.json["ssim"], result.json["flip"]))
     assert results[0] == results[1]
 

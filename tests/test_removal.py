@@ -69,6 +69,11 @@ def test_as_many_stay_as_have_a_saliency_above_lambda():
     assert counts_of(run_of(prune_settings("removal", 40, 5, lambda_f=limit)))[-1] == 22
 
 
+def test_what_is_protected_counts_whatever_its_saliency():
+    run = run_of(prune_settings("removal", 16, 0, own=(0, 10), lambda_f=1e12))
+    assert run.method.budget(run) == COUNT - 10
+
+
 def test_a_lambda_above_every_saliency_is_refused_at_once():
     run = run_of(prune_settings("removal", 40, 0, lambda_f=1e12))
     with pytest.raises(SceneError, match="use a smaller lambda-f"):

@@ -14,14 +14,19 @@ import pytest
 pytest.importorskip("pycolmap")
 pytest.importorskip("OpenImageIO")
 
+import scenes
 import tiny_dataset
 import whole_jobs
+from pictures import photographed
 from plans import prune_settings
 from svrgs_addon.files.ply import read_ply, write_ply
-from svrgs_addon.finetune import loop
+from svrgs_addon.finetune import checkpoint, loop
 from svrgs_addon.finetune.checkpoint import read_manifest
+from svrgs_addon.finetune.engine import NativeEngine
+from svrgs_addon.finetune.model import Model
+from svrgs_addon.finetune.run import Run
 from svrgs_addon.prune.context import JobContext
-from svrgs_addon.system.errors import Cancelled, FormatError
+from svrgs_addon.system.errors import Cancelled, FormatError, SceneError
 from svrgs_addon.system.memory import checkpoint as checkpoint_bytes
 from svrgs_addon.views.dataset import load_dataset
 from tiny_jobs import SETTINGS, TRAINING, checkpoints, prune
@@ -253,3 +258,17 @@ def test_seconds_of_a_resumed_job_are_those_of_all_its_parts(tiny, data, tmp_pat
 def test_seeds(tiny, data, whole, tmp_path):
     assert prune(tiny, data, tmp_path / "same.ply") == whole
     assert prune(tiny, data, tmp_path / "other.ply", replace(SETTINGS, seed=6)) != whole
+
+
+def test_a_checkpoint_that_is_there_survives_one_that_cannot_be_written(tmp_path, monkeypatch):
+    scene = scenes.random_scene(9)
+    run = Run(Model.of(scene), photographed(scene), prune_settings("removal", 4, 4), NativeEngine())
+    checkpoint.save(run, tmp_path, "id")
+
+    def full(*_):
+        raise SceneError("full")
+
+    monkeypatch.setattr(checkpoint, "write_arrays", full)
+    with pytest.raises(SceneError, match="full"):
+        checkpoint.save(run, tmp_path, "id")
+    assert checkpoint.newest_manifest(tmp_path)["identity"] == "id"

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from svrgs_addon.cli.batch_list import expand
-from svrgs_addon.files import sog_layout
+from svrgs_addon.files import images, sog_layout
 from svrgs_addon.files.registry import read_scene, write_scene
 from svrgs_addon.system.errors import FormatError
 from test_formats import by_gaussforge, like_trained
@@ -75,6 +75,14 @@ def test_a_damaged_texture_is_named(folder):
     (folder / "quats.webp").write_bytes((folder / "quats.webp").read_bytes()[:40])
     with pytest.raises(FormatError, match=r"its texture quats\.webp"):
         read_scene(folder)
+
+
+def test_a_rotation_whose_largest_component_is_none_turns_nothing(folder):
+    quats = images.read_texture(folder / "quats.webp", 1 << 20)
+    quats[0, 1, 3] = 7
+    images.write_texture(folder / "quats.webp", folder / "quats.webp", quats)
+    found = read_scene(folder).quats
+    assert found[1].tolist() == [1, 0, 0, 0] and (found[0] != found[1]).any()
 
 
 def test_a_bundle_reads_as_its_folder_does_and_leaves_nothing_behind(folder, tmp_path, monkeypatch):

@@ -148,3 +148,14 @@ def test_positions_in_coarse_steps_are_told(tmp_path, caplog):
     scene.means[0] = 1e6
     write_scene(tmp_path / "a.sog", scene)
     assert "steps of" in caplog.text and "1e+06" in caplog.text
+
+
+def test_steps_that_are_twice_as_large_allow_four_times_the_error(rng, monkeypatch):
+    rows, weights = rng.normal(size=(2_000, 9)).astype(np.float32), np.ones(2_000, np.float32)
+
+    def is_coarsest(error: float, factor: float) -> bool:
+        monkeypatch.setattr(sog_writer, "SMALL_ERROR", error)
+        return sog_writer._share(rows, weights, factor, None) == sog_writer.SHARES[0]
+
+    enough = next(error for error in np.geomspace(0.1, 100, 200) if is_coarsest(error, 1.0))
+    assert is_coarsest(enough / 4, 2.0) and not is_coarsest(enough / 4, 1.9)

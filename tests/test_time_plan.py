@@ -359,3 +359,9 @@ def test_growth_up_to_a_cap_makes_steps_no_slower_than_the_cap_does():
     phase = train_settings("3dgs", 30_000, 0, densify=MCMC.capped(500, 30_000)).phases[0]
     assert duration.growth(phase, 250)[1] == pytest.approx(2**duration.GROWTH_POWER)
     assert duration.growth(phase, 500) == (1, 1)
+
+
+def test_gaussians_that_go_gradually_go_evenly():
+    parts = duration.gradual(0.2)
+    assert sum(length for length, _ in parts) == pytest.approx(1)
+    assert sum(length * left for length, left in parts) == pytest.approx(0.6)
