@@ -84,13 +84,13 @@ def test_scores_hardly_depend_on_the_parts_of_a_picture(source, cameras, whole, 
     """And not at all on the number of blocks then."""
     found = [scored(source, tmp_path / str(most), most, 2, cameras)[1] for most in (COUNT, COUNT // 4)]
     assert (found[0] == found[1]).all()
-    change = np.abs(visibility(found[0]) - visibility(whole[1]))[:, VISIBILITY.index("weights")]
+    change = np.abs(visibility(found[0], 1.0) - visibility(whole[1], 1.0))[:, VISIBILITY.index("weights")]
     assert change.max() < 5 * small_parts and (change > 1e-5).mean() < 0.02
 
 
 def test_scores_are_what_the_views_see_of_the_scene_in_memory(source, cameras, whole):
     expected, _ = visibility_sums(ViewedScene.of(read_scene(source), reduced(cameras)), pictures=False)
-    scores = visibility(whole[1])
+    scores = visibility(whole[1], 1.0)
     # without Gaussians that are not blended, T rounds in another way, and a ray may stop one Gaussian later
     last = {"pixels": 1, "transmittance": 2e-4}
     for column, name in enumerate(VISIBILITY):

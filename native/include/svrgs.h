@@ -24,7 +24,7 @@
 extern "C" {
 #endif
 
-#define SVRGS_INTERFACE_VERSION 25
+#define SVRGS_INTERFACE_VERSION 26
 
 typedef void real; /* float or double, by the context's level */
 
@@ -80,6 +80,7 @@ typedef struct {
   int32_t width, height;
   int32_t orthographic; /* 1: centres are seen at (fx x + cx, fy y + cy), colours along the camera's axis; 0: perspective */
   double background[3];
+  double near_depth; /* centres up to this depth are not drawn; 0: near_depth of svrgs_thresholds */
 } svrgs_camera;
 
 typedef struct {
@@ -139,7 +140,7 @@ SVRGS_API const char* svrgs_name(int32_t names, int32_t index);
 
 /* The constants of the model that this build has (native/src/constants.h). */
 typedef struct {
-  double near_depth, far_depth;            /* a Gaussian is drawn where near < z < far, z the depth of its centre */
+  double near_depth, far_depth;            /* a Gaussian is drawn where near < z < far, z the depth of its centre; a camera may have another near */
   double blur;                             /* pixels^2, added to both variances of a projected Gaussian */
   double frustum_margin;                   /* share of half the image: x/z, y/z of the Jacobian are clamped this far outside it */
   double alpha_cut;                        /* a Gaussian hits a pixel where alpha >= alpha_cut */

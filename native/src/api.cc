@@ -89,6 +89,7 @@ void check(const svrgs_camera& c) {
   require(finite, "the camera has a value that is not finite");
   require(c.fx > 0 && c.fy > 0 && c.fx < 1e9 && c.fy < 1e9, "focal lengths must be above 0 and below 1e9 pixels");
   require(c.orthographic == 0 || c.orthographic == 1, "orthographic must be 0 or 1");
+  require(c.near_depth >= 0 && c.near_depth < svrgs::kFar, "near_depth must be 0 to 1e15");
 }
 
 void check(const svrgs_options& o, const svrgs_scene& s) {

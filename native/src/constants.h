@@ -20,7 +20,7 @@
 
 namespace svrgs {
 
-constexpr double kNear = 0.2;                    // a Gaussian is drawn where kNear < z < kFar, z its depth
+constexpr double kNear = 0.2;                    // a Gaussian is drawn where kNear < z < kFar, z its depth; a camera may have another near
 constexpr double kFar = 1e15;                    // the square of a larger depth would overflow in float gradients
 constexpr double kBlur = 0.3;                    // low-pass added to the 2-D covariance, pixels^2
 constexpr double kAlphaCut = SVRGS_ALPHA_CUT;    // a Gaussian hits a pixel where alpha >= kAlphaCut

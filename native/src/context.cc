@@ -51,6 +51,7 @@ void Context::set_frame(const svrgs_scene& s, const svrgs_camera& c, const svrgs
     f.background[k] = c.background[k];
   }
   f.fx = c.fx, f.fy = c.fy, f.cx = c.cx, f.cy = c.cy;
+  f.near_depth = c.near_depth > 0 ? c.near_depth : kNear;
   f.orthographic = c.orthographic;
   f.width = c.width, f.height = c.height;
   f.antialiased = o.antialiased, f.mask_kind = o.mask_kind, f.eps_a = o.eps_a, f.stop = std::max(o.stop, kStop), f.disabled_skips = o.disabled_skips;

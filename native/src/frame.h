@@ -85,7 +85,7 @@ struct Frame {
   const uint8_t* masks;
   // camera
   double viewmat[16], position[3];
-  double fx, fy, cx, cy;
+  double fx, fy, cx, cy, near_depth;
   bool orthographic;
   int width, height;
   double background[3];

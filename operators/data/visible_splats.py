@@ -7,7 +7,7 @@ is stretched or mirrored, are transformed into the axes of the world.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import bpy
@@ -24,6 +24,7 @@ from ...svrgs_addon.scene.gaussians import Scene, parameter_shapes
 from ...svrgs_addon.scene.grade import inside
 from ...svrgs_addon.system.errors import SceneError
 from ...svrgs_addon.views.lens import camera_of_projection
+from ...svrgs_addon.views.rig.space import unit_around
 from . import camera_object, grading, quick_order, splat_object, view_layers
 
 REMOVED = "removed"  # attribute: marks Gaussians that pruning would remove; they are not drawn
@@ -46,6 +47,10 @@ class PlacedScene:
         """What coarse pictures draw. For the thread that draws."""
         return Thinning(self.scene)
 
+    @cached_property
+    def _camera_unit(self) -> float:
+        return unit_around(self.scene)
+
     @property
     def unit(self) -> float:
         """Length of one unit of the scene in Blender's world."""
@@ -53,7 +58,7 @@ class PlacedScene:
 
     def seen_by(self, camera: Camera) -> Camera:
         """The camera, given in Blender's world, in the scene's coordinates."""
-        return camera.moved(self.matrix)
+        return replace(camera.moved(self.matrix), unit=self._camera_unit)
 
     def hidden_by(self, triangles: Triangles, camera: Camera) -> Surface | None:
         """The triangles as the camera (in Blender's world) sees them; depths in units of the scene. None if

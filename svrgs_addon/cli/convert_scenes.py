@@ -8,7 +8,7 @@ import contextlib
 import glob
 import logging
 from collections.abc import Iterator
-from dataclasses import fields
+from dataclasses import fields, replace
 from functools import cache
 from pathlib import Path
 
@@ -142,7 +142,10 @@ def _by_views(
             f"{out}: an SPZ or a SOG is rounded by views, and spherical harmonics are left out by them: leave"
             " --data out"
         )
-    cameras = [camera.moved(_to_original(options)) for camera in _training_cameras(options.data)]
+    cameras = [
+        replace(camera.moved(_to_original(options)), unit=options.scale * camera.unit)
+        for camera in _training_cameras(options.data)
+    ]
     check_views(scene, cameras, cameras, str(path))
     needed = memory_of(scene.count, cameras) + bytes_of(scene.count, cameras)
     memory.refuse_excess(f"{path}: rendering it", needed)

@@ -82,15 +82,15 @@ def shares(opacity: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarr
     return share, opacity / total
 
 
-def add_noise(model: Model, rule: MCMC, position_rate: float, rng: Generator):
+def add_noise(model: Model, rule: MCMC, position_rate: float, rng: Generator, unit: float = 1.0):
     """Moves the Gaussians by noise: Sigma n sigmoid(100 (0.005 - opacity)) noise position_rate, with n normal
-    in three dimensions.
+    in three dimensions. unit: Camera.unit, in which Sigma counts.
 
     Sigma = R diag(s^2) R^T, and R^T n has the distribution of n. So n is drawn in the axes of the Gaussian,
     and turned once.
     """
     gate = sigmoid(STEEPNESS * (1 - sigmoid(model.opacity_logits, np) - GATE), np)
-    size = gate * model.dtype.type(rule.noise * position_rate)
+    size = gate * model.dtype.type(rule.noise * position_rate / unit**2)
     # max(axis=1) takes ten times as long
     largest = np.maximum(np.maximum(*model.log_scales.T[:2]), model.log_scales[:, 2])
     rows = np.flatnonzero(size * np.exp(largest) > NEGLIGIBLE)
@@ -99,9 +99,9 @@ def add_noise(model: Model, rule: MCMC, position_rate: float, rng: Generator):
     model.means[rows] = model.means.take(rows, axis=0) + rotated(model.quats.take(rows, axis=0), noise)
 
 
-def penalties(rule: MCMC) -> tuple[MeanOpacity, MeanScale]:
-    """The terms of the loss in every step."""
-    return MeanOpacity(rule.opacity_weight), MeanScale(rule.scale_weight)
+def penalties(rule: MCMC, unit: float = 1.0) -> tuple[MeanOpacity, MeanScale]:
+    """The terms of the loss in every step. unit: Camera.unit, in which scales count."""
+    return MeanOpacity(rule.opacity_weight), MeanScale(rule.scale_weight / unit)
 
 
 def _opacities(model: Model) -> np.ndarray:

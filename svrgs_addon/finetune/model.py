@@ -14,7 +14,7 @@ from ..system.errors import SceneError
 from .moments import zero_moments
 
 MASK = "mask_logits"
-MIN_SQUARED_DISTANCE = 1e-7
+MIN_SQUARED_DISTANCE = 1e-7  # in Camera.unit
 NEIGHBOURS = 3
 BLOCK_ROWS = 65_536  # rows copied at a time
 
@@ -149,20 +149,26 @@ def compacted(array: np.ndarray, rows: np.ndarray) -> np.ndarray:
 
 
 def scene_from_points(
-    points: np.ndarray, colors: np.ndarray, sh_degree: int = 3, opacity: float = 0.1, size: float = 1.0
+    points: np.ndarray,
+    colors: np.ndarray,
+    sh_degree: int = 3,
+    opacity: float = 0.1,
+    size: float = 1.0,
+    unit: float = 1.0,
 ) -> Scene:
     """Initialisation of 3DGS: one isotropic Gaussian per point, with opacity 0.1 and the size of the distance
     to its neighbours.
 
     points (P, 3): world coordinates; colors (P, 3) uint8. scale = size sqrt(mean squared distance to the 3
-    nearest points). Raises SceneError for fewer than 4 points.
+    nearest points). unit: Camera.unit. Raises SceneError for fewer than 4 points.
     """
     n = len(points)
     if n <= NEIGHBOURS:
         raise SceneError(
             f"the dataset has too few sparse points: {n}; training needs at least {NEIGHBOURS + 1}"
         )
-    squared = np.maximum((nearest_distances(points, NEIGHBOURS) ** 2).mean(axis=1), MIN_SQUARED_DISTANCE)
+    squared = (nearest_distances(points, NEIGHBOURS) ** 2).mean(axis=1)
+    squared = np.maximum(squared, MIN_SQUARED_DISTANCE * unit**2)
     quats = np.zeros((n, 4), np.float32)
     quats[:, 0] = 1
     sh = np.zeros((n, SH_COEFFICIENTS[sh_degree], 3), np.float32)

@@ -231,7 +231,9 @@ class Run:
         )
         step = replace(step, **self.method.terms(self, phase, number)) if phase.active else step
         if isinstance(phase.densify, MCMC):
-            return replace(step, penalties=(*mcmc.penalties(phase.densify), *step.penalties))
+            return replace(
+                step, penalties=(*mcmc.penalties(phase.densify, step.camera.unit), *step.penalties)
+            )
         return step
 
     def render_options(self, phase: Phase, number: int) -> RenderOptions:
@@ -314,7 +316,7 @@ class Run:
         if isinstance(rule, MCMC):
             if number < phase.steps:
                 rng = np.random.default_rng([self.plan.seed, 4, self.iteration])
-                mcmc.add_noise(self.model, rule, step.rates["means"], rng)
+                mcmc.add_noise(self.model, rule, step.rates["means"], rng, step.camera.unit)
         elif rule is not None and number < rule.until and number % rule.reset_every == 0:
             if number + rule.reset_every // RESETS_NEED <= phase.steps:
                 densify.reset_opacity(self.model)

@@ -21,7 +21,7 @@ from ..system.structs import fields
 from .library_path import library_path
 from .outputs import OUTPUTS
 
-INTERFACE_VERSION = 25
+INTERFACE_VERSION = 26
 GRADS = (*PARAMETERS, "masks", "means2d", "camera")
 # images whose gradients backward() accepts
 LOSS_IMAGES = tuple(output.name for output in OUTPUTS.values() if output.differentiable)
@@ -85,6 +85,7 @@ CameraStruct = _struct(
     (_double, "fx fy cx cy"),
     (_int, "width height orthographic"),
     (_double * 3, "background"),
+    (_double, "near_depth"),
 )
 OptionsStruct = _struct(
     "OptionsStruct",
@@ -202,13 +203,13 @@ def camera_struct(camera: Camera, background=(0.0, 0.0, 0.0)) -> c.Structure:
     (fx, _, cx), (_, fy, cy), _ = camera.K
     viewmat = (_double * 16)(*np.asarray(camera.viewmat, np.float64).ravel())
     size = camera.width, camera.height, camera.orthographic
-    return CameraStruct(viewmat, fx, fy, cx, cy, *size, (_double * 3)(*background))
+    return CameraStruct(viewmat, fx, fy, cx, cy, *size, (_double * 3)(*background), near_depth(camera.unit))
 
 
 class Thresholds(NamedTuple):
     """Constants of the rasterizer in this build of the library; svrgs_thresholds in svrgs.h."""
 
-    near: float  # a Gaussian is rendered if near < z < far; z is the depth of its centre
+    near: float  # a Gaussian is rendered if near < z < far, z the depth of its centre; see near_depth()
     far: float
     blur: float  # pixels^2, added to both variances of a projected Gaussian
     # share of half the image size; the Jacobian clamps x/z and y/z at this distance outside the image
@@ -234,6 +235,12 @@ def thresholds() -> Thresholds:
     found = ThresholdsStruct()
     library().svrgs_get_thresholds(c.byref(found))
     return Thresholds(**{name: getattr(found, name) for name in Thresholds._fields})
+
+
+def near_depth(unit: float) -> float:
+    """Centres up to this depth are not drawn, world units: that of 3DGS, or less in a small world. unit:
+    Camera.unit."""
+    return thresholds().near * min(1.0, unit)
 
 
 @functools.cache

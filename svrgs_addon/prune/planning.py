@@ -71,7 +71,8 @@ def training_within(
     if found := of_checkpoint(seconds, job.folder) if job.resume else None:
         return _with(found, plan, job, "the job goes on as it was planned")
     growth = plan.phases[0].densify or Densify()
-    start = scene_from_points(dataset.points, dataset.point_colors, sh_degree, *growth.INITIAL)
+    points, unit = (dataset.points, dataset.point_colors), dataset.cameras[0].unit
+    start = scene_from_points(*points, sh_degree, *growth.INITIAL, unit)
     pace = pace_of(start, dataset, plan, job.lpips)
     seconds_of = lambda some: pace.training(some, job.recorded)
     found = fitted(seconds, plan, seconds_of, job.seconds(), TRAINING_MARGIN)

@@ -17,6 +17,9 @@ from ..system.errors import SceneError
 View = TypeVar("View")
 MAX_PIXELS = 1e9  # of a focal length or principal point
 MAX_DISTANCE = 1e15  # of a camera from the world's origin; nothing farther is rendered
+EXTENT_MARGIN = 1.1  # as in 3DGS
+# extent of a capture as COLMAP scales it; the least that counts as such, and the largest, in usual ones
+USUAL_EXTENT, LEAST_EXTENT, LARGEST = 5.0, 2.0, 10.0
 
 
 @dataclass(frozen=True)
@@ -36,6 +39,7 @@ class Camera:
     orthographic: bool = False
     # (H, ceil(W / 8)) uint8, bits of np.packbits: the pixels that count, from a photograph's mask; None: all
     valid_bits: np.ndarray | None = None
+    unit: float = 1.0  # unit_of() its world: no Gaussian is drawn that is nearer than a share of it
 
     @property
     def valid(self) -> np.ndarray | None:
@@ -71,6 +75,7 @@ class Camera:
         """Bytes that are equal for two cameras with the same pose, intrinsics, image size and kind of
         projection, and the same pixels that count; the name does not matter."""
         numbers = [*self.viewmat.flat, *self.K.flat, self.width, self.height, self.orthographic]
+        numbers += [self.unit] if self.unit != 1 else []
         return np.array(numbers, np.float64).tobytes() + (
             b"" if self.valid_bits is None else self.valid_bits.tobytes()
         )
@@ -102,7 +107,7 @@ class Camera:
         """The same view in other world coordinates.
 
         matrix: (4, 4), maps the new world to this camera's world; a rotation, a translation and one uniform
-        scale s. Lengths in the new world, depths included, are 1 / s of those in this one.
+        scale s. Lengths in the new world, depths included, are 1 / s of those in this one; `unit` stays.
         """
         viewmat: np.ndarray = self.viewmat @ np.asarray(matrix, np.float64)
         scale = abs(np.linalg.det(viewmat[:3, :3])) ** (1 / 3)
@@ -152,6 +157,22 @@ class Camera:
         if valid is not None:
             valid = resized_valid(valid[: height * factor, : width * factor], width, height)
         return whole.masked(valid)
+
+
+def extent_of(cameras: Sequence[Camera]) -> float:
+    """Scene extent of 3DGS in world units: 1.1 times the largest distance of a camera from their mean
+    position."""
+    centres = np.array([camera.position for camera in cameras])
+    return float(EXTENT_MARGIN * np.linalg.norm(centres - centres.mean(axis=0), axis=1).max())
+
+
+def unit_of(size: float, usual: float = USUAL_EXTENT, least: float = LEAST_EXTENT) -> float:
+    """The length, in world units, that constants of the published methods count as 1: they were chosen in
+    worlds as COLMAP scales them. 1 in a world of about that size, else in proportion to the size.
+
+    size: extent_of() the cameras, or another measure; usual, least: its value in such a world, and the least
+    that counts as such."""
+    return 1.0 if least <= size <= LARGEST * usual or not size > 0 else size / usual
 
 
 def resized_valid(valid: np.ndarray, width: int, height: int) -> np.ndarray:

@@ -12,12 +12,13 @@ from ..scene.camera import Camera
 from ..scene.gaussians import Scene
 from ..scene.upright import up_direction
 from ..views.dataset import Dataset
+from ..views.rig.space import unit_around
 
 UP = np.array([0.0, -1.0, 0.0])  # of a splat without cameras, as in most files
 # columns of a measured file (prune/selection/measure.py) that colours can show
 COLUMNS = {"Removal error, as a rank": RANK, "Deciding views": VIEWS, "Rank spread over views": BY_VIEWS}
 # without cameras, where the first view is from, in distances that hold 80 % of the means; and how near to a
-# camera what it turns about may be
+# camera what it turns about may be, in Camera.unit
 START, NEAREST = np.array([0.0, -0.8, -1.8]), 0.1
 FOV = math.radians(50)  # of the first view without cameras
 
@@ -51,6 +52,11 @@ class Source:
         means = self.scenes[0].means
         return np.median(means[:: max(1, len(means) // 10_000)], axis=0).astype(np.float64)
 
+    @property
+    def unit(self) -> float:
+        """Camera.unit of those that look at it."""
+        return self.cameras[0].unit if self.cameras else unit_around(self.scenes[0])
+
     def columns(self) -> dict[str, str]:
         """Of COLUMNS, those that every scene has."""
         there = lambda name: all(name in scene.attributes for scene in self.scenes)
@@ -67,12 +73,12 @@ class Source:
             return self.view_of(self.cameras[0])
         middle = self.middle()
         reach = np.percentile(np.linalg.norm(self.scenes[0].means - middle, axis=1), 80)
-        return View(FOV, middle + max(reach, NEAREST) * START, middle, UP)
+        return View(FOV, middle + max(reach, NEAREST * self.unit) * START, middle, UP)
 
     def view_of(self, camera: Camera) -> View:
         """The view of a camera. The point in its middle is as far away as the median Gaussian."""
         ahead = camera.viewmat[2, :3]
-        distance = max(NEAREST, ahead @ (self.middle() - camera.position))
+        distance = max(NEAREST * self.unit, ahead @ (self.middle() - camera.position))
         return View(
             fov_of(camera), camera.position, camera.position + distance * ahead, -camera.viewmat[1, :3]
         )

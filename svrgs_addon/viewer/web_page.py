@@ -18,7 +18,7 @@ from string import Template
 from ..files import spz
 from ..files.atomic import write_bytes
 from ..files.registry import load_scene
-from ..native.library import thresholds
+from ..native.library import near_depth, thresholds
 from ..native.rasterizer import Rasterizer
 from ..prune.report.page import refuse_other_page
 from ..prune.seen import seen_from
@@ -114,7 +114,7 @@ def _page(source: Source, facts: list[dict]) -> dict:
         "modules": MODULES,
         "background": source.background,
         "blur": thresholds().blur,
-        "near": thresholds().near,
+        "near": near_depth(source.unit),
         "start": _facts(source.start()),
         "up": list(map(float, source.up())),
         "cameras": [{"name": camera.name} | _facts(source.view_of(camera)) for camera in chosen],

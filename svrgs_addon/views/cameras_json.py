@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -13,7 +14,7 @@ import numpy as np
 from ..files.atomic import write_bytes
 from ..files.images import MAX_SIDE
 from ..files.reading import read_json, usable
-from ..scene.camera import Camera
+from ..scene.camera import MAX_DISTANCE, Camera, extent_of, unit_of
 from ..scene.rotations import is_rotation
 from ..system.errors import FormatError
 from ..system.foreign import check_name
@@ -26,14 +27,20 @@ def load_cameras_json(path: str | os.PathLike) -> list[Camera]:
 
     Keys of an entry: img_name; width, height, fx, fy (pixels); position (3, world); rotation (3x3, camera to
     world). Extensions of this project: cx, cy (pixels) name another principal point; with "orthographic":
-    true, fx and fy are pixels per unit of length. Raises FormatError.
+    true, fx and fy are pixels per unit of length; "unit" is Camera.unit, else it is that of all views'
+    extent. Raises FormatError.
     """
     entries = read_json(Path(path), MAX_BYTES, "a cameras.json of 3DGS")
     if not isinstance(entries, list) or not entries:
         raise FormatError(f"{path}: holds no list of cameras; give a cameras.json of 3DGS")
-    return [
+    cameras = [
         usable(Path(path), f"camera {number}", partial(_camera, facts))
         for number, facts in enumerate(entries)
+    ]
+    unit = unit_of(extent_of(cameras))
+    return [
+        camera if "unit" in entry else replace(camera, unit=unit)
+        for camera, entry in zip(cameras, entries, strict=True)
     ]
 
 
@@ -51,6 +58,8 @@ def write_cameras_json(path: str | os.PathLike, cameras: Sequence[Camera]):
             "fy": float(camera.K[1, 1]),
             "fx": float(camera.K[0, 0]),
         }
+        if camera.unit != 1:
+            entry["unit"] = camera.unit
         if camera.orthographic:
             entry["orthographic"] = True
         centre = {"cx": float(camera.K[0, 2]), "cy": float(camera.K[1, 2])}
@@ -81,9 +90,10 @@ def _camera(entry: dict) -> Camera:
         viewmat[:3, 3] = -rotation.T @ position
     cx, cy = float(entry.get("cx", width / 2)), float(entry.get("cy", height / 2))
     K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
-    camera = Camera(viewmat, K, width, height, name, orthographic)
-    if not camera.usable:
-        raise FormatError("its focal length or position is not usable")
+    unit = float(entry.get("unit", 1.0))
+    camera = Camera(viewmat, K, width, height, name, orthographic, unit=unit)
+    if not (camera.usable and 0 < unit < MAX_DISTANCE):
+        raise FormatError("its focal length, position or unit is not usable")
     return camera
 
 

@@ -12,7 +12,7 @@ import logging
 import os
 import threading
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..files.images import image_size, read_pixels, to_bytes
-from ..scene.camera import Camera
+from ..scene.camera import Camera, extent_of, unit_of
 from ..system.errors import SceneError, system_errors
 from ..system.file_names import extended
 from .colmap import pinhole_camera, undistort_image
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     import pycolmap
 
 HOLDOUT = 8  # every 8th image in name order is a test view, as in 3DGS
-EXTENT_MARGIN = 1.1  # as in 3DGS
 MEMORY_BUDGET = 4 * 2**30  # bytes of cached photographs
 READ_AHEAD = 3  # photographs
 READER_THREADS = 2
@@ -79,10 +78,8 @@ class Dataset:
 
     @property
     def extent(self) -> float:
-        """Scene extent of 3DGS in world units: 1.1 times the largest distance of a training camera from their
-        mean position. Without training cameras, all cameras count."""
-        centres = np.array([self.cameras[i].position for i in self.train_indices or range(len(self.cameras))])
-        return float(EXTENT_MARGIN * np.linalg.norm(centres - centres.mean(axis=0), axis=1).max())
+        """Of the training cameras; without them, of all (scene.camera.extent_of)."""
+        return extent_of(self.training_cameras or self.cameras)
 
     def image(self, index: int) -> np.ndarray:
         """The photograph of cameras[index], (H, W, 3) display sRGB, read-only. Pixels that do not count
@@ -217,11 +214,20 @@ def load_dataset(
         notes += more
     for note in notes:
         logging.warning("%s", note)
+    unit = unit_of(max(extent_of(cameras), _distance(cameras, model.points)))
+    cameras = [replace(camera, unit=unit) for camera in cameras]
     test = [k for k, i in enumerate(numbers) if holdout and i % holdout == 0]
     train = [k for k, i in enumerate(numbers) if not holdout or i % holdout]
     return Dataset(
         cameras, model.points, model.point_colors, train, test, photos, background, memory_budget, notes
     )
+
+
+def _distance(cameras: Sequence[Camera], points: np.ndarray) -> float:
+    """The median distance of the points (P, 3) from the middle of the cameras, which may all stand in one
+    place; 0 without points."""
+    middle = np.mean([camera.position for camera in cameras], axis=0)
+    return float(np.median(np.linalg.norm(points - middle, axis=1))) if len(points) else 0.0
 
 
 def _photographed(

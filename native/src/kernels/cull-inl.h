@@ -29,7 +29,7 @@ inline void columns_from(const void* array, int64_t first, int n, V* columns) {
 // conservative: the ellipse is bounded by that of an opaque ball with the largest scale, and `doubt` bounds the rounding errors.
 inline uint32_t may_be_seen(const Frame& f, const CameraParams& camera, const V offset[3], V largest_scale, V opacity_logit) {
   const V x = camera.along(0, offset), y = camera.along(1, offset), z = camera.along(2, offset);
-  const V depth = max(z, broadcast(R(kNear))), slack = (magnitude(x) + magnitude(y) + depth) * R(1e-5);
+  const V depth = max(z, broadcast(R(f.near_depth))), slack = (magnitude(x) + magnitude(y) + depth) * R(1e-5);
   const V inv = camera.inverse_depth(depth), rx = x * inv, ry = y * inv, doubt = fma(slack, inv, broadcast(R(1e-3)));
   V stretch = broadcast(1);  // of what a slanting ray meets
   if (!camera.orthographic) {
@@ -44,5 +44,5 @@ inline uint32_t may_be_seen(const Frame& f, const CameraParams& camera, const V 
   const M outside = either(either(less(px + spread_x, broadcast(R(f.window.left))), less(broadcast(R(f.window.right)), px - spread_x)),
                            either(less(py + spread_y, broadcast(R(f.window.top))), less(broadcast(R(f.window.bottom)), py - spread_y)));
   const M off = and_not(less(broadcast(R(0.1)), doubt), outside);
-  return bits(both(and_not(off, less(broadcast(R(kNear)), z + slack)), at_least(opacity_logit, broadcast(R(kLogitCut)))));
+  return bits(both(and_not(off, less(broadcast(R(f.near_depth)), z + slack)), at_least(opacity_logit, broadcast(R(kLogitCut)))));
 }

@@ -33,7 +33,7 @@ struct ScreenGaussians {
   ok = both(ok, finite(s.l11 + magnitude(s.l12) + s.l22 + s.inv_l11 + magnitude(s.y_extreme)));
   ok = both(ok, finite(b.log_scale[0] + b.log_scale[1] + b.log_scale[2]));
   ok = both(ok, both(both(less(p.inv_norm, quat_max), less(quat_min, p.inv_norm)), both(less(magnitude(x), far), less(magnitude(y), far))));
-  ok = both(ok, both(less(broadcast(R(kNear)), s.depth), less(s.depth, broadcast(R(kFar)))));
+  ok = both(ok, both(less(broadcast(R(f.near_depth)), s.depth), less(s.depth, broadcast(R(kFar)))));
   s.visible = both(ok, both(less(s.columns.begin, s.columns.end), less(s.rows.begin, s.rows.end)));
   return s;
 }

@@ -37,8 +37,9 @@ class POPSpa(Stepwise):
     def terms(self, run: RunView, phase: Phase, number: int) -> dict:
         if not self.count:
             return {}
+        shape = EffectiveRank(thin=EffectiveRank.thin / run.training_cameras[0].unit)
         pull = (OpacityGoal(RHO, run.model.values[GOAL]),) if self._pulls(phase, number) else ()
-        return {"penalties": (EffectiveRank(), *pull)}
+        return {"penalties": (shape, *pull)}
 
     def ranking_passes(self, settings: Settings, steps: int, share: float) -> list[tuple[float, float]]:
         first, last = super().ranking_passes(settings, steps, share)

@@ -18,7 +18,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ...native.library import thresholds
+from ...native.library import near_depth
 from ...scene.camera import Camera
 from ...scene.neighbours import nearest_rows
 from ...scene.rotations import rotation_matrices
@@ -96,7 +96,7 @@ def pixel_footprints(points: np.ndarray, cameras: Sequence[Camera]) -> np.ndarra
     smallest = np.full(len(points), UNSEEN)
     for camera in cameras:
         x, y, z = camera.local(points.astype(np.float64)).T
-        seen = z > thresholds().near
+        seen = z > near_depth(camera.unit)
         z = np.where(seen, z, 1)
         u, v = camera.K[0, 0] * x / z + camera.K[0, 2], camera.K[1, 1] * y / z + camera.K[1, 2]
         seen &= (u >= 0) & (u <= camera.width) & (v >= 0) & (v <= camera.height)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...native.library import thresholds
+from ...native.library import near_depth
 from ...scene.camera import Camera
 from .divided import Block
 
@@ -67,8 +67,8 @@ class Discs:
         """Of balls (n,) around points (n, 3). They leave room for what the rasterizer adds: it widens what a
         slanting ray meets, and adds a blur."""
         x, y, z = camera.viewmat[:3, :3] @ points.T + camera.viewmat[:3, 3:]
-        depth = np.ones_like(z) if camera.orthographic else np.maximum(z, thresholds().near)
-        front = z + radius + SLACK * np.abs(z) > thresholds().near
+        depth = np.ones_like(z) if camera.orthographic else np.maximum(z, near_depth(camera.unit))
+        front = z + radius + SLACK * np.abs(z) > near_depth(camera.unit)
         fx, fy, cx, cy = camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]
         # more than 1 / cos of any ray, also of balls behind the camera
         stretch = 1.0 if camera.orthographic else 1 + camera.width / fx + camera.height / fy

@@ -32,7 +32,7 @@ from ...scene.gaussians import PARAMETERS, Scene
 from ...system.errors import FormatError, SceneError
 from ..belonging import Seen
 from .divided import OPACITY, Block, Divided, Progress, leaves, scene_of
-from .scoring import SQUARES, UNITS, total, visibility
+from .scoring import SQUARES, total, units, visibility
 
 REDUCED, MIN_SHARE_OF_CELL = "reduced.json", 0.01
 CELL = 1 << 16  # Gaussians of a cell, at most
@@ -51,8 +51,9 @@ def reduce(divided: Divided, cameras: Sequence[Camera]):
             f"{divided.source}: no view sees any of its Gaussians: the cameras belong to another scene"
         )
     check_space(divided.folder / REDUCED, 8 * sums.size)
-    units = dict(zip(VISIBILITY, UNITS, strict=True))
-    views, density = (columns[name][seen] * units[name] for name in ("views", "density"))
+    length = cameras[0].unit
+    unit = dict(zip(VISIBILITY, units(length), strict=True))
+    views, density = (columns[name][seen] * unit[name] for name in ("views", "density"))
     if not (density > 0).mean() > 1 - MOST_LOST:  # sums of whole units: none is left, or too many
         raise SceneError(
             f"{divided.source}: its coordinates are too large or too small to be pruned by blocks: scale it"
@@ -61,7 +62,7 @@ def reduce(divided: Divided, cameras: Sequence[Camera]):
     pixel = float(np.median(np.sqrt(views[density > 0] / density[density > 0])))
     drawn, unseen = 0, 0
     for block in divided.blocks:
-        values = visibility(sums[block.rows])
+        values = visibility(sums[block.rows], length)
         write_bytes(divided.folder / f"{block.number}.visibility", values.data)
         visible = ~too_faint(block.geometry[:, OPACITY])
         drawn, unseen = drawn + int(visible.sum()), unseen + hidden(values[visible])

@@ -58,7 +58,7 @@ def score(
         of_view = np.zeros((scene.count, len(VISIBILITY)))
         rasterizer.add_visibility(of_view)
         blended = of_view[:, PIXELS_SEEN] > 0
-        sums[rows[blended]] += whole(of_view[blended])
+        sums[rows[blended]] += whole(of_view[blended], cameras[0].unit)
     write_array(path, sums)
     return path
 
@@ -68,18 +68,24 @@ def picture_path(divided: Divided, view: int) -> Path:
     return divided.folder / f"{view}.picture.npy"
 
 
-def whole(sums: np.ndarray) -> np.ndarray:
-    """What is seen, (n, 9) float64 in the order of VISIBILITY, as whole numbers of units, (n, 10) int64."""
-    scaled = sums / UNITS
+def units(length: float) -> np.ndarray:
+    """(9,) float64: the units of VISIBILITY. length: as for whole()."""
+    return np.where(np.array(VISIBILITY) == "density", UNITS / length**2, UNITS)
+
+
+def whole(sums: np.ndarray, length: float) -> np.ndarray:
+    """What is seen, (n, 9) float64 in the order of VISIBILITY, as whole numbers of units, (n, 10) int64.
+    length: Camera.unit, in which the unit of density counts."""
+    scaled = sums / units(length)
     numbers = np.concatenate([np.rint(scaled), np.zeros((len(sums), 1))], axis=1)
     numbers[:, SQUARES] = np.floor(scaled[:, SQUARES])
     numbers[:, -1] = np.rint((sums[:, SQUARES] - numbers[:, SQUARES] * UNITS[SQUARES]) / REST)
     return numbers.astype(np.int64)
 
 
-def visibility(numbers: np.ndarray) -> np.ndarray:
-    """Sums of whole numbers (n, 10) as (n, 9) float64."""
-    sums = numbers[:, :-1] * UNITS
+def visibility(numbers: np.ndarray, length: float) -> np.ndarray:
+    """Sums of whole numbers (n, 10) as (n, 9) float64. length: as for whole()."""
+    sums = numbers[:, :-1] * units(length)
     sums[:, SQUARES] += numbers[:, -1] * REST
     return sums
 

@@ -10,7 +10,7 @@ from ...files.registry import read_back
 from ...finetune.model import Model, scene_from_points
 from ...finetune.plan import Plan
 from ...finetune.settings import MCMC, Densify
-from ...native.library import thresholds
+from ...native.library import near_depth
 from ...render.metrics.evaluate import any_in_view
 from ...system.errors import SceneError
 from ...views.dataset import Dataset
@@ -66,7 +66,8 @@ class Trained(Tuned):
         dataset, plan = self.dataset, self.plan
         with self.clock.phase("initialise"):
             growth = plan.phases[0].densify or Densify()
-            start = scene_from_points(dataset.points, dataset.point_colors, self.sh_degree, *growth.INITIAL)
+            points, unit = (dataset.points, dataset.point_colors), dataset.cameras[0].unit
+            start = scene_from_points(*points, self.sh_degree, *growth.INITIAL, unit)
             most = max(start.count, plan.target)
             self.room.hold_for(start, most, plan.averaged_count(most))
             self.model = Model.of(start, copy=False)
@@ -81,7 +82,7 @@ class Trained(Tuned):
 def refuse_unseen_points(dataset: Dataset):
     """Raises SceneError if no training view sees a sparse point: training would end with black pictures."""
     if not any_in_view(dataset.points, dataset.cameras, dataset.training_cameras):
-        count, near = len(dataset.points), thresholds().near
+        count, near = len(dataset.points), near_depth(dataset.cameras[0].unit)
         raise SceneError(
             f"no training view sees any of the {count:,} sparse points more than {near:g} in front of it; run"
             " COLMAP again, or scale the model up"

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from ...files.images import to_float
-from ...native.library import thresholds
+from ...native.library import near_depth
 from ...native.rasterizer import Rasterizer, RenderOptions
 from ...scene.camera import Camera, evenly
 from ...system.errors import SceneError
@@ -234,7 +234,7 @@ def refuse_unseen(scene: Renderable, cameras: Sequence[Camera], name: str):
     VISIBLE_REACH: scene and cameras do not belong together."""
     some = cameras[:: max(1, len(cameras) // VISIBLE_CAMERAS)]
     if not any_in_view(scene.means, cameras, some):
-        near = thresholds().near
+        near = max(near_depth(camera.unit) for camera in some)
         raise SceneError(
             f"{name}: none of its Gaussians is near a camera and in view of it, more than {near:g} in front;"
             " use the cameras of this scene"
@@ -247,9 +247,9 @@ def any_in_view(points: np.ndarray, cameras: Sequence[Camera], some: Sequence[Ca
     centres = np.array([camera.position for camera in cameras])
     # a single camera gives no scale
     reach = VISIBLE_REACH * np.linalg.norm(centres - centres.mean(axis=0), axis=1).max() or np.inf
-    near, points = thresholds().near, points[:: max(1, len(points) // VISIBLE_POINTS)].astype(np.float64)
+    points = points[:: max(1, len(points) // VISIBLE_POINTS)].astype(np.float64)
     for camera in some:
         local = camera.local(points)
-        if (camera.shows(local) & (local[:, 2] > near) & (local[:, 2] < reach)).any():
+        if (camera.shows(local) & (local[:, 2] > near_depth(camera.unit)) & (local[:, 2] < reach)).any():
             return True
     return False

@@ -31,7 +31,7 @@ def preview(scene: Scene, rig: Rig) -> np.ndarray:
     reach = float(np.linalg.norm(eyes - middle, axis=1).max()) or 1.0
     distance = FARTHER * reach * np.sqrt(1 + TANGENT**-2)
     eye = middle + distance * DIRECTION / np.linalg.norm(DIRECTION)
-    camera = View(eye, middle, TANGENT).camera(SIDE_PIXELS)
+    camera = View(eye, middle, TANGENT, rig.cameras[0].unit).camera(SIDE_PIXELS)
     if rig.inside_out:
         scene = _cut_open(scene, camera, middle, reach)
     options = RenderOptions(antialiased=scene.antialiased, picture_only=True)

@@ -15,8 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...files.registry import invisible
-from ...native.library import thresholds
-from ...scene.bounds import weighted_quantiles
+from ...native.library import near_depth
+from ...scene.bounds import robust_box, weighted_quantiles
+from ...scene.camera import unit_of
 from ...scene.gaussians import Scene
 from ...scene.rotations import rotated
 from ...system.errors import SceneError
@@ -31,6 +32,8 @@ FREE, SOLID, OPAQUE = 0.05, 0.5, 1.0
 CLEARANCE = 1.25  # a camera keeps this multiple of the nearest rendered depth from matter
 RAYS, MARCH = 32, 128  # directions in which the enclosure of a place is measured; steps of a ray
 LARGEST_LOG, SMALLEST_LOG = 40.0, -40.0  # of log-scales that are taken as they are
+# middle_and_radius() of a usual capture, and the least that counts as one
+USUAL_RADIUS, LEAST_RADIUS = 3.3, 0.8
 
 
 @dataclass(frozen=True)
@@ -42,6 +45,7 @@ class Matter:
     quats: np.ndarray  # (P, 4)
     opacities: np.ndarray  # (P,)
     step: int  # each stands for this many Gaussians
+    unit: float  # of cameras that see it (Camera.unit)
 
     @property
     def areas(self) -> np.ndarray:
@@ -74,6 +78,22 @@ def usable_rows(scene: Scene) -> np.ndarray:
     return good
 
 
+def middle_and_radius(scene: Scene) -> tuple[np.ndarray, float]:
+    """Middle (3,) and half diagonal of the box around the scene's mass. Raises SceneError without mass."""
+    opacities = 1 / (1 + np.exp(-np.clip(scene.opacity_logits.astype(np.float64), -80, 80)))
+    box = robust_box(scene.means, opacities)
+    if box is None:
+        raise SceneError("the scene has no Gaussian with a position and an opacity")
+    largest = float(np.exp(np.clip(np.median(scene.log_scales.max(axis=1).astype(np.float64)), -80, 80)))
+    # one Gaussian is as large as its scale
+    return box.mean(axis=0), max(float(np.linalg.norm(box[1] - box[0])) / 2, 3 * largest)
+
+
+def unit_around(scene: Scene) -> float:
+    """Camera.unit of cameras that see the scene, if they do not know it. Raises SceneError without mass."""
+    return unit_of(middle_and_radius(scene)[1], USUAL_RADIUS, LEAST_RADIUS)
+
+
 def matter_of(scene: Scene) -> Matter:
     """The matter of a scene. Raises SceneError if nothing of it can be seen."""
     rows = np.flatnonzero(usable_rows(scene))
@@ -83,7 +103,8 @@ def matter_of(scene: Scene) -> Matter:
     quats[np.linalg.norm(quats, axis=1) == 0] = (1, 0, 0, 0)
     scales = np.exp(np.clip(scene.log_scales[rows].astype(np.float64), SMALLEST_LOG, LARGEST_LOG))
     opacities = 1 / (1 + np.exp(-scene.opacity_logits[rows].astype(np.float64)))
-    return Matter(scene.means[rows].astype(np.float64), scales, quats, opacities, step)
+    unit = unit_around(scene)
+    return Matter(scene.means[rows].astype(np.float64), scales, quats, opacities, step, unit)
 
 
 @dataclass(frozen=True)
@@ -93,6 +114,7 @@ class Space:
     centre: np.ndarray  # (3,)
     half: float  # half the side of the cube that is not contracted
     depth: np.ndarray  # (CELLS, CELLS, CELLS) float64, optical depth
+    near: float  # nothing that is nearer to a camera is drawn
 
     @classmethod
     def of(cls, matter: Matter) -> Space:
@@ -101,7 +123,7 @@ class Space:
         centre = np.array([weighted_quantiles(axis, weights, 0.5) for axis in matter.means.T])
         half = WIDER * weighted_quantiles(np.abs(matter.means - centre).max(axis=1), weights, MIDDLE)
         least = max(weighted_quantiles(matter.widths, weights, 0.5), 1e-6 * np.abs(centre).max(), 1e-6)
-        space = cls(centre, float(max(half, least)), np.zeros((CELLS,) * 3))
+        space = cls(centre, float(max(half, least)), np.zeros((CELLS,) * 3), near_depth(matter.unit))
         space._fill(matter)
         return space
 
@@ -145,7 +167,7 @@ class Space:
         a camera can see. Where no cell has such a clearance, less of it is asked for, step by step."""
         empty, solid = self.depth < FREE, self.depth >= SOLID
         cell = 4 / CELLS * self.half
-        most = 1 + min(CELLS // 16, int(np.ceil(CLEARANCE * thresholds().near / cell)))
+        most = 1 + min(CELLS // 16, int(np.ceil(CLEARANCE * self.near / cell)))
         grown = [solid]
         for _ in range(most):
             grown.append(_grown(grown[-1]))

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...native.library import thresholds
+from ...native.library import near_depth
 from ...scene.bounds import weighted_quantiles
 from ...scene.camera import Camera
 from .space import CELLS, FREE, Matter, Space, connected, sphere
@@ -37,6 +37,7 @@ class View:
     eye: np.ndarray  # (3,) world
     target: np.ndarray  # (3,) world
     tangent: float
+    unit: float  # Camera.unit
 
     def camera(self, side: int, name: str = "") -> Camera:
         """The square camera of this view. World -y is up in its picture, as in COLMAP's worlds."""
@@ -50,7 +51,7 @@ class View:
         viewmat[:3, 3] = -viewmat[:3, :3] @ self.eye
         focal = side / 2 / self.tangent
         K = np.array([[focal, 0, side / 2], [0, focal, side / 2], [0, 0, 1]])
-        return Camera(viewmat, K, side, side, name)
+        return Camera(viewmat, K, side, side, name, unit=self.unit)
 
 
 @dataclass(frozen=True)
@@ -60,10 +61,16 @@ class Body:
     centre: np.ndarray  # (3,)
     radius: float
     rows: np.ndarray  # (P,) int64: its Gaussians in Matter
+    unit: float  # Camera.unit
+
+    @property
+    def nearest(self) -> float:
+        """The least distance of a camera from the centre."""
+        return self.radius + ROOM * near_depth(self.unit)
 
     def distance(self, tangent: float) -> float:
         """The distance at which the sphere fills a picture and no part of it is too near."""
-        return max(self.radius / math.sin(math.atan(tangent)), self.radius + ROOM * thresholds().near)
+        return max(self.radius / math.sin(math.atan(tangent)), self.nearest)
 
     def view(self, direction: np.ndarray, nearness: float = 1.0, aim: np.ndarray | float = 0.0) -> View:
         """The view from a unit vector (3,). nearness: of the distance. aim: (3,) offset of the target."""
@@ -71,8 +78,8 @@ class Body:
         distance = self.distance(tangent)
         # of a small body from as near as can be: a smaller angle
         fitting = math.tan(math.asin(min(1.0, self.radius / distance)))
-        distance = max(self.radius + ROOM * thresholds().near, nearness * distance)
-        return View(self.centre + distance * direction, self.centre + aim, min(tangent, fitting))
+        distance = max(self.nearest, nearness * distance)
+        return View(self.centre + distance * direction, self.centre + aim, min(tangent, fitting), self.unit)
 
 
 class Around:
@@ -117,7 +124,7 @@ class Around:
         body = self.bodies[rng.integers(len(self.bodies))]
         point = self.matter.means[body.rows[rng.integers(len(body.rows))]]
         outward = (point - body.centre) / max(body.radius, 1e-30) + 0.6 * _direction(rng)
-        part = Body(point, rng.uniform(*CLOSE) * body.radius, body.rows)
+        part = Body(point, rng.uniform(*CLOSE) * body.radius, body.rows, body.unit)
         return part.view(outward / np.linalg.norm(outward))
 
     def other_views(self, count: int, rng: np.random.Generator) -> list[View]:
@@ -144,7 +151,7 @@ class Around:
         arm = arm / length + 0.35 * _direction(rng)
         eye = view.target + length * rng.uniform(0.75, 1.1) * arm / np.linalg.norm(arm)
         target = view.target + rng.uniform(0.3, 0.9) * (target - view.target)
-        return self.freed(View(eye, target, view.tangent))
+        return self.freed(View(eye, target, view.tangent, view.unit))
 
     def freed(self, view: View) -> View | None:
         """The view from the nearest free place farther away in its direction; None if there is none."""
@@ -184,17 +191,20 @@ class Within:
             axes = np.linalg.qr(rng.standard_normal((3, 3)))[0]
             around = np.concatenate([axes, -axes]) if not aimed else sphere(per_place - aimed) @ axes
             views += [
-                View(place, place + self.space.half * direction, self.tangent if aimed else 1.05)
+                self._view(place, place + self.space.half * direction, self.tangent if aimed else 1.05)
                 for direction in around
             ]
-            views += [View(place, self._aim(place, rng), self.tangent) for _ in range(aimed)]
+            views += [self._view(place, self._aim(place, rng)) for _ in range(aimed)]
         return views
+
+    def _view(self, eye: np.ndarray, target: np.ndarray, tangent: float | None = None) -> View:
+        return View(eye, target, tangent or self.tangent, self.matter.unit)
 
     def _aim(self, place: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """A Gaussian of the middle that is not too near."""
         for _ in range(TRIES):
             point = self.matter.means[self.middle[rng.integers(len(self.middle))]]
-            if np.linalg.norm(point - place) > 2 * ROOM * thresholds().near:
+            if np.linalg.norm(point - place) > 2 * ROOM * self.space.near:
                 return point
         return place + self.space.half * _direction(rng)
 
@@ -202,13 +212,13 @@ class Within:
         """Views for testing: from other places, in other directions."""
         chosen = rng.permutation(len(self.places))[:count]
         eyes = [self._near(self.places[k], rng) for k in np.resize(chosen, count)]
-        return [View(eye, self._aim(eye, rng), self.tangent) for eye in eyes]
+        return [self._view(eye, self._aim(eye, rng)) for eye in eyes]
 
     def varied(self, view: View, target: np.ndarray, rng: np.random.Generator) -> View | None:
         """A view from another place nearby that looks at `target` (3,)."""
         nearest = np.argsort(np.linalg.norm(self.places - view.eye, axis=1), kind="stable")[:8]
         eye = self._near(self.places[nearest[rng.integers(len(nearest))]], rng)
-        return View(eye, target, self.tangent) if np.linalg.norm(target - eye) > 1e-9 else None
+        return self._view(eye, target) if (target != eye).any() else None
 
     def _near(self, place: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """A point in the cell of the place, off its middle."""
@@ -280,7 +290,7 @@ def body_of(matter: Matter, rows: np.ndarray) -> Body:
     means, weights = matter.means[rows], matter.opacities[rows]
     centre = np.mean([weighted_quantiles(axis, weights, (1 - FRAME, FRAME)) for axis in means.T], axis=1)
     reach = np.linalg.norm(means - centre, axis=1) + matter.widths[rows]
-    return Body(centre, float(weighted_quantiles(reach, weights, FRAME)), rows)
+    return Body(centre, float(weighted_quantiles(reach, weights, FRAME)), rows, matter.unit)
 
 
 def side_of(setting: Around | Within, enlarged: float = 1.0) -> int:
