@@ -143,9 +143,7 @@ class Body:
     def _convert_text(self, scene: Scene):
         """Reads the numbers of an ASCII file into the scene. Raises FormatError."""
         columns, wanted = _columns(scene), self.count * len(self._types)
-        left = size_of(self.file) - self.file.tell()
-        # read(n) allocates n bytes even if the file is shorter
-        values = parse_numbers(self.file.read(min(left, MAX_ASCII_BYTES)))[:wanted]
+        values = numbers_in(self.file, wanted)
         if len(values) != wanted:
             raise FormatError(
                 f"does not hold {self.count} lines of {len(columns)} numbers after its header; copy or export"
@@ -162,12 +160,15 @@ def _columns(scene: Scene) -> dict[str, np.ndarray]:
     return named_columns(vars(scene)) | scene.attributes
 
 
-def parse_numbers(text: bytes) -> np.ndarray:
-    """Numbers with white space between, float64. Raises FormatError where NumPy warns or fails."""
+def numbers_in(file: BinaryIO, count: int) -> np.ndarray:
+    """Up to `count` numbers, float64, from here on in an ASCII file. Raises FormatError where NumPy warns or
+    fails."""
+    # read(n) allocates n bytes even if the file is shorter
+    text = file.read(min(size_of(file) - file.tell(), MAX_ASCII_BYTES))
     with warnings.catch_warnings():
         warnings.simplefilter("error", DeprecationWarning)
         try:
-            return np.fromstring(text, dtype=np.float64, sep=" ")
+            return np.fromstring(text, dtype=np.float64, sep=" ")[:count]
         except (ValueError, DeprecationWarning):
             raise FormatError(
                 "has text that is not a number after its header; export the file again"

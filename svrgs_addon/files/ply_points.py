@@ -8,8 +8,9 @@ from typing import BinaryIO
 import numpy as np
 
 from ..system.errors import FormatError
-from .ply_body import MAX_ASCII_BYTES, parse_numbers
+from .ply_body import numbers_in
 from .ply_header import ENCODINGS, MAX_HEADER_BYTES, parse_header
+from .quantised import to_uint8
 from .reading import open_splat, size_of
 
 MAX_POINTS = 20_000_000
@@ -41,7 +42,7 @@ def _columns(file: BinaryIO) -> dict[str, np.ndarray]:
     row = np.dtype([(name, ENCODINGS[header.encoding] + code) for name, code in vertices.properties])
     left = size_of(file) - file.seek(header.size)
     if header.encoding == "ascii":
-        values = parse_numbers(file.read(min(left, MAX_ASCII_BYTES)))[: vertices.count * len(names)]
+        values = numbers_in(file, vertices.count * len(names))
         if len(values) == vertices.count * len(names):
             return dict(zip(names, values.reshape(-1, len(names)).T, strict=True))
     elif vertices.count * row.itemsize <= left:
@@ -68,4 +69,4 @@ def _colours(columns: dict[str, np.ndarray]) -> np.ndarray:
     values = np.stack([columns[name].astype(np.float64) for name in COLOUR], axis=1)
     if values.size and np.nanmax(values, initial=0) <= 1 and columns["red"].dtype.kind == "f":
         values = values * 255
-    return np.rint(np.clip(np.nan_to_num(values), 0, 255)).astype(np.uint8)
+    return to_uint8(np.nan_to_num(values))
