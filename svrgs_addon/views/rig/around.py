@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import math
-
 from ...scene.camera import Camera
 from ...scene.gaussians import Scene
 from .space import middle_and_radius, sphere, unit_around
-from .viewpoints import AROUND_FOV, View
+from .viewpoints import AROUND, View
 
 DISTANCE = 1.6  # of the cameras from the middle, in half diagonals of the box around the mass
 
@@ -28,6 +26,6 @@ def views_around(scene: Scene, count: int, turn: float = 0.0, nearer: float = 1.
     unit = unit_around(scene)
     directions = sphere(count, turn)[:, [0, 2, 1]]  # its axis is vertical
     return [
-        View(middle + nearer * DISTANCE * radius * direction, middle, math.tan(AROUND_FOV / 2), unit)
+        View(middle + nearer * DISTANCE * radius * direction, middle, AROUND, unit)
         for direction in directions
     ]

@@ -107,7 +107,9 @@ def _coverage(scene: Scene) -> Coverage:
     """Of the Gaussians that can be seen at all, without any views."""
     rows = usable_rows(scene)
     scene = replace(scene.select(rows), sh=np.ascontiguousarray(scene.sh[rows][:, :1]))
-    return Coverage(scene, _widths(scene))
+    with np.errstate(over="ignore"):  # twice the geometric mean of the two larger standard deviations
+        widths = 2 * np.exp((scene.log_scales.sum(axis=1) - scene.log_scales.min(axis=1)) / 2)
+    return Coverage(scene, widths)
 
 
 def _candidates(
@@ -148,12 +150,6 @@ def _aimed(
             views += [found] if found is not None else []
         few[rows[view]] = False
     return views
-
-
-def _widths(scene: Scene) -> np.ndarray:
-    """(N,) float32: twice the geometric mean of the two larger standard deviations."""
-    with np.errstate(over="ignore"):
-        return 2 * np.exp((scene.log_scales.sum(axis=1) - scene.log_scales.min(axis=1)) / 2)
 
 
 def _named(views: list[View], prefix: str, side: int) -> list[Camera]:

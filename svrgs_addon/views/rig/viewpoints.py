@@ -12,7 +12,8 @@ from ...scene.bounds import weighted_quantiles
 from ...scene.camera import Camera
 from .space import CELLS, FREE, Matter, Space, connected, sphere
 
-AROUND_FOV, WITHIN_FOV = 0.9, 1.3  # angle of view in radians, of a square picture
+# tangents of half the angle of view of a square picture: 0.9 and 1.3 radians
+AROUND, WITHIN = math.tan(0.9 / 2), math.tan(1.3 / 2)
 SMALLEST, LARGEST, STEP = 512, 1024, 32  # side of a picture, pixels; a multiple of STEP
 # from this enclosure on a place is within matter, from this share of such places a scene is inside-out
 ENCLOSED, INSIDE_OUT = 0.5, 0.4
@@ -68,24 +69,23 @@ class Body:
         """The least distance of a camera from the centre."""
         return self.radius + ROOM * near_depth(self.unit)
 
-    def distance(self, tangent: float) -> float:
+    @property
+    def distance(self) -> float:
         """The distance at which the sphere fills a picture and no part of it is too near."""
-        return max(self.radius / math.sin(math.atan(tangent)), self.nearest)
+        return max(self.radius / math.sin(math.atan(AROUND)), self.nearest)
 
     def view(self, direction: np.ndarray, nearness: float = 1.0, aim: np.ndarray | float = 0.0) -> View:
         """The view from a unit vector (3,). nearness: of the distance. aim: (3,) offset of the target."""
-        tangent = math.tan(AROUND_FOV / 2)
-        distance = self.distance(tangent)
         # of a small body from as near as can be: a smaller angle
-        fitting = math.tan(math.asin(min(1.0, self.radius / distance)))
-        distance = max(self.nearest, nearness * distance)
-        return View(self.centre + distance * direction, self.centre + aim, min(tangent, fitting), self.unit)
+        fitting = math.tan(math.asin(min(1.0, self.radius / self.distance)))
+        distance = max(self.nearest, nearness * self.distance)
+        return View(self.centre + distance * direction, self.centre + aim, min(AROUND, fitting), self.unit)
 
 
 class Around:
     """Views of an object from all around."""
 
-    inside_out = False
+    inside_out, tangent = False, AROUND
 
     def __init__(self, matter: Matter, space: Space):
         self.matter, self.space = matter, space
@@ -97,15 +97,11 @@ class Around:
         # what views show
         self.shown = [self.whole, *(body for body in self.bodies if body.radius < APART * self.whole.radius)]
 
-    @property
-    def tangent(self) -> float:
-        return math.tan(AROUND_FOV / 2)
-
     def distances(self) -> tuple[np.ndarray, np.ndarray]:
         """Rows of the matter, (P,), and the distances from which views show them, (P,)."""
         rows = np.concatenate([body.rows for body in self.bodies])
         counts = [len(body.rows) for body in self.bodies]
-        return rows, np.repeat([body.distance(self.tangent) for body in self.bodies], counts)
+        return rows, np.repeat([body.distance for body in self.bodies], counts)
 
     def views(self, count: int, rng: np.random.Generator, close: float = 0.1) -> list[View]:
         """About `count` views. close: share of those that show a part from nearer."""
@@ -165,17 +161,13 @@ class Around:
 class Within:
     """Views from within a scene, in all directions."""
 
-    inside_out = True
+    inside_out, tangent = True, WITHIN
 
     def __init__(self, matter: Matter, space: Space):
         self.matter, self.space = matter, space
         self.places = standing_places(matter, space)  # (P, 3)
         middle = np.flatnonzero(_in_bulk(matter, matter.means))
         self.middle = middle if len(middle) else np.arange(len(matter.means))  # rows of the matter
-
-    @property
-    def tangent(self) -> float:
-        return math.tan(WITHIN_FOV / 2)
 
     def distances(self) -> tuple[np.ndarray, np.ndarray]:
         """As Around.distances()."""
