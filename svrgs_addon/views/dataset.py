@@ -161,8 +161,7 @@ class Dataset:
         unpainted = replace(camera, valid_bits=photo.unpainted).valid
         for valid, colour in ((camera.valid, (0, 0, 0)), (unpainted, self.background)):
             if valid is not None:
-                white = 255 if image.dtype == np.uint8 else 1
-                image[valid == 0] = np.rint(np.multiply(colour, white)) if white == 255 else colour
+                image[valid == 0] = to_bytes(np.array(colour)) if image.dtype == np.uint8 else colour
         return image
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ..files.images import to_bytes
 from ..native.rasterizer import Rasterizer, RenderOptions
 from ..scene.camera import Camera
 from ..scene.gaussians import PARAMETERS, Scene
@@ -62,4 +63,4 @@ class RenderedDataset(Dataset):
         )
         with self._rendering:
             rgb = self.rasterizer.forward(self.scene, self.cameras[index], options)["rgb"]
-            return np.rint(np.clip(rgb, 0, 1) * 255).astype(np.uint8)
+            return to_bytes(rgb)

@@ -11,8 +11,8 @@ from ...native.pictures import flip_errors
 from ...native.rasterizer import Rasterizer
 from ...system.errors import SceneError
 
-# 67.02: a monitor 0.7 m wide with 3840 pixels, seen from 0.7 m
 SHOWN = 0.001  # share of the pixels of a picture; with fewer it is almost empty
+# 67.02: a monitor 0.7 m wide with 3840 pixels, seen from 0.7 m
 PIXELS_PER_DEGREE = 0.7 * (3840 / 0.7) * np.pi / 180
 
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ...files.images import to_bytes
 from ...native.rasterizer import Rasterizer, RenderOptions
 from ...scene.camera import Camera
 from ...scene.gaussians import Scene
@@ -36,7 +37,7 @@ def preview(scene: Scene, rig: Rig) -> np.ndarray:
         scene = _cut_open(scene, camera, middle, reach)
     options = RenderOptions(antialiased=scene.antialiased, picture_only=True)
     images = Rasterizer().forward(scene, camera, options, outputs=("rgb", "depth", "alpha"))
-    picture = np.rint(images["rgb"].clip(0, 1) * 255).astype(np.uint8)
+    picture = to_bytes(images["rgb"])
     walls = np.where((images["alpha"] > 0.5) & (not rig.inside_out), images["depth"], np.inf)
     for name, cameras in (("rig", rig.cameras), ("held_out", rig.held_out)):
         _draw(picture, walls, camera, cameras, LENGTH * reach, COLORS[name])
