@@ -21,48 +21,56 @@ def train_plan(
     iterations: int,
     recovery: int,
     *,
-    lambda_f: float | None = None,
-    lambda_m: float | None = None,
     densify: Densify | None = None,
     coarse_until: int = 0,
+    schedule: float = 1.0,
     target: int = 0,
     share: float = 0.0,
-    schedule: float = 1.0,
     **rest,
 ) -> Plan:
-    """The plan of `svrgs train`, which starts from sparse points. lambda_f, lambda_m: None takes the method's
-    own weight. share: share of the Gaussians that exist when densification ends; it replaces a target. Raises
-    SceneError for a weight that the method lacks."""
-    phases = method.paced(
-        scaled(method.train_phases(iterations, recovery, densify or Densify(), coarse_until), schedule)
-    )
+    """The plan of `svrgs train`, which starts from sparse points. share: share of the Gaussians that exist
+    when densification ends; it replaces a target. rest: as of _plan(). Raises SceneError."""
+    phases = method.train_phases(iterations, recovery, densify or Densify(), coarse_until)
     share = share or (0.0 if target else method.share)
-    return _plan(method, phases, False, lambda_f, lambda_m, target=target, share=share, **rest)
+    return _plan(method, scaled(phases, schedule), False, target=target, share=share, **rest)
 
 
 def prune_plan(
-    method: Method,
-    iterations: int,
-    recovery: int,
-    *,
-    lambda_f: float | None = None,
-    lambda_m: float | None = None,
-    prune_every: int = 500,
-    schedule: float = 1.0,
-    **rest,
+    method: Method, iterations: int, recovery: int, *, prune_every: int = 500, schedule: float = 1.0, **rest
 ) -> Plan:
     """The plan of `svrgs prune`, which starts from a trained scene. Methods that rank have no phase before
-    the recovery. Raises SceneError for a weight that the method lacks."""
-    phases = method.paced(scaled(method.prune_phases(iterations, recovery, prune_every), schedule))
-    return _plan(method, phases, True, lambda_f, lambda_m, **rest)
+    the recovery. rest: as of _plan(). Raises SceneError."""
+    phases = method.prune_phases(iterations, recovery, prune_every)
+    return _plan(method, scaled(phases, schedule), True, **rest)
 
 
 def _plan(
-    method: Method, phases: list[Phase], trained: bool, lambda_f: float | None, lambda_m: float | None, **rest
+    method: Method,
+    phases: list[Phase],
+    trained: bool,
+    *,
+    lambda_f: float | None = None,
+    lambda_m: float | None = None,
+    **rest,
 ) -> Plan:
-    own = dict(zip(("l1_weight", "ssim_weight"), method.image_weights, strict=True))
-    own |= {"mask_init": method.mask_init} | weights(method, trained, lambda_f, lambda_m)
-    return Plan(method=method, phases=tuple(phases), **own | rest)
+    """lambda_f, lambda_m: None takes the method's own weight. rest: further settings. Raises SceneError for a
+    weight that the method lacks."""
+    own = dict(zip(("lambda_f", "lambda_m"), method.weights(trained), strict=True))
+    if lambda_f is not None and not method.lambda_f:
+        raise SceneError(
+            f"method '{method.name}' has no spatial mask: leave lambda-f out, or use removal, saliency or an"
+            " svr method"
+        )
+    if lambda_m is not None and not own["lambda_m"]:
+        raise SceneError(
+            f"method '{method.name}' has no term with the weight lambda-m: leave it out, or use maskgs,"
+            " compact3dgs, rdo, reduced3dgs or gns"
+        )
+    given = {"lambda_f": lambda_f, "lambda_m": lambda_m}
+    own |= {name: value for name, value in given.items() if value is not None}
+    l1_weight, ssim_weight = method.image_weights
+    own |= {"l1_weight": l1_weight, "ssim_weight": ssim_weight, "mask_init": method.mask_init}
+    return Plan(method=method, phases=tuple(method.paced(phases)), **own | rest)
 
 
 def at_schedule(plan: Plan, share: float) -> Plan:
@@ -110,22 +118,3 @@ def _scaled_densify(d: Densify, steps) -> Densify:
         every=every,
         reset_every=reset_every,
     )
-
-
-def weights(
-    method: Method, trained: bool, lambda_f: float | None, lambda_m: float | None
-) -> dict[str, float]:
-    """lambda_f and lambda_m, None: the method's own. Raises SceneError for one that the method lacks."""
-    own = dict(zip(("lambda_f", "lambda_m"), method.weights(trained), strict=True))
-    if lambda_f is not None and not method.lambda_f:
-        raise SceneError(
-            f"method '{method.name}' has no spatial mask: leave lambda-f out, or use removal, saliency or an"
-            " svr method"
-        )
-    if lambda_m is not None and not own["lambda_m"]:
-        raise SceneError(
-            f"method '{method.name}' has no term with the weight lambda-m: leave it out, or use maskgs,"
-            " compact3dgs, rdo, reduced3dgs or gns"
-        )
-    given = {"lambda_f": lambda_f, "lambda_m": lambda_m}
-    return own | {name: value for name, value in given.items() if value is not None}
