@@ -61,7 +61,7 @@ def prepared(scene: Scene, dataset: Dataset, plan: Plan, job: JobContext) -> Pre
     facts |= {"beside_pixels": offset.pixels, "aligned_db": offset.gain}
     if refined:  # also of a job that is resumed: first cut and masks depend on it
         # an allowed drop is decided and measured in held-out views, which must not be off either
-        dataset = with_aligned_poses(scene, dataset, bool(plan.max_loss), job.part, job.stop)
+        dataset = with_aligned_poses(scene, dataset, bool(plan.max_loss), job)
     if plan.mask_distractors:
         dataset, sentence = without_distractors(scene, dataset)
         notes.append(sentence)

@@ -8,7 +8,7 @@ Where all views move forwards or backwards, the splat has another size, and that
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,6 +20,7 @@ from ..scene.camera import Camera, evenly
 from ..scene.gaussians import Scene
 from ..system.errors import Cancelled
 from ..views.dataset import Dataset
+from .context import JobContext
 
 VIEWS, COARSE = 8, (150,)  # views that are compared, at most, and the longer side of their pictures, about
 PATCHES = 6  # of the chequerboard, per side
@@ -62,7 +63,7 @@ def offset_of(scene: Scene, dataset: Dataset) -> Offset:
         return error_of(scene, camera, dataset.image(index), rasterizer, options, COARSE[-1])
 
     white = {index: dataset.cameras[index].masked(halves[index][0]) for index in views}
-    moved = _aligned(scene, dataset, white, COARSE)
+    moved = dict(_aligned(scene, dataset, white, COARSE))
     common, found = _common(moved), list[tuple[float, float]]()
     for index, one in moved.items():
         start, end = one.start.displaced(common * one.unit), one.camera()
@@ -81,19 +82,18 @@ def _halves(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     return white * valid, (1 - white) * valid
 
 
-def with_aligned_poses(
-    scene: Scene,
-    dataset: Dataset,
-    held_out: bool = False,
-    part: Callable[[str, float], None] = lambda *_: None,
-    stop: Callable[[], bool] = lambda: False,
-) -> Dataset:
+def with_aligned_poses(scene: Scene, dataset: Dataset, held_out: bool, job: JobContext) -> Dataset:
     """The dataset whose training views were moved to where the splat shows their photographs. held_out: the
-    others too. part: is told the progress, as in JobContext. stop: asked after each view. Raises FormatError,
+    others too. job: is told the progress, and asked after each view whether it stops. Raises FormatError,
     SceneError, Cancelled."""
     cameras = list(dataset.cameras)
     views = range(len(cameras)) if held_out else dataset.train_indices
-    moved = _aligned(scene, dataset, {index: cameras[index] for index in views}, SIDES, part, stop)
+    moved = dict[int, Aligned]()
+    for index, one in _aligned(scene, dataset, {index: cameras[index] for index in views}, SIDES):
+        moved[index] = one
+        job.part("aligning the photographs", len(moved) / len(views))
+        if job.stop():
+            raise Cancelled("stopped while the photographs were aligned; nothing was changed")
     common = _common({index: moved[index] for index in dataset.train_indices})
     for index, one in moved.items():
         cameras[index] = one.camera(common)
@@ -101,21 +101,12 @@ def with_aligned_poses(
 
 
 def _aligned(
-    scene: Scene,
-    dataset: Dataset,
-    cameras: dict[int, Camera],
-    sides: tuple[int, ...],
-    part: Callable[[str, float], None] = lambda *_: None,
-    stop: Callable[[], bool] = lambda: False,
-) -> dict[int, Aligned]:
+    scene: Scene, dataset: Dataset, cameras: dict[int, Camera], sides: tuple[int, ...]
+) -> Iterator[tuple[int, Aligned]]:
+    """Each of the views, by its number, with its alignment."""
     rasterizer, options = Rasterizer(), picture_options(scene, dataset.background)
-    moved = dict[int, Aligned]()
     for index, image in dataset.stream(cameras):
-        moved[index] = aligned(scene, cameras[index], image, rasterizer, options, sides)
-        part("aligning the photographs", len(moved) / len(cameras))
-        if stop():
-            raise Cancelled("stopped while the photographs were aligned; nothing was changed")
-    return moved
+        yield index, aligned(scene, cameras[index], image, rasterizer, options, sides)
 
 
 def _common(moved: dict[int, Aligned]) -> np.ndarray:
