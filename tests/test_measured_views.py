@@ -18,8 +18,9 @@ from svrgs_addon.finetune import run
 from svrgs_addon.finetune.quality import NOT_APART
 from svrgs_addon.native.rasterizer import Rasterizer
 from svrgs_addon.prune.belonging import percent, seen_of
+from svrgs_addon.prune.blocks.allowed_drop import AllowedDrop
 from svrgs_addon.prune.likeness import Likeness, PhotographLikeness
-from svrgs_addon.prune.recipes import by_blocks, fine_tuned
+from svrgs_addon.prune.recipes import fine_tuned
 from svrgs_addon.render.metrics.measures import SHOWN, almost_empty
 from svrgs_addon.scene.camera import Camera, apart, halfway
 from svrgs_addon.views.cameras_json import write_cameras_json
@@ -121,7 +122,7 @@ def test_with_photographs_no_view_that_holds_an_allowed_drop_measures(
     record(run, "quality_views", decided, run.quality_views)
     record(fine_tuned, "evaluate", measured, lambda scene, dataset, indices, *_: indices)
     for name in ("floor_on_photographs", "fewest_above"):
-        record(by_blocks, name, decided, lambda _, likeness, *__: likeness._indices)
+        record(AllowedDrop, name, decided, lambda drop, *_: drop.likeness._indices)
     record(PhotographLikeness, "measured", measured, lambda likeness, *_: likeness._indices)
     words = ["--data", tiny.folder, "--holdout", 2, "--method", "removal", "--max-drop", 1]
     words += ["--iterations", 20, "--recovery", 20, "--out", tmp_path / "o.ply", "--json"]

@@ -26,6 +26,7 @@ from ..prune.by_blocks import OF_METHODS
 from ..prune.context import JobContext
 from ..prune.door import check_files, check_view_options, check_visible, given, outputs
 from ..prune.job_views import Views
+from ..prune.likeness import PhotographLikeness
 from ..prune.options import PruneOptions
 from ..prune.pipeline import run
 from ..prune.recipes.by_blocks import Goal, LearnedByBlocks, MergedByBlocks
@@ -204,7 +205,8 @@ def _finish(args: argparse.Namespace) -> dict[str, Any]:
     progress_of = partial(_progress_of, args)
     with outputs(divided.source, [args.out]):
         if request is not None:
-            result = finish_learned(divided, request, request.dataset(), args.out, progress_of)
+            photographs = PhotographLikeness(request.dataset(), BlockRasterizer, progress_of)
+            result = finish_learned(divided, photographs, request, args.out, progress_of)
         else:
             likeness = original_likeness(divided, progress_of)
             result = with_seen(divided, finish(divided, likeness, args.out, progress_of))

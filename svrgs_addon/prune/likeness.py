@@ -163,19 +163,19 @@ class PhotographLikeness(Likeness):
         lpips: Callable | None = None,
     ):
         """As for Likeness. indices: of the views; None: VIEWS of those that measure."""
-        self._dataset, self._lpips = dataset, lpips
+        self.dataset, self._lpips = dataset, lpips
         self._indices = indices or evenly(dataset.test_indices or dataset.train_indices, VIEWS)
         self._views, self._background = [dataset.cameras[i] for i in self._indices], dataset.background
         self._renderer_of, self._progress_of = renderer_of, progress_of
 
     @cached_property
     def deciding(self) -> Likeness:
-        decide = evenly(quality_views(self._dataset), VIEWS)
-        return PhotographLikeness(self._dataset, self._renderer_of, self._progress_of, decide)
+        decide = evenly(quality_views(self.dataset), VIEWS)
+        return PhotographLikeness(self.dataset, self._renderer_of, self._progress_of, decide)
 
     @cached_property
     def _originals(self) -> list[tuple[Camera, np.ndarray]]:
-        photographs = (to_float(self._dataset.image(index)) for index in self._indices)
+        photographs = (to_float(self.dataset.image(index)) for index in self._indices)
         return list(zip(self._views, photographs, strict=True))
 
 

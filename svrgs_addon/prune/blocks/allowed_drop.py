@@ -5,8 +5,8 @@ from __future__ import annotations
 import contextlib
 import math
 import shutil
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ...files.registry import format_to_write
@@ -23,73 +23,72 @@ from .pruning import write_joined
 from .tuning import CUT, cut, written
 
 
-def errors_of_format(
-    divided: Divided, likeness: Likeness, allowed: float, out: Path, progress_of: ProgressOf
-) -> list[float]:
-    """The mean squared error in each view of the whole scene as the format of the output holds it. Raises
-    SplatError; SceneError if the format alone loses the allowed drop in dB, or without views."""
-    likeness.refuse_without_views()
-    if format_to_write(out).lossless:
-        return [0.0] * len(likeness.views)
-    with _held(divided, out, progress_of) as stored:
-        errors = [squared_error(value) for value in likeness.psnrs(stored, "try")]
-    refuse_loss(out, ASSUMED - assumed_psnr([math.inf] * len(errors), errors), allowed)
-    return errors
+@dataclass(frozen=True)
+class AllowedDrop:
+    """A drop in dB that is allowed in the views of a likeness, which decide."""
 
+    divided: Divided
+    likeness: Likeness
+    allowed: float
+    out: Path
+    progress_of: ProgressOf
 
-def fewest_within(
-    divided: Divided,
-    scored: Sequence[Camera],
-    likeness: Likeness,
-    allowed: float,
-    errors: Sequence[float],
-    progress_of: ProgressOf,
-) -> int:
-    """The fewest Gaussians, at least MIN_SHARE of them, that hold the allowed drop in dB before fine-tuning,
-    which wins a part of it back. scored: the views that were scored. errors: from errors_of_format(). Raises
-    SplatError."""
+    def errors_of_format(self) -> list[float]:
+        """The mean squared error in each view of the whole scene as the format of the output holds it. Raises
+        SplatError; SceneError if the format alone loses the allowed drop, or without views."""
+        self.likeness.refuse_without_views()
+        if format_to_write(self.out).lossless:
+            return [0.0] * len(self.likeness.views)
+        with self._held() as stored:
+            errors = [squared_error(value) for value in self.likeness.psnrs(stored, "try")]
+        refuse_loss(self.out, ASSUMED - assumed_psnr([math.inf] * len(errors), errors), self.allowed)
+        return errors
 
-    def within(count: int) -> bool:
-        left = cut(divided, scored, count, progress_of("try"))
-        return assumed_psnr(likeness.psnrs(left, "try"), errors) >= ASSUMED - allowed
+    def fewest_within(self, scored: Sequence[Camera], errors: Sequence[float]) -> int:
+        """The fewest Gaussians, at least MIN_SHARE of them, that hold the allowed drop before fine-tuning,
+        which wins a part of it back. scored: the views that were scored. errors: from errors_of_format().
+        Raises SplatError."""
 
-    return fewest(math.ceil(MIN_SHARE * divided.count), divided.count, within)
+        def within(count: int) -> bool:
+            left = cut(self.divided, scored, count, self.progress_of("try"))
+            return assumed_psnr(self.likeness.psnrs(left, "try"), errors) >= ASSUMED - self.allowed
 
+        return self._fewest(within)
 
-def floor_on_photographs(
-    divided: Divided, likeness: Likeness, allowed: float, plan: Plan, out: Path, progress_of: ProgressOf
-) -> float:
-    """The PSNR in dB against photographs that a removal may leave without any learning, for an allowed drop
-    at the end of the plan. What the format of the output loses of the whole scene counts. Raises SplatError;
-    SceneError if the format alone loses the allowed drop."""
-    before, loss = likeness.psnr(divided), 0.0
-    if not format_to_write(out).lossless:
-        with _held(divided, out, progress_of) as stored:
-            loss = max(0.0, before - likeness.psnr(stored))
-        refuse_loss(out, loss, allowed)
-    return floor_of_drop(before, replace(plan, max_loss=allowed - loss))
+    def floor_on_photographs(self, plan: Plan) -> float:
+        """The PSNR in dB against photographs that a removal may leave without any learning, for the allowed
+        drop at the end of the plan. What the format of the output loses of the whole scene counts. Raises
+        SplatError; SceneError if the format alone loses the allowed drop."""
+        before, loss = self.likeness.psnr(self.divided), 0.0
+        if not format_to_write(self.out).lossless:
+            with self._held() as stored:
+                loss = max(0.0, before - self.likeness.psnr(stored))
+            refuse_loss(self.out, loss, self.allowed)
+        return floor_of_drop(before, replace(plan, max_loss=self.allowed - loss))
 
+    def fewest_above(self, floor: float) -> int:
+        """The fewest Gaussians of highest removal error, at least MIN_SHARE of all, with this PSNR in dB.
+        Raises SplatError."""
 
-def fewest_above(divided: Divided, likeness: Likeness, floor: float, progress_of: ProgressOf) -> int:
-    """The fewest Gaussians of highest removal error, at least MIN_SHARE of all, with this PSNR in dB. Raises
-    SplatError."""
+        def within(count: int) -> bool:
+            left = most_needed(self.divided, count, self.progress_of("try"))
+            return self.likeness.psnr(written(self.divided, left, CUT)) >= floor
 
-    def within(count: int) -> bool:
-        left = written(divided, most_needed(divided, count, progress_of("try")), CUT)
-        return likeness.psnr(left) >= floor
+        return self._fewest(within)
 
-    return fewest(math.ceil(MIN_SHARE * divided.count), divided.count, within)
+    def _fewest(self, within: Callable[[int], bool]) -> int:
+        count = self.divided.count
+        return fewest(math.ceil(MIN_SHARE * count), count, within)
 
-
-@contextlib.contextmanager
-def _held(divided: Divided, out: Path, progress_of: ProgressOf) -> Iterator[Divided]:
-    """The scene as the format of the output holds it, divided as long as the context lasts."""
-    progress_of("try")("writes the scene in the format of the output", 0.0)
-    folder = divided.folder / HELD
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir()
-    try:
-        write_joined(divided, folder / out.name)
-        yield divide(folder / out.name, folder / "blocks")
-    finally:
+    @contextlib.contextmanager
+    def _held(self) -> Iterator[Divided]:
+        """The scene as the format of the output holds it, divided as long as the context lasts."""
+        self.progress_of("try")("writes the scene in the format of the output", 0.0)
+        folder = self.divided.folder / HELD
         shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir()
+        try:
+            write_joined(self.divided, folder / self.out.name)
+            yield divide(folder / self.out.name, folder / "blocks")
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)

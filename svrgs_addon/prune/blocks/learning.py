@@ -36,7 +36,6 @@ from ...finetune.engine import NativeEngine
 from ...finetune.model import Model
 from ...finetune.plan import Plan, scaled
 from ...finetune.run import Run
-from ...finetune.settings import Phase
 from ...scene.gaussians import Scene
 from ...system.errors import Cancelled, FormatError, SceneError
 from ...views.dataset import Dataset
@@ -57,6 +56,7 @@ class BlockViews(Dataset):
 
     windows: dict[int, tuple[slice, slice]] = field(default_factory=dict)  # by the number of the view
     extent_of_all: float = 0.0
+    share: float = 1.0  # of the training views
 
     @classmethod
     def of(cls, dataset: Dataset, around: Around) -> BlockViews:
@@ -65,7 +65,8 @@ class BlockViews(Dataset):
         windows = {view: window.slices for view, window in pairs if window}
         same = {one.name: getattr(dataset, one.name) for one in fields(dataset)}
         same |= {"train_indices": list(windows), "test_indices": []}
-        return cls(**same, windows=windows, extent_of_all=dataset.extent)
+        share = len(windows) / len(dataset.train_indices)
+        return cls(**same, windows=windows, extent_of_all=dataset.extent, share=share)
 
     @property
     def extent(self) -> float:
@@ -125,7 +126,7 @@ def decide(
     kept = ~inside | first_cut(scene, views.training_cameras, plan, target, inside)
     scene, own = scene if kept.all() else scene.select(kept), (first, first + int(kept[first:end].sum()))
     frozen = 0 if plan.method.learns_masks else scene.count - (own[1] - own[0])
-    run_plan = _of_part(plan, True, _share(views, dataset), own, target and target + frozen)
+    run_plan = _of_part(plan, True, views, own, target and target + frozen)
     rows = np.arange(*own)
     kept_at = divided.folder / RUNS / f"decide.{number}"
     if views.train_indices and run_plan.phases and len(rows) > 1:
@@ -147,7 +148,7 @@ def recover(
     left = gathered(divided.folder / CUT, divided)
     around, views = _around(left, number, dataset, progress)
     scene, own = around.scene, around.own
-    plan = replace(_of_part(plan, False, _share(views, dataset), own, 0), method=copy(plan.method))
+    plan = replace(_of_part(plan, False, views, own, 0), method=copy(plan.method))
     if "count" in plan.method.state():  # of the Gaussians before pruning
         plan.method.restore(plan.method.state() | {"count": round(scene.count * divided.count / left.count)})
     rows, kept_at = np.arange(*own), divided.folder / RUNS / f"recover.{number}"
@@ -167,22 +168,16 @@ def _around(
     return around, BlockViews.of(dataset, around)
 
 
-def _share(views: BlockViews, dataset: Dataset) -> float:
-    return len(views.train_indices) / len(dataset.train_indices)
-
-
-def _of_part(plan: Plan, active: bool, share: float, own: tuple[int, int], target: int) -> Plan:
+def _of_part(plan: Plan, active: bool, views: BlockViews, own: tuple[int, int], target: int) -> Plan:
     """The phases of a plan in which its method decides, or the others, with the share of the steps whose view
-    shows the block. own: the rows of the block."""
-    phases = (_shortened(phase, share) for phase in plan.phases if phase.active is active)
-    return replace(plan, phases=tuple(phases), own=own, target=target)
-
-
-def _shortened(phase: Phase, share: float) -> Phase:
-    """With this share of the steps, of which a Gaussian of the block sees as many as in the whole phase: so
-    rates are the same."""
-    shorter = scaled([phase], share or 1.0)[0]
-    return replace(shorter, rates=replace(shorter.rates, mask=phase.rates.mask))
+    shows the block. So a Gaussian of the block sees as many steps as in the whole phase, and rates are the
+    same. own: the rows of the block."""
+    phases = [phase for phase in plan.phases if phase.active is active]
+    shorter = [
+        replace(one, rates=replace(one.rates, mask=phase.rates.mask))
+        for one, phase in zip(scaled(phases, views.share or 1.0), phases, strict=True)
+    ]
+    return replace(plan, phases=tuple(shorter), own=own, target=target)
 
 
 def _run(

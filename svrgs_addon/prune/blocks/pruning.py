@@ -15,7 +15,6 @@ from ...files.registry import load_parts, size_on_disk, write_scene
 from ...finetune.quality import best_share
 from ...render.metrics.allowed_loss import loss_notes
 from ...scene.camera import apart, evenly
-from ...views.dataset import Dataset
 from ..belonging import check_explained
 from ..likeness import VIEWS, Likeness, PhotographLikeness
 from .block_rasterizer import BlockRasterizer
@@ -53,16 +52,10 @@ def result_notes(likeness: Likeness, result: dict[str, Any]) -> list[str]:
 
 
 def finish_learned(
-    divided: Divided,
-    request: Request,
-    dataset: Dataset,
-    out: Path,
-    progress_of: ProgressOf,
-    lpips: Callable | None = None,
+    divided: Divided, likeness: PhotographLikeness, request: Request, out: Path, progress_of: ProgressOf
 ) -> dict[str, Any]:
-    """finish() of what a method has decided on photographs, which are the measure. lpips: as for Likeness.
-    Raises SplatError."""
-    likeness = PhotographLikeness(dataset, BlockRasterizer, progress_of, lpips=lpips)
+    """finish() of what a method has decided on photographs, which are the measure. Raises SplatError."""
+    dataset = likeness.dataset
     gathered(divided.folder / CUT, divided)
     result = finish(divided, likeness, out, progress_of)
     before = {**likeness.measured(divided), "ms_per_frame": None, **result["before"]}

@@ -22,14 +22,8 @@ from ...scene.camera import Camera
 from ...scene.gaussians import Scene
 from ...system import memory
 from ...system.errors import Cancelled
-from ...views.dataset import Dataset
 from ..belonging import check_explained, check_seen, seen_of
-from ..blocks.allowed_drop import (
-    errors_of_format,
-    fewest_above,
-    fewest_within,
-    floor_on_photographs,
-)
+from ..blocks.allowed_drop import AllowedDrop
 from ..blocks.block_rasterizer import BlockRasterizer, opened
 from ..blocks.divided import MAX_BLOCK_COUNT, Divided, MaxBlockCount, Progress, ProgressOf, divide
 from ..blocks.folder import LEVEL, SCORED, blocks_of, prepare, refuse_foreign, remove, scored_views
@@ -44,7 +38,7 @@ from ..blocks.tuning import EPOCHS, cut, tune
 from ..context import JobContext
 from ..door import check_visible
 from ..job_views import Views
-from ..likeness import PhotographLikeness, assumed_drop
+from ..likeness import Likeness, PhotographLikeness, assumed_drop
 from ..recipe import Recipe
 from ..report.prune_report import write_report_of_files
 
@@ -76,6 +70,10 @@ class Goal:
 
 class ByBlocks(Recipe):
     """What both ways by blocks have in common."""
+
+    divided: Divided  # from rank() on, as the next two
+    likeness: Likeness
+    overall: Overall
 
     def __init__(
         self,
@@ -129,6 +127,10 @@ class ByBlocks(Recipe):
 
         return progress
 
+    def allowed_drop(self) -> AllowedDrop:
+        out, drop = self.job.out, self.goal.max_drop
+        return AllowedDrop(self.divided, self.likeness.deciding, drop, out, self.overall)
+
     def of_prune(self, result: dict[str, Any], how: str) -> dict[str, Any]:
         """The result with what `svrgs prune` adds to that of `svrgs large prune`. how: for the note."""
         if not self.reason:
@@ -165,20 +167,14 @@ class MergedByBlocks(ByBlocks):
         self.divided = divide(self.source, work, block, self.overall("divide"))
         _check_room(work, self.divided, goal)
         self.likeness = original_likeness(self.divided, self.overall, self.job.lpips)
-        self.errors = list[float]()
-        if goal.max_drop:
-            self.errors = errors_of_format(
-                self.divided, self.likeness.deciding, goal.max_drop, self.job.out, self.overall
-            )
+        self.errors = self.allowed_drop().errors_of_format() if goal.max_drop else []
         _order(self.divided, self.scored, self.overall)
 
     def budget(self):
         goal, divided = self.goal, self.divided
         self.count = goal.number(divided.count)
         if goal.max_drop:
-            self.count = fewest_within(
-                divided, self.scored, self.likeness.deciding, goal.max_drop, self.errors, self.overall
-            )
+            self.count = self.allowed_drop().fewest_within(self.scored, self.errors)
 
     def select(self):
         """write() cuts, tunes and writes each level before the next one, as the disk has room for one."""
@@ -226,6 +222,8 @@ class LearnedByBlocks(ByBlocks):
     there.
     """
 
+    likeness: PhotographLikeness
+
     def __init__(self, *arguments: Any, request: Request, **more: Any):
         super().__init__(*arguments, **more)
         self.request, self.finished = request, False
@@ -239,15 +237,23 @@ class LearnedByBlocks(ByBlocks):
     def compared(self) -> Sequence[Camera]:
         return self.dataset.cameras
 
+    def identity(self, plan: Plan) -> str:
+        """Digest of all that must be the same in a job that is continued; where its files lie may differ.
+        Raises SceneError."""
+        dataset, cameras = self.dataset, [[one.key for one in some] for some in (self.scored, self.measured)]
+        facts = plan, self.goal, self.block, dataset.train_indices, dataset.deciding_indices, cameras
+        digest = hashlib.sha256(repr((scene_sha256(self.source), *facts)).encode())
+        for part in dataset.inputs():
+            digest.update(part)
+        return digest.hexdigest()
+
     def rank(self):
         goal, dataset, plan, source = self.goal, self.dataset, self.request.plan(), self.source
-        views = (self.scored, self.measured)
-        identity = _identity(source, views, goal, self.block, plan, dataset)
-        self.tasks, self.started = Tasks(self.work, identity, self.job.resume), True
+        self.tasks, self.started = Tasks(self.work, self.identity(plan), self.job.resume), True
         self.overall = Overall(self.progress_of, self.tasks.span)
 
         def divide_anew():
-            prepare(self.work, *views, self.request)
+            prepare(self.work, self.scored, self.measured, self.request)
             block = self.block or as_memory_allows(dataset.cameras, dataset.memory_budget)
             divide(source, self.work, block, self.overall("divide"))
 
@@ -259,11 +265,9 @@ class LearnedByBlocks(ByBlocks):
         blocks = len(divided.blocks)
         self.wanted = goal.number(divided.count) if goal.count or goal.share else 0
         self.tasks.total = 3 + bool(goal.max_drop) + blocks * (2 if self.request.options.recovery else 1)
-        self.likeness, self.floor = PhotographLikeness(dataset, BlockRasterizer, self.overall), 0.0
+        self.likeness = PhotographLikeness(dataset, BlockRasterizer, self.overall, lpips=self.job.lpips)
         if goal.max_drop and ALLOWED not in self.tasks.done:  # may refuse
-            self.floor = floor_on_photographs(
-                divided, self.likeness.deciding, goal.max_drop, plan, self.job.out, self.overall
-            )
+            self.floor = self.allowed_drop().floor_on_photographs(plan)
         ordered = self.wanted or goal.max_drop or blocks > 1
         self.tasks.once(
             ORDER,
@@ -272,7 +276,7 @@ class LearnedByBlocks(ByBlocks):
 
     def budget(self):
         if self.goal.max_drop:
-            find = partial(fewest_above, self.divided, self.likeness.deciding, self.floor, self.overall)
+            find = lambda: self.allowed_drop().fewest_above(self.floor)
             self.wanted = self.tasks.once(ALLOWED, find) or 0
 
     def select(self):
@@ -290,10 +294,7 @@ class LearnedByBlocks(ByBlocks):
             self.tasks.once(f"recover {number}", work)
 
     def write(self):
-        job = self.job
-        self.result = finish_learned(
-            self.divided, self.request, self.dataset, job.out, self.overall, job.lpips
-        )
+        self.result = finish_learned(self.divided, self.likeness, self.request, self.job.out, self.overall)
         self.finished = True
 
     def measure(self) -> dict[str, Any]:
@@ -357,24 +358,6 @@ def _check_room(work: Path, divided: Divided, goal: Goal, more: float = 0.0):
 def _of_drop(result: dict[str, Any], lost: float, goal: Goal) -> dict[str, Any]:
     """What an allowed drop adds to a result that has lost so many dB."""
     return {"drop": lost, "notes": [*result["notes"], *missed_loss(lost, goal.max_drop)]}
-
-
-def _identity(
-    source: Path,
-    views: tuple[Sequence[Camera], Sequence[Camera]],
-    goal: Goal,
-    block: int | None,
-    plan: Plan,
-    dataset: Dataset,
-) -> str:
-    """Digest of all that must be the same in a job that is continued; where its files lie may differ. Raises
-    SceneError."""
-    cameras = [[camera.key for camera in some] for some in views]
-    places = dataset.train_indices, dataset.deciding_indices
-    digest = hashlib.sha256(repr((scene_sha256(source), goal, block, plan, places, cameras)).encode())
-    for part in dataset.inputs():
-        digest.update(part)
-    return digest.hexdigest()
 
 
 def _figures(result: dict[str, Any]) -> dict[str, Any]:
