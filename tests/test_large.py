@@ -280,12 +280,12 @@ def test_where_fine_tuning_does_harm_less_of_it_is_taken(ordered, cameras):
 
         return quality
 
-    assert best_share(likes(0.5))[0] == 0.5 and len(asked) == 4
+    assert best_share(likes(0.5)) == 0.5 and len(asked) == 4
     assert mixed(ordered, tuned, 0.0).folder == left.folder and mixed(ordered, tuned, 1.0) is tuned
     asked.clear()
-    assert best_share(likes(1.0))[0] == 1.0 and len(asked) == 2
+    assert best_share(likes(1.0)) == 1.0 and len(asked) == 2
     asked.clear()
-    assert best_share(likes(0.0))[0] == 0.0 and len(asked) == 5
+    assert best_share(likes(0.0)) == 0.0 and len(asked) == 5
 
 
 def test_pictures_that_are_missing_are_named(source, cameras, tmp_path):

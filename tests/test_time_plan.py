@@ -56,7 +56,7 @@ def slow(monkeypatch):
     monkeypatch.setattr(
         fine_tuned,
         "pruning_within",
-        lambda seconds, plan, source, _read, *more: within(seconds, plan, source, 0.1, *more),
+        lambda plan, source, _read, *more: within(plan, source, 0.1, *more),
     )
     monkeypatch.setattr(JobContext, "seconds", lambda self: 1.5)
 

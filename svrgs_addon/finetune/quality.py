@@ -82,15 +82,15 @@ def fewest(least: int, count: int, within: Callable[[int], bool], parts: int = 1
     return enough
 
 
-def best_share(quality: Callable[[float], float]) -> tuple[float, float]:
-    """The share of the fine-tuned scene in the result, less than 1 where fine-tuning does harm, and its
-    quality. quality: of a share. Shares are tried from 1 down, as long as the quality rises."""
+def best_share(quality: Callable[[float], float]) -> float:
+    """The share of the fine-tuned scene in the result, less than 1 where fine-tuning does harm. quality: of a
+    share. Shares are tried from 1 down, as long as the quality rises."""
     best, highest = 1.0, quality(1.0)
     for share in SHARES:
         if (found := quality(share)) <= highest:
             break
         best, highest = share, found
-    return best, highest
+    return best
 
 
 def psnr_after(before: float, removed: float, steps: int, halved: float) -> float:

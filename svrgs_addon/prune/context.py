@@ -32,6 +32,7 @@ class JobContext:
     scene: Path | None = None  # the splat that is pruned; None: a training
     order: Path | None = None  # folder for the order of a quick job (finetune/decimate/saved_order.py)
     levels: tuple[float, ...] = ()  # shares of a nested result that are written too
+    limit: float = 0.0  # seconds that the job may take; 0: no limit
     planned: TimePlan | None = None  # of a job with a time limit
     # views that the observer renders: for each point of the curves, and at the end
     recorded: tuple[int, int] = (0, 0)

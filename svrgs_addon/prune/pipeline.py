@@ -34,9 +34,7 @@ def train_scene(options: TrainOptions, adapt: Adapt = lambda job: job) -> dict[s
     checkpoint."""
     library.set_threads(options.threads)
     job, plan = plans.context_of(options), plans.plan_of_training(options)
-    return run(
-        Trained(plan, job, lambda: plans.dataset_of(options, True), options.sh_degree, options.time), adapt
-    )
+    return run(Trained(plan, job, lambda: plans.dataset_of(options, True), options.sh_degree), adapt)
 
 
 def prune_scene(options: PruneOptions, adapt: Adapt = lambda job: job) -> dict[str, Any]:
@@ -71,7 +69,7 @@ def in_memory(options: PruneOptions) -> Recipe:
     assert options.scene is not None
     dataset = lambda scene: plans.dataset_of_pruning(options, scene)
     plan, size = plans.plan_of_pruning(options), asked_size(options)
-    return FineTuned(options.scene, plan, job, dataset, options.time, size)
+    return FineTuned(options.scene, plan, job, dataset, size)
 
 
 def run(recipe: Recipe, adapt: Adapt = lambda job: job) -> dict[str, Any]:

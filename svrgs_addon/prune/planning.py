@@ -27,12 +27,12 @@ PART = 8192  # Gaussians by which it is foreseen how long writing takes
 
 
 def pruning_within(
-    seconds: float, plan: Plan, scene: Scene, read: float, dataset: Dataset, job: JobContext
+    plan: Plan, scene: Scene, read: float, dataset: Dataset, job: JobContext
 ) -> tuple[Plan, JobContext]:
-    """The plan of `svrgs prune` that takes at most so many seconds, and the context with it. plan: with the
+    """The plan of `svrgs prune` that keeps the time limit of the job, and the context with it. plan: with the
     whole schedule. read: seconds of reading the splat. It tells what it expects. Raises SceneError if the
     time is too short; FormatError."""
-    if found := of_checkpoint(seconds, job.folder) if job.resume else None:
+    if found := of_checkpoint(job.limit, job.folder) if job.resume else None:
         return _with(found, plan, job, "the job goes on as it was planned")
     banded = fewer_bands(scene, plan.sh_degree, ())
     pace = pace_of(banded, dataset, plan, job.lpips)
@@ -42,7 +42,7 @@ def pruning_within(
     others = read + _rounding(banded, dataset, kept, job.out)
     others += 2 * REPORT_VIEWS * pace.measured if job.report else 0.0
     seconds_of = lambda some: pace.pruning(some, kept / scene.count, job.recorded)
-    fit = lambda: fitted(seconds, plan, seconds_of, job.seconds() + others)
+    fit = lambda: fitted(job.limit, plan, seconds_of, job.seconds() + others)
     found, quality = fit(), None
     if is_foreseen(some := at_schedule(plan, found.schedule)):
         quality = forecast(scene, dataset, some, expected.order, kept)
@@ -63,19 +63,17 @@ def _rounding(scene: Scene, dataset: Dataset, kept: int, out: Path) -> float:
     return (time.perf_counter() - started) * kept / part.count
 
 
-def training_within(
-    seconds: float, plan: Plan, dataset: Dataset, job: JobContext, sh_degree: int
-) -> tuple[Plan, JobContext]:
+def training_within(plan: Plan, dataset: Dataset, job: JobContext, sh_degree: int) -> tuple[Plan, JobContext]:
     """As pruning_within(), for `svrgs train`. How many Gaussians a training adds is not known before, so it
     is less exact."""
-    if found := of_checkpoint(seconds, job.folder) if job.resume else None:
+    if found := of_checkpoint(job.limit, job.folder) if job.resume else None:
         return _with(found, plan, job, "the job goes on as it was planned")
     growth = plan.phases[0].densify or Densify()
     points, unit = (dataset.points, dataset.point_colors), dataset.cameras[0].unit
     start = scene_from_points(*points, sh_degree, *growth.INITIAL, unit)
     pace = pace_of(start, dataset, plan, job.lpips)
     seconds_of = lambda some: pace.training(some, job.recorded)
-    found = fitted(seconds, plan, seconds_of, job.seconds(), TRAINING_MARGIN)
+    found = fitted(job.limit, plan, seconds_of, job.seconds(), TRAINING_MARGIN)
     return _with(found, plan, job, "a quarter more or less, as the scene grows")
 
 

@@ -189,6 +189,7 @@ def context_of(options: TrainOptions | PruneOptions) -> JobContext:
         options.out,
         resume=options.resume,
         engine=options.engine,
+        limit=options.time,
         **of_pruning,
         lpips=lpips,
         lpips_asked=asked,

@@ -91,7 +91,7 @@ def _settled(divided: Divided, likeness: Likeness) -> tuple[Divided, dict[str, f
     if not tuned:
         return left, {"psnr_merged": None, "tuned_share": 0.0, "psnr_values": merged}
     quality = lambda share: likeness.deciding.psnr(mixed(divided, tuned, share))
-    share = best_share(quality)[0] if likeness.deciding.views else 1.0
+    share = best_share(quality) if likeness.deciding.views else 1.0
     best = mixed(divided, tuned, share)
     return best, {"psnr_merged": merged, "tuned_share": share, "psnr_values": psnr_of(best)}
 

@@ -82,9 +82,9 @@ class Tuned(Recipe):
     run: Run
     given: Dataset  # as it was read; from check() on
 
-    def __init__(self, plan: Plan, job: JobContext, seconds: float, size: FileSize | None = None):
-        """seconds: that the job may take; 0: no limit. size: of the file, if that is the goal."""
-        self.plan, self.job, self.seconds, self.size = plan, job, seconds, size
+    def __init__(self, plan: Plan, job: JobContext, size: FileSize | None = None):
+        """size: of the file, if that is the goal."""
+        self.plan, self.job, self.size = plan, job, size
         self.clock, self.room = Clock(), DiskRoom(job.out, job.folder)
         self.held = 0.0  # PSNR in dB from which an allowed drop counts, in the views that decide
         self.notes: list[str] = []  # for the user, besides those of the dataset
@@ -251,11 +251,10 @@ class FineTuned(Tuned):
         plan: Plan,
         job: JobContext,
         dataset_of: Callable[[Scene], Dataset],
-        seconds: float = 0.0,
         size: FileSize | None = None,
     ):
-        """dataset_of: the dataset for the scene of the file `path`. seconds, size: as for Tuned."""
-        super().__init__(plan, replace(job, scene=path), seconds, size)
+        """dataset_of: the dataset for the scene of the file `path`. size: as for Tuned."""
+        super().__init__(plan, replace(job, scene=path), size)
         self.path, self.dataset_of = path, dataset_of
 
     def open(self):
@@ -302,9 +301,9 @@ class FineTuned(Tuned):
 
     def budget(self):
         source, dataset, job = self.source, self.dataset, self.job
-        if self.seconds:
+        if job.limit:
             read = self.clock.phases["read"]
-            self.plan, self.job = pruning_within(self.seconds, self.plan, source, read, dataset, job)
+            self.plan, self.job = pruning_within(self.plan, source, read, dataset, job)
         with self.clock.phase("evaluate before"):
             self.before = {"count": source.count, "bytes": size_on_disk(self.path)}
             if not isinstance(dataset, RenderedDataset):

@@ -207,7 +207,7 @@ class Quick(Recipe):
             return tuned
         mixed = lambda part: interpolated(small, tuned, part) if part < 1 else tuned
         quality = lambda part: assumed_psnr(self.likeness.deciding.psnrs(mixed(part)))
-        return mixed(best_share(quality)[0])
+        return mixed(best_share(quality))
 
     def _result_notes(self) -> Iterator[str]:
         """What the user must know of the result that was written."""

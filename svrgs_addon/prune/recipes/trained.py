@@ -22,16 +22,9 @@ from .fine_tuned import CANNOT_REACH, Tuned, check_request, refuse_excess
 class Trained(Tuned):
     """Trains from the sparse points."""
 
-    def __init__(
-        self,
-        plan: Plan,
-        job: JobContext,
-        read_dataset: Callable[[], Dataset],
-        sh_degree: int = 3,
-        seconds: float = 0.0,
-    ):
-        """read_dataset: gives the dataset, with its points. seconds: as for Tuned."""
-        super().__init__(plan, job, seconds)
+    def __init__(self, plan: Plan, job: JobContext, read_dataset: Callable[[], Dataset], sh_degree: int = 3):
+        """read_dataset: gives the dataset, with its points."""
+        super().__init__(plan, job)
         self.read_dataset, self.sh_degree = read_dataset, sh_degree
 
     def views(self):
@@ -57,10 +50,8 @@ class Trained(Tuned):
         self.job = self.job.fitting(dataset.cameras, needed)
 
     def budget(self):
-        if self.seconds:
-            self.plan, self.job = training_within(
-                self.seconds, self.plan, self.dataset, self.job, self.sh_degree
-            )
+        if self.job.limit:
+            self.plan, self.job = training_within(self.plan, self.dataset, self.job, self.sh_degree)
 
     def select(self):
         dataset, plan = self.dataset, self.plan
