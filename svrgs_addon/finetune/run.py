@@ -124,8 +124,8 @@ class Run:
         if not self.iteration:
             self._into_order()
         self._prepare(phase, number)
-        camera, window = self.dataset.cameras[view].reduced(reduction), self.dataset.window(view)
-        step = self._step(phase, number, camera, target, window)
+        step = self._step(phase, number, self.dataset.cameras[view].reduced(reduction), target)
+        step.window = self.dataset.window(view)
         if self.exposures:
             step.exposure = self.exposures.matrices[self.places[view]]
         size = size_of_step(self.plan, phase, self.iteration, self.model.count)
@@ -204,19 +204,11 @@ class Run:
         if self.controller and not _densifying(phase, number):
             self.controller.before_step(self)
 
-    def _step(
-        self,
-        phase: Phase,
-        number: int,
-        camera: Camera,
-        target: np.ndarray,
-        window: tuple[slice, slice] | None = None,
-    ) -> Step:
+    def _step(self, phase: Phase, number: int, camera: Camera, target: np.ndarray) -> Step:
         s = self.plan
         step = Step(
             camera=camera,
             target=target,
-            window=window,
             number=self.iteration + 1,
             rates=self.method.rates(self, phase, number),
             options=self.render_options(phase, number),

@@ -17,7 +17,7 @@ import sys
 import time
 
 from ..system import subprocess_python
-from ..system.errors import FormatError, SceneError
+from ..system.errors import FormatError, SceneError, system_errors
 from ..system.processes import ProcessGroup, killed_from_outside
 from .job_folder import ENDED, JobFolder, facts_of
 
@@ -251,14 +251,10 @@ class Job:
     def _messages(self) -> list[dict]:
         """The messages in whole lines since the last call; lines that are no message are skipped. Raises
         FormatError if the file is gone."""
-        try:
-            with open(self.folder / "messages.jsonl", "rb") as file:
-                file.seek(self._read)
-                data = file.read()
-        except OSError as error:
-            raise FormatError(
-                f"{self.folder / 'messages.jsonl'}: cannot be read ({error.strerror})"
-            ) from None
+        path = self.folder / "messages.jsonl"
+        with system_errors(FormatError, f"{path}: cannot be read"), open(path, "rb") as file:
+            file.seek(self._read)
+            data = file.read()
         data = data[: data.rfind(b"\n") + 1]
         self._read += len(data)
         return [message for line in data.splitlines() if (message := _message(line)) is not None]

@@ -12,7 +12,6 @@ from typing import Any
 
 from ...files.atomic import write_json
 from ...files.digests import scene_sha256, sha256
-from ...finetune.loop import Progress
 from ...prune.context import JobContext
 from ...prune.pipeline import prune_scene
 from ...prune.plans import mask_options
@@ -79,13 +78,8 @@ def _run(job: FarmJob, task: Task, messages: Messages) -> dict[str, Any]:
 
     def observed(context: JobContext) -> JobContext:  # after the door
         job.result_path(task).unlink(missing_ok=True)
-
-        def observe(progress: Progress):
-            messages.progress(f"{task.name}: {progress.phase}", progress.iteration / progress.total)
-
-        def part(text: str, share: float):
-            messages.progress(f"{task.name}: {text}", share)
-
+        part = lambda text, share: messages.progress(f"{task.name}: {text}", share)
+        observe = lambda reached: part(reached.phase, reached.iteration / reached.total)
         return replace(context, observe=observe, part=part)
 
     try:

@@ -37,7 +37,7 @@ from ...finetune.model import Model
 from ...finetune.plan import Plan, scaled
 from ...finetune.run import Run
 from ...scene.gaussians import Scene
-from ...system.errors import Cancelled, FormatError, SceneError
+from ...system.errors import Cancelled, FormatError, SceneError, system_errors
 from ...views.dataset import Dataset
 from ..first_cut import first_cut
 from .divided import Divided, Progress, clear, gathered, write_block
@@ -80,17 +80,11 @@ class BlockViews(Dataset):
         each block would read all of them for a digest. Raises SceneError if a photograph is missing."""
         for index, window in self.windows.items():
             photo = self.photos[index]
-            yield repr((self.cameras[index].key, window, _stamp(photo.path))).encode()
+            with system_errors(SceneError, f"{photo.path}: cannot be read"):
+                found = photo.path.stat()
+            stamp = photo.path.name, found.st_size, found.st_mtime_ns
+            yield repr((self.cameras[index].key, window, stamp)).encode()
             yield b"" if photo.unpainted is None else photo.unpainted.tobytes()
-
-
-def _stamp(path: Path) -> tuple[str, int, int]:
-    """Name, size and time of a file. Raises SceneError."""
-    try:
-        found = path.stat()
-    except OSError as error:
-        raise SceneError(f"{path}: cannot be read ({error.strerror})") from None
-    return path.name, found.st_size, found.st_mtime_ns
 
 
 def prepare_around(divided: Divided, progress: Progress = lambda *_: None):

@@ -40,11 +40,5 @@ def finer(cameras: Sequence[Camera]) -> list[Camera]:
 
 def _lighter(part: Scene, rows: np.ndarray) -> Scene:
     some = part.select(rows)
-    return Scene(
-        some.means,
-        some.log_scales,
-        some.quats,
-        some.opacity_logits,
-        np.ascontiguousarray(some.sh[:, :1]),
-        antialiased=some.antialiased,
-    )
+    sh = np.ascontiguousarray(some.sh[:, :1])
+    return replace(some, sh=sh, attributes={}, comments=(), property_order=())

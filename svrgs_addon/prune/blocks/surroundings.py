@@ -59,7 +59,13 @@ class Around:
             if others is not None:
                 places, own = _blended(others, view, camera, rasterizer), places[number]
                 places[number] = own
-            windows.append(_window(blocks, number, camera, places, there))
+            of_block = Discs.of_geometry(blocks[number].geometry[places[number]], camera)
+            window = of_block.around(camera, MARGIN)
+            windows.append(window)
+            if window is None:
+                continue
+            for block, some, marked in zip(blocks, places, there, strict=True):
+                marked[some[Discs.of_geometry(block.geometry[some], camera).touch(window)]] = True
         return cls(divided, number, blocks, windows, there)
 
     @property
@@ -75,22 +81,6 @@ class Around:
         """The rows of the scene that are of the block, from and to."""
         first = sum(int(some.sum()) for some in self.there[: self.number])
         return first, first + int(self.there[self.number].sum())
-
-
-def _window(
-    blocks: Sequence[Block],
-    number: int,
-    camera: Camera,
-    places: Sequence[np.ndarray],
-    there: Sequence[np.ndarray],
-) -> Window | None:
-    """The window of a view in which it shows the block. places: of each block, those that the view blends.
-    there: those that are blended into the window are added."""
-    window = Discs.of_geometry(blocks[number].geometry[places[number]], camera).around(camera, MARGIN)
-    if window is not None:
-        for block, some, marked in zip(blocks, places, there, strict=True):
-            marked[some[Discs.of_geometry(block.geometry[some], camera).touch(window)]] = True
-    return window
 
 
 def _blended(divided: Divided, view: int, camera: Camera, rasterizer: Rasterizer) -> list[np.ndarray]:
