@@ -118,17 +118,13 @@ class Removal(Method):
         """The number of Gaussians with a saliency above lambda_F. Raises SceneError if almost none has. With
         an allowed drop: the fewest that are foreseen to hold it at the end of the run."""
         if run.plan.max_loss:
-            return self.budget_of_drop(run)
+            floor = floor_of_drop(run.quality_before, run.plan)
+            return int(fewest_within(run, self.score(run.viewed), floor).sum())
         value = saliency(run.viewed)
         stays = value > run.plan.lambda_f
         stays = stays if run.protected is None else stays | run.protected
         masks.refuse_emptying(stays, run.initial_count)
         return int(stays.sum())
-
-    def budget_of_drop(self, run: RunView) -> int:
-        """The fewest Gaussians of highest rank that are foreseen to hold the allowed drop."""
-        rank = self.score(run.viewed)
-        return int(fewest_within(run, rank, floor_of_drop(run.quality_before, run.plan)).sum())
 
     def prepare(self, run: RunView, phase: Phase, number: int):
         """Before the first step, lowers opacities of Gaussians that are seen and not protected."""

@@ -22,7 +22,9 @@ def sample_of(source: Path) -> tuple[Scene, float]:
     that they cover about what all do; and by how much. Raises SplatError."""
     parts, step, start = list[Scene](), 1, 0
     for part in load_parts(source):
-        parts.append(_lighter(part, np.arange(-start % step, part.count, step)))
+        some = part.select(np.arange(-start % step, part.count, step))
+        sh = np.ascontiguousarray(some.sh[:, :1])
+        parts.append(replace(some, sh=sh, attributes={}, comments=(), property_order=()))
         start += part.count
         while sum(one.count for one in parts) > MAX_SAMPLED:
             whole = concatenated(parts, columns=True)
@@ -36,9 +38,3 @@ def finer(cameras: Sequence[Camera]) -> list[Camera]:
     """The views at twice their size: scores and fine-tuning halve all views, and pictures of placed cameras
     are just large enough."""
     return [camera.resized(2 * camera.width, 2 * camera.height) for camera in cameras]
-
-
-def _lighter(part: Scene, rows: np.ndarray) -> Scene:
-    some = part.select(rows)
-    sh = np.ascontiguousarray(some.sh[:, :1])
-    return replace(some, sh=sh, attributes={}, comments=(), property_order=())

@@ -23,18 +23,17 @@ from ...files.atomic import write_json
 from ...files.reading import json_object
 from ...finetune.refit import TrainingView, interpolated, middle_scale, pace_for, refit
 from ...finetune.viewed_scene import reduced
-from ...native.rasterizer import Rasterizer
 from ...render.metrics.evaluate import picture_options, render_options
 from ...scene.camera import Camera, evenly
 from ...scene.gaussians import PARAMETERS, Scene
 from ...system import memory
 from ...system.errors import FormatError
+from .block_rasterizer import BlockRasterizer
 from .discs import Window
 from .divided import Divided, Progress, clear, gathered, scene_of, write_block
 from .merging import counts, merged
 from .scoring import picture_path
 from .surroundings import Around
-from .visible import seen
 
 CUT, TUNED, MIXED, ERROR = "cut", "tuned", "mixed", "error.json"  # folders, and a file
 ERROR_VIEWS = 8  # in which the error is measured, at most
@@ -78,10 +77,9 @@ def emptied(divided: Divided, name: str) -> Path:
 
 def _error(divided: Divided, left: Divided, views: Sequence[Camera]) -> float:
     """The root mean square error of some views."""
-    rasterizer, squares = Rasterizer(), []
+    rasterizer, squares = BlockRasterizer(), []
     for view in evenly(range(len(views)), ERROR_VIEWS):
-        scene, _ = seen(left, views[view], rasterizer)
-        picture = rasterizer.forward(scene, views[view], picture_options(scene))["rgb"]
+        picture = rasterizer.forward(left, views[view], picture_options(left))["rgb"]
         difference = picture - _picture(divided, view, views[view])
         squares.append(float(np.square(difference).mean(dtype=np.float64)))
     return fmean(squares) ** 0.5
