@@ -41,18 +41,9 @@ class Request:
     @classmethod
     def of(cls, scene: str, **changes: int | None) -> "Request":
         """The scene's defaults, and `changes` that are not None."""
-        kind = SCENES[scene]
+        defaults = {name: getattr(SCENES[scene], name) for name in ("views", "width", "samples", "points")}
         given = {name: value for name, value in changes.items() if value is not None}
-        return cls(
-            **{
-                "scene": scene,
-                "views": kind.views,
-                "width": kind.width,
-                "samples": kind.samples,
-                "points": kind.points,
-                **given,
-            }
-        )
+        return cls(scene, **defaults | given)
 
     @property
     def kind(self) -> Kind:

@@ -257,13 +257,8 @@ def _pavement() -> None:
 def _bunting() -> None:
     """Small flags on two lines."""
     rng = np.random.default_rng(46)
-    colours = [
-        (0.70, 0.06, 0.05),
-        (0.85, 0.65, 0.08),
-        (0.06, 0.22, 0.50),
-        (0.10, 0.40, 0.18),
-        (0.80, 0.76, 0.68),
-    ]
+    red, yellow, blue = (0.70, 0.06, 0.05), (0.85, 0.65, 0.08), (0.06, 0.22, 0.50)
+    colours = [red, yellow, blue, (0.10, 0.40, 0.18), (0.80, 0.76, 0.68)]
     looks = [mat.weathered(mat.plain(colour), 0.6, 20) for colour in colours]
     flags = [
         mould("flag", patch(1, 1, lambda u, v: Vector(((u - 0.5) * (1 - 0.9 * v), 0, -1.3 * v))), look)

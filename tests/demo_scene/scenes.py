@@ -33,6 +33,6 @@ SCENES = {
         8,
         5000,
         phone=True,
-    ),
+    ),  # fmt: skip
     "row": Kind("a row of shops, from cameras that all look forward", 30, 360, (4, 3), 0.9, 12, 5000),
 }
