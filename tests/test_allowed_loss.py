@@ -13,7 +13,7 @@ from svrgs_addon.finetune.quality import hold_apart
 from svrgs_addon.prune.door import Allowed, allowed_loss
 from svrgs_addon.prune.options import PruneOptions
 from svrgs_addon.render.metrics import flip, lpips, psnr
-from svrgs_addon.render.metrics.allowed_loss import loss_notes, refuse_loss
+from svrgs_addon.render.metrics.allowed_loss import loss_notes, missed_loss, refuse_loss
 from svrgs_addon.render.metrics.evaluate import BLOCK, block, quality_of_view
 from svrgs_addon.system.errors import SceneError
 from svrgs_bench.scenes import orbit_camera
@@ -152,6 +152,11 @@ def test_a_format_that_loses_all_that_is_allowed_is_refused():
     refuse_loss(Path("a.spz"), 0.49, 0.5)
     with pytest.raises(SceneError, match="a.spz: the format alone loses 0.5 dB, not less than --max-drop"):
         refuse_loss(Path("a.spz"), 0.5, 0.5)
+
+
+def test_a_loss_a_little_above_what_is_allowed_is_not_told():
+    assert missed_loss(0.59, 0.5) == missed_loss(None, 0.5) == []
+    assert "the result loses 0.61 dB, more than the 0.5 dB that were allowed" in missed_loss(0.61, 0.5)[0]
 
 
 def test_a_format_is_blamed_from_half_of_the_error_on():

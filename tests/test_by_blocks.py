@@ -374,3 +374,11 @@ def test_a_quick_job_by_blocks_places_a_known_number_of_views(monkeypatch):
     for quick in (True, False):
         job_views.by_blocks(PruneOptions(quick=quick), room(9), 1.0)
     assert asked == [job_views.PLACED_FOR_QUICK, None]
+
+
+def test_views_that_are_placed_are_drawn_larger_and_given_ones_as_they_are(tmp_path, monkeypatch):
+    given, placed = ([orbit_camera(64, 48, turn)] for turn in (0, 90))
+    write_cameras_json(tmp_path / "views.json", [replace(given[0], name="a")])
+    monkeypatch.setattr(job_views, "place_rig", lambda *_, **__: Rig(placed, [], False, None))
+    found = job_views.by_blocks(PruneOptions(cameras=tmp_path / "views.json"), room(9), 1.0).train
+    assert [camera.width for camera in found] == [64, 128]

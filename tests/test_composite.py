@@ -8,7 +8,15 @@ import pytest
 import scenes
 from svrgs_addon.files.images import linear_to_srgb
 from svrgs_addon.native.rasterizer import Rasterizer, RenderOptions
-from svrgs_addon.render.composite import FAR, ON_CATCHER, PASS_OUTPUTS, composite, composite_while, split
+from svrgs_addon.render.composite import (
+    FAR,
+    ON_CATCHER,
+    PASS_OUTPUTS,
+    Composite,
+    composite,
+    composite_while,
+    split,
+)
 from svrgs_addon.render.meshes import Surface
 from svrgs_addon.render.passes import linear_rgba, overlay_rgba
 from svrgs_bench.scenes import orbit_camera, room
@@ -227,3 +235,11 @@ def test_passes_that_nobody_asked_for_are_not_rendered(scene):
         assert set(part.images) == {"alpha"} and set(whole.images) == set(PASS_OUTPUTS)
         depth = composite(Rasterizer(), scene, CAMERA, (0.1, 0.2, 0.3), surface, ("depth",))
         assert (depth.depth == whole.depth).all() and set(depth.images) == {"depth", "alpha"}
+
+
+def test_a_pixel_that_is_covered_less_than_half_has_no_solid_depth():
+    coverage = np.array([[0.0, 0.4, 0.6]], np.float32)
+    picture = Composite(
+        np.zeros((1, 3, 3)), coverage, 0 * coverage, {"depth": np.full((1, 3), 7, np.float32)}
+    )
+    assert picture.solid_depth.tolist() == [[np.float32(FAR), np.float32(FAR), 7]]

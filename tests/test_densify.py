@@ -10,7 +10,7 @@ import scenes
 from short_runs import bits, logit
 from svrgs_addon.finetune import densify
 from svrgs_addon.finetune.model import MASK, Model
-from svrgs_addon.finetune.settings import Densify
+from svrgs_addon.finetune.settings import MCMC, Densify
 
 RULE = Densify()
 EXTENT = 10.0  # so that Gaussians up to 0.1 are small
@@ -150,3 +150,7 @@ def test_opacities_and_then_their_odds_are_lowered_by_their_factors():
     before = model.opacity_logits.copy()
     densify.lower_opacity(model, rows, 1.0, 1.0)
     np.testing.assert_allclose(model.opacity_logits, before, rtol=1e-6)
+
+
+def test_growth_to_a_cap_ends_after_five_sixths_and_at_step_25_000():
+    assert [MCMC.capped(9, steps).until for steps in (6_000, 60_000)] == [5_000, 25_000]

@@ -47,6 +47,11 @@ def test_nothing_stays_free_where_sizes_are_known_and_more_where_the_file_comes_
     )
 
 
+def test_a_file_that_is_written_later_fits_with_and_without_its_views():
+    size = FileSize(40_000, format_to_write("x.spz"), 3, later=True)
+    assert size.count_of(random_scene(3_000), CAMERAS) <= size.count_of(random_scene(3_000), ())
+
+
 def test_the_size_of_a_large_file_is_foreseen_from_a_part_of_it(monkeypatch):
     scene, kind = random_scene(3_000), format_to_write("x.spz")
     monkeypatch.setattr(registry, "SAMPLE", 500)

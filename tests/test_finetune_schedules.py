@@ -149,3 +149,16 @@ def test_opacity_resets_keep_their_times():
     with pytest.raises(SceneError, match="would leave 0"):
         scheduled(rule, 12)  # everything is "huge" at iteration 12, not yet at 4 and 8
     scheduled(rule, 11)
+
+
+def test_a_new_loss_counts_a_twentieth_in_the_smoothed_one():
+    class Losing(Puller):
+        def step(self, model, step):
+            return replace(super().step(model, step), l1=float(1 + len(self.steps)), ssim=1.0)
+
+    scene, phase = scenes.random_scene(4), Phase("train", 9, Rates())
+    run = Run(Model.of(scene), photographed(scene), plan_of("3dgs", (phase,)), Losing())
+    for expected in (0.8 * 2, 0.8 * (2 + 0.05)):
+        run.advance()
+        assert run.loss == pytest.approx(expected)
+    run.close()

@@ -210,6 +210,29 @@ def test_a_ksplat_whose_numbers_contradict_each_other_is_refused(tmp_path, at, v
         read_scene(tmp_path / "a.ksplat")
 
 
+def test_a_compressed_ply_whose_elements_contradict_each_other_is_refused(tmp_path):
+    write_scene(tmp_path / "a.compressed.ply", like_trained(1, 100))
+    data = (tmp_path / "a.compressed.ply").read_bytes()
+    for old, new, said in ((b"sh 100", b"sh 101", "other SH"), (b"chunk 1", b"chunk 2", "number of chunks")):
+        (tmp_path / "a.compressed.ply").write_bytes(data.replace(b"element " + old, b"element " + new))
+        with pytest.raises(FormatError, match=said):
+            read_scene(tmp_path / "a.compressed.ply")
+
+
+def test_a_gaussian_that_is_not_usable_is_not_invisible_too(tmp_path):
+    scene = like_trained(0, 10)
+    scene.opacity_logits[:] = [-20, -20, *[3] * 8]
+    scene.means[0] = np.nan
+    write_scene(tmp_path / "a.ply", scene)
+    found = describe(tmp_path / "a.ply")
+    assert (found["invisible"], found["nonfinite"]) == (1, 1)
+
+
+def test_a_scene_without_sh_is_an_spz_that_blender_reads(tmp_path):
+    spz.write(tmp_path / "a.spz", like_trained(0))
+    assert (tmp_path / "a.spz").read_bytes()[:2] == b"\x1f\x8b"
+
+
 def test_an_spz_holds_the_nearest_to_coefficients_beyond_its_ends(tmp_path):
     scene = like_trained(1)
     scene.sh[:, 1:] = np.where(scene.sh[:, 1:] > 0, 5, -5)
@@ -226,6 +249,12 @@ def test_gaussians_far_along_one_axis_alone_make_a_compressed_ply_coarse():
     assert not compressed_ply.limits(scene)
     scene.means[::100, 0] = 1e5
     assert "stored in steps larger than these are" in compressed_ply.limits(scene)[0]
+
+
+def test_a_ksplat_that_was_cut_off_is_refused(tmp_path):
+    (tmp_path / "a.ksplat").write_bytes(ksplat_of([like_trained(2, 40)], 1)[:-1])
+    with pytest.raises(FormatError, match="is incomplete: .* of at least"):
+        read_scene(tmp_path / "a.ksplat")
 
 
 def test_a_position_that_is_not_finite_spoils_no_other_of_an_spz(tmp_path):

@@ -241,3 +241,9 @@ def test_the_cap_is_the_option_s_or_the_target_s():
 def test_a_shorter_schedule_shortens_growth():
     rule = plan_of_training(options(cap=5_000, schedule=0.1)).phases[0].densify
     assert (rule.start, rule.until, rule.every, rule.cap) == (500, 2_500, 100, 5_000)
+
+
+def test_gaussians_that_share_a_place_stay_alive():
+    model, rule = gaussians([0.006] * 3), MCMC()
+    mcmc._share(model, rule, np.zeros(40, int))
+    assert model.opacity_logits[0] == pytest.approx(logit(rule.min_opacity))

@@ -14,16 +14,19 @@ pytest.importorskip("pycolmap")
 pytest.importorskip("OpenImageIO")
 
 import scenes
+from plans import prune_settings
 from svrgs_addon.finetune import run
 from svrgs_addon.finetune.quality import NOT_APART
 from svrgs_addon.native.rasterizer import Rasterizer
 from svrgs_addon.prune.belonging import percent, seen_of
 from svrgs_addon.prune.blocks.allowed_drop import AllowedDrop
-from svrgs_addon.prune.likeness import Likeness, PhotographLikeness
+from svrgs_addon.prune.context import JobContext
+from svrgs_addon.prune.likeness import Likeness, PhotographLikeness, assumed_drop
 from svrgs_addon.prune.recipes import fine_tuned
 from svrgs_addon.render.metrics.measures import SHOWN, almost_empty
 from svrgs_addon.scene.camera import Camera, apart, halfway
 from svrgs_addon.views.cameras_json import write_cameras_json
+from svrgs_addon.views.rendered import RenderedDataset
 from tiny_dataset import views, write_tiny
 
 WAYS = {
@@ -201,3 +204,19 @@ def test_views_that_show_almost_nothing_compare_nothing():
     turned = replace(view, viewmat=np.diag([-1.0, 1, -1, 1]) @ view.viewmat)
     (kept,) = Likeness(scenes.random_scene(300), [turned, view], Rasterizer).views
     assert kept is view
+
+
+def test_a_loss_is_counted_from_the_photographs_or_from_the_splats_own_pictures(tiny, data):
+    scene = scenes.random_scene(9)
+    own = RenderedDataset.of(scene, tiny.cameras, [])
+    for measure, before, after, lost, of_own in (
+        ("psnr", 30.0, 29.0, 1.0, assumed_drop(29.0)),
+        ("flip", 0.25, 0.5, 0.25, 0.5),
+    ):
+        plan = prune_settings("removal", 4, 4, max_loss=1.0, measure=measure)
+        job = fine_tuned.FineTuned(
+            tiny.splat, plan, JobContext(tiny.splat.with_name("o.ply")), lambda _: data
+        )
+        job.before = {measure: before}
+        for job.dataset, expected in ((data, lost), (own, of_own)):
+            assert job.lost({measure: after}) == pytest.approx(expected)

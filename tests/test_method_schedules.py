@@ -33,6 +33,12 @@ def test_a_shorter_schedule_keeps_the_spacing_of_what_needs_views():
         )
 
 
+def test_opacities_are_reset_where_gaussians_are_added():
+    for share in (1.333, 2.5):
+        rule = train_settings("svr", 30_000, 5_000, schedule=share).phases[0].densify
+        assert rule.reset_every % rule.every == 0 and abs(rule.reset_every - 3_000 * share) <= rule.every
+
+
 def prepared(method: str, steps: int) -> Run:
     """Training before its first step."""
     scene = scenes.random_scene(5)

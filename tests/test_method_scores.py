@@ -188,3 +188,11 @@ def test_scene_is_accepted_as_well_as_model():
     viewed = ViewedScene(scenes.random_scene(20, 4, 1), CAMERAS, rasterizer(LEVELS[0]), RenderOptions())
     for method in set(RANKED) - {"merge"}:
         assert METHODS[method].score(viewed).shape == (20,)
+
+
+def test_pup_looks_at_a_quarter_of_the_size(monkeypatch):
+    scene, camera = scenes.random_scene(60, 1, 0, scale=0.3), scenes.camera(256, 192)
+    viewed = lambda view: ViewedScene(scene, [view], rasterizer("scalar"), RenderOptions())
+    found = pup.log_determinants(viewed(camera))
+    monkeypatch.setattr(pup, "REDUCTION", 1)
+    assert np.isfinite(found).any() and (pup.log_determinants(viewed(camera.reduced(4))) == found).all()

@@ -22,6 +22,7 @@ from svrgs_addon.finetune.settings import Rates
 from svrgs_addon.native.rasterizer import Rasterizer, RenderOptions
 from svrgs_addon.prune.context import JobContext
 from svrgs_addon.prune.photographs import in_its_colours, prepared
+from svrgs_addon.render import pose_alignment
 from svrgs_addon.render.pose_alignment import aligned
 from svrgs_addon.scene.camera import Camera
 from svrgs_addon.views.cameras_json import load_cameras_json
@@ -248,3 +249,10 @@ def test_without_photographs_it_is_refused(splat, tmp_path, svrgs, words):
         "prune", splat, "--target", 0.5, "--refine-poses", "on", "--out", tmp_path / "o.ply", *words
     )
     assert found.status == 2 and "--refine-poses" in found.err
+
+
+def test_a_view_is_as_far_beside_another_as_most_of_what_it_shows(tiny):
+    camera = tiny.cameras[0]
+    means = np.concatenate([np.zeros((9, 3)), camera.position[None] * 0.9])  # one close before the camera
+    moved = camera.displaced(np.array([0, 0, 0, 0.03, 0, 0]))
+    assert pose_alignment.beside(camera, moved, means) == pytest.approx(0.03 * camera.K[0, 0] / 3, rel=0.1)

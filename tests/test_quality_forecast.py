@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from plans import prune_settings
+from scenes import random_scene
 from svrgs_addon.files.ply import read_ply
 from svrgs_addon.finetune import scores
 from svrgs_addon.finetune.methods import METHODS
@@ -14,7 +15,7 @@ from svrgs_addon.finetune.quality import psnr_after, psnr_removed
 from svrgs_addon.finetune.viewed_scene import ViewedScene
 from svrgs_addon.jobs.estimate import estimate
 from svrgs_addon.native.rasterizer import Rasterizer
-from svrgs_addon.prune import quality_forecast
+from svrgs_addon.prune import expected_count, quality_forecast
 from svrgs_addon.prune.options import PruneOptions
 from svrgs_addon.prune.pipeline import prune_scene
 from svrgs_addon.prune.quality_forecast import LEAST_STEPS, forecast, spread
@@ -160,3 +161,10 @@ def test_an_allowed_drop_keeps_no_more_than_foreseen(trained, tiny, tmp_path):
         assert found["at_most"] and reached["count"] <= found["kept"] < found["count"]
         kept.append(found["kept"])
     assert kept[1] < kept[0] / 1.5
+
+
+def test_at_least_one_gaussian_is_expected_to_stay():
+    scene = random_scene(9)
+    unseen = expected_count.Seen(np.zeros(9), np.zeros(9, np.float32), np.zeros(9, int), 3)
+    plan = prune_settings("svr", 9, 9, min_contribution=0.1)
+    assert expected_count.expected_count(plan, scene, None, unseen) == 1

@@ -15,7 +15,7 @@ from svrgs_addon.files.ply import read_ply, write_ply
 from svrgs_addon.files.registry import read_scene
 from svrgs_addon.files.streamed_sog import read_level
 from svrgs_addon.finetune.decimate.order import order_of, visibility_sums
-from svrgs_addon.finetune.refit import interpolated
+from svrgs_addon.finetune.refit import USUAL, interpolated
 from svrgs_addon.finetune.viewed_scene import ViewedScene
 from svrgs_addon.prune import pipeline
 from svrgs_addon.prune.context import JobContext
@@ -358,3 +358,7 @@ def test_a_whole_scene_with_fewer_bands_is_tuned(splat):
     result, whole = run(splat, target=1.0, sh_degree=0), read_ply(splat)
     small = read_ply(result["out"] if "out" in result else splat.with_name("small.ply"))
     assert small.count == whole.count and small.sh_degree == 0 and (small.means != whole.means).any()
+
+
+def test_few_gaussians_take_more_steps_and_all_of_them_fewer():
+    assert [quick._steps(share) for share in (1.0, USUAL, USUAL / 2.25, 1e-6)] == [42, 60, 90, 120]

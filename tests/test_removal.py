@@ -69,6 +69,11 @@ def test_as_many_stay_as_have_a_saliency_above_lambda():
     assert counts_of(run_of(prune_settings("removal", 40, 5, lambda_f=limit)))[-1] == 22
 
 
+def test_more_steps_than_were_measured_are_trusted_with_no_more():
+    floor = lambda steps: removal.floor_of_drop(30, prune_settings("removal", 0, steps, max_loss=1.0))
+    assert floor(400) > floor(800) == floor(8_000)
+
+
 def test_what_is_protected_counts_whatever_its_saliency():
     run = run_of(prune_settings("removal", 16, 0, own=(0, 10), lambda_f=1e12))
     assert run.method.budget(run) == COUNT - 10

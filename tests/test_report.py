@@ -6,10 +6,14 @@ import tempfile
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from plans import prune_settings
+from svrgs_addon.finetune.run import Curves
+from svrgs_addon.prune.report import prune_report
 from svrgs_addon.prune.report.line_chart import Series, line_chart
 from svrgs_addon.prune.report.page import Phase, Report, View, page, write_report
 from svrgs_addon.prune.report.pictures import data_uri, difference_image, mask_to_rgb, png_bytes
@@ -322,3 +326,19 @@ def test_the_page_holds_the_swing_and_how_to_turn_the_scenes(tmp_path):
     assert "aspect-ratio:20/6" in style and "1600% 100%" in style and "url(data:image/" in style
     assert "svrgs view 'a b.ply' 'c<d>.ply'" in found.text
     assert 'class="swing"' not in written(tmp_path, full_report()).raw
+
+
+def test_phases_begin_where_the_ones_before_them_end():
+    plan = prune_settings("removal", 30, 20)
+    plan = replace(plan, phases=(*plan.phases, replace(plan.phases[-1], name="more")))
+    seconds = {"read": 1.0, "prune": 2.0, "recover": 3.0, "more": 4.0}
+    found = prune_report._phases(SimpleNamespace(plan=plan), seconds)
+    assert [phase.start for phase in found] == [None, 0, 30, 50]
+
+
+def test_a_quality_that_was_not_measured_has_no_curve():
+    curves = Curves([1, 2], [9, 8], [0.2, 0.1], [None, None])
+    names = lambda: [series.title for series in prune_report._series(SimpleNamespace(curves=curves))]
+    assert names() == ["Gaussians", "Loss"]
+    curves.psnr[1] = 30.0
+    assert names() == ["Gaussians", "PSNR", "Loss"]

@@ -272,3 +272,20 @@ def test_a_checkpoint_that_is_there_survives_one_that_cannot_be_written(tmp_path
     with pytest.raises(SceneError, match="full"):
         checkpoint.save(run, tmp_path, "id")
     assert checkpoint.newest_manifest(tmp_path)["identity"] == "id"
+
+
+def test_what_a_run_has_counted_goes_on_from_its_checkpoint(tmp_path):
+    runs = [
+        Run(
+            Model.of(scenes.random_scene(count)),
+            photographed(scenes.random_scene(9)),
+            TRAINING,
+            NativeEngine(),
+        )
+        for count in (9, 5)
+    ]
+    runs[0].unordered, runs[0].held_back, runs[0].nonfinite, runs[0].target = 3, 2, 1, 7
+    checkpoint.save(runs[0], tmp_path, "id")
+    assert checkpoint.restore(runs[1], tmp_path, "id")
+    counted = ("initial_count", "unordered", "held_back", "nonfinite", "target")
+    assert [getattr(runs[1], name) for name in counted] == [9, 3, 2, 1, 7]

@@ -7,10 +7,11 @@ import json
 import zipfile
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from svrgs_addon.cli.batch_list import expand
-from svrgs_addon.files import images, sog_layout
+from svrgs_addon.files import images, sog, sog_layout
 from svrgs_addon.files.registry import read_scene, write_scene
 from svrgs_addon.system.errors import FormatError
 from test_formats import by_gaussforge, like_trained
@@ -74,6 +75,14 @@ def test_meta_json_that_is_none(folder, text):
 def test_a_damaged_texture_is_named(folder):
     (folder / "quats.webp").write_bytes((folder / "quats.webp").read_bytes()[:40])
     with pytest.raises(FormatError, match=r"its texture quats\.webp"):
+        read_scene(folder)
+
+
+def test_a_texture_that_is_larger_than_its_file_needs_is_refused(folder, monkeypatch):
+    monkeypatch.setattr(sog, "MANY", 16)
+    large = np.zeros((64, 64, 3), np.uint8)
+    images.write_texture(folder / "scales.webp", folder / "scales.webp", large)
+    with pytest.raises(FormatError, match="has 64 x 64 pixels, more than its file needs"):
         read_scene(folder)
 
 

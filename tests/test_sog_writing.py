@@ -72,6 +72,12 @@ def test_rows_out_of_a_palette_are_kept(rng):
     assert (entries[labels] == rows).all()
 
 
+def test_a_palette_with_more_rows_than_a_file_holds_is_made_anew(rng):
+    rows = rng.normal(size=(50, 9)).astype(np.float32).repeat(10, axis=0)
+    assert len(palette(rows, np.ones(500), 10, 50)[0]) == 50
+    assert len(palette(rows, np.ones(500), 10, 49)[0]) <= 10
+
+
 def test_a_sog_of_a_sog_is_the_same_scene(tmp_path):
     write_scene(tmp_path / "a.sog", like_trained(2, 9000))
     first = read_scene(tmp_path / "a.sog")

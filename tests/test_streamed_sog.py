@@ -58,6 +58,16 @@ def test_more_than_are_read_as_a_whole_are_read_in_parts(town):
         read_scene(town)
 
 
+def test_files_with_more_gaussians_than_their_index_says_are_not_read(town):
+    meta = json.loads(town.read_text())
+    for leaf in leaves(meta["tree"]):
+        for lod in leaf["lods"].values():
+            lod["count"] = 1
+    town.write_text(json.dumps(meta))
+    with pytest.raises(TooMany):
+        list(read_level(town, 0, 5_000))
+
+
 def leaves(node: dict) -> list[dict]:
     return [leaf for child in node["children"] for leaf in leaves(child)] if "children" in node else [node]
 

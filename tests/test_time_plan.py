@@ -24,6 +24,7 @@ from svrgs_addon.finetune.plan import at_schedule
 from svrgs_addon.finetune.run import Run
 from svrgs_addon.finetune.saliency import views_that_see
 from svrgs_addon.finetune.settings import MCMC
+from svrgs_addon.finetune.strength_controller import UPDATES
 from svrgs_addon.jobs.estimate import estimate
 from svrgs_addon.prune import duration, planning, time_plan
 from svrgs_addon.prune.context import JobContext
@@ -365,3 +366,16 @@ def test_gaussians_that_go_gradually_go_evenly():
     parts = duration.gradual(0.2)
     assert sum(length for length, _ in parts) == pytest.approx(1)
     assert sum(length * left for length, left in parts) == pytest.approx(0.6)
+
+
+def test_photographs_that_do_not_stay_in_memory_are_read_again():
+    plan, disk = whole("removal"), replace(SLOW, photograph=2.0)
+    seconds = [replace(disk, uncached=share).pruning(plan, 0.2) for share in (0, 0.5, 1)]
+    assert seconds[1] - seconds[0] == pytest.approx(seconds[2] - seconds[1]) and seconds[1] > seconds[0] + 100
+
+
+def test_learned_masks_measure_an_allowed_drop_at_each_update_of_their_strength():
+    judging = replace(SLOW, judged=1.0)
+    drop = lambda method, **more: judging._drop(whole(method, max_loss=1.0, **more), 0.2)
+    assert drop("removal", nested=0.5) == duration.BISECTION  # nothing is cut in a nested recovery
+    assert drop("svr") == pytest.approx(drop("removal") + UPDATES)
