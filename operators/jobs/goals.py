@@ -30,7 +30,7 @@ class Preset(NamedTuple):
 PRESETS = {
     "LIGHT": Preset(0.1, 0.5, "Removes only what the photographs hardly need"),
     "BALANCED": Preset(1.0, 0.25, "Much smaller, with little loss"),
-    "SMALL": Preset(10.0, 0.17, "The smallest that kept the quality of the original when measured"),
+    "SMALL": Preset(10.0, 0.17, "The smallest that lost at most 0.1 dB of PSNR when measured"),
 }
 
 ITEMS = [  # the numbers are stored in .blend files
