@@ -15,6 +15,7 @@ from functools import cached_property
 
 import bpy
 from bpy.app.translations import pgettext_iface as tr
+from mathutils import Matrix
 
 from ...svrgs_addon.files.registry import read_scene
 from ...svrgs_addon.jobs.job_folder import TRAIN, JobFolder
@@ -218,6 +219,12 @@ def show(pruned: bpy.types.Object, count: int):
 def shown_count(pruned: bpy.types.Object) -> int:
     """Number of Gaussians that Apply would keep."""
     return Shown(pruned).count if ranked(pruned) else quick_order.count(pruned)
+
+
+def moved_aside(original: bpy.types.Object, pruned: bpy.types.Object) -> bool:
+    """Whether the result is in another place than its original."""
+    moved = splat_object.relative(world_matrix(pruned), world_matrix(original))
+    return Matrix(moved) != Matrix()
 
 
 class Shown:

@@ -157,6 +157,10 @@ def _of_result(original: bpy.types.Object | None, pruned: bpy.types.Object) -> l
         texts.append(problem)
     elif job_result.ranked(pruned) and job_result.Shown(pruned).brings_back:
         text = tr("{count:,} more than were recovered: shown as in the original")
+        if original is not None and job_result.moved_aside(original, pruned):
+            text = tr(
+                "{count:,} more than were recovered: shown as in the original and, until Apply, in its place"
+            )
         texts.append(text.format(count=count - kept))
     return texts
 

@@ -59,10 +59,13 @@ def test_an_original_that_is_archived_keeps_its_place(pruned, camera, ply, expor
 
 def test_a_result_that_was_moved_aside_is_kept_together(pruned, ply, export):
     _, result = pruned
-    result.location.x += 5
     result.svrgs_share = 80
-    bpy.context.view_layer.update()
     activate(result)
+    sentence = "as in the original and, until Apply, in its place"
+    assert sentence not in drawn("prune")
+    result.location.x += 5
+    bpy.context.view_layer.update()
+    assert sentence in drawn("prune")
     bpy.ops.svrgs.apply()
     assert apart(ply, export(space="LOCAL")) == 0
 
