@@ -20,7 +20,7 @@ from ...svrgs_addon.system.memory import size_text
 from ...svrgs_addon.views.cameras_json import write_cameras_json
 from ..data import background_work, splat_object
 from ..data.extension import native_problem
-from ..data.reporting import FolderOperator, menu
+from ..data.reporting import FolderOperator, menu, popup
 from ..jobs import efforts, goals
 from ..jobs.job import given_views, options_of
 from ..scene.splat_transforms import selected_splats
@@ -103,6 +103,8 @@ def _job(folder: Path, tasks: list[farm_job.Task]) -> farm_job.FarmJob:
 def _finished(folder: Path, problems: list[str], result: dict, error: str):
     if error:
         _lines[:] = problems[:] = [error]
+        if not background_work.waits:  # the panel may be closed, or another file be open
+            popup(tr(SVRGS_OT_export_farm_job.bl_label), error)
         return
     text = tr("Tasks: {count:,}. Memory of each: up to {memory}. Folder: {folder}")
     _lines[:] = [text.format(count=result["tasks"], memory=size_text(result["memory"]), folder=folder)]

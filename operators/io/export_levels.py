@@ -21,7 +21,7 @@ from ...svrgs_addon.system.memory import size_text
 from ..data import background_work
 from ..data.extension import native_problem, threads
 from ..data.file_kinds import KINDS, WHAT_FOR, format_of
-from ..data.reporting import FolderOperator, menu
+from ..data.reporting import FolderOperator, menu, popup
 from ..scene.splat_transforms import selected_splats
 from .export_space import ExportSpace
 
@@ -132,6 +132,8 @@ def _finished(name: str, problems: list[str], result: dict, error: str):
     if error:
         _lines.append(f"{name}: {error}")
         problems.append(error)
+        if not background_work.waits:  # the panel may be closed, or another file be open
+            popup(tr(SVRGS_OT_export_levels.bl_label), _lines[-1])
         return
     if "psnr" not in result:
         _lines.append(f"{name}: {size_text(result['bytes'])}")

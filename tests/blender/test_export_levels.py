@@ -4,6 +4,8 @@ SOG, without losing a file."""
 from __future__ import annotations
 
 import shutil
+import time
+import types
 
 import bpy
 import pytest
@@ -116,3 +118,25 @@ def test_levels_are_exported_after_the_temporary_folder_was_deleted(splat, tmp_p
     shutil.rmtree(bpy.app.tempdir)
     bpy.ops.svrgs.export_levels(directory=str(tmp_path), shares="")
     assert list(tmp_path.glob("*.spz"))
+
+
+@pytest.mark.parametrize("name, slow", [("export_levels", "_export"), ("export_farm", "subprocess_python")])
+def test_in_a_window_a_failure_is_shown_also_where_another_file_is_open(
+    splat, tmp_path, monkeypatch, name, slow
+):
+    module, work = part(f"operators.io.{name}"), part("operators.data.background_work")
+    SceneError = part("svrgs_addon.system.errors").SceneError
+
+    def fail(*_):
+        raise SceneError("no room")
+
+    shown = []
+    monkeypatch.setattr(work, "waits", False)
+    monkeypatch.setattr(module, "popup", lambda *words: shown.append(words))
+    monkeypatch.setattr(module, slow, fail if slow == "_export" else types.SimpleNamespace(ask=fail))
+    operator = bpy.ops.svrgs.export_levels if slow == "_export" else bpy.ops.svrgs.export_farm_job
+    operator(directory=str(tmp_path))
+    bpy.ops.wm.read_homefile(use_empty=True)
+    while work.tick() is not None:
+        time.sleep(0.02)
+    assert len(shown) == 1 and "no room" in shown[0][1]
