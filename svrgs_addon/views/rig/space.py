@@ -90,8 +90,13 @@ def middle_and_radius(scene: Scene) -> tuple[np.ndarray, float]:
 
 
 def unit_around(scene: Scene) -> float:
-    """Camera.unit of cameras that see the scene, if they do not know it. Raises SceneError without mass."""
-    return unit_of(middle_and_radius(scene)[1], USUAL_RADIUS, LEAST_RADIUS)
+    """Camera.unit of cameras that see the scene, if they do not know it, by SAMPLES of its Gaussians at most; 1
+    without mass."""
+    try:
+        _, radius = middle_and_radius(scene.select(slice(None, None, scene.count // SAMPLES + 1)))
+    except SceneError:
+        return 1.0
+    return unit_of(radius, USUAL_RADIUS, LEAST_RADIUS)
 
 
 def matter_of(scene: Scene) -> Matter:
