@@ -4,6 +4,7 @@ are there."""
 import numpy as np
 import pytest
 
+import tiny_dataset
 from svrgs_addon.render.metrics import lpips
 from svrgs_addon.system import memory
 
@@ -104,3 +105,21 @@ def test_eval_measures_both_inputs_by_name(tiny, svrgs, weights):
     alone, both = svrgs(*command).json, svrgs(*command, "--lpips-authors").json
     assert alone["lpips"] == both["lpips"] and "lpips_authors" not in alone
     assert both["lpips_authors"] not in (0, both["lpips"])
+
+
+def test_it_is_left_out_of_views_that_are_too_small_unless_it_is_named(svrgs, weights, monkeypatch, tmp_path):
+    narrow = tiny_dataset.write_tiny(tmp_path, cameras=tiny_dataset.views(12, 1, 48))
+    monkeypatch.setenv(lpips.VARIABLE, str(weights))
+    words = f"--data {narrow.folder}"
+    for done in (
+        svrgs(f"eval {narrow.splat}", words),
+        svrgs(f"compare {narrow.splat} {narrow.splat} --out {tmp_path}/c", words),
+        svrgs(
+            f"prune {narrow.splat} --out {tmp_path}/o.ply --report {tmp_path}/r",
+            words,
+            *FINE_TUNED,
+            "--recovery 9",
+        ),
+    ):
+        assert done.status == 0 and "PSNR" in done.out, done.err
+    assert "LPIPS needs" in svrgs(f"eval {narrow.splat}", words, "--lpips-weights", weights).err

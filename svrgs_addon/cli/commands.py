@@ -110,19 +110,17 @@ def evaluate(args: argparse.Namespace) -> int:
     from ..render.metrics import load_lpips
     from ..render.metrics.evaluate import evaluate as measure
     from ..render.metrics.evaluate import refuse_unseen, split_indices
+    from ..render.metrics.lpips import measurable
 
     _set_threads(args)
     registry.check_readable(args.scene)
     # each photograph is read once
     dataset = dataset_of(options_from(DatasetOptions, args, image_memory=0.0))
-    lpips, reason = load_lpips(args.lpips_weights)
     views = split_indices(dataset, args.split)
-    needed = functools.partial(
-        memory.measuring,
-        cameras=[dataset.cameras[i] for i in views],
-        kept_photographs=0,
-        lpips=lpips is not None,
-    )
+    cameras = [dataset.cameras[i] for i in views]
+    asked = args.lpips_weights is not None or args.lpips_authors
+    lpips, reason = measurable(load_lpips(args.lpips_weights), cameras, asked)
+    needed = functools.partial(memory.measuring, cameras=cameras, kept_photographs=0, lpips=lpips is not None)
     with opened(args.scene, "measuring", needed) as (scene, rasterizer):
         refuse_unseen(scene, dataset.cameras, str(args.scene))
         result = measure(scene, dataset, views, rasterizer, lpips, args.matched, args.aligned)

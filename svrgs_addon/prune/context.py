@@ -12,9 +12,10 @@ from pathlib import Path
 from ..files.level_files import level_files
 from ..finetune.loop import Progress
 from ..finetune.run import Run
+from ..render.metrics.lpips import Lpips, measurable
+from ..scene.camera import Camera
 from ..system import memory
 from ..system.errors import SceneError
-from ..system.memory import View
 from .time_plan import TimePlan
 
 PROCESS = 0.5  # seconds of starting and ending the program
@@ -39,7 +40,7 @@ class JobContext:
     started: float = field(default_factory=time.perf_counter)  # when the job began
     # called with the plan of a job with a time limit, and what is foreseen, in a sentence
     tell: Callable[[TimePlan, str], None] = lambda *_: None
-    lpips: Callable | None = None  # (image, photograph) -> float
+    lpips: Lpips | None = None
     lpips_asked: bool = False  # by the name of its weights
     lpips_missing: str = ""  # why lpips is None
     observe: Callable[[Progress], None] = lambda _: None  # called after each step
@@ -49,11 +50,13 @@ class JobContext:
     # called before the first step, after a checkpoint was restored
     begin: Callable[[Run, list[str]], None] = lambda _run, _notes: None
 
-    def fitting(self, cameras: Sequence[View], needed: int = 0) -> JobContext:
-        """Without LPIPS if memory is too short for it. needed: bytes that the job needs besides. Raises
-        SceneError instead if LPIPS was asked for."""
-        if self.lpips is None:
-            return self
+    def fitting(self, cameras: Sequence[Camera], needed: int = 0) -> JobContext:
+        """Without LPIPS if memory is too short for it, or if it was not asked for and a view is too small for
+        it. needed: bytes that the job needs besides. Raises SceneError instead if memory is too short and it
+        was asked for."""
+        lpips, missing = measurable((self.lpips, self.lpips_missing), cameras, self.lpips_asked)
+        if lpips is None:
+            return replace(self, lpips=None, lpips_missing=missing)
         reason = memory.shortage("measuring LPIPS", needed + memory.perceiving(cameras))
         if reason and self.lpips_asked:
             raise SceneError(f"{reason}; leave out --lpips-weights")

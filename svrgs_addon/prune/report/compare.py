@@ -14,6 +14,7 @@ from ...files.registry import size_on_disk
 from ...native.rasterizer import Rasterizer
 from ...render.metrics import load_lpips
 from ...render.metrics.evaluate import Renderable, Renderer, evaluate, refuse_unseen
+from ...render.metrics.lpips import measurable
 from ...scene.camera import refuse_same_stems, view_stem
 from ...system import memory
 from ...system.errors import SceneError
@@ -38,12 +39,12 @@ def compare(
     and 'b' with the figures of `svrgs eval`, 'report' (the page), 'pictures' (the files), 'notes' of the
     dataset. Raises SplatError.
     """
-    lpips, missing = load_lpips(lpips_weights)
     shown = [dataset.cameras[i] for i in report_indices(dataset)]
     others = "photographs another name, in the COLMAP model too"
     refuse_same_stems(shown, f"give one of the {others if dataset.photos else 'cameras another name'}")
     _refuse_photographs(dataset, [_picture(out, camera.name) for camera in shown])
     cameras = [dataset.cameras[i] for i in dataset.test_indices or dataset.train_indices]
+    lpips, missing = measurable(load_lpips(lpips_weights), cameras, lpips_weights is not None)
     needed = functools.partial(
         memory.comparing,
         cameras=cameras,

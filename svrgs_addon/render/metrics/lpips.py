@@ -15,13 +15,14 @@ import os
 import re
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 
 from ...native.pictures import convolved, filter_panels
+from ...scene.camera import Camera
 from ...system.errors import FormatError, SceneError
 from ...system.wheels import cache_folder
 from .measures import image_pair
@@ -127,6 +128,15 @@ def load_lpips(path: str | Path | None, input_range: str = "3dgs") -> tuple[Lpip
     return Lpips(
         {key: _checked(found, key, shape, file) for key, shape in _expected().items()}, input_range
     ), ""
+
+
+def measurable(
+    found: tuple[Lpips | None, str], cameras: Iterable[Camera], asked: bool
+) -> tuple[Lpips | None, str]:
+    """What load_lpips() has found, without the network if a view of the cameras is too small for it and it
+    was not asked for."""
+    small = any(min(camera.width, camera.height) < MIN_SIDE for camera in cameras)
+    return (None, f"a view has less than {MIN_SIDE} x {MIN_SIDE} pixels") if small and not asked else found
 
 
 @cache
