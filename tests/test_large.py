@@ -25,7 +25,7 @@ from svrgs_addon.prune.blocks.merging import MIN_SHARE_OF_CELL, counts, merge, m
 from svrgs_addon.prune.blocks.pruning import write_joined
 from svrgs_addon.prune.blocks.scoring import UNITS, picture_path, score, total, visibility
 from svrgs_addon.prune.blocks.tuning import cut, mixed, tune, tuned_blocks
-from svrgs_addon.prune.blocks.visible import seen
+from svrgs_addon.prune.blocks.visible import DividedView
 from svrgs_addon.prune.likeness import Likeness
 from svrgs_addon.render.metrics.evaluate import render_options
 from svrgs_addon.scene.gaussians import PARAMETERS
@@ -107,7 +107,7 @@ def test_every_gaussian_that_a_view_blends_is_read(source, cameras, tmp_path, re
     faint = request.getfixturevalue("small_parts") if in_parts else 0.0
     divided, scene, rasterizer = divide(source, tmp_path, COUNT // 8), read_scene(source), Rasterizer()
     for camera in reduced(cameras):
-        part, rows = seen(divided, camera, Rasterizer())
+        part, rows = DividedView(divided, camera, Rasterizer()).seen()
         rasterizer.forward(scene, camera, render_options(scene), outputs=())
         most = np.zeros(scene.count, np.float32)
         reached = np.zeros(scene.count, np.uint8)
@@ -382,7 +382,7 @@ def test_a_divided_scene_that_is_damaged_is_one_sentence(source, cameras, tmp_pa
     divided = divide(source, tmp_path, COUNT // 2)
     (tmp_path / "1.geometry").write_bytes(b"short")
     with pytest.raises(FormatError, match=r"1\.geometry: cannot be read"):
-        seen(Divided.read(tmp_path), cameras[0], Rasterizer())
+        DividedView(Divided.read(tmp_path), cameras[0], Rasterizer()).seen()
     contents = json.loads((tmp_path / "blocks.json").read_text())
     for change in ({"schema": 9}, {"blocks": 3}, {"count": "many"}):
         (tmp_path / "blocks.json").write_text(json.dumps(contents | change))

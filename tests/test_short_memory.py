@@ -30,22 +30,22 @@ def source(tmp_path_factory) -> Path:
 
 
 def test_a_view_is_looked_at_in_smaller_parts_where_memory_is_short(source, tmp_path, monkeypatch):
-    divided, rasterizer = divide(source, tmp_path), Rasterizer()
-    many = visible.seen(divided, CAMERA, rasterizer)[0]
+    rasterizer = Rasterizer()
+    view = visible.DividedView(divide(source, tmp_path), CAMERA, rasterizer)
+    many = view.seen()[0]
     parts: list[int] = []
-    blended = visible._blended
-    monkeypatch.setattr(
-        visible, "_blended", lambda *words: parts.append(sum(map(len, words[2]))) or blended(*words)
-    )
+    blended = visible.DividedView._blended
+    counted = lambda *words: parts.append(sum(map(len, words[2]))) or blended(*words)
+    monkeypatch.setattr(visible.DividedView, "_blended", counted)
     monkeypatch.setattr(visible, "FEWEST", COUNT // 100), monkeypatch.setattr(visible, "REACH", np.inf)
     monkeypatch.setattr(memory, "available", lambda: visible._needed(many.count + COUNT // 10, CAMERA))
-    few = visible.seen(divided, CAMERA, rasterizer)[0]
+    few = view.seen()[0]
     assert len(parts) == 2, "and no more, because its longer side would have less than MIN_SIDE_PIXELS pixels"
     images = [rasterizer.forward(scene, CAMERA, render_options(scene))["rgb"].copy() for scene in (many, few)]
     assert np.abs(images[0] - images[1]).max() < 2e-3
     monkeypatch.setattr(memory, "available", lambda: 100_000)
     with pytest.raises(SceneError, match="of the view .* needs about"):
-        visible.seen(divided, CAMERA, rasterizer)
+        view.seen()
 
 
 @pytest.mark.parametrize(

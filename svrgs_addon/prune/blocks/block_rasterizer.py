@@ -21,7 +21,7 @@ from ...system import memory
 from ...system.errors import MemoryShort, TooMany
 from ...system.processes import interrupting
 from .divided import Divided, divide
-from .visible import seen, spatial_mask
+from .visible import DividedView
 
 
 class BlockRasterizer:
@@ -35,11 +35,12 @@ class BlockRasterizer:
     ) -> dict[str, np.ndarray]:
         """As Rasterizer.forward(), of the outputs rgb, depth, alpha and, with the mask_kind svr, mask. Raises
         SplatError, also if memory cannot hold what the view blends."""
-        mask = {"mask": spatial_mask(divided, camera, self._rasterizer)} if "mask" in outputs else {}
+        view = DividedView(divided, camera, self._rasterizer)
+        mask = {"mask": view.spatial_mask()} if "mask" in outputs else {}
         colours = [name for name in outputs if name != "mask"]
         if not colours:
             return mask
-        scene, _ = seen(divided, camera, self._rasterizer)
+        scene, _ = view.seen()
         plain = replace(options, mask_kind="none")
         return self._rasterizer.forward(scene, camera, plain, outputs=colours) | mask
 

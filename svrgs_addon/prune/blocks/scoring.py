@@ -23,7 +23,7 @@ from ...render.metrics.evaluate import render_options
 from ...scene.camera import Camera
 from ...system.errors import FormatError, SceneError
 from .divided import Divided, Progress
-from .visible import seen
+from .visible import DividedView
 
 UNITS = np.array([{"density": 2.0**-16, "squares": 2.0**-20}.get(name, 2.0**-28) for name in VISIBILITY])
 MOST_PIXELS = 1 << 33  # of all views: sums over so many fit into 63 bits, with colours up to 4
@@ -52,7 +52,7 @@ def score(
     sums = np.zeros((divided.count, COLUMNS), np.int64)
     for number, camera in enumerate(views):
         progress(f"view {camera.name or number}", number / len(views))
-        scene, rows = seen(divided, camera, rasterizer)
+        scene, rows = DividedView(divided, camera, rasterizer).seen()
         picture = rasterizer.forward(scene, camera, render_options(scene))["rgb"]
         write_array(picture_path(divided, part + number * parts), picture.astype(np.float16))
         of_view = np.zeros((scene.count, len(VISIBILITY)))

@@ -19,7 +19,7 @@ from ...scene.gaussians import Scene
 from ...system.errors import FormatError
 from .discs import Discs, Window
 from .divided import Block, Divided, Progress, arrays_of
-from .visible import shown
+from .visible import DividedView
 
 # pixels by which a window is larger than the block on each side: SSIM and the Gaussians at the block's border
 # need them
@@ -89,7 +89,7 @@ def _blended(divided: Divided, view: int, camera: Camera, rasterizer: Rasterizer
     path = divided.folder / BLENDED.format(view)
     firsts = np.cumsum([0, *(block.count for block in divided.blocks)])
     if not path.exists():
-        found = shown(divided, camera, rasterizer)
+        found = DividedView(divided, camera, rasterizer).shown()
         places = [firsts[block.number] + some for block, some in zip(found.blocks, found.places, strict=True)]
         write_array(path, np.concatenate([np.zeros(0, np.uint32), *places]).astype(np.uint32))
     try:

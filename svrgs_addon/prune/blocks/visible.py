@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -45,51 +46,100 @@ class Shown:
     scene: Scene  # in the order of the file, without colours (SH degree 0)
 
 
-def shown(divided: Divided, camera: Camera, rasterizer: Rasterizer) -> Shown:
-    """What a view shows. Raises SplatError."""
-    near, places = _in_view(divided, camera)
-    blended = [np.zeros(block.count, bool) for block in near]
-    portion = _portion(sum(map(len, places)), camera)
-    for window, some in _parts(near, places, camera, Window.of(camera), portion):
-        found = _blended(divided, near, some, camera, window, rasterizer)
-        for marked, part, in_part in zip(blended, some, found, strict=True):
-            marked[part[in_part]] = True
-    blocks = [block for block, marked in zip(near, blended, strict=True) if marked.any()]
-    places = [np.flatnonzero(marked) for marked in blended if marked.any()]
-    return Shown(blocks, places, *_read(divided, blocks, places, camera))
+@dataclass(frozen=True)
+class DividedView:
+    """A view of a divided scene, and what renders it."""
 
+    divided: Divided
+    camera: Camera
+    rasterizer: Rasterizer
 
-def seen(divided: Divided, camera: Camera, rasterizer: Rasterizer) -> tuple[Scene, np.ndarray]:
-    """The Gaussians that a view blends or that stop its rays, and perhaps a few others, in the order of the
-    file, in colours as it sees them (SH degree 0), and their rows in the file (n,). Raises SplatError."""
-    found = shown(divided, camera, rasterizer)
-    colours = _each(lambda block, some: _colors(block, some, divided, camera), found.blocks, found.places)
-    sh = _joined(colours, (1, 3))
-    return replace(found.scene, sh=sh[found.order]), found.rows
+    def shown(self) -> Shown:
+        """What the view shows. Raises SplatError."""
+        near, places = self._in_view()
+        blended = [np.zeros(block.count, bool) for block in near]
+        portion = _portion(sum(map(len, places)), self.camera)
+        for window, some in self._parts(near, places, Window.of(self.camera), portion):
+            for marked, part, in_part in zip(blended, some, self._blended(near, some, window), strict=True):
+                marked[part[in_part]] = True
+        blocks = [block for block, marked in zip(near, blended, strict=True) if marked.any()]
+        places = [np.flatnonzero(marked) for marked in blended if marked.any()]
+        return Shown(blocks, places, *self._read(blocks, places))
 
+    def seen(self) -> tuple[Scene, np.ndarray]:
+        """The Gaussians that the view blends or that stop its rays, and perhaps a few others, in the order of
+        the file, in colours as it sees them (SH degree 0), and their rows in the file (n,). Raises
+        SplatError."""
+        found = self.shown()
+        colours = _each(partial(_colors, self.divided, self.camera), found.blocks, found.places)
+        return replace(found.scene, sh=_joined(colours, (1, 3))[found.order]), found.rows
 
-def spatial_mask(divided: Divided, camera: Camera, rasterizer: Rasterizer) -> np.ndarray:
-    """F of a view (H, W), float32, of all Gaussians on each ray, also those hidden behind others: hits of the
-    blocks are added and their transmittances multiplied (docs/methods.md, "Spatial mask", K = N). So memory
-    holds one block at a time. Raises SplatError."""
-    shape = camera.height, camera.width
-    hits, transmittance = np.zeros(shape, np.int64), np.ones(shape, np.float64)
-    for block, places in zip(*_in_view(divided, camera), strict=True):
-        for start in range(0, len(places), PORTION):
-            _, _, scene = _read(divided, [block], [places[start : start + PORTION]], camera)
-            options = picture_options(scene, mask_kind="svr")
-            found = rasterizer.forward(scene, camera, options, outputs=("hits", "transmittance"))
-            hits += found["hits"]
-            transmittance *= found["transmittance"]
-    mask = np.divide(hits - 1 + transmittance, np.log1p(hits), out=np.zeros(shape), where=hits > 0)
-    return mask.astype(np.float32)
+    def spatial_mask(self) -> np.ndarray:
+        """F of the view (H, W), float32, of all Gaussians on each ray, also those hidden behind others: hits
+        of the blocks are added and their transmittances multiplied (docs/methods.md, "Spatial mask", K = N).
+        So memory holds one block at a time. Raises SplatError."""
+        shape = self.camera.height, self.camera.width
+        hits, transmittance = np.zeros(shape, np.int64), np.ones(shape, np.float64)
+        for block, places in zip(*self._in_view(), strict=True):
+            for start in range(0, len(places), PORTION):
+                _, _, scene = self._read([block], [places[start : start + PORTION]])
+                options = picture_options(scene, mask_kind="svr")
+                outputs = ("hits", "transmittance")
+                found = self.rasterizer.forward(scene, self.camera, options, outputs=outputs)
+                hits += found["hits"]
+                transmittance *= found["transmittance"]
+        mask = np.divide(hits - 1 + transmittance, np.log1p(hits), out=np.zeros(shape), where=hits > 0)
+        return mask.astype(np.float32)
 
+    def _in_view(self) -> tuple[list[Block], list[np.ndarray]]:
+        """The blocks that the view may show, and of each the places of the Gaussians that it may show,
+        ascending."""
+        near = [block for block in self.divided.blocks if may_show(block, self.camera)]
+        return near, _each(lambda block: places_in(block, self.camera), near)
 
-def _in_view(divided: Divided, camera: Camera) -> tuple[list[Block], list[np.ndarray]]:
-    """The blocks that a view may show, and of each the places of the Gaussians that it may show,
-    ascending."""
-    near = [block for block in divided.blocks if may_show(block, camera)]
-    return near, _each(lambda block: places_in(block, camera), near)
+    def _parts(
+        self, blocks: Sequence[Block], places: Sequence[np.ndarray], window: Window, portion: int
+    ) -> Iterator[tuple[Window, Sequence[np.ndarray]]]:
+        """Parts of the window, and the places in each block of the Gaussians that they may show, if possible
+        not more than `portion`. places: those of the window."""
+        longest = max(window.right - window.left, window.bottom - window.top)
+        if sum(map(len, places)) <= portion or longest < 2 * MIN_SIDE_PIXELS:
+            yield window, places
+            return
+        for half in window.halves():
+            among = lambda some, block, half=half: places_among(some, block, self.camera, half)
+            yield from self._parts(blocks, _each(among, places, blocks), half, portion)
+
+    def _blended(
+        self, blocks: Sequence[Block], places: Sequence[np.ndarray], window: Window
+    ) -> Iterator[np.ndarray]:
+        """Which Gaussians a part of the view blends into a pixel, or stop a ray there, (n,) bool of each
+        block. It does not depend on colours."""
+        part = replace(self, camera=window.seen_by(self.camera))
+        _, order, scene = part._read(blocks, places)
+        reached, needed = np.zeros(scene.count, np.uint8), np.empty(scene.count, bool)
+        self.rasterizer.forward(scene, part.camera, render_options(scene), outputs=())
+        self.rasterizer.add_scores(reached=reached)
+        needed[order] = reached > 0
+        ends = np.cumsum([0, *map(len, places)])
+        for block, some, start, end in zip(blocks, places, ends, ends[1:], strict=False):
+            wide = _wide(block, some, self.camera) if window != Window.of(self.camera) else False
+            yield needed[start:end] | wide
+
+    def _read(
+        self, blocks: Sequence[Block], places: Sequence[np.ndarray]
+    ) -> tuple[np.ndarray, np.ndarray, Scene]:
+        """Gaussians of blocks: their rows in the file, ascending, their order, and themselves, without
+        colours, as in Shown. Raises SceneError if memory is too short to render them."""
+        divided, count = self.divided, sum(map(len, places))
+        what = f"{divided.source}: rendering the {count:,} Gaussians of the view {self.camera.name}"
+        memory.refuse_excess(what, _needed(count, self.camera))
+        geometry = _joined(_each(lambda block, some: block.geometry[some], blocks, places), (WIDTH,))
+        rows = _joined([block.rows[some] for block, some in zip(blocks, places, strict=True)], ())
+        rows = rows.astype(np.uint32)
+        order = np.argsort(rows, kind="stable")
+        sh, arrays = np.zeros((count, 1, 3), np.float32), arrays_of(geometry[order])
+        return rows[order], order, Scene(**arrays, sh=sh, antialiased=divided.antialiased)
 
 
 def _each(work: Callable[..., np.ndarray], *arguments: Sequence) -> list[np.ndarray]:
@@ -107,64 +157,11 @@ def _portion(count: int, camera: Camera) -> int:
     return portion
 
 
-def _parts(
-    blocks: Sequence[Block], places: Sequence[np.ndarray], camera: Camera, window: Window, portion: int
-) -> Iterator[tuple[Window, Sequence[np.ndarray]]]:
-    """Parts of the window, and the places in each block of the Gaussians that they may show, if possible not
-    more than `portion`. places: those of the window."""
-    longest = max(window.right - window.left, window.bottom - window.top)
-    if sum(map(len, places)) <= portion or longest < 2 * MIN_SIDE_PIXELS:
-        yield window, places
-        return
-    for half in window.halves():
-        inside = _each(lambda some, block, half=half: places_among(some, block, camera, half), places, blocks)
-        yield from _parts(blocks, inside, camera, half, portion)
-
-
-def _blended(
-    divided: Divided,
-    blocks: Sequence[Block],
-    places: Sequence[np.ndarray],
-    camera: Camera,
-    window: Window,
-    rasterizer: Rasterizer,
-) -> Iterator[np.ndarray]:
-    """Which Gaussians a part of the view blends into a pixel, or stop a ray there, (n,) bool of each block.
-    It does not depend on colours."""
-    _, order, scene = _read(divided, blocks, places, window.seen_by(camera))
-    reached, needed = np.zeros(scene.count, np.uint8), np.empty(scene.count, bool)
-    rasterizer.forward(scene, window.seen_by(camera), render_options(scene), outputs=())
-    rasterizer.add_scores(reached=reached)
-    needed[order] = reached > 0
-    ends = np.cumsum([0, *map(len, places)])
-    for block, some, start, end in zip(blocks, places, ends, ends[1:], strict=False):
-        wide = _wide(block, some, camera) if window != Window.of(camera) else False
-        yield needed[start:end] | wide
-
-
 def _wide(block: Block, some: np.ndarray, camera: Camera) -> np.ndarray:
     """Which of these Gaussians of a block reach farther than REACH, (n,) bool."""
     parts = (block.geometry[some[start : start + PART]] for start in range(0, len(some), PART))
     discs = (Discs.of_geometry(part, camera) for part in parts)
     return np.concatenate([np.zeros(0, bool), *(disc.right - disc.left > 2 * REACH for disc in discs)])
-
-
-def _read(
-    divided: Divided, blocks: Sequence[Block], places: Sequence[np.ndarray], camera: Camera
-) -> tuple[np.ndarray, np.ndarray, Scene]:
-    """Gaussians of blocks: their rows in the file, ascending, their order, and themselves, without colours,
-    as in Shown. Raises SceneError if memory is too short to render them."""
-    count = sum(map(len, places))
-    what = f"{divided.source}: rendering the {count:,} Gaussians of the view {camera.name}"
-    memory.refuse_excess(what, _needed(count, camera))
-    geometry = _joined(_each(lambda block, some: block.geometry[some], blocks, places), (WIDTH,))
-    rows = _joined([block.rows[some] for block, some in zip(blocks, places, strict=True)], ())
-    rows = rows.astype(np.uint32)
-    order = np.argsort(rows, kind="stable")
-    scene = Scene(
-        **arrays_of(geometry[order]), sh=np.zeros((count, 1, 3), np.float32), antialiased=divided.antialiased
-    )
-    return rows[order], order, scene
 
 
 def _needed(count: int, camera: Camera) -> int:
@@ -176,7 +173,7 @@ def _joined(parts: list[np.ndarray], shape: tuple[int, ...]) -> np.ndarray:
     return np.concatenate(parts) if parts else np.zeros((0, *shape), np.float32)
 
 
-def _colors(block: Block, some: np.ndarray, divided: Divided, camera: Camera) -> np.ndarray:
+def _colors(divided: Divided, camera: Camera, block: Block, some: np.ndarray) -> np.ndarray:
     """The colours of these Gaussians of a block as the camera sees them, as SH of degree 0, (n, 1, 3)
     float32."""
     sh = np.empty((len(some), 1, 3), np.float32)
