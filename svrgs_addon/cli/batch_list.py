@@ -69,7 +69,9 @@ def expand(
         )
     items = []
     for name, scene in found:
-        target = out if out and to_file else _output(name, scene, out)
+        target = default_output(scene) if out is None else out
+        if out and not to_file:
+            target = out / f"{name}{registry.USUAL.suffixes[0]}"
         items.append(
             Item(name, scene, data or _dataset(scene), target, tuple(level_files(target, levels).values()))
         )
@@ -163,10 +165,6 @@ def _dataset(scene: Path) -> Path | None:
         ):
             return folder
     return None
-
-
-def _output(name: str, scene: Path, folder: Path | None) -> Path:
-    return default_output(scene) if folder is None else folder / f"{name}{registry.USUAL.suffixes[0]}"
 
 
 def default_output(scene: Path, option: str = "--out") -> Path:

@@ -142,8 +142,9 @@ def _by_views(
             f"{out}: an SPZ or a SOG is rounded by views, and spherical harmonics are left out by them: leave"
             " --data out"
         )
+    to_original = np.diag([1 / options.scale] * 3 + [1.0]) @ np.linalg.inv(_matrix(options))
     cameras = [
-        replace(camera.moved(_to_original(options)), unit=options.scale * camera.unit)
+        replace(camera.moved(to_original), unit=options.scale * camera.unit)
         for camera in _training_cameras(options.data)
     ]
     check_views(scene, cameras, cameras, str(path))
@@ -185,11 +186,6 @@ def _degree(options: ConvertOptions) -> int:
 def _training_cameras(data: Path) -> list[Camera]:
     """Of the dataset, which is read once for all inputs. Raises SceneError, FormatError."""
     return load_dataset(data, cameras_only=True).training_cameras
-
-
-def _to_original(options: ConvertOptions) -> np.ndarray:
-    """(4, 4) from the changed scene to the original."""
-    return np.diag([1 / options.scale] * 3 + [1.0]) @ np.linalg.inv(_matrix(options))
 
 
 def _matrix(options: ConvertOptions) -> np.ndarray:
