@@ -181,14 +181,14 @@ def test_screen_filling_gaussians_touch_every_tile(level):
 
 @pytest.mark.parametrize("level", LEVELS)
 def test_near_plane(level):
-    for z, visible in (
-        (-1.0, False),
-        (0.0, False),
-        (0.1999999, False),
-        (0.2000001, True),
-        (1e10, True),
-        (1e20, False),
-    ):
+    for z, visible in {
+        -1.0: False,
+        0.0: False,
+        0.1999999: False,
+        0.2000001: True,
+        1e10: True,
+        1e20: False,
+    }.items():
         scene = isotropic([(0, 0, z)], scale=max(z, 0.1))
         images, grads = view_and_gradients(level, scene, frontal(5, 5))
         assert bool(len(rasterizer(level).visible())) == visible == bool(images["hits"].any()), z

@@ -49,19 +49,10 @@ def test_a_name_that_windows_forbids_is_refused(windows, tmp_path, path, reason)
     assert str(caught.value) == f"{path}: cannot be written because {reason}; choose another name"
 
 
-@pytest.mark.parametrize(
-    "path",
-    [
-        "C:\\out\\console.ply",
-        "..\\.\\nulls\\.a\\b c.ply",
-        "\\\\server\\share\\größe.ply",
-        "COM0.ply",
-        "com10",
-        LONG,
-    ],
-)
-def test_other_names_are_allowed(windows, path):
-    assert what_is_forbidden(path) == ""
+def test_other_names_are_allowed(windows):
+    paths = "C:\\out\\console.ply", "..\\.\\nulls\\.a\\b c.ply", "\\\\server\\share\\größe.ply"
+    for path in (*paths, "COM0.ply", "com10", LONG):
+        assert what_is_forbidden(path) == "", path
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="this is Windows")
@@ -92,20 +83,13 @@ def test_a_relative_path_is_measured_from_the_current_folder(windows, monkeypatc
 
 
 def test_messages_show_the_path_without_the_prefix(windows):
-    path = extended(LONG + "\\größe.ply")
-    assert printable(str(FileNotFoundError(2, "missing", str(path)))) == "[Errno 2] missing: " + repr(
-        f"{LONG}\\größe.ply"
-    )
-    assert (
-        str(FormatError(f"{path}: is incomplete"))
-        == printable(f"{path}: is incomplete")
-        == f"{LONG}\\größe.ply: is incomplete"
-    )
-    share = extended("\\\\server\\share\\" + "x" * 300)
-    assert plain({"out": str(share), "files": [str(path)]}) == {
-        "out": "\\\\server\\share\\" + "x" * 300,
-        "files": [f"{LONG}\\größe.ply"],
-    }
+    name, share = f"{LONG}\\größe.ply", "\\\\server\\share\\" + "x" * 300
+    path = extended(name)
+    assert printable(str(FileNotFoundError(2, "missing", str(path)))) == f"[Errno 2] missing: {name!r}"
+    said = f"{path}: is incomplete"
+    assert str(FormatError(said)) == printable(said) == f"{name}: is incomplete"
+    stored = {"out": str(extended(share)), "files": [str(path)]}
+    assert plain(stored) == {"out": share, "files": [name]}
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="only Windows has drives")
@@ -116,17 +100,11 @@ def test_a_drive_that_is_missing_is_one_sentence(windows, monkeypatch):
 
 
 def test_a_junction_of_windows_is_a_link(tmp_path, monkeypatch):
-    tags = {str(tmp_path / "junction"): 0xA0000003, str(tmp_path / "in the cloud"): 0x9000001A}
-    lstat = os.lstat
-    for name in ("junction", "in the cloud", "folder"):
+    tags, mode = {"junction": 0xA0000003, "in the cloud": 0x9000001A, "folder": 0}, tmp_path.stat().st_mode
+    for name in tags:
         (tmp_path / name).mkdir()
-    monkeypatch.setattr(
-        os,
-        "lstat",
-        lambda path: SimpleNamespace(
-            st_reparse_tag=tags.get(os.fspath(path), 0), st_mode=lstat(path).st_mode
-        ),
-    )
+    facts = lambda path: SimpleNamespace(st_reparse_tag=tags[Path(path).name], st_mode=mode)
+    monkeypatch.setattr(os, "lstat", facts)
     with os.scandir(tmp_path) as entries:
         assert sorted(entry.name for entry in entries if is_link(entry)) == ["junction"]
 
@@ -198,12 +176,8 @@ def test_long_paths_with_umlauts_and_spaces(place, command, console):
     if command in ("prune", "batch"):
         result = json.loads(done.stdout)
         assert result["out"] == str(place / "ö.ply") and extended(place / "ö.ply").is_file()
-    left = [
-        path.name
-        for path in extended(place).iterdir()
-        if path.name.startswith(".svrgs-") or path.suffix == ".job"
-    ]
-    assert not left
+    left = list(extended(place).iterdir())
+    assert not any(path.name.startswith(".svrgs-") or path.suffix == ".job" for path in left)
 
 
 def test_a_sentence_on_a_console_that_lacks_the_letters(tmp_path):

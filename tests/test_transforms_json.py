@@ -377,14 +377,8 @@ def test_commands_take_it_like_colmap(tiny, svrgs, tmp_path):
         "train", "--colmap", tmp_path, "--iterations", 5, "--quiet", "--json", "--out", tmp_path / "t.ply"
     ).json
     assert trained["count"] == len(tiny.truth.means)
-    assert (
-        len(
-            svrgs(f"render {tiny.splat} --colmap {tmp_path} --views 0,1 --out {tmp_path}/out --json").json[
-                "files"
-            ]
-        )
-        == 2
-    )
+    words = "--colmap", tmp_path, "--views 0,1 --json --out", tmp_path / "out"
+    assert len(svrgs("render", tiny.splat, *words).json["files"]) == 2
 
 
 def test_the_real_dataset_as_transforms(shared_data, tmp_path):
@@ -407,17 +401,12 @@ def test_pinhole_cameras_need_no_pycolmap(tmp_path, monkeypatch):
     data = load_dataset(tmp_path / "a/transforms.json")
     assert np.array_equal(data.image(0), expected.image(0))
     assert np.abs(data.cameras[0].K - expected.cameras[0].K).max() < 1e-9
-    with pytest.raises(
-        SceneError,
-        match=(
-            "^reading a COLMAP model, unlike a transforms.json, needs the package pycolmap: run .* -m pip"
-            " install pycolmap"
-        ),
-    ):
+    needed = (
+        "^reading a COLMAP model, unlike a transforms.json, needs the package pycolmap: run .* -m pip install"
+    )
+    with pytest.raises(SceneError, match=needed):
         load_dataset(tmp_path / "a")
-    monkeypatch.setenv(packages.MISSING_VARIABLE, "Python 3.12 lacks pycolmap: do this")
-    with pytest.raises(
-        SceneError,
-        match="^undistorting photographs needs the package pycolmap: Python 3.12 lacks pycolmap: do this$",
-    ):
+    lack = "Python 3.12 lacks pycolmap: do this"
+    monkeypatch.setenv(packages.MISSING_VARIABLE, lack)
+    with pytest.raises(SceneError, match=f"^undistorting photographs needs the package pycolmap: {lack}$"):
         load_dataset(tmp_path / "b/transforms.json").image(0)
