@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from svrgs_addon.finetune.quality import hold_apart
+from svrgs_addon.native.rasterizer import Rasterizer
 from svrgs_addon.prune.door import Allowed, allowed_loss
 from svrgs_addon.prune.options import PruneOptions
-from svrgs_addon.render.metrics import flip, lpips, psnr
+from svrgs_addon.render.metrics import evaluate, flip, lpips, psnr
 from svrgs_addon.render.metrics.allowed_loss import loss_notes, missed_loss, refuse_loss
 from svrgs_addon.render.metrics.evaluate import BLOCK, block, quality_of_view
 from svrgs_addon.system.errors import SceneError
@@ -163,3 +164,12 @@ def test_a_format_is_blamed_from_half_of_the_error_on():
     assert loss_notes(30.0, 27.0) == []
     assert "30.0 dB before it was written, 26.9 dB after" in loss_notes(30.0, 26.9)[0]
     assert "all that is lost, the format of the output loses" in loss_notes(100.0, 40.0)[0]
+
+
+def test_lpips_is_measured_in_a_few_views_alone(data, tiny, monkeypatch):
+    asked = []
+    monkeypatch.setattr(evaluate, "default_lpips", lambda: lambda *_: asked.append(1) or 0.25)
+    options = evaluate.render_options(tiny.truth)
+    views = range(len(data.cameras))
+    assert evaluate.mean_quality(tiny.truth, data, views, Rasterizer(), options, measure="lpips") == -0.25
+    assert len(asked) == evaluate.BLOCKS < len(views)

@@ -22,6 +22,7 @@ from svrgs_addon.prune.blocks.request import Request
 from svrgs_addon.prune.blocks.sample import MAX_SAMPLED, finer, sample_of
 from svrgs_addon.prune.blocks.tuning import tune
 from svrgs_addon.prune.options import PruneOptions
+from svrgs_addon.prune.recipes.by_blocks import Goal
 from svrgs_addon.render.metrics.evaluate import render_options
 from svrgs_addon.system import memory
 from svrgs_addon.system.errors import SceneError
@@ -382,3 +383,7 @@ def test_views_that_are_placed_are_drawn_larger_and_given_ones_as_they_are(tmp_p
     monkeypatch.setattr(job_views, "place_rig", lambda *_, **__: Rig(placed, [], False, None))
     found = job_views.by_blocks(PruneOptions(cameras=tmp_path / "views.json"), room(9), 1.0).train
     assert [camera.width for camera in found] == [64, 128]
+
+
+def test_the_smallest_share_keeps_one_gaussian():
+    assert [Goal(share=share).number(10) for share in (0.001, 0.25, 0.0)] == [1, 2, 10]

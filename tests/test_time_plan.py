@@ -379,3 +379,8 @@ def test_learned_masks_measure_an_allowed_drop_at_each_update_of_their_strength(
     drop = lambda method, **more: judging._drop(whole(method, max_loss=1.0, **more), 0.2)
     assert drop("removal", nested=0.5) == duration.BISECTION  # nothing is cut in a nested recovery
     assert drop("svr") == pytest.approx(drop("removal") + UPDATES)
+
+
+def test_a_cut_that_merges_takes_as_long_as_some_steps():
+    cut = lambda pace: pace._cut(whole("merge"), 0.2)
+    assert cut(SLOW) - cut(replace(SLOW, step=0.0)) == pytest.approx(duration.MERGING_STEPS * SLOW.step)
