@@ -21,7 +21,7 @@ from ...svrgs_addon.render.composite import composite, composite_while, split
 from ...svrgs_addon.render.panorama import composite_view
 from ...svrgs_addon.render.passes import BEHIND, PASSES, blank, passes
 from ...svrgs_addon.system.errors import NativeError, SceneError, SplatError
-from ..data import camera_object, grading, image_pixels, known, mesh_triangles, visible_splats
+from ..data import camera_object, grading, image_pixels, known, mesh_triangles, splat_object, visible_splats
 from ..data.extension import use_threads
 from ..data.image_pixels import working_space
 from .viewport import Viewport
@@ -74,6 +74,10 @@ class SVRGS_engine(bpy.types.RenderEngine):
         scene, meshes = depsgraph.scene, depsgraph.scene.svrgs_view.meshes
         self.show_progress(tr("Reading splats"), 0.0)
         placed = visible_splats.splats(depsgraph)
+        if placed is None and self.is_animation and any(map(splat_object.is_splat, bpy.data.objects)):
+            text = tr("no splat is shown in frame {frame}").format(frame=scene.frame_current)
+            self.report({"WARNING"}, text)
+            placed = visible_splats.nothing()  # an error would end the animation
         if placed is None and sum(layer.use for layer in scene.view_layers) > 1:
             placed = visible_splats.nothing()  # the splats may be in another view layer
         if placed is None:

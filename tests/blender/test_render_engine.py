@@ -308,3 +308,16 @@ def test_a_view_layer_leaves_out_what_is_indirect_only_and_says_what_no_splat_ca
         assert not f12(tmp_path / "first.png")[..., :3].any(), "the splats are in the other layer"
     finally:
         stage.view_layers.remove(other)
+
+
+def test_an_animation_goes_on_where_no_splat_is_shown(tmp_path, stage, room, camera, capfd):
+    for frame, hidden in ((1, False), (2, True), (3, False)):
+        room.hide_render = hidden
+        room.keyframe_insert("hide_render", frame=frame)
+    stage.frame_start, stage.frame_end, stage.render.filepath = 1, 3, str(tmp_path / "frame")
+    bpy.ops.render.render(animation=True)
+    shown = [
+        pixels(bpy.data.images.load(str(tmp_path / f"frame000{frame}.png")))[..., :3].any()
+        for frame in (1, 2, 3)
+    ]
+    assert shown == [True, False, True] and "no splat is shown in frame 2" in capfd.readouterr().out
