@@ -281,7 +281,11 @@ def _moved(masks: str, before: str, folder: str) -> str:
     return found if os.path.isdir(found) else ""
 
 
-HANDLERS = {"save_pre": _before_save, "save_post": _after_save, "save_post_fail": _after_save}
+HANDLERS: dict[str, Callable] = {
+    "save_pre": _before_save,
+    "save_post": _after_save,
+    "save_post_fail": _after_save,
+}
 if hasattr(bpy.app.handlers, "blend_import_post"):  # from 5.0 on
     HANDLERS["blend_import_post"] = _after_import
 

@@ -95,8 +95,8 @@ class SVRGS_engine(bpy.types.RenderEngine):
             text = tr("'{name}' is set as a holdout, which no splat is: it is drawn").format(name=name)
             self.report({"WARNING"}, text)
         if self.is_animation:
-            found = {grading.still(obj, depsgraph) for obj, _ in visible_splats.placed_splats(depsgraph)}
-            for text in found - {""}:
+            still = {grading.still(obj, depsgraph) for obj, _ in visible_splats.placed_splats(depsgraph)}
+            for text in still - {""}:
                 self.report({"WARNING"}, text)
         view = camera_object.view_of(visible_splats.camera(depsgraph, self.camera_override), scene)
         self.show_progress(tr("Reading meshes"), 0.1)

@@ -152,7 +152,7 @@ def test_passes_are_saved(tmp_path, stage, room, camera):
     while source.seek_subimage(part_number, 0):
         names |= {name.split(".", 1)[1] for name in source.spec().channelnames}
         part_number += 1
-    assert names >= {"Combined.R", "Combined.A", "Depth.Z", "Alpha.A", "SpatialMask.X", "Count.X"}
+    assert names >= {"Combined.R", "Combined.A", "Depth.Z", "SplatAlpha.A", "SpatialMask.X", "Count.X"}
 
 
 def test_an_object_that_is_no_camera_is_refused_in_one_sentence(stage, bridge, room):
