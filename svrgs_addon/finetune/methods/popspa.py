@@ -37,7 +37,7 @@ class POPSpa(Stepwise):
     def terms(self, run: RunView, phase: Phase, number: int) -> dict:
         if not self.count:
             return {}
-        shape = EffectiveRank(thin=EffectiveRank.thin / run.training_cameras[0].unit)
+        shape = EffectiveRank(thin=EffectiveRank.thin / run.viewed.cameras[0].unit)
         pull = (OpacityGoal(RHO, run.model.values[GOAL]),) if self._pulls(phase, number) else ()
         return {"penalties": (shape, *pull)}
 

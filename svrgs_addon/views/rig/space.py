@@ -90,8 +90,8 @@ def middle_and_radius(scene: Scene) -> tuple[np.ndarray, float]:
 
 
 def unit_around(scene: Scene) -> float:
-    """Camera.unit of cameras that see the scene, if they do not know it, by SAMPLES of its Gaussians at most; 1
-    without mass."""
+    """Camera.unit of cameras that see the scene, if they do not know it, by at most SAMPLES of its Gaussians.
+    1 without mass."""
     try:
         _, radius = middle_and_radius(scene.select(slice(None, None, scene.count // SAMPLES + 1)))
     except SceneError:
