@@ -101,7 +101,9 @@ def atomic_path(path: str | os.PathLike, keep: bool = True) -> Iterator[Path]:
             if (asked := _check.get()) and asked[0] == target:
                 _check_new(asked[1], temporary, target)
             _replace(temporary, target, path if keep else None)
-    _sync_folder(target.parent)
+    if not here.WINDOWS:  # makes the rename durable
+        with contextlib.suppress(OSError):  # some file systems cannot do this
+            _sync(target.parent, os.O_RDONLY)
 
 
 @contextlib.contextmanager
@@ -235,13 +237,6 @@ def _sync(path: Path, flags: int) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
-
-
-def _sync_folder(folder: Path) -> None:
-    """Makes the rename durable (POSIX). Errors are ignored: some file systems cannot do this."""
-    if not here.WINDOWS:
-        with contextlib.suppress(OSError):
-            _sync(folder, os.O_RDONLY)
 
 
 def _check_new(check: Callable[[Path], None], temporary: Path, target: Path) -> None:

@@ -194,9 +194,10 @@ def _corrected(scene: Scene, higher: _Higher, seen: SeenFrom) -> np.ndarray:
     entries, base = np.array(higher.levels, np.float32)[higher.entries], np.empty_like(scene.sh[:, 0])
     for start in range(0, scene.count, PART):
         part = slice(start, start + PART)
-        held = entries[higher.labels[part]]
         moments = seen.select(part).moments(scene.means[part], scene.sh.shape[1])
-        base[part] = rounded(scene.sh[part], moments, partial(_fixed, held))[:, 0]
+        # all values of the first coefficient can be stored, of others those of the palette
+        stored = lambda k, values, held=entries[higher.labels[part]]: held[:, k - 1] if k else values
+        base[part] = rounded(scene.sh[part], moments, stored)[:, 0]
     return base
 
 
@@ -204,11 +205,6 @@ def _factors(scene: Scene, weights: np.ndarray, seen: SeenFrom, some: slice | np
     """(n, K-1, K-1): F of some Gaussians for palette.refined, which weighs their errors as pictures do."""
     moments = seen.select(some).moments(scene.means[some], scene.sh.shape[1])
     return higher_factors(moments) * np.sqrt(weights[some])[:, None, None]
-
-
-def _fixed(held: np.ndarray, k: int, values: np.ndarray) -> np.ndarray:
-    """What is stored of coefficient k: of the first one all values, of others those that are held."""
-    return held[:, k - 1] if k else values
 
 
 def _share(rows: np.ndarray, weights: np.ndarray, quantise: float, factors: Factors | None) -> int:
