@@ -101,7 +101,7 @@ class Job:
         """From where a job that has not ended well would be continued: a sentence with named fields, and
         their values."""
         if not (self.folder / "job.json").is_file():
-            return "Its files are gone, so it cannot be resumed: discard it", {}
+            return "Resume cannot continue it, as its files are gone: discard it", {}
         tasks, of = self.folder.tasks()
         if tasks and of:
             text = "Resume continues: {done} of {tasks} tasks by blocks are done"

@@ -117,7 +117,7 @@ def test_a_job_whose_folder_was_deleted_fails_in_a_sentence(splat, watch, what):
     assert process.poll() is not None and not watch.tick()
     assert job.state == "failed" and "messages.jsonl" in job.facts["text"] and "Failed" in drawn("prune")
     assert "Failed" in part("operators.jobs.job_list").headline(bpy.context)
-    assert "Its files are gone, so it cannot be resumed" in drawn("prune")
+    assert "Resume cannot continue it, as its files are gone" in drawn("prune")
     with pytest.raises(RuntimeError, match="is no job of this version"):
         bpy.ops.svrgs.job_resume()
     bpy.ops.svrgs.job_discard()

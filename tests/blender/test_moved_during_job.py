@@ -83,7 +83,7 @@ def test_gaussians_brought_back_lie_where_the_original_shows_them(pruned, bridge
     bpy.context.view_layer.objects.active = result
     result.svrgs_share = 100
     bpy.context.view_layer.update()
-    shown = part("operators.jobs.job_result").shown_gaussians(result)
+    shown = part("operators.jobs.job_result").Shown(result).gaussians
     assert shown.count == before.count
     back = ~np.isin(np.arange(before.count), bridge.values(result, "svrgs:row"))
     np.testing.assert_allclose(shown.means[back], before.means[back], atol=1e-5)
