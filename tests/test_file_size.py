@@ -9,7 +9,7 @@ import pytest
 
 from scenes import random_scene
 from svrgs_addon.files import registry
-from svrgs_addon.files.registry import file_size as file_size_of
+from svrgs_addon.files.ply import file_size as file_size_of
 from svrgs_addon.files.registry import format_to_write, read_scene, round_trip, write_scene
 from svrgs_addon.files.sh_rounding import without_bands
 from svrgs_addon.jobs.estimate import estimate

@@ -213,7 +213,10 @@ def test_a_ksplat_whose_numbers_contradict_each_other_is_refused(tmp_path, at, v
 def test_a_compressed_ply_whose_elements_contradict_each_other_is_refused(tmp_path):
     write_scene(tmp_path / "a.compressed.ply", like_trained(1, 100))
     data = (tmp_path / "a.compressed.ply").read_bytes()
-    for old, new, said in ((b"sh 100", b"sh 101", "other SH"), (b"chunk 1", b"chunk 2", "number of chunks")):
+    for old, new, said in (
+        (b"sh 100", b"sh 101", "other SH"),
+        (b"chunk 1", b"chunk 2", "another number of them"),
+    ):
         (tmp_path / "a.compressed.ply").write_bytes(data.replace(b"element " + old, b"element " + new))
         with pytest.raises(FormatError, match=said):
             read_scene(tmp_path / "a.compressed.ply")

@@ -6,6 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from pictures import photographed
 from plans import prune_settings
 from scenes import random_scene
 from svrgs_addon.files.ply import read_ply
@@ -15,7 +16,8 @@ from svrgs_addon.finetune.quality import psnr_after, psnr_removed
 from svrgs_addon.finetune.viewed_scene import ViewedScene
 from svrgs_addon.jobs.estimate import estimate
 from svrgs_addon.native.rasterizer import Rasterizer
-from svrgs_addon.prune import expected_count, quality_forecast
+from svrgs_addon.prune import quality_forecast
+from svrgs_addon.prune.expected_count import Expected, Seen
 from svrgs_addon.prune.options import PruneOptions
 from svrgs_addon.prune.pipeline import prune_scene
 from svrgs_addon.prune.quality_forecast import LEAST_STEPS, forecast, spread
@@ -165,6 +167,6 @@ def test_an_allowed_drop_keeps_no_more_than_foreseen(trained, tiny, tmp_path):
 
 def test_at_least_one_gaussian_is_expected_to_stay():
     scene = random_scene(9)
-    unseen = expected_count.Seen(np.zeros(9), np.zeros(9, np.float32), np.zeros(9, int), 3)
-    plan = prune_settings("svr", 9, 9, min_contribution=0.1)
-    assert expected_count.expected_count(plan, scene, None, unseen) == 1
+    expected = Expected(prune_settings("svr", 9, 9, min_contribution=0.1), scene, photographed(scene))
+    expected.seen = Seen(np.zeros(9), np.zeros(9, np.float32), np.zeros(9, int), 3)
+    assert expected.kept == 1
