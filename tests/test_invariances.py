@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,13 +11,20 @@ import pytest
 import scenes
 import tiny_dataset
 from colmap_model import write_colmap
+from svrgs_addon.cli.arguments import parser
+from svrgs_addon.cli.view_scenes import source_of
+from svrgs_addon.files.images import read_pixels
 from svrgs_addon.files.registry import load_scene, read_scene, write_scene
+from svrgs_addon.jobs.photo_sample import read_in_child
 from svrgs_addon.native.rasterizer import Rasterizer
 from svrgs_addon.prune import job_views
 from svrgs_addon.render.metrics import psnr
+from svrgs_addon.render.metrics.explained import sample_views
 from svrgs_addon.scene.affine import scaled
+from svrgs_addon.scene.camera import in_their_unit
 from svrgs_addon.system import memory
 from svrgs_addon.viewer.source import Source
+from svrgs_addon.views.cameras_json import load_cameras_json, write_cameras_json
 from svrgs_addon.views.dataset import load_dataset
 from svrgs_addon.views.rig.around import cameras_around
 from svrgs_addon.views.rig.place import quick_rig
@@ -129,3 +137,37 @@ def test_a_page_begins_in_front_of_a_small_splat():
 def test_cameras_of_a_file_know_the_size_of_their_world(capture, tmp_path):
     cameras = [load_dataset(capture(unit), cameras_only=True).cameras for unit in (1.0, SMALL)]
     assert cameras[0][0].unit == 1 and cameras[1][0].unit == pytest.approx(0.0066, abs=1e-4)
+
+
+def test_a_camera_alone_in_its_file_shows_a_small_splat(svrgs, capture, tmp_path):
+    pictures = []
+    for factor in (1.0, SMALL):
+        folder = capture(factor)
+        one = [replace(camera, unit=1.0) for camera in load_dataset(folder, cameras_only=True).cameras[:1]]
+        write_cameras_json(tmp_path / "cameras.json", one)
+        svrgs("render", folder / "scene.ply", "--cameras", tmp_path / "cameras.json", "--out", tmp_path)
+        pictures.append(read_pixels(next(tmp_path.glob("*.png")))[..., :3].astype(int))
+        words = "view", str(folder / "scene.ply"), "--cameras", str(tmp_path / "cameras.json")
+        looked = source_of(parser().parse_args(words))
+        assert looked.unit == 1 if factor == 1 else looked.unit < 0.03
+    assert pictures[0].any() and np.abs(pictures[0] - pictures[1]).max() <= 2
+
+
+def test_views_that_stand_near_each_other_keep_their_unit_in_a_file(tmp_path):
+    near, far = (in_their_unit(tiny_dataset.views()[:2], shift + np.zeros((1, 3))) for shift in (0.0, 100.0))
+    for cameras in (near, far):
+        write_cameras_json(tmp_path / "cameras.json", cameras)
+        units = [camera.unit for camera in load_cameras_json(tmp_path / "cameras.json")]
+        assert units == [camera.unit for camera in cameras]
+
+
+def test_what_rounding_leaves_of_cameras_in_one_place_is_no_extent():
+    for turn in np.linspace(0, 3, 7):
+        views = [tiny_dataset.views()[0], tiny_dataset.views()[0].displaced(np.array([0, turn, 0, 0, 0, 0]))]
+        assert in_their_unit(views, np.empty((0, 3)))[0].unit == 1
+
+
+def test_the_child_process_of_a_check_knows_the_unit(capture):
+    expected = sample_views(load_dataset(capture(SMALL)))
+    for (camera, _), (other, _) in zip(expected, read_in_child(str(capture(SMALL)), ""), strict=True):
+        assert camera.key == other.key and camera.unit < 1

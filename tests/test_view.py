@@ -86,10 +86,11 @@ def test_a_browser_sees_what_the_camera_sees():
         image_width=120,
         image_height=80,
     )
-    found = camera_of(looking)
+    found = camera_of(looking, 0.01)
     np.testing.assert_allclose(found.viewmat, CAMERA.viewmat, atol=1e-12)
     np.testing.assert_allclose(found.K, CAMERA.K, atol=1e-9)
-    large = camera_of(SimpleNamespace(**{**vars(looking), "image_width": 12_000, "image_height": 8_000}))
+    assert found.unit == 0.01
+    large = camera_of(SimpleNamespace(**{**vars(looking), "image_width": 12_000, "image_height": 8_000}), 1.0)
     assert max(large.width, large.height) == LARGEST
 
 
@@ -171,7 +172,7 @@ def test_a_browser_shows_the_pictures_of_the_native_renderer():
             page.until(viewer.server.get_clients)
             client = next(iter(viewer.server.get_clients().values()))
             page.until(lambda: client.camera.image_height)
-            alike = lambda: psnr(page, drawn(Rasterizer(), viewer.shown, camera_of(client.camera))) > 35
+            alike = lambda: psnr(page, drawn(Rasterizer(), viewer.shown, camera_of(client.camera, 1.0))) > 35
             for colors in ("Colors", MASK):
                 viewer._colors.value = colors
                 page.until(alike)

@@ -17,7 +17,7 @@ from ..prune.options import DatasetOptions
 from ..prune.plans import dataset_of
 from ..prune.report.compare import compare
 from ..prune.report.page import refuse_other_page
-from ..scene.camera import evenly
+from ..scene.camera import evenly, in_their_unit
 from ..views.camera_files import load_cameras
 from ..views.dataset import Dataset
 from ..views.rig import place_rig
@@ -41,11 +41,12 @@ def compare_scenes(args: argparse.Namespace) -> dict:
 def _views_alone(args: argparse.Namespace) -> Dataset:
     """Given or placed cameras, without photographs. Raises SplatError."""
     refuse_without_data(options_from(DatasetOptions, args), (*OF_PHOTOGRAPHS, "holdout"))
+    scene, enlarged = sample_of(args.a)
     if args.cameras:
-        cameras = [camera.fitted(MAX_SIDE_PIXELS) for camera in evenly(load_cameras(args.cameras), MAX_VIEWS)]
+        given = in_their_unit(load_cameras(args.cameras), scene.means)
+        cameras = [camera.fitted(MAX_SIDE_PIXELS) for camera in evenly(given, MAX_VIEWS)]
         where = f"from {args.cameras.name}"
     else:
-        scene, enlarged = sample_of(args.a)
         cameras, where = place_rig(scene, enlarged=enlarged).held_out, "that were placed"
     note = (
         f"no photographs: {args.b.name} is measured against pictures of {args.a.name}, in {len(cameras)}"

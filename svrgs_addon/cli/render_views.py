@@ -14,7 +14,7 @@ from ..native.outputs import OUTPUTS, PICTURES
 from ..prune.blocks.block_rasterizer import opened
 from ..prune.report.pictures import mask_to_rgb
 from ..render.metrics.evaluate import picture_options
-from ..scene.camera import Camera, refuse_same_stems, view_stem
+from ..scene.camera import Camera, in_their_unit, refuse_same_stems, view_stem
 from ..system import memory
 from ..system.errors import SceneError
 from ..views.camera_files import load_cameras
@@ -28,11 +28,14 @@ def render_views(args: argparse.Namespace) -> list[Path]:
     of a ray. Raises SplatError."""
     outputs = _outputs(args.outputs)
     check_writable(args.out / "view.png")
-    chosen = choose(cameras_of(args), args.views)
+    cameras = cameras_of(args)
+    chosen = choose(cameras, args.views)
     refuse_same_stems(chosen, "render them one at a time, into separate folders")
     needed = lambda count: memory_of(count, chosen)
     with opened(args.scene, "rendering", needed) as (scene, rasterizer):
         settings = picture_options(scene, args.background, "svr" if "mask" in outputs else "none")
+        if args.cameras:  # a file may not say how large its world is
+            chosen = choose(in_their_unit(cameras, scene.means), args.views)
         saved = []
         for camera in chosen:
             images = rasterizer.forward(scene, camera, settings, outputs=outputs)

@@ -15,6 +15,7 @@ from ..prune.belonging import check_explained
 from ..prune.options import DatasetOptions
 from ..prune.plans import dataset_of
 from ..render.metrics.evaluate import refuse_unseen
+from ..scene.camera import in_their_unit
 from ..system import memory, packages
 from ..system.errors import SceneError
 from ..viewer.server import LARGEST, Viewer
@@ -89,6 +90,8 @@ def source_of(args: argparse.Namespace) -> Source:
     for path in args.scenes:
         scene = load_scene(path)
         memory.refuse_excess(f"{path}: showing it", memory.rendering(scene.count, LARGEST, LARGEST))
+        if args.cameras and not scenes:
+            cameras = in_their_unit(cameras, scene.means)
         if cameras:
             refuse_unseen(scene, cameras, str(path))
         for note in check_explained(scene, dataset, str(path), args.force) if dataset else ():

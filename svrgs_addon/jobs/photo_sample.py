@@ -31,19 +31,19 @@ def read_in_child(folder: str, images: str) -> Views:
         request = {"folder": folder, "images": images, "out": str(out)}
         subprocess_python.ask([], "svrgs_addon.jobs.photo_sample", request)
         with np.load(out) as data:
-            poses = zip(data["viewmats"], data["Ks"], strict=True)
+            poses = zip(data["viewmats"], data["Ks"], data["units"].tolist(), strict=True)
             photos = [data[f"photo{number}"] for number in range(len(data["Ks"]))]
             bits = [data.get(f"valid{number}") for number in range(len(data["Ks"]))]
             return [
-                (Camera(pose, K, photo.shape[1], photo.shape[0], valid_bits=valid), photo)
-                for (pose, K), photo, valid in zip(poses, photos, bits, strict=True)
+                (Camera(pose, K, photo.shape[1], photo.shape[0], valid_bits=valid, unit=unit), photo)
+                for (pose, K, unit), photo, valid in zip(poses, photos, bits, strict=True)
             ]
 
 
 def _write_views(request: dict) -> dict:
     views = sample_views(load_dataset(request["folder"], request["images"] or None))
     arrays: dict[str, Any] = {"viewmats": [camera.viewmat for camera, _ in views]}
-    arrays["Ks"] = [camera.K for camera, _ in views]
+    arrays["Ks"], arrays["units"] = [camera.K for camera, _ in views], [camera.unit for camera, _ in views]
     for number, (camera, photo) in enumerate(views):
         arrays[f"photo{number}"] = photo
         if camera.valid_bits is not None:

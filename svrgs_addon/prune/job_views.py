@@ -10,7 +10,7 @@ import logging
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ..scene.camera import Camera, evenly, halfway
+from ..scene.camera import Camera, evenly, halfway, in_their_unit
 from ..scene.gaussians import Scene
 from ..system.errors import SceneError
 from ..views.camera_files import load_cameras
@@ -124,7 +124,7 @@ def large(options: PruneOptions, scene: Scene, enlarged: float) -> Views:
         train, test = of_dataset(options, scene)
         return Views(train, test or halfway(train), [], {})
     if options.cameras is not None:
-        cameras = load_cameras(options.cameras)
+        cameras = in_their_unit(load_cameras(options.cameras), scene.means)
         train, test = _held_out(cameras, options.holdout)
         if not train:
             raise SceneError("one view is held out for the test, and no other is there: give at least two")
@@ -137,7 +137,8 @@ def large(options: PruneOptions, scene: Scene, enlarged: float) -> Views:
 def _given(options: PruneOptions, scene: Scene) -> tuple[list[Camera], list[Camera], list[str]]:
     """The given views to train on, those held out, and what the user must know of them."""
     assert options.cameras is not None
-    cameras = [camera.fitted(MAX_SIDE_PIXELS) for camera in evenly(load_cameras(options.cameras), MAX_VIEWS)]
+    given = in_their_unit(load_cameras(options.cameras), scene.means)
+    cameras = [camera.fitted(MAX_SIDE_PIXELS) for camera in evenly(given, MAX_VIEWS)]
     # of few views, all are needed
     train, test = _held_out(cameras, options.holdout if options.holdout <= len(cameras) // 2 else 0)
     check_views(scene, cameras, train, str(options.scene))

@@ -20,6 +20,7 @@ MAX_DISTANCE = 1e15  # of a camera from the world's origin; nothing farther is r
 EXTENT_MARGIN = 1.1  # as in 3DGS
 # extent of a capture as COLMAP scales it; the least that counts as such, and the largest, in usual ones
 USUAL_EXTENT, LEAST_EXTENT, LARGEST = 5.0, 2.0, 10.0
+MOST_POINTS = 1_000_000  # whose distance is measured
 
 
 @dataclass(frozen=True)
@@ -173,6 +174,23 @@ def unit_of(size: float, usual: float = USUAL_EXTENT, least: float = LEAST_EXTEN
     size: extent_of() the cameras, or another measure; usual, least: its value in such a world, and the least
     that counts as such."""
     return 1.0 if least <= size <= LARGEST * usual or not size > 0 else size / usual
+
+
+def in_their_unit(cameras: Sequence[Camera], points: np.ndarray) -> list[Camera]:
+    """The cameras with the unit of their world, unless they know it: then one is not 1.
+
+    points (P, 3): the sparse points, or means of Gaussians. Their median distance from the middle of the
+    cameras counts where these all stand near each other; there may be none."""
+    if any(camera.unit != 1 for camera in cameras):
+        return list(cameras)
+    centres, distance = np.array([camera.position for camera in cameras]), 0.0
+    if len(points):
+        some = points[:: len(points) // MOST_POINTS + 1]
+        distance = float(np.median(np.linalg.norm(some - centres.mean(axis=0), axis=1)))
+    extent = extent_of(cameras)
+    # less is what rounding leaves of cameras in one place
+    size = max(extent if extent > 1e-6 * np.abs(centres).max() else 0.0, distance)
+    return [replace(camera, unit=unit_of(size)) for camera in cameras]
 
 
 def resized_valid(valid: np.ndarray, width: int, height: int) -> np.ndarray:

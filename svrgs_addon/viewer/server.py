@@ -151,7 +151,7 @@ class Viewer:
         with self._lock:
             view = self._views.get(client.client_id)
             if view is not None and client.camera.image_height:
-                camera = camera_of(client.camera)
+                camera = camera_of(client.camera, self.source.unit)
                 view.request((camera.key, self._changes), (camera, self.shown))
 
     def _draw(self, client: Any, rasterizer: Rasterizer, job: tuple[Camera, Shown], reduction: int):
@@ -242,12 +242,13 @@ class Viewer:
                 self._measuring.release()
 
 
-def camera_of(looking: Any) -> Camera:
-    """The view of a browser, given as viser's camera, at most LARGEST pixels wide and high."""
+def camera_of(looking: Any, unit: float) -> Camera:
+    """The view of a browser, given as viser's camera, at most LARGEST pixels wide and high. unit:
+    Camera.unit."""
     width, height = looking.image_width, looking.image_height
     focal = height / 2 / math.tan(looking.fov / 2)
     viewmat = np.eye(4)
     viewmat[:3, :3] = rotation_matrices(np.array([looking.wxyz]))[0].T
     viewmat[:3, 3] = -viewmat[:3, :3] @ looking.position
     K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
-    return Camera(viewmat, K, width, height).fitted(LARGEST)
+    return Camera(viewmat, K, width, height, unit=unit).fitted(LARGEST)

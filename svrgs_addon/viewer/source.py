@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -52,7 +53,7 @@ class Source:
         means = self.scenes[0].means
         return np.median(means[:: max(1, len(means) // 10_000)], axis=0).astype(np.float64)
 
-    @property
+    @cached_property
     def unit(self) -> float:
         """Camera.unit of those that look at it."""
         return self.cameras[0].unit if self.cameras else unit_around(self.scenes[0])

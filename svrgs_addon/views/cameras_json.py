@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -14,7 +13,7 @@ import numpy as np
 from ..files.atomic import write_bytes
 from ..files.images import MAX_SIDE
 from ..files.reading import read_json, usable
-from ..scene.camera import MAX_DISTANCE, Camera, extent_of, unit_of
+from ..scene.camera import MAX_DISTANCE, Camera
 from ..scene.rotations import is_rotation
 from ..system.errors import FormatError
 from ..system.foreign import check_name
@@ -27,20 +26,15 @@ def load_cameras_json(path: str | os.PathLike) -> list[Camera]:
 
     Keys of an entry: img_name; width, height, fx, fy (pixels); position (3, world); rotation (3x3, camera to
     world). Extensions of this project: cx, cy (pixels) name another principal point; with "orthographic":
-    true, fx and fy are pixels per unit of length; "unit" is Camera.unit, else it is that of all views'
-    extent. Raises FormatError.
+    true, fx and fy are pixels per unit of length; "unit" is Camera.unit. Without it that is 1, until
+    the scene is known (scene.camera.in_their_unit()). Raises FormatError.
     """
     entries = read_json(Path(path), MAX_BYTES, "a cameras.json of 3DGS")
     if not isinstance(entries, list) or not entries:
         raise FormatError(f"{path}: holds no list of cameras; give a cameras.json of 3DGS")
-    cameras = [
+    return [
         usable(Path(path), f"camera {number}", partial(_camera, facts))
         for number, facts in enumerate(entries)
-    ]
-    unit = unit_of(extent_of(cameras))
-    return [
-        camera if "unit" in entry else replace(camera, unit=unit)
-        for camera, entry in zip(cameras, entries, strict=True)
     ]
 
 

@@ -12,7 +12,7 @@ import logging
 import os
 import threading
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..files.images import image_size, read_pixels, to_bytes
-from ..scene.camera import Camera, extent_of, unit_of
+from ..scene.camera import Camera, extent_of, in_their_unit
 from ..system.errors import SceneError, system_errors
 from ..system.file_names import extended
 from .colmap import pinhole_camera, undistort_image
@@ -213,20 +213,12 @@ def load_dataset(
         notes += more
     for note in notes:
         logging.warning("%s", note)
-    unit = unit_of(max(extent_of(cameras), _distance(cameras, model.points)))
-    cameras = [replace(camera, unit=unit) for camera in cameras]
+    cameras = in_their_unit(cameras, model.points)
     test = [k for k, i in enumerate(numbers) if holdout and i % holdout == 0]
     train = [k for k, i in enumerate(numbers) if not holdout or i % holdout]
     return Dataset(
         cameras, model.points, model.point_colors, train, test, photos, background, memory_budget, notes
     )
-
-
-def _distance(cameras: Sequence[Camera], points: np.ndarray) -> float:
-    """The median distance of the points (P, 3) from the middle of the cameras, which may all stand in one
-    place; 0 without points."""
-    middle = np.mean([camera.position for camera in cameras], axis=0)
-    return float(np.median(np.linalg.norm(points - middle, axis=1))) if len(points) else 0.0
 
 
 def _photographed(
