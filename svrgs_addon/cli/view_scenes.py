@@ -16,6 +16,7 @@ from ..prune.options import DatasetOptions
 from ..prune.plans import dataset_of
 from ..render.metrics.evaluate import refuse_unseen
 from ..scene.camera import in_their_unit
+from ..scene.gaussians import Scene
 from ..system import memory, packages
 from ..system.errors import SceneError
 from ..viewer.server import LARGEST, Viewer
@@ -86,7 +87,7 @@ def source_of(args: argparse.Namespace) -> Source:
         check_readable(path)
     dataset = dataset_of(options_from(DatasetOptions, args, image_memory=0.0)) if args.data else None
     cameras = dataset.cameras if dataset else load_cameras(args.cameras) if args.cameras else []
-    scenes = []
+    scenes = list[Scene]()
     for path in args.scenes:
         scene = load_scene(path)
         memory.refuse_excess(f"{path}: showing it", memory.rendering(scene.count, LARGEST, LARGEST))
