@@ -144,7 +144,7 @@ def test_the_order_of_a_result_with_fewer_bands_shows_no_more_of_them(tmp_path):
     scene, rasterizer = ball(400), Rasterizer()
     scene = replace(scene, sh=random_scene(400).sh)
     sums, _ = visibility_sums(ViewedScene(scene, CAMERAS, rasterizer, render_options(scene)))
-    write_order(tmp_path, order_of(fewer_bands(scene, 1, CAMERAS), sums, 50), np.arange(400), 400, 1.0)
+    write_order(tmp_path, order_of(fewer_bands(scene, 1, CAMERAS), sums, 50), np.arange(400), 400)
     assert read_order(tmp_path, scene).at(300).sh_degree == 1
 
 

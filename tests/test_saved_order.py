@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import replace
 
 import numpy as np
@@ -42,7 +41,7 @@ def ordered():
 @pytest.fixture
 def saved(ordered, tmp_path):
     scene, rows, order = ordered
-    write_order(tmp_path, order, rows, scene.count, 1.0)
+    write_order(tmp_path, order, rows, scene.count)
     return tmp_path
 
 
@@ -57,19 +56,6 @@ def test_it_gives_what_the_order_gives(ordered, saved, count):
 def test_numbers_beyond_its_ends_give_the_ends(ordered, saved):
     found = read_order(saved, ordered[0])
     assert [found.at(count).count for count in (-5, 0, 600)] == [7, 7, 540] and found.clipped(0) == 7
-
-
-def test_lengths_are_those_of_the_source(ordered, tmp_path):
-    scene, rows, order = ordered
-    write_order(tmp_path, order, rows, scene.count, 0.5)
-    small = dataclasses.replace(
-        scene, means=0.5 * scene.means, log_scales=scene.log_scales + np.float32(np.log(0.5))
-    )
-    halved, whole = read_order(tmp_path, small).at(7), order.at(7)
-    assert np.sort(halved.means.ravel()) == pytest.approx(np.sort(0.5 * whole.means.ravel()), abs=1e-6)
-    assert np.sort(halved.log_scales.ravel()) == pytest.approx(
-        np.sort(whole.log_scales.ravel() + np.log(0.5)), abs=1e-5
-    )
 
 
 def test_it_moves_as_the_scene_does(ordered, saved):

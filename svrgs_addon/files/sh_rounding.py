@@ -34,10 +34,6 @@ class SeenFrom:
     def select(self, rows: np.ndarray | slice) -> SeenFrom:
         return SeenFrom(self.positions, self.weights[:, rows])
 
-    def scaled(self, factor: float) -> SeenFrom:
-        """Of the same scene, all of whose lengths are multiplied."""
-        return SeenFrom((self.positions * factor).astype(np.float32), self.weights)
-
     def moments(self, means: np.ndarray, coefficients: int) -> np.ndarray:
         """(N, K, K) float32: the weighted mean of Y Yᵀ over the directions from which Gaussians at means
         (N, 3) are seen, plus ELSEWHERE times that over all directions."""

@@ -16,7 +16,7 @@ import numpy as np
 from ...files.atomic import write_array
 from ...files.registry import read_scene, write_scene
 from ...files.sh_rounding import without_bands
-from ...scene.affine import scaled, transformed
+from ...scene.affine import transformed
 from ...scene.concatenate import concatenated
 from ...scene.gaussians import PARAMETERS, Scene
 from ...scene.morton_order import morton_order
@@ -50,9 +50,9 @@ class SavedOrder:
         return replace(self, scene=transformed(self.scene, matrix))
 
 
-def write_order(folder: Path, order: Order, rows: np.ndarray, total: int, factor: float):
-    """Writes the files. rows: (n,) rows of the order's Gaussians in the source, which has `total`. factor: by
-    which lengths are multiplied. Raises SceneError."""
+def write_order(folder: Path, order: Order, rows: np.ndarray, total: int):
+    """Writes the files. rows: (n,) rows of the order's Gaussians in the source, which has `total`. Raises
+    SceneError."""
     made = replace(
         Scene.of(*(order.merges.results[name] for name in PARAMETERS)), antialiased=order.scene.antialiased
     )
@@ -60,7 +60,7 @@ def write_order(folder: Path, order: Order, rows: np.ndarray, total: int, factor
         np.int32
     )
     near = morton_order(np.concatenate([order.scene.means, made.means]))
-    write_scene(folder / MERGED, scaled(made, factor))
+    write_scene(folder / MERGED, made)
     write_array(folder / ORDER, table[near], keep=False)
 
 

@@ -31,16 +31,13 @@ from ...finetune.decimate.saved_order import write_order
 from ...finetune.quality import MIN_SHARE, best_share, fewest
 from ...finetune.refit import USUAL, TrainingView, interpolated, middle_scale, pace_at, refit
 from ...finetune.viewed_scene import ViewedScene
-from ...native.library import thresholds
 from ...render.metrics.allowed_loss import ASSUMED, MEASURES, loss_notes, missed_loss, refuse_loss
 from ...render.metrics.evaluate import render_options
-from ...scene.affine import scaled
 from ...scene.camera import apart
 from ...scene.gaussians import Scene
 from ...system import memory
 from ...system.errors import Cancelled, SceneError
 from ...views.rendered import RenderedDataset
-from ...views.rig.around import DISTANCE, middle_and_radius
 from .. import job_views
 from ..belonging import Seen, check_seen
 from ..context import JobContext
@@ -54,8 +51,6 @@ from ..seen import cut_notes, fewer_bands, seen_from
 
 DECIDING = 6  # views in which an allowed drop is held, apart from those in which the result is measured
 STEPS, MOST_STEPS = 60, 120  # of fine-tuning, with USUAL of the Gaussians and at most
-# least distance of a camera from the scene, in near depths: smaller scenes are measured enlarged
-NEAREST = 20.0
 TAKES = (  # options; others are refused
     "data", "images", "holdout", "background", "threads", "lpips_weights", "seed", "target", "target_count",
     "target_size", "target_format", "max_drop", "max_flip", "max_lpips", "sh_degree", "quiet", "quick",
@@ -84,9 +79,7 @@ class Quick(Recipe):
         self.scene = self.source.select(self.visible)
 
     def views(self):
-        options, scene = self.options, self.scene
-        self.enlarged, self.factor = (scene, 1.0) if options.data else _enlarged(scene)
-        self.cameras, self.test, self.notes, _ = job_views.quick(options, self.enlarged)
+        self.cameras, self.test, self.notes, _ = job_views.quick(self.options, self.scene)
 
     def check(self):
         needed = memory.decimating(self.scene.count, self.scene.sh.shape[1], self.cameras)
@@ -95,17 +88,17 @@ class Quick(Recipe):
 
     def rank(self):
         options, scene, job = self.options, self.scene, self.job
-        viewed = ViewedScene.of(self.enlarged, self.cameras, options.background)
+        viewed = ViewedScene.of(scene, self.cameras, options.background)
         self.rasterizer = viewed.rasterizer
         sums, self.pictures = visibility_sums(viewed)
         if hidden(sums) > MOST_HIDDEN * scene.count:
-            if (instead := job_views.quick_instead(options, self.enlarged)) is not None:
+            if (instead := job_views.quick_instead(options, scene)) is not None:
                 self.cameras, self.test, self.notes, _ = instead
                 sums, self.pictures = visibility_sums(replace(viewed, cameras=self.cameras))
         if job.stop():
             raise Cancelled(NOT_FINISHED)
         if self.size:
-            count = self.size.count_of(self.enlarged, self.cameras)
+            count = self.size.count_of(scene, self.cameras)
             self.options = options = replace(options, target_size=None, target_count=count)
         wanted, invisibles = _wanted(options, self.source.count), self.source.count - scene.count
         if invisibles and wanted > scene.count:
@@ -120,15 +113,15 @@ class Quick(Recipe):
         self.notes += check_seen(self.seen, str(options.scene), options.force)
         kept = min(least, math.ceil(SMALLEST * scene.count)) if job.order else least
         degree = degree_to_keep(options)
-        banded = fewer_bands(self.enlarged, degree, self.cameras)
-        self.notes += cut_notes(self.enlarged, degree, self.cameras)
+        banded = fewer_bands(scene, degree, self.cameras)
+        self.notes += cut_notes(scene, degree, self.cameras)
         self.order = order_of(banded, sums, kept)
 
     def budget(self):
         options = self.options
         decide, measure = apart(self.test, DECIDING)
         self.likeness = Likeness(
-            self.enlarged,
+            self.scene,
             measure,
             lambda: self.rasterizer,
             options.background,
@@ -143,7 +136,7 @@ class Quick(Recipe):
             if self.order.scene.sh_degree < self.scene.sh_degree:
                 refuse_bands(self.order, quality, self.job.out, self.allowed)
             self.count, self.quantise = smallest_file(
-                self.order, self.wanted, quality, self.job.out, self.allowed, 1 / self.factor
+                self.order, self.wanted, quality, self.job.out, self.allowed
             )
 
     def select(self):
@@ -155,16 +148,14 @@ class Quick(Recipe):
         self.scenes = [self._tuned(small, shown) for small in self.scenes]
 
     def write(self):
-        scenes = [scaled(scene, 1 / self.factor) for scene in self.scenes]
         # an allowed loss was decided without it, because views of each count would have to be rendered
         cameras = [] if self.allowed.loss else self.cameras
-        views = [seen_from(scene, cameras, self.job.out) for scene in self.scenes]
-        seen = [one and one.scaled(1 / self.factor) for one in views]
+        seen = [seen_from(scene, cameras, self.job.out) for scene in self.scenes]
         if self.size:
-            self.quantise = self.size.quantise_of(scenes[0], seen[0], format_to_write(self.job.out))
-        self.written = write_with_levels(self.job.out, self.options.levels, scenes, self.quantise, seen)
+            self.quantise = self.size.quantise_of(self.scenes[0], seen[0], format_to_write(self.job.out))
+        self.written = write_with_levels(self.job.out, self.options.levels, self.scenes, self.quantise, seen)
         if self.job.order:
-            self.notes += _kept(self.job.order, self.order, self.visible, self.source.count, 1 / self.factor)
+            self.notes += _kept(self.job.order, self.order, self.visible, self.source.count)
 
     def measure(self) -> dict[str, Any]:
         options = self.options
@@ -178,12 +169,12 @@ class Quick(Recipe):
         }
         before = {"count": self.source.count, "bytes": size_on_disk(options.scene or "")}
         after, *levels = (
-            self.likeness.measured(scaled(one.scene, self.factor))
+            self.likeness.measured(one.scene)
             | {"count": one.scene.count, "bytes": one.bytes, "out": str(one.path)}
             for one in self.written
         )
         facts["levels"] = [{"share": share, **one} for share, one in zip(options.levels, levels, strict=True)]
-        worst = self.likeness.worst(scaled(self.written[0].scene, self.factor))
+        worst = self.likeness.worst(self.written[0].scene)
         facts["worst"] = worst and worst.facts()
         lost = after[self.allowed.measure] if self.allowed.loss else None
         facts["drop"] = assumed_drop(lost) if lost is not None and self.allowed.measure == "psnr" else lost
@@ -223,7 +214,7 @@ class Quick(Recipe):
         yield from higher_bands(self.source, format_to_write(self.job.out))
         if not format_to_write(self.job.out).lossless and self.likeness.views:
             psnr = self.likeness.psnr
-            yield from loss_notes(psnr(pruned), psnr(scaled(stored, self.factor)))
+            yield from loss_notes(psnr(pruned), psnr(stored))
 
 
 def refuse_bands(order: Order, quality_of: Callable[[Scene], float], out: Path, allowed: Allowed):
@@ -241,14 +232,13 @@ def refuse_bands(order: Order, quality_of: Callable[[Scene], float], out: Path, 
 
 
 def smallest_file(
-    order: Order, least: int, quality_of: Callable[[Scene], float], out: Path, allowed: Allowed, unit: float
+    order: Order, least: int, quality_of: Callable[[Scene], float], out: Path, allowed: Allowed
 ) -> tuple[int, float]:
     """(count, quantise) of the smallest file that holds the allowed loss before the steps of
     fine-tuning, which win a part of it back. At least `least` Gaussians. A coarser factor is tried as long as
     it makes a smaller file.
 
-    quality_of: of a scene (Likeness.quality()). unit: length of a unit of the order's scene in the file.
-    Raises SceneError if the format alone loses so much.
+    quality_of: of a scene (Likeness.quality()). Raises SceneError if the format alone loses so much.
     """
     total, best_of_all = order.scene.count, ASSUMED if allowed.measure == "psnr" else 0.0
     floor = best_of_all - allowed.loss
@@ -257,8 +247,8 @@ def smallest_file(
         return fewest(least, total, lambda count: quality_of(order.at(count)) >= floor), 1.0
 
     def tried_with(count: int, factor: float) -> tuple[float, int]:
-        held, size = round_trip(scaled(order.at(count), unit), splat_format, factor)
-        return quality_of(scaled(held, 1 / unit)), size
+        held, size = round_trip(order.at(count), splat_format, factor)
+        return quality_of(held), size
 
     def holds(factor: float, count: int) -> bool:
         return tried_with(count, factor)[0] >= floor
@@ -304,10 +294,10 @@ def refuse_options(options: PruneOptions):
         )
 
 
-def _kept(folder: Path, order: Order, rows: np.ndarray, total: int, factor: float) -> list[str]:
+def _kept(folder: Path, order: Order, rows: np.ndarray, total: int) -> list[str]:
     """Writes the order. The result counts without it: a sentence if it cannot be written."""
     try:
-        write_order(folder, order, rows, total, factor)
+        write_order(folder, order, rows, total)
     except SceneError as error:
         return [f"other numbers of Gaussians cannot be shown: {error}"]
     return []
@@ -325,10 +315,3 @@ def _steps(share: float) -> int:
     """The number of steps of fine-tuning for this share of the Gaussians: with few of them, a step is quick
     and more is to be gained."""
     return round(min(MOST_STEPS, STEPS * (USUAL / share) ** (0.5 if share < USUAL else 0.25)))
-
-
-def _enlarged(scene: Scene) -> tuple[Scene, float]:
-    """The scene enlarged where cameras around it would be nearer than anything is drawn, and the factor."""
-    _, radius = middle_and_radius(scene)
-    least = NEAREST * thresholds().near / DISTANCE
-    return (scene, 1.0) if radius >= least else (scaled(scene, least / radius), least / radius)
