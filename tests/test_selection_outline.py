@@ -11,6 +11,7 @@ import pytest
 from svrgs_addon.native.rasterizer import Rasterizer
 from svrgs_addon.prune.selection.outline import SHOWN, RenderedView, _thread, brush, centres_in, polygon
 from svrgs_addon.render.metrics.evaluate import render_options
+from svrgs_addon.scene.affine import scaled
 from svrgs_bench.scenes import orbit_camera, room
 
 WIDTH, HEIGHT = 61, 47
@@ -64,6 +65,8 @@ def test_what_is_in_the_outline_is_selected_and_what_is_hidden_is_not_shown(orth
     x, y = camera.pixels(local).T
     expected = (local[:, 2] > 0.2) & (x > 10) & (x < 50) & (y > 5) & (y < 40)
     assert 0 < centres.sum() < scene.count and (centres != expected).sum() <= 2
+    small = replace(camera.moved(np.diag([100.0, 100.0, 100.0, 1.0])), unit=0.01)
+    assert (centres_in(scaled(scene, 0.01).means, small, inside) != centres).sum() <= 2
     turned = np.eye(4)  # stretched, and far from the origin
     turned[:3] = np.random.default_rng(0).normal(size=(3, 4)) * (1, 1, 1, 1000)
     stored = (scene.means - turned[:3, 3]) @ np.linalg.inv(turned[:3, :3]).T

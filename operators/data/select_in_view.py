@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from mathutils import Matrix
@@ -74,8 +74,15 @@ class ViewportView:
         """(N,) bool: the Gaussians whose centres are in one of the pixels (H, W) bool, and which one of these
         shows. Raises SplatError."""
         mask = self._rendered.shown_in(inside)
-        mask[mask] = centres_in(self._scene.means[mask], self._camera, inside, np.array(self._matrix))
+        camera = _with_unit(self._camera, self._scene, self._matrix)
+        mask[mask] = centres_in(self._scene.means[mask], camera, inside, np.array(self._matrix))
         return mask
+
+
+def _with_unit(camera: Camera, scene: Scene, matrix: Matrix) -> Camera:
+    """The camera, in Blender's world, with the unit that pictures of the scene have, as a length there."""
+    placed = visible_splats.PlacedScene(scene, matrix)
+    return replace(camera, unit=placed.unit * placed.seen_by(camera).unit)
 
 
 def gaussians_in(
@@ -91,7 +98,7 @@ def gaussians_in(
     view, if its rendering has begun. Raises SplatError."""
     inside = outline.pixels(camera.width, camera.height)
     if through:
-        return centres_in(scene.means, camera, inside, np.array(matrix))
+        return centres_in(scene.means, _with_unit(camera, scene, matrix), inside, np.array(matrix))
     if begun is None or not begun.shows(scene, matrix, camera):
         begun = ViewportView(scene, matrix, camera)
     return begun.gaussians_in(inside)

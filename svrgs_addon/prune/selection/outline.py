@@ -10,7 +10,7 @@ from functools import cache
 
 import numpy as np
 
-from ...native.library import thresholds
+from ...native.library import near_depth
 from ...native.rasterizer import Rasterizer
 from ...render.metrics.evaluate import render_options
 from ...scene.camera import Camera
@@ -53,18 +53,19 @@ def centres_in(means: np.ndarray, camera: Camera, pixels: np.ndarray, matrix=np.
     """(N,) bool: the Gaussians whose centres (N, 3) are in one of the pixels (H, W) bool of the camera, and
     in front of it.
 
-    matrix: (4, 4), from the coordinates of the means to those of the camera.
+    matrix: (4, 4), from the coordinates of the means to those of the camera, whose unit is in the latter.
     """
     # in float32, from a point near the camera (at it, unless the matrix is flat): half the time of float64
     moved = camera.viewmat @ matrix
     moved[:2] = camera.K[:2, :2] @ moved[:2]
     origin = np.linalg.lstsq(moved[:3, :3], -moved[:3, 3], rcond=None)[0].astype(np.float32)
     turned, shift = moved[:3, :3].astype(np.float32), (moved[:3] @ (*origin, 1)).astype(np.float32)[:, None]
+    near = near_depth(camera.unit)
     centre, inside, shown = camera.K[:2, 2:].astype(np.float32), np.empty(len(means), bool), pixels.ravel()
 
     def judge(rows: slice):
         places = turned @ (means[rows] - origin).T + shift
-        front = places[2] > thresholds().near
+        front = places[2] > near
         with np.errstate(all="ignore"):  # of those that are not in front
             places = places[:2] if camera.orthographic else places[:2] / places[2]
             # as unsigned numbers, negative ones are larger than any side of the picture
