@@ -41,8 +41,8 @@ class RenderedDataset(Dataset):
 
     @property
     def extent(self) -> float:
-        """As of photographs, but no larger than MOST_EXTENT times the scene: cameras around a small one stand
-        far away, where they can see it at all, and steps of positions are in proportion to the extent."""
+        """As of photographs, but no larger than MOST_EXTENT times the scene: cameras that are given may stand
+        far away, and steps of positions are in proportion to the extent."""
         return min(super().extent, MOST_EXTENT * middle_and_radius(self.scene)[1])
 
     @property
