@@ -16,6 +16,7 @@ those of Blender 5.3's own splats (svrgs_addon/scene/attribute_layout.py):
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import itertools
 from typing import TypeGuard
 
@@ -54,6 +55,7 @@ ROOT = "svrgs_root"  # property of an empty: its children share the coordinates 
 # properties of a root: folder of its dataset, name of the image folder in it
 DATASET, IMAGES, MASKS = "svrgs_dataset", "svrgs_images", "svrgs_masks"
 POINTS = "svrgs_points"  # property of a root: number of sparse points in its dataset
+PLACES = "svrgs_places"  # property of a mesh of sparse points: digest of where they were imported
 TYPES = ("MESH", "POINTCLOUD")
 BLENDER_HAS_SPLATS = "type" in bpy.types.PointCloud.bl_rna.properties  # from 5.3 on
 # 3DGS files have y down, Blender has z up
@@ -424,9 +426,22 @@ def points_object(
     mesh.vertices.foreach_set("co", points.reshape(-1))
     rgba = np.concatenate([colors / np.float32(255), np.ones((len(colors), 1), np.float32)], axis=1)
     mesh.attributes.new("Color", "BYTE_COLOR", "POINT").data.foreach_set("color_srgb", rgba.reshape(-1))
+    mesh[PLACES] = _places(mesh)
     obj = bpy.data.objects.new(name, mesh)
     collection.objects.link(obj)
     return obj
+
+
+def has_its_points(obj: bpy.types.Object) -> bool:
+    """Whether it is a points_object() none of whose points was moved, added or deleted."""
+    return obj.type == "MESH" and PLACES in obj.data and obj.data[PLACES] == _places(obj.data)
+
+
+def _places(mesh: bpy.types.Mesh) -> str:
+    """A digest of where the points of a mesh are."""
+    co: np.ndarray = np.empty(3 * len(mesh.vertices), np.float32)
+    mesh.vertices.foreach_get("co", co)
+    return hashlib.sha256(co).hexdigest()
 
 
 def root_of(obj: bpy.types.Object | None) -> bpy.types.Object | None:

@@ -15,6 +15,7 @@ from pathlib import Path
 import bpy
 from bpy.app.translations import pgettext_iface as tr
 from bpy.props import BoolProperty, StringProperty
+from mathutils import Matrix
 
 from ...svrgs_addon.system.errors import SceneError
 from ...svrgs_addon.views.posed_photos import PosedPhotos, read_in_child
@@ -169,9 +170,10 @@ def _is_as_imported(obj: bpy.types.Object) -> bool:
 def _are_points_as_imported(obj: bpy.types.Object, root: bpy.types.Object) -> bool:
     """Whether they are the sparse points of the root's dataset, of which the user has made nothing else."""
     name = Path(dataset_paths.dataset_of_root(root)).name
-    if obj.type != "MESH" or obj.name != f"{name} points" or obj.data.users != 1 or obj.modifiers:
+    if obj.name != f"{name} points" or not splat_object.has_its_points(obj) or obj.matrix_basis != Matrix():
         return False
-    return len(obj.data.vertices) == root.get(splat_object.POINTS) and obj.animation_data is None
+    used = obj.modifiers or obj.children or obj.data.materials or obj.animation_data
+    return not used and obj.data.users == 1
 
 
 def joined(active: bpy.types.Object | None, splat: bpy.types.Object | None) -> str:
