@@ -93,8 +93,9 @@ def still(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> str:
     box = _crop_box(obj)
     if box is None or not _moves(box.original):
         return ""
-    rendered = depsgraph.mode == "RENDER" and any(one.original == box.original for one in depsgraph.objects)
-    if rendered or (depsgraph.mode == "VIEWPORT" and is_evaluated(box.original)):
+    if depsgraph.mode == "VIEWPORT" and is_evaluated(box.original):
+        return ""
+    if any(one.object.original == box.original for one in depsgraph.object_instances):
         return ""
     text = tr("'{name}' is disabled in viewports or renders, so it stands still there: take a visible empty")
     return text.format(name=box.name)
@@ -104,7 +105,7 @@ def _moves(obj: bpy.types.Object | None) -> bool:
     """Whether the object, or one above it, is animated or constrained."""
     if obj is None:
         return False
-    return obj.animation_data is not None or len(obj.constraints) > 0 or _moves(obj.parent)
+    return any(animation_curves(obj)) or len(obj.constraints) > 0 or _moves(obj.parent)
 
 
 def _crop_box(obj: bpy.types.Object) -> bpy.types.Object | None:

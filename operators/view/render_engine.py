@@ -74,12 +74,13 @@ class SVRGS_engine(bpy.types.RenderEngine):
         scene, meshes = depsgraph.scene, depsgraph.scene.svrgs_view.meshes
         self.show_progress(tr("Reading splats"), 0.0)
         placed = visible_splats.splats(depsgraph)
-        if placed is None and self.is_animation and any(map(splat_object.is_splat, bpy.data.objects)):
-            text = tr("no splat is shown in frame {frame}").format(frame=scene.frame_current)
-            self.report({"WARNING"}, text)
-            placed = visible_splats.nothing()  # an error would end the animation
-        if placed is None and sum(layer.use for layer in scene.view_layers) > 1:
-            placed = visible_splats.nothing()  # the splats may be in another view layer
+        if placed is None and any(map(splat_object.is_splat, bpy.data.objects)):
+            if self.is_animation:
+                text = tr("no splat is shown in frame {frame}").format(frame=scene.frame_current)
+                self.report({"WARNING"}, text)
+            # an error would end the animation; and the splats may be in another view layer
+            if self.is_animation or sum(layer.use for layer in scene.view_layers) > 1:
+                placed = visible_splats.nothing()
         if placed is None:
             text = tr(
                 "there is no splat to render: import one, and check that its camera icon in the Outliner is"
@@ -95,8 +96,8 @@ class SVRGS_engine(bpy.types.RenderEngine):
             text = tr("'{name}' is set as a holdout, which no splat is: it is drawn").format(name=name)
             self.report({"WARNING"}, text)
         if self.is_animation:
-            still = {grading.still(obj, depsgraph) for obj, _ in visible_splats.placed_splats(depsgraph)}
-            for text in still - {""}:
+            splats = {obj.original for obj, _ in visible_splats.placed_splats(depsgraph)}
+            for text in {grading.still(obj, depsgraph) for obj in splats} - {""}:
                 self.report({"WARNING"}, text)
         view = camera_object.view_of(visible_splats.camera(depsgraph, self.camera_override), scene)
         self.show_progress(tr("Reading meshes"), 0.1)

@@ -221,6 +221,24 @@ def test_it_is_said_where_a_crop_box_that_moves_stands_still(splat, box, stage, 
         assert (sentence in capfd.readouterr().out) == hidden
 
 
+def test_nothing_is_said_of_a_crop_box_that_moves_with_an_instance(
+    splat, box, stage, camera, tmp_path, capfd
+):
+    for frame, place in ((1, 0), (2, 50)):
+        box.location.x = place
+        box.keyframe_insert("location", frame=frame)
+    asset, instance = bpy.data.collections.new("asset"), bpy.data.objects.new("instance", None)
+    for obj in (splat, box):
+        obj.users_collection[0].objects.unlink(obj)
+        asset.objects.link(obj)
+    instance.instance_type, instance.instance_collection = "COLLECTION", asset
+    stage.collection.objects.link(instance)
+    stage.frame_end, stage.render.filepath = 2, str(tmp_path / "frame")
+    bpy.ops.render.render(animation=True)
+    assert "stands still" not in capfd.readouterr().out
+    assert len({(tmp_path / f"frame000{frame}.png").read_bytes() for frame in (1, 2)}) == 2, "it moves"
+
+
 @pytest.mark.parametrize("kind", ["LATTICE", "FONT"])
 def test_a_crop_box_is_the_box_that_is_seen(splat, kind):
     """Of these, Blender knows it of the evaluated object alone, or of the other alone."""

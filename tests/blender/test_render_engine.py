@@ -310,6 +310,15 @@ def test_a_view_layer_leaves_out_what_is_indirect_only_and_says_what_no_splat_ca
         stage.view_layers.remove(other)
 
 
+def test_it_is_said_that_there_is_no_splat_at_all_with_two_view_layers_too(tmp_path, stage, camera):
+    other = stage.view_layers.new("other")
+    try:
+        with pytest.raises(RuntimeError, match="there is no splat to render"):
+            f12(tmp_path / "f12.png")
+    finally:
+        stage.view_layers.remove(other)
+
+
 def test_an_animation_goes_on_where_no_splat_is_shown(tmp_path, stage, room, camera, capfd):
     for frame, hidden in ((1, False), (2, True), (3, False)):
         room.hide_render = hidden
