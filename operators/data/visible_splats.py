@@ -47,9 +47,14 @@ class PlacedScene:
         """What coarse pictures draw. For the thread that draws."""
         return Thinning(self.scene)
 
-    @cached_property
+    @property
     def _camera_unit(self) -> float:
-        return unit_around(self.scene)
+        """Kept with the scene, which a viewport places anew whenever it moves: it takes a twentieth of a
+        second."""
+        kept = vars(self.scene)
+        if "camera_unit" not in kept:
+            kept["camera_unit"] = unit_around(self.scene)
+        return kept["camera_unit"]
 
     @property
     def unit(self) -> float:

@@ -6,7 +6,8 @@ import bpy
 import numpy as np
 import pytest
 from extension import part
-from view_helpers import add_geometry_nodes
+from mathutils import Matrix
+from view_helpers import add_geometry_nodes, view_of
 
 pytestmark = pytest.mark.usefixtures("stage")
 
@@ -70,3 +71,13 @@ def test_a_selection_is_read_and_the_gaussians_are_not_read_anew(stage, gaussian
     part("operators.data.splat_object").set_values(room, "of a script", "FLOAT", ones)
     change(room, ~mask, "SET")
     assert cache.read(evaluated()) is not before
+
+
+def test_a_splat_that_moves_is_not_measured_anew(gaussians, camera, stage, monkeypatch):
+    """For the unit of its cameras: that would take longer than a picture of a moving view may."""
+    module, measured = part("operators.data.visible_splats"), []
+    monkeypatch.setattr(module, "unit_around", lambda scene: measured.append(scene) or 1.0)
+    view = view_of(camera, stage)
+    for place in range(3):
+        module.placed([(gaussians, Matrix.Translation((place, 0, 0)))]).seen_by(view)
+    assert len(measured) == 1
