@@ -107,7 +107,7 @@ class Overlay:
     def close(self):
         while self.views:
             self.views.popitem()[1].live.close()
-        self.clouds = {}
+        self.clouds, self._shader = {}, None  # Blender's GPU ends before Python does
 
     def draw(self):
         context, settings, region = bpy.context, bpy.context.scene.svrgs_view, bpy.context.region

@@ -55,3 +55,11 @@ def test_figures_go_with_pictures_that_were_deleted(tmp_path, bridge, room, came
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "file.blend"))
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "file.blend"))
     assert not part("operators.view.compare").figures() and not part("operators.view.spatial_mask").figures()
+
+
+def test_no_shader_outlives_the_extension():
+    """Blender's GPU ends before Python does."""
+    module = part("operators.view.overlay")
+    module._overlay._shader = object()
+    module.unregister()
+    assert module._overlay._shader is None
