@@ -187,6 +187,7 @@ def camera(stage):
 def watch():
     module = part("operators.jobs.job_watch")
     part("operators.jobs.job_list").forget()
+    module.jobs.clear()  # of a test before, whose panel has found some
     yield module
     end_all(module)
     module.jobs.clear()
