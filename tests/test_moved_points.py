@@ -128,3 +128,12 @@ def test_each_of_hundreds_of_instances_has_a_motion(count):
         expected = matrices[rows[0] // count]
         assert (rows // count == rows[0] // count).mean() > 0.99
         np.testing.assert_allclose(matrix[:3, :3], expected[:3, :3], atol=1e-4)
+
+
+def test_small_instances_beside_a_large_one_have_motions_too():
+    """All of them together are less than the smallest share of a group that is searched for."""
+    matrices = [affine(0), similarity(1), affine(2)]
+    parts = [cloud(count) for count in (40_000, 60, 60)]
+    before = np.concatenate(parts)
+    after = np.concatenate([moved(one, matrix) for one, matrix in zip(parts, matrices, strict=True)])
+    assert [len(rows) for rows, _ in moved_parts(before, after)] == [40_000, 60, 60]

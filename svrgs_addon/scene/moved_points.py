@@ -72,7 +72,7 @@ def _groups(before: np.ndarray, after: np.ndarray) -> Iterator[tuple[np.ndarray,
     least, rng = MIN_SHARE * len(rows), np.random.default_rng(0)
     for _ in range(MAX_GROUPS):
         if len(rows) < max(least, min(MIN_POINTS.values())):
-            return
+            break
         some = rows[np.sort(rng.choice(len(rows), min(SAMPLE, len(rows)), replace=False))]
         x, y = before[some].astype(np.float64), after[some].astype(np.float64)
         matrix = _most_common(x, y, rng)
