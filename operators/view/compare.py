@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import partial
 
 import bpy
@@ -52,10 +53,12 @@ class ComparedSplats:
     def render(self, camera: Camera, background) -> tuple:
         """(original, pruned): images (H, W, 3) in display sRGB, rounded to 8 bits; camera: in Blender's
         world."""
-        images = []
+        images, original = [], self.placed[0]
+        near = original.seen_by(camera).unit * original.unit  # the pruned splat may be of another size
         for part in self.placed:
             options = picture_options(part.scene, background)
-            found = self.rasterizer.forward(part.scene, part.seen_by(camera), options)
+            view = replace(part.seen_by(camera), unit=near / part.unit)
+            found = self.rasterizer.forward(part.scene, view, options)
             images.append(rounded_to_8_bits(found["rgb"]))
         return tuple(images)
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
 import pytest
 from extension import DATA, part
 from job_helpers import Layout, draw_panel
+from mathutils import Matrix
 from view_helpers import LEVEL, mark_removed, pixels
 
 pytestmark = pytest.mark.usefixtures("stage")
@@ -37,6 +39,25 @@ def test_compare_draws_both_and_measures_against_the_photograph(tmp_path, stage,
     for picture, row in ((original, result["original"]), (pruned, result["pruned"])):
         assert math.isclose(row["psnr"], -10 * math.log10(np.mean((picture - photo) ** 2)), rel_tol=1e-3)
         assert 0 < row["ssim"] <= 1 and 0 <= row["flip"] < 1
+
+
+def test_what_is_too_near_to_be_drawn_is_so_in_both(bridge):
+    """Also where pruning leaves a splat so much smaller that it alone would have a unit of its own."""
+    compare, visible = part("operators.view.compare"), part("operators.data.visible_splats")
+    bpy.ops.svrgs.import_ply(filepath=str(DATA / "tiny/scene.ply"))
+    scene = bridge.scene_from_object(bpy.context.object)
+    small = part("svrgs_addon.scene.affine").scaled(scene, 0.2)
+    whole = part("svrgs_addon.scene.concatenate").concatenated([small, scene])
+    camera = part("svrgs_addon.scene.camera").Camera(np.eye(4), np.diag([50.0, 50, 1]), 64, 48)
+    seen = []
+    forward = lambda scene, view, options: seen.append(view.unit) or {"rgb": np.zeros((1, 1, 3))}
+    pair = SimpleNamespace(
+        placed=[visible.placed([(one, Matrix())]) for one in (whole, small)],
+        rasterizer=SimpleNamespace(forward=forward),
+    )
+    compare.ComparedSplats.render(pair, camera, (0, 0, 0))
+    alone = pair.placed[1].seen_by(camera).unit
+    assert seen[0] == seen[1] and alone < seen[0]
 
 
 @pytest.mark.parametrize("outside", ["auto", "background"])
