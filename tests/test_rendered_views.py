@@ -16,7 +16,7 @@ from svrgs_addon.jobs.estimate import estimate
 from svrgs_addon.jobs.job_folder import JobFolder
 from svrgs_addon.jobs.job_process import Job
 from svrgs_addon.native.rasterizer import Rasterizer
-from svrgs_addon.prune.job_views import MAX_SIDE_PIXELS
+from svrgs_addon.prune.job_views import MAX_SIDE_PIXELS, without_photographs
 from svrgs_addon.prune.options import PruneOptions
 from svrgs_addon.prune.pipeline import prune_scene
 from svrgs_addon.prune.plans import dataset_of_pruning
@@ -210,6 +210,18 @@ def front(scene, count: int = 6, width: int = 96, height: int = 64) -> list[Came
         dataclasses.replace(camera, name=f"shot_{number:02}.png")
         for number, camera in enumerate(cameras[:count])
     ]
+
+
+def test_a_shot_that_hardly_moves_is_in_the_same_world_as_placed_views(splat):
+    """Its extent, unlike that of a capture, says nothing about the world."""
+    scene = read_ply(splat)
+    first, second = front(scene, 1)[0], front(scene, 1)[0].viewmat.copy()
+    second[0, 3] += 0.4
+    write_cameras_json(
+        splat.with_name("shot.json"), [first, dataclasses.replace(first, name="b", viewmat=second)]
+    )
+    found = without_photographs(PruneOptions(scene=splat, cameras=splat.with_name("shot.json")), scene)
+    assert found.facts["given"] == 2 and {camera.unit for camera in found.train + found.test} == {1.0}
 
 
 def test_a_shot_that_sees_the_front_drops_the_back(splat):
