@@ -155,7 +155,7 @@ def _of_result(original: bpy.types.Object | None, pruned: bpy.types.Object) -> l
         texts += [tr("This number is not fine-tuned yet: press Fine-Tune for that. Apply keeps what you see")]
     elif problem := quick_order.problem(pruned):
         texts.append(problem)
-    elif job_result.ranked(pruned) and job_result.Shown(pruned).brings_back:
+    elif job_result.ranked(pruned) and count > kept:
         text = tr("{count:,} more than were recovered: shown as in the original")
         if original is not None and job_result.moved_aside(original, pruned):
             text = tr(
