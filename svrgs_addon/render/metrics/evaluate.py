@@ -28,7 +28,7 @@ from .measures import with_error
 # Limits of refuse_unseen() and any_in_view().
 VISIBLE_CAMERAS = 32  # approximate number of cameras that are checked, evenly spaced in the list
 VISIBLE_POINTS = 100_000  # approximate number of Gaussians that are checked
-# largest z, as a multiple of the largest distance of a camera from the mean of the cameras
+# largest z, as a multiple of the largest distance of a camera from the mean of the cameras, and of a unit
 VISIBLE_REACH = 100.0
 TIMED_ROUNDS = 5  # of frame_milliseconds()
 # of LPIPS as an allowed loss: views, the side of the square in each, and how far the squares of two views are
@@ -245,8 +245,9 @@ def any_in_view(points: np.ndarray, cameras: Sequence[Camera], some: Sequence[Ca
     """Whether one of the cameras `some` sees one of the points (N, 3), world, where it would be rendered, and
     within VISIBLE_REACH. cameras: all, for the scale. Of many points, about VISIBLE_POINTS are checked."""
     centres = np.array([camera.position for camera in cameras])
-    # a single camera gives no scale
-    reach = VISIBLE_REACH * np.linalg.norm(centres - centres.mean(axis=0), axis=1).max() or np.inf
+    spread = np.linalg.norm(centres - centres.mean(axis=0), axis=1).max()
+    # a single camera gives no scale, and a shot that hardly moves one that is too small
+    reach = VISIBLE_REACH * max(spread, min(1.0, cameras[0].unit)) if spread else np.inf
     points = points[:: max(1, len(points) // VISIBLE_POINTS)].astype(np.float64)
     for camera in some:
         local = camera.local(points)
