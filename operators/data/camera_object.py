@@ -103,7 +103,7 @@ def photographs(objects: Iterable[bpy.types.Object]) -> list[bpy.types.Object]:
     age = lambda obj: (obj.name != obj.data[IMAGE], obj.session_uid)
     for obj in objects:
         if obj.type == "CAMERA" and SIZE in obj.data and PLACED not in obj.data:
-            key = obj.parent, obj.data[IMAGE]
+            key = obj.parent or obj, obj.data[IMAGE]
             found[key] = min(found.get(key, obj), obj, key=age)
     return list(found.values())
 
