@@ -441,7 +441,7 @@ def _places(mesh: bpy.types.Mesh) -> str:
     """A digest of where the points of a mesh are."""
     co: np.ndarray = np.empty(3 * len(mesh.vertices), np.float32)
     mesh.vertices.foreach_get("co", co)
-    return hashlib.sha256(co).hexdigest()
+    return hashlib.sha256(co.tobytes()).hexdigest()
 
 
 def root_of(obj: bpy.types.Object | None) -> bpy.types.Object | None:
