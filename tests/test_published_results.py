@@ -328,7 +328,7 @@ def gains(left_out, share: str, other: str, measure: str) -> list[float]:
     return ahead(left_out, "south_building", f"removal {share}", f"{other} {share}", measure)
 
 
-@pytest.mark.parametrize(("share", "best"), [("0.25", 0.006), ("0.1", 0.020), ("0.05", 0.024)])
+@pytest.mark.parametrize(("share", "best"), [("0.25", 0.006), ("0.1", 0.018), ("0.05", 0.025)])
 def test_default_is_ahead_in_lpips_on_the_capture_that_was_left_out_with_every_seed(left_out, share, best):
     found = {other: gains(left_out, share, other, "lpips") for other in OTHERS}
     assert max(max(one) for one in found.values()) < 0
@@ -385,7 +385,7 @@ def test_with_half_of_the_gaussians_two_rivals_are_ahead_in_lpips_as_is_said(lef
     assert all(0.003 <= behind_of[other] <= 0.004 for other in ("maskgs", "gaussianpop"))
 
 
-@pytest.mark.parametrize(("share", "best"), [("0.5", 0.1), ("0.25", 0.25), ("0.1", 0.4), ("0.05", 0.3)])
+@pytest.mark.parametrize(("share", "best"), [("0.5", 0.1), ("0.25", 0.25), ("0.1", 0.4), ("0.05", 0.4)])
 def test_in_psnr_it_is_ahead_in_the_mean_and_not_with_every_seed(left_out, share, best):
     others = (*OTHERS, "mcmc") if share == "0.5" else OTHERS
     found = [gains(left_out, share, other, "psnr") for other in others]
