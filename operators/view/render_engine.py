@@ -75,11 +75,11 @@ class SVRGS_engine(bpy.types.RenderEngine):
         self.show_progress(tr("Reading splats"), 0.0)
         placed = visible_splats.splats(depsgraph)
         if placed is None and any(map(splat_object.is_splat, bpy.data.objects)):
-            if self.is_animation:
+            if sum(layer.use for layer in scene.view_layers) > 1:
+                placed = visible_splats.nothing()  # the splats may be in another view layer
+            elif self.is_animation:  # which an error would end
                 text = tr("no splat is shown in frame {frame}").format(frame=scene.frame_current)
                 self.report({"WARNING"}, text)
-            # an error would end the animation; and the splats may be in another view layer
-            if self.is_animation or sum(layer.use for layer in scene.view_layers) > 1:
                 placed = visible_splats.nothing()
         if placed is None:
             text = tr(
