@@ -230,6 +230,14 @@ def test_a_package_that_does_not_load_is_not_called_missing(monkeypatch, tmp_pat
         packages.load("no_such_package", "reading")
 
 
+def test_ctrl_c_while_a_package_is_loaded_is_no_broken_package(tmp_path, monkeypatch):
+    text = "try:\n    raise KeyboardInterrupt\nexcept KeyboardInterrupt:\n    raise ImportError('broken')\n"
+    (tmp_path / "stopped_package.py").write_text(text)
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(KeyboardInterrupt):
+        packages.load("stopped_package", "reading")
+
+
 @pytest.mark.parametrize(
     "value, text",
     [(0, "0 bytes"), (999, "999 bytes"), (34_600, "34.6 kB"), (150e6, "150.0 MB"), (1.26e9, "1.3 GB")],

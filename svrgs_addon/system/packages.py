@@ -31,6 +31,8 @@ def load(name: str, purpose: str) -> ModuleType:
         with uninterrupted():
             return importlib.import_module(name)
     except (ImportError, RuntimeError) as error:  # pycolmap turns an ImportError into a RuntimeError
+        if isinstance(_first_of(error), KeyboardInterrupt):  # of another handler of Ctrl-C than Python's
+            raise KeyboardInterrupt from None
         if isinstance(error, ModuleNotFoundError) and error.name == package:
             install = f"run {sys.executable} -m pip install {ON_PYPI.get(package, package)}"
             remedy = os.environ.get(MISSING_VARIABLE) or install
@@ -66,6 +68,11 @@ def uninterrupted() -> Iterator[None]:
 
 def import_reason(error: BaseException) -> str:
     """The last line of the first error in a chain of errors."""
+    first = _first_of(error)
+    return (str(first).strip().splitlines() or [type(first).__name__])[-1]
+
+
+def _first_of(error: BaseException) -> BaseException:
     while cause := error.__cause__ or error.__context__:
         error = cause
-    return (str(error).strip().splitlines() or [type(error).__name__])[-1]
+    return error
