@@ -88,8 +88,8 @@ def problem(obj: bpy.types.Object) -> str:
 
 
 def still(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> str:
-    """That the crop box of a splat moves, but not in this graph, which leaves it out, in a sentence; '' if
-    that is not so."""
+    """A sentence if the crop box of a splat is animated but stands still, because it is not in this graph;
+    else ''."""
     box = _crop_box(obj)
     if box is None or not _moves(box.original):
         return ""

@@ -69,7 +69,7 @@ def triangles(depsgraph: bpy.types.Depsgraph, cut: bool = False, catchers: bool 
             or obj.original in boxes
             or not obj.visible_camera
             or obj.is_shadow_catcher != catchers
-            or view_layers.marks(instance, depsgraph, "indirect_only_get")
+            or view_layers.is_indirect(instance, depsgraph)
         ):
             continue
         if (arrays := read.triangles(obj)) is not None:

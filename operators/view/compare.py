@@ -54,10 +54,11 @@ class ComparedSplats:
         """(original, pruned): images (H, W, 3) in display sRGB, rounded to 8 bits; camera: in Blender's
         world."""
         images, original = [], self.placed[0]
-        near = original.seen_by(camera).unit * original.unit  # the pruned splat may be of another size
+        # of both, in Blender's world: the pruned splat alone may have a smaller one
+        unit = original.seen_by(camera).unit * original.unit
         for part in self.placed:
             options = picture_options(part.scene, background)
-            view = replace(part.seen_by(camera), unit=near / part.unit)
+            view = replace(part.seen_by(camera), unit=unit / part.unit)
             found = self.rasterizer.forward(part.scene, view, options)
             images.append(rounded_to_8_bits(found["rgb"]))
         return tuple(images)

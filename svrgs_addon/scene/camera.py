@@ -177,10 +177,11 @@ def unit_of(size: float, usual: float = USUAL_EXTENT, least: float = LEAST_EXTEN
 
 
 def in_their_unit(cameras: Sequence[Camera], points: np.ndarray) -> list[Camera]:
-    """The cameras with the unit of their world, unless they know it: then one is not 1.
+    """The cameras with the unit of their world. They stay as they are if one of them has another unit than 1:
+    then their file names it.
 
-    points (P, 3): the sparse points, or means of Gaussians. Their median distance from the middle of the
-    cameras counts where these all stand near each other; there may be none."""
+    points (P, 3), world: sparse points, or means of Gaussians; there may be none. Their median distance from
+    the middle of the cameras counts if it is larger than the cameras' extent."""
     if any(camera.unit != 1 for camera in cameras):
         return list(cameras)
     centres, distance = np.array([camera.position for camera in cameras]), 0.0
